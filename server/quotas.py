@@ -1,4 +1,4 @@
-"""Quotas of teams: what is counted, how much of it is used, and the refusal that names the quota.
+"""Quotas of teams, a day and in a stage: what is counted, how much of it is used, the refusal that names the quota.
 
 Counted is what a team itself asks for (`Evaluation.charged_at`). What organizers start and what machines failed costs
 nothing. Called by whatever gives a team something that is counted.
@@ -10,13 +10,16 @@ from datetime import UTC, datetime, timedelta
 from types import MappingProxyType
 from uuid import UUID
 
-from sqlalchemy import Select, delete, func, or_, select
+from sqlalchemy import ColumnElement, Select, and_, delete, exists, func, or_, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
 from .audit import record
+from .contest.contest import Contest
+from .contest.stages import Stage
 from .db.models import ApiToken, Evaluation, Submission, Team, TeamQuota
 from .db.states import ACTIVE_EVALUATION_STATES, EvaluationState, Quota
+from .db.stored_episodes import OF_EVALUATION
 from .errors import ProblemCode, ServiceError
 from .principals import Principal
 from .settings import Quotas
@@ -39,6 +42,12 @@ _OPENING: Mapping[Quota, str] = MappingProxyType(
         Quota.EVENT_STREAMS: "when one of them is closed",
     }
 )
+_COUNTED_IN_STAGE: Mapping[str, frozenset[EvaluationState]] = MappingProxyType(
+    {
+        "scored_runs": frozenset({*ACTIVE_EVALUATION_STATES, EvaluationState.COMPLETED}),
+        "attempts": frozenset(EvaluationState),
+    }
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +65,18 @@ class QuotaUse:
     limit: int | None
     used: int | None
     opens_at: datetime | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageQuotaUse:
+    """How much of a quota of an open stage a team has used; `limit` None: any number."""
+
+    track: str
+    stage: str
+    closes: datetime
+    quota: str
+    limit: int | None
+    used: int
 
 
 def limit_of(session: Session, quotas: Quotas, team_id: UUID, quota: Quota) -> int | None:
@@ -94,6 +115,25 @@ def check(session: Session, quotas: Quotas, by: Principal, team: Team, *wanted: 
             raise exceeded(team.name, quota, limit)
 
 
+def check_stage(session: Session, by: Principal, team: Team, stage: Stage) -> None:
+    """Refuse one evaluation more than a stage allows; the team's row is locked by the caller.
+
+    Raises:
+        ServiceError: quota_exceeded, with the quota's name and limit.
+    """
+    if by.is_organizer:
+        return
+    for quota, limit in stage.rules.quotas:
+        if limit is not None and _used_in_stage(session, team, stage, quota) >= limit:
+            raise ServiceError(
+                ProblemCode.QUOTA_EXCEEDED,
+                f"The quota of {quota.replace('_', ' ')} in {stage} is {limit} for each team, and {team.name} has used "
+                "it up.",
+                quota=f"stage_{quota}",
+                limit=limit,
+            )
+
+
 def exceeded(team: str, quota: Quota, limit: int) -> ServiceError:
     """Return the refusal of one thing more."""
     now = datetime.now(UTC)
@@ -122,6 +162,24 @@ def uses(session: Session, quotas: Quotas, team_id: UUID) -> list[QuotaUse]:
             opens_at=_opens_at(quota, now),
         )
         for quota in Quota
+    ]
+
+
+def stage_uses(session: Session, team: Team, at: datetime | None = None) -> list[StageQuotaUse]:
+    """Return what a team may still have in each open stage that it takes part in; `at` None: now."""
+    now = at or datetime.now(UTC)
+    return [
+        StageQuotaUse(
+            track=stage.track,
+            stage=stage.name,
+            closes=stage.rules.closes,
+            quota=quota,
+            limit=limit,
+            used=_used_in_stage(session, team, stage, quota),
+        )
+        for stage in Contest.read(session).stages
+        if stage.is_open(now) and stage.may_submit(team)
+        for quota, limit in stage.rules.quotas
     ]
 
 
@@ -173,14 +231,27 @@ def _tokens(team_id: UUID) -> Select[int]:
     return select(func.count()).select_from(ApiToken).where(ApiToken.team_id == team_id, ~ApiToken.is_session, is_good)
 
 
+def _evaluations_of(team_id: UUID) -> Select[int]:
+    return select(func.count()).select_from(Evaluation).join(Submission).where(Submission.team_id == team_id)
+
+
 def _evaluations(team_id: UUID, quota: Quota) -> Select[int]:
-    query = select(func.count()).select_from(Evaluation).join(Submission).where(Submission.team_id == team_id)
+    query = _evaluations_of(team_id)
     if quota is Quota.QUEUED_AT_ONCE:
         return query.where(Evaluation.state.in_(ACTIVE_EVALUATION_STATES), Evaluation.charged_at.is_not(None))
     today = query.where(Evaluation.charged_at >= _day_start(datetime.now(UTC)))
     if quota is Quota.SCORED_RUNS_PER_DAY:
         return today.where(Evaluation.state.in_({*ACTIVE_EVALUATION_STATES, EvaluationState.COMPLETED}))
     return today
+
+
+def _used_in_stage(session: Session, team: Team, stage: Stage, quota: str) -> int:
+    counted: ColumnElement[bool] = Evaluation.state.in_(_COUNTED_IN_STAGE[quota])
+    if quota == "scored_runs":  # what has seen a sealed list was worth a run, also where it was given up
+        begun = exists().where(OF_EVALUATION).correlate(Evaluation, Submission)
+        counted = or_(counted, and_(Evaluation.commitment.is_not(None), begun))
+    of_team = _evaluations_of(team.id).where(stage.submissions, Evaluation.charged_at.is_not(None), counted)
+    return session.scalars(of_team).one()
 
 
 def _opens_at(quota: Quota, now: datetime) -> datetime | None:

@@ -12,7 +12,7 @@ from vitac.evaluator.episodes.records import EpisodeRecord
 from . import tokens
 from .appeals.appeals import appeal_view
 from .audit import entry_view, record
-from .db.competition_row import lock_competition
+from .contest.contest import Contest
 from .db.models import (
     ApiToken,
     Appeal,
@@ -113,8 +113,8 @@ def erase(session: Session, by: Principal, team: Team) -> None:
 
 def _rename_in_final_results(session: Session, team: Team) -> None:
     """Write a team's present name into winners and boards that were kept at the end of the competition."""
-    row = lock_competition(session)
-    if row is None or not row.boards:
+    row = Contest.lock(session).row
+    if not row.boards:
         return
     own = {str(found) for found in session.scalars(select(Submission.id).where(Submission.team_id == team.id))}
     before = {entry["team"] for board in row.boards for entry in board["entries"] if entry["submission_id"] in own}

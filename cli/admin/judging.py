@@ -82,11 +82,12 @@ def show(
     as_json: AsJson = False,
 ) -> None:
     """Show each team's marks with their spread, its figures and its total."""
+    from vitac.server.contest.contest import Contest
     from vitac.server.judging.judging import judged
     from vitac.server.principals import CONSOLE
 
     with transaction() as session:
-        found = judged(session, CONSOLE, track, stage)
+        found = judged(session, CONSOLE, Contest.read(session).shown_stage(track, stage))
     if as_json:
         print_json([asdict(team) | {"submission": str(team.submission)} for team in found])
         return

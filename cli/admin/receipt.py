@@ -36,10 +36,12 @@ def export(
     Records and sensors of a sealed list are left out until its secret is published.
     """
     from vitac.evaluator.submission_kinds import SubmissionKind
+    from vitac.server.contest.contest import Contest
     from vitac.server.publishing.exporting import export_receipts
 
     ranked = SubmissionKind(kind)
     with open_service(load_settings()) as services, services.database.snapshot() as session:
-        made = export_receipts(session, services.blobs, file, track, task=task, stage=stage, kind=ranked)
+        board = Contest.read(session).shown_stage(track, stage)
+        made = export_receipts(session, services.blobs, file, board, task=task, kind=ranked)
     content = {"file": str(file), "entries": len(made.board.entries), "public_key": made.public_key}
     print_record(content, as_json=as_json)

@@ -31,12 +31,14 @@ def start(
     as_json: AsJson = False,
 ) -> None:
     """Evaluate submissions again with the present evaluator; nobody but organizers sees it, no result changes."""
+    from vitac.server.contest.contest import Contest
     from vitac.server.principals import CONSOLE
     from vitac.server.rejudging import rejudging
     from vitac.server.rejudging.comparison import comparison
 
     with change_transaction(dry_run=dry_run) as session:
-        made = rejudging.start(session, CONSOLE, track=track, stage=stage, submissions=submission or (), reason=reason)
+        found = Contest.read(session).shown_stage(track, stage)
+        made = rejudging.start(session, CONSOLE, found, submissions=submission or (), reason=reason)
         count = len(comparison(session, made))
     if dry_run:
         print_done(f"{count} submissions", {"id": None, "submissions": count}, as_json=as_json)

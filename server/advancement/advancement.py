@@ -11,8 +11,8 @@ from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from ..audit import record
-from ..contest.definition import Advancement, CompetitionDefinition, Stage
-from ..contest.stages import current, require_over
+from ..contest.definition import Advancement
+from ..contest.stages import Stage
 from ..db.models import Qualification, Submission, Team
 from ..db.states import NoticeKind
 from ..errors import ProblemCode, ServiceError
@@ -65,41 +65,40 @@ class Proposal:
     running: int
 
 
-def propose(session: Session, track: str, stage: str) -> Proposal:
+def propose(session: Session, stage: Stage) -> Proposal:
     """Return who advances to a stage by its rule, as the boards are now.
 
     Raises:
-        ServiceError: there is no such stage, or it is for all teams.
+        ServiceError: the stage is for all teams.
     """
-    _, before, rule = _rule(session, track, stage)
-    entries = leaderboard(session, track, stage=before.name, live=True).view.entries
+    before, rule = _rule(stage)
+    entries = leaderboard(session, before, live=True).view.entries
     ranked = [entry for entry in entries if entry.rank is not None]
-    taking_part = (Team.disqualified_at.is_(None), Team.approved_at.is_not(None), Team.created_at < before.closes)
+    taking_part = (Team.disqualified_at.is_(None), Team.approved_at.is_not(None), Team.created_at < before.rules.closes)
     registered = session.scalars(select(func.count()).select_from(Team).where(*taking_part)).one()
     n_advancing = _count_advancing(rule, ranked, registered)
     return Proposal(
-        track=track,
-        stage=stage,
+        track=stage.track,
+        stage=stage.name,
         before=before.name,
         rule=rule.sentence,
         registered=registered,
         teams=[_proposed(entry, rule, ranked, n_advancing) for entry in ranked],
         unranked=[entry.team for entry in entries if entry.rank is None],
-        running=count_running(session, track, before.name),
+        running=count_running(session, before),
     )
 
 
 def confirm(
-    session: Session, by: Principal, track: str, stage: str, *, add: Collection[str] = (), without: Collection[str] = ()
+    session: Session, by: Principal, stage: Stage, *, add: Collection[str] = (), without: Collection[str] = ()
 ) -> list[str]:
-    """Let the proposed teams take part in a stage, and say which; the organizers' own decisions come on top.
+    """Let the proposed teams take part in a stage, and return which; the organizers' own decisions are added.
 
     Confirming again replaces the teams of before, but for those that have submitted to the stage already.
 
     Args:
         session: of the transaction.
         by: an organizer.
-        track: of the stage.
         stage: which one.
         add: names of further teams.
         without: names of proposed teams that do not take part.
@@ -109,20 +108,19 @@ def confirm(
             or not proposed, or one that would lose its place has submitted already.
     """
     by.require_organizer()
-    competition, _, _ = _rule(session, track, stage)
-    proposal = propose(session, track, stage)
-    require_over(session, track, proposal.before)
-    require_scored(session, track, proposal.before)
-    require_current(session, track, proposal.before)
+    proposal, (before, _) = propose(session, stage), _rule(stage)
+    before.require_over()
+    require_scored(session, before)
+    require_current(session, before)
     chosen = _chosen(session, proposal, add, without)
-    previous = _qualified(session, track, stage)
-    _refuse_loss(session, track, stage, previous.keys() - chosen.keys())
-    session.execute(delete(Qualification).where(Qualification.track == track, Qualification.stage == stage))
-    now, told = datetime.now(UTC), stage_facts(competition, track, stage)
+    previous = _qualified(session, stage)
+    _refuse_loss(session, stage, previous.keys() - chosen.keys())
+    session.execute(delete(Qualification).where(stage.qualifications))
+    now = datetime.now(UTC)
     for team_id in chosen.keys() - previous.keys():
-        facts = told | {"team": chosen[team_id]}
-        announce(session, NoticeKind.PROMOTED, team_id, f"stage:{track}/{stage}/{team_id}/{now.isoformat()}", facts)
-    session.add_all(Qualification(track=track, stage=stage, team_id=team_id) for team_id in chosen)
+        facts = stage_facts(stage) | {"team": chosen[team_id]}
+        announce(session, NoticeKind.PROMOTED, team_id, f"{stage.subject}/{team_id}/{now.isoformat()}", facts)
+    session.add_all(Qualification(track=stage.track, stage=stage.name, team_id=team_id) for team_id in chosen)
     session.flush()
     after = {
         "teams": sorted(chosen.values()),
@@ -130,25 +128,22 @@ def confirm(
         "proposed": [team.team for team in proposal.teams if team.advances],
         "at_border": [team.team for team in proposal.teams if team.at_border],
     }
-    before = {"teams": sorted(previous.values())}
-    record(session, by, "stage.qualify", f"stage:{track}/{stage}", after, before=before)
+    record(session, by, "stage.qualify", stage.subject, after, before={"teams": sorted(previous.values())})
     return sorted(chosen.values())
 
 
-def qualified_teams(session: Session, track: str, stage: str) -> list[str]:
+def qualified_teams(session: Session, stage: Stage) -> list[str]:
     """Return the names of the teams that were confirmed for a stage."""
-    return sorted(_qualified(session, track, stage).values())
+    return sorted(_qualified(session, stage).values())
 
 
-def _rule(session: Session, track: str, stage: str) -> tuple[CompetitionDefinition, Stage, Advancement]:
-    competition = current(session)
-    found = competition.stage(track, stage) if competition else None
-    if competition is None or found is None:
-        raise ServiceError(ProblemCode.UNKNOWN_STAGE, f"The competition has no stage {stage!r:.80} of {track!r:.80}.")
-    if found.qualified is None:
-        raise ServiceError(ProblemCode.UNKNOWN_STAGE, f"Stage {stage} of {track} is for all teams; nobody advances.")
-    stages = competition.tracks[track].stages
-    return competition, stages[stages.index(found) - 1], found.qualified
+def _rule(stage: Stage) -> tuple[Stage, Advancement]:
+    """Return the stage whose board decides, and by which rule; the first stage of a track never has one."""
+    if stage.before is None or stage.rules.qualified is None:
+        raise ServiceError(
+            ProblemCode.UNKNOWN_STAGE, f"Stage {stage.name} of {stage.track} is for all teams; nobody advances."
+        )
+    return stage.before, stage.rules.qualified
 
 
 def _count_advancing(rule: Advancement, ranked: Sequence[LeaderboardEntryView], registered: int) -> int:
@@ -209,23 +204,15 @@ def _chosen(session: Session, proposal: Proposal, add: Collection[str], without:
     return chosen
 
 
-def _qualified(session: Session, track: str, stage: str) -> dict[UUID, str]:
+def _qualified(session: Session, stage: Stage) -> dict[UUID, str]:
     rows = session.execute(
-        select(Team.id, Team.name)
-        .join(Qualification, Qualification.team_id == Team.id)
-        .where(Qualification.track == track, Qualification.stage == stage)
+        select(Team.id, Team.name).join(Qualification, Qualification.team_id == Team.id).where(stage.qualifications)
     )
     return {row.id: row.name for row in rows}
 
 
-def _refuse_loss(session: Session, track: str, stage: str, leaving: Collection[UUID]) -> None:
-    name = session.scalar(
-        select(Team.name)
-        .join(Submission)
-        .where(Submission.track == track, Submission.stage == stage, Team.id.in_(leaving))
-        .limit(1)
-    )
+def _refuse_loss(session: Session, stage: Stage, leaving: Collection[UUID]) -> None:
+    submitted = select(Team.name).join(Submission).where(stage.submissions, Team.id.in_(leaving))
+    name = session.scalar(submitted.limit(1))
     if name is not None:
-        raise ServiceError(
-            ProblemCode.STAGE_IN_USE, f"{name} has submitted to stage {stage} of {track}; disqualify it instead."
-        )
+        raise ServiceError(ProblemCode.STAGE_IN_USE, f"{name} has submitted to {stage}; disqualify it instead.")

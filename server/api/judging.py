@@ -8,6 +8,7 @@ from uuid import UUID
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from ..contest.contest import Contest
 from ..judging import judging
 from ..views.judging import JudgedTeamView
 from .access import PrincipalOf, ServicesOf
@@ -61,5 +62,5 @@ def get_judged(
 ) -> list[JudgedTeamView]:
     """Return each team's marks with their spread, its figures and its total, best first (organizers only)."""
     with services.database.transaction() as session:
-        found = judging.judged(session, principal, track, stage)
+        found = judging.judged(session, principal, Contest.read(session).shown_stage(track, stage))
     return [JudgedTeamView(**asdict(team)) for team in found]

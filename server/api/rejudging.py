@@ -6,6 +6,7 @@ from uuid import UUID
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from ..contest.contest import Contest
 from ..rejudging import rejudging
 from ..rejudging.view import rejudgement_detail_view, rejudgement_view
 from ..views.rejudging import RejudgementDetailView, RejudgementView
@@ -44,7 +45,9 @@ def get_rejudgements(services: ServicesOf, principal: PrincipalOf) -> list[Rejud
 def post_rejudgement(services: ServicesOf, principal: PrincipalOf, new: NewRejudgement) -> RejudgementDetailView:
     """Evaluate submissions again with the present evaluator; nobody but organizers sees it, no result changes."""
     with services.database.transaction() as session:
-        return rejudgement_detail_view(session, rejudging.start(session, principal, **dict(new)))
+        stage = Contest.read(session).shown_stage(new.track, new.stage)
+        made = rejudging.start(session, principal, stage, submissions=new.submissions, reason=new.reason)
+        return rejudgement_detail_view(session, made)
 
 
 @router.get("/{rejudgement_id}")

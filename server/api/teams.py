@@ -10,13 +10,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.orm import Session
 
 from .. import tokens
-from ..contest.stages import stage_quota_uses
 from ..db.models import ApiToken, Team
 from ..db.states import Quota, Role
 from ..limiter import client_key
 from ..members import registration
 from ..principals import CONSOLE, Principal
-from ..quotas import charge, uses
+from ..quotas import charge, stage_uses, uses
 from ..services import Services
 from ..teams import teams
 from ..teams.shown_names import ShownNames
@@ -106,13 +105,12 @@ def get_me(services: ServicesOf, principal: PrincipalOf) -> MeView:
     with services.database.transaction() as session:
         token = session.get(ApiToken, principal.token_id)
         team = teams.own(session, principal) if principal.team_id is not None else None
-        stage_uses = stage_quota_uses(session, team) if team is not None else []
         return MeView(
             role=cast("Role", principal.role),  # a visitor without a token does not come here
             team=teams.team_view(team, ShownNames.read(session, principal)) if team is not None else None,
             token=tokens.token_view(token) if token is not None else None,
             quotas=_quotas(session, services, principal),
-            stage_quotas=[StageQuotaView(**vars(use)) for use in stage_uses],
+            stage_quotas=[StageQuotaView(**vars(use)) for use in (stage_uses(session, team) if team else ())],
         )
 
 

@@ -4,6 +4,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
+from ..contest.contest import Contest
 from ..contest.view import competition_view
 from ..leaderboards.log_boards import log_boards
 from ..leaderboards.made_boards import MadeBoard
@@ -63,7 +64,7 @@ def get_leaderboard(
 ) -> Response:
     """Return the standings of a track or of one of its tasks: the best completed evaluation of each team."""
     with services.database.reading() as session:
-        board = leaderboard(session, track, task=task, stage=stage)
+        board = leaderboard(session, Contest.read(session).shown_stage(track, stage), task=task)
     return _answer(request, board)
 
 
@@ -71,7 +72,7 @@ def get_leaderboard(
 def get_log_boards(request: Request, services: ServicesOf, track: str, stage: Stage = None) -> Response:
     """Return the verified logs of a track, ranked by task, and the 2025 text logs, which are not ranked."""
     with services.database.reading() as session:
-        board = log_boards(session, track, stage=stage)
+        board = log_boards(session, Contest.read(session).shown_stage(track, stage))
     return _answer(request, board)
 
 

@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session, joinedload, selectinload
 from vitac.evaluator.episodes.records import EpisodeRecord
 
 from ..audit import record
-from ..contest.stages import current
+from ..contest.contest import Contest
 from ..db.models import Appeal, AppealReplay, EpisodeResult, Evaluation, Rejudgement, Submission
 from ..db.states import TERMINAL_EVALUATION_STATES, AppealState
 from ..errors import ProblemCode, ServiceError, not_found
@@ -240,8 +240,7 @@ def _end(session: Session, by: Principal, appeal: Appeal, state: AppealState, ru
 def _require_time(session: Session, evaluation: Evaluation) -> None:
     if evaluation.state not in TERMINAL_EVALUATION_STATES or evaluation.finished_at is None:
         raise ServiceError(ProblemCode.APPEAL_TOO_LATE, "This evaluation has not ended; wait for its result.")
-    competition = current(session)
-    days = competition.appeal_days if competition is not None else None
+    days = Contest.read(session).definition.appeal_days
     if days is None:
         raise ServiceError(ProblemCode.APPEAL_TOO_LATE, "This service takes no appeals; ask the organizers a question.")
     until = (_counts_since(session, evaluation) or evaluation.finished_at) + timedelta(days=days)

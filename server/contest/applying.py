@@ -10,12 +10,12 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import ListKind
 
 from ..audit import record
-from ..db.competition_row import competition_row, lock_competition, require_not_final
 from ..db.models import Competition, Submission
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
+from .contest import Contest
 from .definition import CompetitionDefinition
-from .sealing import list_of_stage, seal, withdraw
+from .sealing import seal, withdraw
 
 _NAMES = ("name", "place")
 """Fields by which the members of a list are told apart."""
@@ -49,12 +49,11 @@ def changes_by(session: Session, definition: CompetitionDefinition) -> list[Chan
     Raises:
         ServiceError: the competition is final, or submissions were made by what it takes away.
     """
-    row = competition_row(session)
-    old = CompetitionDefinition.model_validate(row.definition) if row else None
-    if old != definition:
-        require_not_final(row)
-    _refuse_loss(session, definition)
-    return list(_differences(old, definition))
+    contest = Contest.read(session)
+    if contest.definition != definition:
+        contest.require_not_final()
+    _refuse_loss(contest, definition)
+    return list(_differences(contest.definition if contest.is_held else None, definition))
 
 
 def apply(session: Session, by: Principal, definition: CompetitionDefinition) -> list[Change]:
@@ -66,23 +65,20 @@ def apply(session: Session, by: Principal, definition: CompetitionDefinition) ->
         ServiceError: not an organizer, or as `changes_by`.
     """
     by.require_organizer()
-    row = lock_competition(session)
-    before = row.definition if row else None
+    contest = Contest.lock(session)
+    before = contest.row.definition if contest.is_held else None
     found = changes_by(session, definition)
     after = definition.model_dump(mode="json")
-    if row is None:
-        row = Competition(definition=after)
-        session.add(row)
+    if not contest.is_held:
+        session.add(Competition(definition=after))
     elif before != after:
-        row.definition, row.applied_at = after, datetime.now(UTC)
+        contest.row.definition, contest.row.applied_at = after, datetime.now(UTC)
     session.flush()
     if before != after:
-        record(session, by, "competition.apply", f"competition:{definition.name}", after, before=before)
-    sealed = {(track, stage.name) for track, stage in definition.sealed_stages()}
-    for track, rules in definition.tracks.items():
-        for stage in rules.stages:
-            change = seal if (track, stage.name) in sealed else withdraw
-            change(session, by, track, stage.name)
+        record(session, by, "competition.apply", Contest.read(session).subject, after, before=before)
+    for stage in Contest.read(session).stages:
+        change = seal if stage.plays_sealed_list else withdraw
+        change(session, by, stage)
     return found
 
 
@@ -112,16 +108,17 @@ def warnings_about(definition: CompetitionDefinition, changes: Sequence[Change])
     return found
 
 
-def _refuse_loss(session: Session, definition: CompetitionDefinition) -> None:
+def _refuse_loss(contest: Contest, definition: CompetitionDefinition) -> None:
     """Refuse to take away a stage that has submissions, and to change its list."""
-    used = session.execute(
+    lists = {(name, stage.name): stage.list for name, track in definition.tracks.items() for stage in track.stages}
+    used = contest.session.execute(
         select(Submission.track, Submission.stage).where(Submission.stage != "").distinct().order_by(Submission.track)
     )
     for track, name in used:
-        stage = definition.stage(track, name)
-        sealed_before = list_of_stage(session, track, name) is not None
-        if stage is None or (stage.list is ListKind.SEALED) != sealed_before:
-            lost = "taken away" if stage is None else f"played on a {stage.list} list"
+        kind = lists.get((track, name))
+        is_sealed = contest.stored_stage(track, name).is_sealed
+        if kind is None or (kind is ListKind.SEALED) != is_sealed:
+            lost = "taken away" if kind is None else f"played on a {kind} list"
             raise ServiceError(
                 ProblemCode.STAGE_IN_USE,
                 f"Stage {name} of {track} has submissions, so it cannot be {lost}. Keep it as it is.",

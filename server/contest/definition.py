@@ -1,7 +1,7 @@
 """What a competition file says; `vitac admin competition` reads it, and everything that follows its rules asks it."""
 
 from collections.abc import Iterator, Mapping
-from datetime import UTC, datetime
+from datetime import UTC
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
@@ -70,8 +70,8 @@ class StageQuotas(StrictModel):
     attempts: PositiveInt | None = Field(default=None, description="However they end.")
 
 
-class Stage(StrictModel):
-    """A part of a track's competition: when it is open, for what and for whom."""
+class StageRules(StrictModel):
+    """What the file says of a stage: when it is open, for what and for whom."""
 
     name: Word
     title: str
@@ -84,10 +84,6 @@ class Stage(StrictModel):
         default=False, description="Everybody may see the results of its submissions, unless their team says otherwise."
     )
     qualified: Advancement | None = Field(default=None, description="Only teams that advance by this rule.")
-
-    def is_open(self, now: datetime) -> bool:
-        """Return whether submissions are taken at that moment: from the opening instant to before the closing one."""
-        return self.opens <= now < self.closes
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
@@ -158,12 +154,12 @@ class Judging(StrictModel):
         return self
 
 
-class CompetitionTrack(StrictModel):
-    """A track in the competition. One that is not `taken_here` has a schedule and prizes only."""
+class TrackRules(StrictModel):
+    """What the file says of a track. One that is not `taken_here` has a schedule and prizes only."""
 
     title: str
     taken_here: bool = True
-    stages: tuple[Stage, ...] = Field(min_length=1)
+    stages: tuple[StageRules, ...] = Field(min_length=1)
     ranking: tuple[RankingKey, ...] = DEFAULT_RANKING
     ties: str = "The earlier submission is in front."
     prizes: tuple[Prize, ...] = ()
@@ -208,24 +204,7 @@ class CompetitionDefinition(StrictModel):
     anonymous: bool = Field(
         default=False, description="Teams see each other under random names until the competition is final."
     )
-    tracks: dict[Word, CompetitionTrack] = Field(min_length=1)
-
-    def stage(self, track: str, name: str) -> Stage | None:
-        """Return a stage; None where there is none of that name."""
-        found = self.tracks.get(track)
-        return next((stage for stage in found.stages if stage.name == name), None) if found else None
-
-    @property
-    def stage_titles(self) -> dict[tuple[str, str], str]:
-        """The titles of all stages, by the names of track and stage."""
-        return {(name, stage.name): stage.title for name, track in self.tracks.items() for stage in track.stages}
-
-    def sealed_stages(self) -> Iterator[tuple[str, Stage]]:
-        """Yield track and stage of each sealed list that the service plays."""
-        for name, track in self.tracks.items():
-            for stage in track.stages:
-                if track.taken_here and stage.list is ListKind.SEALED:
-                    yield name, stage
+    tracks: dict[Word, TrackRules] = Field(min_length=1)
 
 
 def read_competition(path: Path) -> CompetitionDefinition:
@@ -241,7 +220,7 @@ def read_competition(path: Path) -> CompetitionDefinition:
     return definition
 
 
-def _problems(name: str, track: CompetitionTrack) -> Iterator[str]:
+def _problems(name: str, track: TrackRules) -> Iterator[str]:
     """Yield what does not fit the track's own file."""
     if not track.taken_here:
         return
@@ -260,7 +239,7 @@ def _problems(name: str, track: CompetitionTrack) -> Iterator[str]:
         )
 
 
-def _stage_problems(known: Track, track: CompetitionTrack) -> Iterator[str]:
+def _stage_problems(known: Track, track: TrackRules) -> Iterator[str]:
     for stage in track.stages:
         place = f"tracks.{known.name}.stages.{stage.name}"
         if not stage.accepts:

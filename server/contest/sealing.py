@@ -16,15 +16,15 @@ from ..db.models import Evaluation, SealedList
 from ..db.states import ACTIVE_EVALUATION_STATES
 from ..errors import ProblemCode, ServiceError, not_found
 from ..principals import Principal
+from .stages import Stage
 
 
-def seal(session: Session, by: Principal, track: str, stage: str, secret: bytes | None = None) -> SealedList:
+def seal(session: Session, by: Principal, stage: Stage, secret: bytes | None = None) -> SealedList:
     """Give a stage a sealed list; one that it has stays.
 
     Args:
         session: of the transaction.
         by: an organizer.
-        track: of the stage.
         stage: which one.
         secret: of the list; None: a new one.
 
@@ -32,36 +32,37 @@ def seal(session: Session, by: Principal, track: str, stage: str, secret: bytes 
         ServiceError: not an organizer, or another secret was committed to.
     """
     by.require_organizer()
-    found = list_of_stage(session, track, stage)
+    found = stage.sealed_list
     if found is not None:
         if secret is not None and commitment_of(secret) != found.commitment:
             raise ServiceError(
                 ProblemCode.LIST_SEALED,
-                f"Stage {stage} of {track} is committed to {found.commitment}, expected the secret of that; "
+                f"Stage {stage.name} of {stage.track} is committed to {found.commitment}, expected the secret of that; "
                 "a published commitment does not change.",
             )
         return found
     chosen = secrets.token_bytes(SECRET_BYTES) if secret is None else secret
-    made = SealedList(commitment=commitment_of(chosen), track=track, stage=stage, secret=chosen.hex())
+    made = SealedList(commitment=commitment_of(chosen), track=stage.track, stage=stage.name, secret=chosen.hex())
     session.add(made)
     session.flush()
-    record(session, by, "list.seal", f"stage:{track}/{stage}", {"commitment": made.commitment})
+    record(session, by, "list.seal", stage.subject, {"commitment": made.commitment})
     return made
 
 
-def withdraw(session: Session, by: Principal, track: str, stage: str) -> None:
+def withdraw(session: Session, by: Principal, stage: Stage) -> None:
     """Take away the list of a stage that is to play the public one; nothing happens where it has none.
 
     Raises:
         ServiceError: not an organizer, or an evaluation plays the list.
     """
     by.require_organizer()
-    found = list_of_stage(session, track, stage)
+    found = stage.sealed_list
     if found is None:
         return
     if session.scalar(select(exists().where(Evaluation.commitment == found.commitment))):
         raise ServiceError(
-            ProblemCode.STAGE_IN_USE, f"Stage {stage} of {track} has evaluations on its sealed list. Keep it sealed."
+            ProblemCode.STAGE_IN_USE,
+            f"Stage {stage.name} of {stage.track} has evaluations on its sealed list. Keep it sealed.",
         )
     session.delete(found)
     session.flush()
@@ -69,13 +70,13 @@ def withdraw(session: Session, by: Principal, track: str, stage: str) -> None:
         session,
         by,
         "list.withdraw",
-        f"stage:{track}/{stage}",
+        stage.subject,
         {"commitment": None},
         before={"commitment": found.commitment},
     )
 
 
-def reveal(session: Session, by: Principal, track: str, stage: str) -> SealedList:
+def reveal(session: Session, by: Principal, stage: Stage) -> SealedList:
     """Publish the secret of a stage's list, for good; doing it again changes nothing. The caller says when it is time.
 
     Raises:
@@ -83,33 +84,22 @@ def reveal(session: Session, by: Principal, track: str, stage: str) -> SealedLis
     """
     by.require_organizer()
     found = session.scalar(
-        select(SealedList).where(SealedList.track == track, SealedList.stage == stage).with_for_update()
+        select(SealedList).where(SealedList.track == stage.track, SealedList.stage == stage.name).with_for_update()
     )
     if found is None:
-        raise not_found("sealed list of", f"{track}/{stage}")
+        raise not_found("sealed list of", f"{stage.track}/{stage.name}")
     active = select(func.count()).where(
         Evaluation.commitment == found.commitment, Evaluation.state.in_(ACTIVE_EVALUATION_STATES)
     )
     if waiting := session.scalar(active):
         raise ServiceError(
             ProblemCode.LIST_SEALED,
-            f"Expected no evaluation of stage {stage} of {track} that waits or runs, got {waiting}; wait or cancel.",
+            f"Expected no evaluation of {stage} that waits or runs, got {waiting}; wait or cancel.",
         )
     if found.revealed_at is None:
         found.revealed_at = datetime.now(UTC)
-        record(session, by, "list.reveal", f"stage:{track}/{stage}", {"commitment": found.commitment})
+        record(session, by, "list.reveal", stage.subject, {"commitment": found.commitment})
     return found
-
-
-def list_of_stage(session: Session, track: str, stage: str) -> SealedList | None:
-    """Return the sealed list of a stage; None where the public one is played."""
-    return session.scalar(select(SealedList).where(SealedList.track == track, SealedList.stage == stage))
-
-
-def commitment_of_stage(session: Session, track: str, stage: str) -> str | None:
-    """Return by which list a new evaluation of a stage is played; None: the public one."""
-    found = list_of_stage(session, track, stage) if stage else None
-    return found.commitment if found else None
 
 
 def sealed_lists(session: Session) -> list[SealedList]:

@@ -1,201 +1,33 @@
-"""Which stage is open now, and who may submit to it; asked by whatever takes or shows submissions."""
+"""A stage as an object that answers: when it is open, who may submit, how it ranks, which results count.
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+Doors look one up by its name (`Contest.shown_stage`, `Contest.stage`); everything below them takes the object.
+"""
+
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from types import MappingProxyType
 
-from sqlalchemy import ColumnElement, and_, exists, func, or_, select
+from sqlalchemy import ColumnElement, and_, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import ListKind
 from vitac.evaluator.version import evaluator_version
 
-from ..db.competition_row import competition_row
-from ..db.models import Evaluation, Qualification, Submission, Team
-from ..db.states import ACTIVE_EVALUATION_STATES, EvaluationState
-from ..db.stored_episodes import OF_EVALUATION
+from ..db.models import Competition, Qualification, SealedList, Submission, Team
 from ..errors import ProblemCode, ServiceError
-from ..principals import Principal
-from ..teams import teams
-from ..tracks import known_track
-from .definition import CompetitionDefinition, CompetitionTrack, Stage
-from .sealing import list_of_stage
+from .definition import RankingKey, StageRules, TrackRules
 
-NO_STAGE = ""
-"""Of submissions outside of a competition: to a track that has none, or for practice."""
-_COUNTED: Mapping[str, frozenset[EvaluationState]] = MappingProxyType(
-    {
-        "scored_runs": frozenset({*ACTIVE_EVALUATION_STATES, EvaluationState.COMPLETED}),
-        "attempts": frozenset(EvaluationState),
-    }
+PRACTICE = ""
+"""Name of the stage of submissions outside of a competition: to a track that has none, or for practice."""
+
+PRACTICE_RULES = StageRules.model_construct(
+    name=PRACTICE,
+    title="Practice",
+    opens=datetime.min.replace(tzinfo=UTC),
+    closes=datetime.max.replace(tzinfo=UTC),
+    accepts=tuple(SubmissionKind),
+    list=ListKind.PUBLIC,
 )
-
-
-def current(session: Session) -> CompetitionDefinition | None:
-    """Return the competition of this service; None: none was applied."""
-    row = competition_row(session)
-    return CompetitionDefinition.model_validate(row.definition) if row else None
-
-
-def stage_for_submission(
-    session: Session, by: Principal, team: Team, *, track: str, kind: SubmissionKind, at: datetime | None = None
-) -> str:
-    """Return the stage to which a submission belongs; empty where its track is in no competition.
-
-    Organizers submit also after the end, to the stage that opened last, for instance what reached them by mail in time.
-
-    Args:
-        session: of the transaction.
-        by: who submits.
-        team: whose submission it becomes.
-        track: of the submission.
-        kind: of the submission.
-        at: when it is complete; None: now.
-
-    Raises:
-        ServiceError: no stage is open, it takes other kinds or qualified teams only, or the team does not take part.
-    """
-    teams.require_taking_part(team)
-    found = track_rules(session, track)
-    if found is None:
-        return NO_STAGE
-    now = at or datetime.now(UTC)
-    stage = _open_stage(found, now) or (_last_opened(found, now) if by.is_organizer else None)
-    if stage is None:
-        raise ServiceError(ProblemCode.STAGE_CLOSED, f"{track} takes no submissions now: {_times(found, now)}.")
-    sealed = list_of_stage(session, track, stage.name)
-    if sealed is not None and sealed.revealed_at is not None:
-        raise ServiceError(
-            ProblemCode.STAGE_CLOSED, f"The episodes of stage {stage.name} of {track} are published; it is over."
-        )
-    if kind not in stage.accepts:
-        raise ServiceError(
-            ProblemCode.UNSUPPORTED_SUBMISSION_KIND,
-            f"Stage {stage.name} of {track} takes {', '.join(stage.accepts)}, got {kind}.",
-            supported=list(stage.accepts),
-        )
-    if stage.qualified is not None and not is_qualified(session, team, track, stage.name):
-        raise ServiceError(
-            ProblemCode.NOT_QUALIFIED,
-            f"Stage {stage.name} of {track} is for qualified teams: {stage.qualified.sentence}. {team.name} is not "
-            "among those whom the organizers confirmed.",
-        )
-    return stage.name
-
-
-def check_stage_quotas(session: Session, by: Principal, team: Team, *, track: str, stage: str) -> None:
-    """Refuse one evaluation more than a stage allows; the team's row is locked by the caller.
-
-    Raises:
-        ServiceError: quota_exceeded, with the quota's name and limit.
-    """
-    competition = current(session) if stage and not by.is_organizer else None
-    found = competition.stage(track, stage) if competition else None
-    if found is None:
-        return
-    for quota, limit in found.quotas:
-        if limit is not None and _used(session, team, track, stage, quota) >= limit:
-            raise ServiceError(
-                ProblemCode.QUOTA_EXCEEDED,
-                f"The quota of {quota.replace('_', ' ')} in stage {stage} of {track} is {limit} for each team, and "
-                f"{team.name} has used it up.",
-                quota=f"stage_{quota}",
-                limit=limit,
-            )
-
-
-@dataclass(frozen=True, kw_only=True)
-class StageQuotaUse:
-    """How much of a quota of an open stage a team has used; `limit` None: any number."""
-
-    track: str
-    stage: str
-    closes: datetime
-    quota: str
-    limit: int | None
-    used: int
-
-
-def stage_quota_uses(session: Session, team: Team, at: datetime | None = None) -> list[StageQuotaUse]:
-    """Return what a team may still have in each open stage that it takes part in; `at` None: now."""
-    competition, now = current(session), at or datetime.now(UTC)
-    tracks = competition.tracks.items() if competition else ()
-    opened = [(name, _open_stage(track, now)) for name, track in tracks if track.taken_here]
-    return [
-        StageQuotaUse(
-            track=track,
-            stage=stage.name,
-            closes=stage.closes,
-            quota=quota,
-            limit=limit,
-            used=_used(session, team, track, stage.name, quota),
-        )
-        for track, stage in opened
-        if stage is not None and (stage.qualified is None or is_qualified(session, team, track, stage.name))
-        for quota, limit in stage.quotas
-    ]
-
-
-def is_qualified(session: Session, team: Team, track: str, stage: str) -> bool:
-    """Return whether the organizers confirmed a team for a stage."""
-    return session.get(Qualification, (track, stage, team.id)) is not None
-
-
-def shown_stage(session: Session, track: str, wanted: str | None = None, *, at: datetime | None = None) -> str:
-    """Return the stage whose board a track shows: the wanted one, else the one that opened last, else the first.
-
-    Args:
-        session: of the transaction.
-        track: whose board.
-        wanted: name of a stage; None: whichever is shown now.
-        at: the moment; None: now.
-
-    Returns:
-        Its name, empty for a track without stages.
-
-    Raises:
-        ServiceError: there is no such stage.
-    """
-    found = track_rules(session, track)
-    names = [stage.name for stage in found.stages] if found else []
-    if wanted is not None:
-        if wanted not in names:
-            listed = f"its stages are {', '.join(names)}" if names else "it has none"
-            raise ServiceError(ProblemCode.UNKNOWN_STAGE, f"{track} has no stage {wanted!r:.80}; {listed}.")
-        return wanted
-    if found is None:
-        return NO_STAGE
-    return (_last_opened(found, at or datetime.now(UTC)) or found.stages[0]).name
-
-
-def track_rules(session: Session, track: str) -> CompetitionTrack | None:
-    """Return what the competition says of a track; None: nothing, or its submissions are collected elsewhere."""
-    competition = current(session)
-    found = competition.tracks.get(track) if competition else None
-    return found if found and found.taken_here else None
-
-
-def track_title(session: Session, name: str) -> str:
-    """Return what people call a track: in the competition, else by its file; its name where that is gone."""
-    named = track_rules(session, name) or known_track(name)
-    return named.title if named else name
-
-
-def require_over(session: Session, track: str, stage: str) -> Stage:
-    """Return a stage that has closed.
-
-    Raises:
-        ServiceError: there is no such stage, or it takes submissions still or later.
-    """
-    competition = current(session)
-    found = competition.stage(track, stage) if competition else None
-    if found is None:
-        raise ServiceError(ProblemCode.UNKNOWN_STAGE, f"The competition has no stage {stage!r:.80} of {track!r:.80}.")
-    if datetime.now(UTC) < found.closes:
-        raise ServiceError(
-            ProblemCode.STAGE_NOT_OVER, f"Stage {stage} of {track} closes at {found.closes:%F %T} UTC; wait until then."
-        )
-    return found
+PRACTICE_TRACK = TrackRules.model_construct(title="", stages=(PRACTICE_RULES,))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,74 +37,167 @@ class CountedResults:
     Attributes:
         evaluator_version: results of this one are ranked.
         frozen_at: later ones are not shown; None: boards are not frozen.
-        final_since: later ones do not count; None: the competition goes on.
+        final_since: later ones do not count; None: the competition is not final.
     """
 
     evaluator_version: str
-    frozen_at: datetime | None = None
-    final_since: datetime | None = None
+    frozen_at: datetime | None
+    final_since: datetime | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """A stage of a track, or what stands for one where a track is for practice: always open, for all.
+
+    Attributes:
+        track: name of its track.
+        name: of the stage; `PRACTICE` outside of a competition.
+        session: of the transaction.
+        competition: to which it belongs; empty and not in the database where there is none.
+        rules: what the competition's file says of it.
+        track_rules: what the file says of its track.
+        before: the stage of its track before it; None for the first.
+    """
+
+    track: str
+    name: str
+    session: Session = field(compare=False, repr=False)
+    competition: Competition = field(compare=False, repr=False)
+    rules: StageRules = field(compare=False, repr=False)
+    track_rules: TrackRules = field(compare=False, repr=False)
+    before: "Stage | None" = field(default=None, compare=False, repr=False)
+
+    def __str__(self) -> str:
+        """Return how sentences name it."""
+        return f"stage {self.name} of {self.track}" if self.name else self.track
 
     @property
-    def until(self) -> datetime | None:
-        """Return when results had to be complete; None: any time."""
-        return self.frozen_at or self.final_since
+    def title(self) -> str:
+        """What people call it."""
+        return self.rules.title
 
+    @property
+    def subject(self) -> str:
+        """What the audit log calls it."""
+        return f"stage:{self.track}/{self.name}"
 
-def counted_results(session: Session, stage: str, *, live: bool = False) -> CountedResults:
-    """Return which results count on the boards of a stage; once final, those of the version that was current then.
+    @property
+    def is_practice(self) -> bool:
+        """Whether it is outside of a competition."""
+        return self.name == PRACTICE
 
-    Args:
-        session: of the transaction.
-        stage: of the competition; empty outside of one.
-        live: for organizers: as if boards were not frozen.
-    """
-    row = competition_row(session) if stage else None
-    if row is None:
-        return CountedResults(evaluator_version=evaluator_version())
-    return CountedResults(
-        evaluator_version=row.boards[0]["evaluator_version"] if row.boards else evaluator_version(),
-        frozen_at=None if live else row.frozen_at,
-        final_since=row.finalized_at,
-    )
+    @property
+    def ranking(self) -> tuple[RankingKey, ...]:
+        """What entries are compared by."""
+        return self.track_rules.ranking
 
+    @property
+    def frozen_at(self) -> datetime | None:
+        """Since when its boards show no new results; None: they do."""
+        return None if self.is_practice else self.competition.frozen_at
 
-def boards_stand_since(session: Session) -> datetime | None:
-    """Return since when the boards of the competition are frozen; None: they are not."""
-    row = competition_row(session)
-    return row.frozen_at if row else None
+    @property
+    def final_since(self) -> datetime | None:
+        """Since when its results are final; None: they are not."""
+        return None if self.is_practice else self.competition.finalized_at
 
+    @property
+    def submissions(self) -> ColumnElement[bool]:
+        """The condition by which a query takes the submissions to this stage."""
+        return and_(Submission.track == self.track, Submission.stage == self.name)
 
-def _used(session: Session, team: Team, track: str, stage: str, quota: str) -> int:
-    counted: ColumnElement[bool] = Evaluation.state.in_(_COUNTED[quota])
-    if quota == "scored_runs":  # what has seen a sealed list was worth a run, also where it was given up
-        begun = exists().where(OF_EVALUATION).correlate(Evaluation, Submission)
-        counted = or_(counted, and_(Evaluation.commitment.is_not(None), begun))
-    query = (
-        select(func.count())
-        .select_from(Evaluation)
-        .join(Submission)
-        .where(
-            Submission.team_id == team.id,
-            Submission.track == track,
-            Submission.stage == stage,
-            Evaluation.charged_at.is_not(None),
-            counted,
+    @property
+    def qualifications(self) -> ColumnElement[bool]:
+        """The condition by which a query takes what the organizers confirmed for this stage."""
+        return and_(Qualification.track == self.track, Qualification.stage == self.name)
+
+    @property
+    def sealed_list(self) -> SealedList | None:
+        """The list that only organizers know; None where the public one is played."""
+        if self.is_practice:
+            return None
+        return self.session.scalar(
+            select(SealedList).where(SealedList.track == self.track, SealedList.stage == self.name)
         )
-    )
-    return session.scalars(query).one()
 
+    @property
+    def is_sealed(self) -> bool:
+        """Whether it plays a list that only organizers know."""
+        return self.sealed_list is not None
 
-def _open_stage(track: CompetitionTrack, now: datetime) -> Stage | None:
-    return next((stage for stage in track.stages if stage.is_open(now)), None)
+    @property
+    def is_revealed(self) -> bool:
+        """Whether everybody may know its list, which was sealed before."""
+        found = self.sealed_list
+        return found is not None and found.revealed_at is not None
 
+    @property
+    def plays_sealed_list(self) -> bool:
+        """Whether the file wants such a list for it."""
+        return self.track_rules.taken_here and self.rules.list is ListKind.SEALED
 
-def _last_opened(track: CompetitionTrack, now: datetime) -> Stage | None:
-    return next((stage for stage in reversed(track.stages) if stage.opens <= now), None)
+    @property
+    def commitment(self) -> str | None:
+        """By which list a new evaluation is played; None: the public one."""
+        found = self.sealed_list
+        return found.commitment if found else None
 
+    def is_open(self, at: datetime) -> bool:
+        """Return whether it takes submissions: from the opening instant to before the closing one."""
+        return self.track_rules.taken_here and self.rules.opens <= at < self.rules.closes
 
-def _times(track: CompetitionTrack, now: datetime) -> str:
-    """Return what comes next, or what was last, for a message."""
-    following = next((stage for stage in track.stages if now < stage.opens), None)
-    if following is not None:
-        return f"stage {following.name} opens at {following.opens:%F %T} UTC"
-    return f"its last stage closed at {track.stages[-1].closes:%F %T} UTC"
+    def is_over(self, at: datetime) -> bool:
+        """Return whether it has closed."""
+        return self.rules.closes <= at
+
+    def is_qualified(self, team: Team) -> bool:
+        """Return whether the organizers confirmed a team for it."""
+        return self.session.get(Qualification, (self.track, self.name, team.id)) is not None
+
+    def may_submit(self, team: Team) -> bool:
+        """Return whether it is for all teams, or a team is qualified for it."""
+        return self.rules.qualified is None or self.is_qualified(team)
+
+    def counted_results(self, *, live: bool = False) -> CountedResults:
+        """Return which results count on its boards; once final, those of the version that was current then.
+
+        Args:
+            live: for organizers: as if boards were not frozen.
+        """
+        boards = None if self.is_practice else self.competition.boards
+        return CountedResults(
+            evaluator_version=boards[0]["evaluator_version"] if boards else evaluator_version(),
+            frozen_at=None if live else self.frozen_at,
+            final_since=self.final_since,
+        )
+
+    def require_accepts(self, team: Team, kind: SubmissionKind) -> None:
+        """Refuse what it does not take.
+
+        Raises:
+            ServiceError: it takes other kinds, or is for qualified teams.
+        """
+        if kind not in self.rules.accepts:
+            raise ServiceError(
+                ProblemCode.UNSUPPORTED_SUBMISSION_KIND,
+                f"Stage {self.name} of {self.track} takes {', '.join(self.rules.accepts)}, got {kind}.",
+                supported=list(self.rules.accepts),
+            )
+        if self.rules.qualified is not None and not self.is_qualified(team):
+            raise ServiceError(
+                ProblemCode.NOT_QUALIFIED,
+                f"Stage {self.name} of {self.track} is for qualified teams: {self.rules.qualified.sentence}. "
+                f"{team.name} is not among those whom the organizers confirmed.",
+            )
+
+    def require_over(self, at: datetime | None = None) -> None:
+        """Refuse what has to wait until it has closed; `at` None: now.
+
+        Raises:
+            ServiceError: it takes submissions still or later.
+        """
+        if not self.is_over(at or datetime.now(UTC)):
+            raise ServiceError(
+                ProblemCode.STAGE_NOT_OVER,
+                f"Stage {self.name} of {self.track} closes at {self.rules.closes:%F %T} UTC; wait until then.",
+            )

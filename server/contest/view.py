@@ -6,7 +6,6 @@ from datetime import UTC, datetime
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from ..db.competition_row import competition_row
 from ..db.models import SealedList, Submission, Team
 from ..errors import ProblemCode, ServiceError
 from ..views.contest import (
@@ -17,9 +16,9 @@ from ..views.contest import (
     StageView,
     WinnerView,
 )
-from .definition import CompetitionDefinition, CompetitionTrack, Stage
+from .contest import Contest
 from .sealing import sealed_lists
-from .stages import track_rules
+from .stages import Stage
 
 Lists = Mapping[tuple[str, str], SealedList]
 
@@ -30,11 +29,10 @@ def competition_view(session: Session, at: datetime | None = None) -> Competitio
     Raises:
         ServiceError: this service runs none.
     """
-    row = competition_row(session)
-    if row is None:
+    contest, now = Contest.read(session), at or datetime.now(UTC)
+    if not contest.is_held:
         raise ServiceError(ProblemCode.NOT_FOUND, "This service runs no competition; all its tracks are for practice.")
-    found, now = CompetitionDefinition.model_validate(row.definition), at or datetime.now(UTC)
-    lists = _lists(session)
+    found, row, lists = contest.definition, contest.row, _lists(session)
     return CompetitionView(
         name=found.name,
         title=found.title,
@@ -46,7 +44,7 @@ def competition_view(session: Session, at: datetime | None = None) -> Competitio
         teams_locked=found.teams_locked,
         anonymous=found.anonymous,
         appeal_days=found.appeal_days,
-        tracks=[_track(name, track, lists, now) for name, track in found.tracks.items()],
+        tracks=[_track(name, contest, lists, now) for name in found.tracks],
         frozen_at=row.frozen_at,
         finalized_at=row.finalized_at,
         winners=[WinnerView.model_validate(winner, extra="ignore") for winner in row.winners or []],
@@ -56,8 +54,8 @@ def competition_view(session: Session, at: datetime | None = None) -> Competitio
 
 def disqualified_since_the_end(session: Session) -> list[DisqualifiedTeamView]:
     """Return the teams among the kept winners and boards that were disqualified later; none before the end."""
-    row = competition_row(session)
-    if row is None or row.finalized_at is None:
+    row = Contest.read(session).row
+    if row.finalized_at is None:
         return []
     kept = {winner["submission"]: winner["team"] for winner in row.winners or ()}
     kept |= {entry["submission_id"]: entry["team"] for board in row.boards or () for entry in board["entries"]}
@@ -68,42 +66,42 @@ def disqualified_since_the_end(session: Session) -> list[DisqualifiedTeamView]:
 
 def track_stages(session: Session, track: str, at: datetime | None = None) -> Sequence[StageView]:
     """Return the stages of a track that is held here; empty outside of a competition. `at` None: now."""
-    rules = track_rules(session, track)
-    if rules is None:
-        return ()
-    lists, now = _lists(session), at or datetime.now(UTC)
-    return [_stage(stage, rules, lists.get((track, stage.name)), now) for stage in rules.stages]
+    stages = [stage for stage in Contest.read(session).stages_of(track) if not stage.is_practice]
+    lists, now = _lists(session) if stages else {}, at or datetime.now(UTC)
+    return [_stage(stage, lists, now) for stage in stages]
 
 
 def _lists(session: Session) -> Lists:
     return {(each.track, each.stage): each for each in sealed_lists(session)}
 
 
-def _track(name: str, track: CompetitionTrack, lists: Lists, now: datetime) -> CompetitionTrackView:
+def _track(name: str, contest: Contest, lists: Lists, now: datetime) -> CompetitionTrackView:
+    track = contest.definition.tracks[name]
     return CompetitionTrackView(
         name=name,
         title=track.title,
         taken_here=track.taken_here,
         ranking=list(track.ranking),
         ties=track.ties,
-        stages=[_stage(stage, track, lists.get((name, stage.name)), now) for stage in track.stages],
+        stages=[_stage(stage, lists, now) for stage in contest.stages if stage.track == name],
         prizes=[PrizeView(**prize.model_dump()) for prize in track.prizes],
         judging=track.judging.sentence if track.judging else None,
     )
 
 
-def _stage(stage: Stage, track: CompetitionTrack, sealed: SealedList | None, now: datetime) -> StageView:
+def _stage(stage: Stage, lists: Lists, now: datetime) -> StageView:
+    rules, sealed = stage.rules, lists.get((stage.track, stage.name))
     return StageView(
         name=stage.name,
         title=stage.title,
-        opens=stage.opens,
-        closes=stage.closes,
-        is_open=track.taken_here and stage.is_open(now),
-        accepts=list(stage.accepts),
-        list_kind=stage.list if track.taken_here else None,
+        opens=rules.opens,
+        closes=rules.closes,
+        is_open=stage.is_open(now),
+        accepts=list(rules.accepts),
+        list_kind=rules.list if stage.track_rules.taken_here else None,
         commitment=sealed.commitment if sealed else None,
         secret=sealed.secret if sealed and sealed.revealed_at else None,
-        scored_runs=stage.quotas.scored_runs,
-        attempts=stage.quotas.attempts,
-        qualified=stage.qualified.sentence if stage.qualified else None,
+        scored_runs=rules.quotas.scored_runs,
+        attempts=rules.quotas.attempts,
+        qualified=rules.qualified.sentence if rules.qualified else None,
     )

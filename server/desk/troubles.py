@@ -8,8 +8,9 @@ from uuid import UUID
 from sqlalchemy import exists, func, or_, select
 from sqlalchemy.orm import Session, selectinload
 
-from ..contest.definition import Stage
-from ..contest.stages import current, track_title
+from ..contest.contest import Contest
+from ..contest.definition import StageRules
+from ..contest.stages import Stage
 from ..db.models import EpisodeDifference, Evaluation, LogCopy, Qualification, Submission
 from ..evaluations.readiness import count_running
 from ..evaluations.verdicts import ServiceVerdict
@@ -47,7 +48,7 @@ class StageState:
 
     track: str
     track_title: str
-    stage: Stage
+    stage: StageRules
     qualified: int | None
     submissions: int
     running: int
@@ -66,12 +67,13 @@ def troubles(session: Session) -> list[Trouble]:
         .limit(SHOWN)
         .options(selectinload(Evaluation.submission).selectinload(Submission.team))
     )
+    contest = Contest.read(session)
     return [
         Trouble(
             submission_id=evaluation.submission_id,
             submission=evaluation.submission.name,
             team=evaluation.submission.team.name,
-            track_title=track_title(session, evaluation.submission.track),
+            track_title=contest.track_title(evaluation.submission.track),
             problem=_words(by_machines=by_machines, differing=differing, copy=copy),
             at=evaluation.created_at,
         )
@@ -81,22 +83,18 @@ def troubles(session: Session) -> list[Trouble]:
 
 def stages(session: Session, at: datetime | None = None) -> Sequence[StageState]:
     """Return the stages of the competition; `at` is the moment, None: now."""
-    competition, now = current(session), at or datetime.now(UTC)
-    if competition is None:
-        return ()
+    now = at or datetime.now(UTC)
     return [
         StageState(
-            track=name,
-            track_title=track.title,
-            stage=stage,
-            qualified=_count_qualified(session, name, stage.name) if stage.qualified is not None else None,
-            submissions=_count_submissions(session, name, stage.name),
-            running=count_running(session, name, stage.name),
-            over=stage.closes <= now,
+            track=stage.track,
+            track_title=stage.track_rules.title,
+            stage=stage.rules,
+            qualified=_count_qualified(session, stage) if stage.rules.qualified is not None else None,
+            submissions=_count_submissions(session, stage),
+            running=count_running(session, stage),
+            over=stage.is_over(now),
         )
-        for name, track in competition.tracks.items()
-        if track.taken_here
-        for stage in track.stages
+        for stage in Contest.read(session).stages_held_here
     ]
 
 
@@ -113,11 +111,9 @@ def _words(*, by_machines: bool, differing: bool, copy: bool) -> str:
     return "; ".join(found)
 
 
-def _count_qualified(session: Session, track: str, stage: str) -> int:
-    wanted = Qualification.track == track, Qualification.stage == stage
-    return session.scalar(select(func.count()).select_from(Qualification).where(*wanted)) or 0
+def _count_qualified(session: Session, stage: Stage) -> int:
+    return session.scalar(select(func.count()).select_from(Qualification).where(stage.qualifications)) or 0
 
 
-def _count_submissions(session: Session, track: str, stage: str) -> int:
-    wanted = Submission.track == track, Submission.stage == stage
-    return session.scalar(select(func.count()).select_from(Submission).where(*wanted)) or 0
+def _count_submissions(session: Session, stage: Stage) -> int:
+    return session.scalar(select(func.count()).select_from(Submission).where(stage.submissions)) or 0

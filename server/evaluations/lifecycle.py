@@ -16,7 +16,7 @@ from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
 from vitac.evaluator.version import evaluator_hash, evaluator_version
 
-from ..contest.sealing import commitment_of_stage
+from ..contest.contest import Contest
 from ..db.models import Evaluation, Shard, Submission
 from ..db.row_locks import lock_evaluation
 from ..db.states import OPEN_SHARD_STATES, EvaluationState, NoticeKind, ShardState
@@ -76,7 +76,7 @@ def start(
         evaluator_hash=evaluator_hash(),
         state=EvaluationState.QUEUED,
         episodes_reused=0,
-        commitment=commitment_of_stage(session, submission.track, submission.stage),
+        commitment=Contest.read(session).stored_stage(submission.track, submission.stage).commitment,
         turn=next_turn(session, submission.team_id) if turn is None else turn,
         log_tail="",
         charged_at=charged_at,

@@ -16,9 +16,9 @@ from vitac.evaluator.tracks import load_track
 
 from .. import tokens
 from ..audit import record
+from ..contest.contest import Contest
 from ..contest.definition import Judging
-from ..contest.stages import current, shown_stage
-from ..db.competition_row import lock_competition, require_not_final
+from ..contest.stages import Stage
 from ..db.models import Evaluation, JudgingConflict, JudgingMark, Submission
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.history import newest_evaluation
@@ -89,7 +89,7 @@ def give_marks(
     name = _judge(session, by, judge)
     submission = visible(session, by, submission_id)
     teams.lock(session, submission.team)  # no conflict and no other marks of the team meanwhile
-    _require_going_on(session)
+    Contest.lock(session).require_not_final()  # the end, and the same judge's marks from elsewhere, wait for these
     rubric = rubric_of(session, submission.track)
     _require_ranked_task(session, submission)
     _require_whole(rubric, marks)
@@ -126,7 +126,7 @@ def declare_conflict(session: Session, by: Principal, team: str, reason: str, *,
     name = _judge(session, by, judge)
     found = teams.find(session, team)
     teams.lock(session, found)  # before the competition, as for marks
-    _require_going_on(session)
+    Contest.lock(session).require_not_final()  # the end, and the same judge's marks from elsewhere, wait for these
     mine = JudgingMark.submission_id.in_(select(Submission.id).where(Submission.team_id == found.id))
     before = _take_away(session, name, mine)
     row = session.get(JudgingConflict, (found.id, name))
@@ -138,32 +138,31 @@ def declare_conflict(session: Session, by: Principal, team: str, reason: str, *,
     record(session, by, "judging.conflict", f"team:{found.id}", {"judge": name, "reason": reason}, before=before)
 
 
-def judged(session: Session, by: Principal, track: str, stage: str | None = None) -> list[JudgedTeam]:
+def judged(session: Session, by: Principal, stage: Stage) -> list[JudgedTeam]:
     """Return the teams on a stage's board with marks, figures and total; the best total first, those without one last.
 
     Raises:
-        ServiceError: not an organizer, no such track or stage, or the track is not judged.
+        ServiceError: not an organizer, or the track is not judged.
     """
     by.require_organizer()
-    rubric, of_stage = rubric_of(session, track), shown_stage(session, track, stage)
-    entries = leaderboard(session, track, stage=of_stage or None, live=True).view.entries
-    return _by_total(session, rubric, entries)
+    rubric = rubric_of(session, stage.track)
+    return _by_total(session, rubric, leaderboard(session, stage, live=True).view.entries)
 
 
-def ranked_by_total(session: Session, track: str, stage: str) -> list[tuple[LeaderboardEntryView, float]]:
+def ranked_by_total(session: Session, stage: Stage) -> list[tuple[LeaderboardEntryView, float]]:
     """Return the ranked entries of a stage's board with their totals, best first; the board decides between equal ones.
 
     Raises:
         ServiceError: the track is not judged, or an entry has no total yet.
     """
-    board = leaderboard(session, track, stage=stage, live=True).view.entries
+    board = leaderboard(session, stage, live=True).view.entries
     entries = {entry.submission_id: entry for entry in board if entry.rank is not None}
-    rubric = rubric_of(session, track)
+    rubric = rubric_of(session, stage.track)
     found = _by_total(session, rubric, list(entries.values()))
     if missing := [f"{team.team} ({_missing(rubric, team)})" for team in found if team.total is None]:
         raise ServiceError(
             ProblemCode.STAGE_NOT_OVER,
-            f"Expected a total for every team of stage {stage} of {track}, got none for {', '.join(missing)}. Let "
+            f"Expected a total for every team of {stage}, got none for {', '.join(missing)}. Let "
             "judges give marks, requeue what has no figures, or change `judging` in the competition's file.",
         )
     return [(entries[team.submission], team.total) for team in found if team.total is not None]
@@ -175,8 +174,7 @@ def rubric_of(session: Session, track: str) -> Judging:
     Raises:
         ServiceError: it is not.
     """
-    competition = current(session)
-    rules = competition.tracks.get(track) if competition else None
+    rules = Contest.read(session).definition.tracks.get(track)
     if rules is None or rules.judging is None:
         raise ServiceError(
             ProblemCode.INVALID_REQUEST, f"{track} is not judged; give it `judging` in the competition's file."
@@ -327,8 +325,3 @@ def _take_away(session: Session, judge: str, condition: ColumnElement[bool]) -> 
         .returning(JudgingMark.submission_id, JudgingMark.criterion, JudgingMark.mark)
     ).all()
     return {"judge": judge, "marks": {f"{row[0]}/{row[1]}": row[2] for row in rows}} if rows else None
-
-
-def _require_going_on(session: Session) -> None:
-    """Refuse after the end; the end, and the same judge's marks from elsewhere, wait until these are written."""
-    require_not_final(lock_competition(session))

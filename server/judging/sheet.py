@@ -8,8 +8,9 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.tracks import load_track
 
+from ..contest.contest import Contest
 from ..contest.definition import Judging
-from ..contest.stages import current
+from ..contest.stages import Stage
 from ..db.models import JudgingConflict, JudgingMark, Submission
 from ..errors import ProblemCode, ServiceError
 from ..leaderboards.standings import leaderboard
@@ -61,24 +62,22 @@ def sheets(session: Session, by: Principal) -> list[Sheet]:
     """
     if not by.reads_all_teams:
         raise ServiceError(ProblemCode.FORBIDDEN, "Only judges and organizers may do this; sign in with their token.")
-    competition = current(session)
-    tracks = competition.tracks.items() if competition else ()
     return [
-        _sheet(session, by, name, track.title, track.judging, track.stages[-1].name)
-        for name, track in tracks
-        if track.taken_here and track.judging is not None
+        _sheet(session, by, stage, stage.track_rules.judging)
+        for stage in Contest.read(session).last_stages
+        if stage.track_rules.judging is not None
     ]
 
 
-def _sheet(session: Session, by: Principal, track: str, title: str, rubric: Judging, stage: str) -> Sheet:
-    board = leaderboard(session, track, stage=stage, live=True).view.entries
+def _sheet(session: Session, by: Principal, stage: Stage, rubric: Judging) -> Sheet:
+    board = leaderboard(session, stage, live=True).view.entries
     return Sheet(
-        track=track,
-        title=title,
+        track=stage.track,
+        title=stage.track_rules.title,
         rubric=rubric,
-        has_sensors=load_track(track).has_sensor,
+        has_sensors=load_track(stage.track).has_sensor,
         entries=[_entry(session, by, entry) for entry in board],
-        judged=judged(session, by, track, stage) if by.is_organizer else (),
+        judged=judged(session, by, stage) if by.is_organizer else (),
     )
 
 

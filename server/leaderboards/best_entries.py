@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache
-from typing import Any
+from typing import Any, Self
 from uuid import UUID
 
 from sqlalchemy import ColumnElement, Select, bindparam, lateral, select, true
@@ -16,13 +16,13 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
 
 from ..contest.definition import DEFAULT_RANKING, RankingKey
+from ..contest.stages import CountedResults, Stage
 from ..db.models import ALL_TASKS, BoardResult, Team
 from ..tracks import known_track
 from ..views.submissions import RankView
 from .changes import kept_until_change
 
-EVER = datetime.max.replace(tzinfo=UTC)
-"""As `until`: all results."""
+_EVER = datetime.max.replace(tzinfo=UTC)
 
 PlacesOfBoards = Mapping[str | None, Mapping[UUID, RankView]]
 """Places by submission on each board of a track: that of a task, or under None that of all tasks together."""
@@ -36,6 +36,7 @@ class Board:
         stage: of the competition; empty for results outside of one.
         ranking: what entries are compared by.
         evaluator_version: whose results are ranked.
+        until: results that were complete then count.
     """
 
     track: str
@@ -44,6 +45,27 @@ class Board:
     stage: str = ""
     ranking: tuple[RankingKey, ...] = DEFAULT_RANKING
     evaluator_version: str = field(default_factory=evaluator_version)
+    until: datetime = _EVER
+
+    @classmethod
+    def of(
+        cls,
+        stage: Stage,
+        counted: CountedResults,
+        *,
+        kind: SubmissionKind = SubmissionKind.MODEL,
+        task: str | None = None,
+    ) -> Self:
+        """Return a board of a stage that is made of some results."""
+        return cls(
+            track=stage.track,
+            kind=kind,
+            task=task,
+            stage=stage.name,
+            ranking=stage.ranking,
+            evaluator_version=counted.evaluator_version,
+            until=counted.frozen_at or counted.final_since or _EVER,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,60 +81,53 @@ class BestEntry:
         return f"{self.rank} {self.evaluation_id.int:x}"
 
 
-def best_entries(session: Session, board: Board, *, until: datetime = EVER) -> list[BestEntry]:
-    """Return the best entry of each team, ranked; then those of teams that only have results of other versions.
-
-    Args:
-        session: of the transaction.
-        board: which one.
-        until: results that were complete then count.
-    """
-    unranked = session.execute(_best_of_other_versions(board.ranking), _parameters(board, until))
-    return ranked_entries(session, board, until=until) + [
+def best_entries(session: Session, board: Board) -> list[BestEntry]:
+    """Return the best entry of each team, ranked; then those of teams that only have results of other versions."""
+    unranked = session.execute(_best_of_other_versions(board.ranking), _parameters(board))
+    return ranked_entries(session, board) + [
         BestEntry(rank=None, evaluation_id=evaluation_id, submission_id=submission_id)
         for evaluation_id, submission_id in unranked
     ]
 
 
-def ranked_entries(session: Session, board: Board, *, until: datetime = EVER) -> list[BestEntry]:
+def ranked_entries(session: Session, board: Board) -> list[BestEntry]:
     """Return the best entry of each team that the board's evaluator version has made, ranked."""
-    ranked = session.execute(_best_of_teams(board.ranking), _parameters(board, until))
+    ranked = session.execute(_best_of_teams(board.ranking), _parameters(board))
     return [
         BestEntry(rank=rank, evaluation_id=evaluation_id, submission_id=submission_id)
         for rank, (evaluation_id, submission_id) in enumerate(ranked, start=1)
     ]
 
 
-def places(session: Session, combined: Board, *, until: datetime = EVER) -> PlacesOfBoards:
+def places(session: Session, combined: Board) -> PlacesOfBoards:
     """Return the places of all ranked submissions on a track's board of all tasks together, and on that of each.
 
     Args:
         session: of the transaction.
         combined: the board of all tasks together.
-        until: results that were complete then count.
     """
     found = known_track(combined.track)
     tasks = (None, *found.tasks) if found is not None else ()
     boards = [replace(combined, task=task) for task in tasks]
 
     def read() -> PlacesOfBoards:
-        return {board.task: _places(ranked_entries(session, board, until=until)) for board in boards}
+        return {board.task: _places(ranked_entries(session, board)) for board in boards}
 
-    return kept_until_change(session, (*boards, until), read)
+    return kept_until_change(session, tuple(boards), read)
 
 
 def _places(ranked: Sequence[BestEntry]) -> dict[UUID, RankView]:
     return {entry.submission_id: RankView(rank=rank, of=len(ranked)) for rank, entry in enumerate(ranked, start=1)}
 
 
-def _parameters(board: Board, until: datetime) -> dict[str, object]:
+def _parameters(board: Board) -> dict[str, object]:
     return {
         "track": board.track,
         "stage": board.stage,
         "kind": board.kind,
         "board": board.task or ALL_TASKS,
         "version": board.evaluator_version,
-        "until": until,
+        "until": board.until,
     }
 
 

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache, partial
-from typing import Self
 from uuid import UUID
 
 from sqlalchemy import Select, bindparam, select
@@ -16,8 +15,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Track
 
-from ..contest.definition import DEFAULT_RANKING, CompetitionTrack, RankingKey
-from ..contest.stages import CountedResults, counted_results, shown_stage, track_rules
+from ..contest.stages import CountedResults, Stage
 from ..db.models import BoardResult, Evaluation, Team
 from ..evaluations.copies import copies_among
 from ..evaluations.scores import score_views
@@ -30,7 +28,7 @@ from ..tracks import load_known_track
 from ..views.leaderboards import LogBoardsView, LogBoardView, LogEntryView, TextLogEntryView
 from ..views.logs import LogCopyView
 from ..visibility import played_list_kind
-from .best_entries import EVER, BestEntry, Board, best_entries, takes_part
+from .best_entries import BestEntry, Board, best_entries, takes_part
 from .changes import kept_until_change
 from .made_boards import MadeBoard, MadeBoards, revision_of
 from .standings import completed_evaluations, made_entries
@@ -49,42 +47,26 @@ MAX_TEXT_LOGS = 200
 _made_boards: MadeBoards[LogBoardsView] = MadeBoards()
 
 
-def log_boards(session: Session, track_name: str, *, stage: str | None = None) -> MadeBoard[LogBoardsView]:
+def log_boards(session: Session, stage: Stage) -> MadeBoard[LogBoardsView]:
     """Return the logs of a track.
 
     Args:
         session: of the transaction.
-        track_name: whose logs.
-        stage: of the competition; None: the one that opened last.
+        stage: to which they were submitted.
 
     Raises:
-        ServiceError: there is no such track or stage.
+        ServiceError: there is no such track.
     """
-    track, of_stage = load_known_track(track_name), shown_stage(session, track_name, stage)
-    rules = track_rules(session, track_name)
-    ranking = _Ranking.of(rules)
-    counted = counted_results(session, of_stage)
+    track, counted = load_known_track(stage.track), stage.counted_results()
+    rule = f"{stage.track_rules.ranking_sentence or _USUAL_RANKING} {_WHAT_IS_RANKED}"
     shown_names = ShownNames.read(session, VISITOR)
     found = kept_until_change(
         session,
-        ("logs", track.name, of_stage, counted, shown_names, ranking),
-        lambda: _found(session, track, of_stage, counted, shown_names, ranking),
+        ("logs", stage.track, stage.name, stage.ranking, rule, counted, shown_names),
+        lambda: _found(session, track, stage, counted, shown_names, rule),
     )
     made = partial(_view, session, track, found)
-    return _made_boards.get((track.name, of_stage), found.revision, made, names=found.names)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Ranking:
-    """What logs are compared by, and that as a sentence."""
-
-    keys: tuple[RankingKey, ...]
-    rule: str
-
-    @classmethod
-    def of(cls, rules: CompetitionTrack | None) -> Self:
-        told = (rules.ranking_sentence if rules else None) or _USUAL_RANKING
-        return cls(keys=rules.ranking if rules else DEFAULT_RANKING, rule=f"{told} {_WHAT_IS_RANKED}")
+    return _made_boards.get((stage.track, stage.name), found.revision, made, names=found.names)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,36 +85,21 @@ class _Shown:
 
 
 def _found(
-    session: Session,
-    track: Track,
-    stage: str,
-    counted: CountedResults,
-    shown_names: ShownNames,
-    ranking: _Ranking,
+    session: Session, track: Track, stage: Stage, counted: CountedResults, shown_names: ShownNames, rule: str
 ) -> _Shown:
-    boards = {
-        task: Board(
-            track=track.name,
-            stage=stage,
-            kind=SubmissionKind.LOG,
-            task=task,
-            ranking=ranking.keys,
-            evaluator_version=counted.evaluator_version,
-        )
-        for task in track.tasks
-    }
-    until = counted.until or EVER
-    best = {task: best_entries(session, board, until=until) for task, board in boards.items()}
-    named = {"track": track.name, "stage": stage, "until": until, "at_most": MAX_TEXT_LOGS}
+    boards = {task: Board.of(stage, counted, kind=SubmissionKind.LOG, task=task) for task in track.tasks}
+    best = {task: best_entries(session, board) for task, board in boards.items()}
+    until = Board.of(stage, counted).until
+    named = {"track": stage.track, "stage": stage.name, "until": until, "at_most": MAX_TEXT_LOGS}
     text_logs = session.scalars(_newest_text_logs(), named).all()
     copies = copies_among(session, [entry.evaluation_id for entries in best.values() for entry in entries], shown_names)
     ranked = [part for task, entries in best.items() for part in (task, *entries)]
     names = f"{teams.last_named_at(session)} {shown_names.hidden}"
     revision = revision_of(
-        f"logs of {track.name} {stage} {counted} {names} {ranking.rule}", [*ranked, *sorted(copies.items()), *text_logs]
+        f"logs of {stage.track} {stage.name} {counted} {names} {rule}", [*ranked, *sorted(copies.items()), *text_logs]
     )
     return _Shown(
-        stage=stage,
+        stage=stage.name,
         counted=counted,
         best=best,
         copies=copies,
@@ -140,7 +107,7 @@ def _found(
         revision=revision,
         names=names,
         shown_names=shown_names,
-        ranking_rule=ranking.rule,
+        ranking_rule=rule,
     )
 
 

@@ -12,9 +12,7 @@ from sqlalchemy.orm import Session, defer, selectinload
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, Track
 
-from ..contest.definition import DEFAULT_RANKING
-from ..contest.sealing import commitment_of_stage
-from ..contest.stages import CountedResults, counted_results, shown_stage, track_rules
+from ..contest.stages import CountedResults, Stage
 from ..db.models import Evaluation, Submission
 from ..evaluations.scores import bounds, combination_of, scores_of, task_views
 from ..principals import CONSOLE, VISITOR
@@ -23,7 +21,7 @@ from ..teams.shown_names import ShownNames
 from ..tracks import load_known_track, require_task
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView, LogEntryView
 from ..visibility import played_list_kind
-from .best_entries import EVER, BestEntry, Board, best_entries
+from .best_entries import BestEntry, Board, best_entries
 from .changes import kept_until_change
 from .made_boards import MadeBoard, MadeBoards, revision_of
 from .rank_ranges import rank_ranges
@@ -35,10 +33,9 @@ _made_boards: MadeBoards[LeaderboardView] = MadeBoards()
 
 def leaderboard(
     session: Session,
-    track_name: str,
+    stage: Stage,
     *,
     task: str | None = None,
-    stage: str | None = None,
     kind: SubmissionKind = SubmissionKind.MODEL,
     live: bool = False,
 ) -> MadeBoard[LeaderboardView]:
@@ -46,45 +43,33 @@ def leaderboard(
 
     Args:
         session: of the transaction.
-        track_name: whose board.
+        stage: whose board.
         task: ranks the submissions that play this task by it alone; None: all tasks of the track together.
-        stage: of the competition; None: the one that opened last.
         kind: what is ranked; logs only task by task.
         live: for organizers: as it is, also while boards are frozen or names are hidden.
 
     Raises:
-        ServiceError: there is no such track, task or stage.
+        ServiceError: there is no such track or task.
     """
-    track = load_known_track(track_name)
+    track = load_known_track(stage.track)
     if task is not None:
         require_task(track, task)
-    of_stage, rules = shown_stage(session, track_name, stage), track_rules(session, track_name)
-    ranking = rules.ranking if rules else DEFAULT_RANKING
-    counted = counted_results(session, of_stage, live=live)
-    board = Board(
-        track=track_name,
-        kind=kind,
-        task=task,
-        stage=of_stage,
-        ranking=ranking,
-        evaluator_version=counted.evaluator_version,
-    )
-    until = counted.until or EVER
+    counted = stage.counted_results(live=live)
+    board = Board.of(stage, counted, kind=kind, task=task)
     best, named_at = kept_until_change(
         session,
-        ("best entries", board, until),
-        lambda: (best_entries(session, board, until=until), teams.last_named_at(session)),
+        ("best entries", board),
+        lambda: (best_entries(session, board), teams.last_named_at(session)),
     )
     played = track.tasks[task or next(iter(track.tasks))].episode_list.kind
-    list_kind = ListKind.SEALED if commitment_of_stage(session, track_name, of_stage) else played
+    list_kind = ListKind.SEALED if stage.is_sealed else played
     shown_names = ShownNames.read(session, CONSOLE if live else VISITOR)
     names = f"{named_at} {shown_names.hidden and not live}"
     revision = revision_of(f"{board} {counted} {list_kind} {names}", best)
-    rule = rules.ranking_sentence if rules else None
     shown = _Shown(
         board=board,
         list_kind=list_kind,
-        rule=rule,
+        rule=stage.track_rules.ranking_sentence,
         best=best,
         counted=counted,
         names=shown_names,

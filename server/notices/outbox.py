@@ -10,8 +10,8 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
 from ..audit import record
-from ..contest.definition import CompetitionDefinition
-from ..contest.stages import track_title
+from ..contest.contest import Contest
+from ..contest.stages import Stage
 from ..db.models import Evaluation, Member, Notice, Webhook
 from ..db.states import NoticeChannel, NoticeKind
 from ..errors import ProblemCode, ServiceError, not_found
@@ -52,13 +52,13 @@ def announce(session: Session, kind: NoticeKind, team_id: UUID, subject: str, fa
     session.execute(insert(Notice).values(rows).on_conflict_do_nothing(constraint="uq_notices_once"))
 
 
-def stage_facts(competition: CompetitionDefinition, track: str, stage: str) -> dict[str, str]:
-    """Return what a notice of a stage tells: names for programs, titles for people."""
+def stage_facts(stage: Stage) -> dict[str, str]:
+    """Return what a notice of a stage says: names for programs, titles for people."""
     return {
-        "track": track,
-        "track_title": competition.tracks[track].title,
-        "stage": stage,
-        "stage_title": competition.stage_titles[track, stage],
+        "track": stage.track,
+        "track_title": stage.track_rules.title,
+        "stage": stage.name,
+        "stage_title": stage.title,
         "page": "/competition",
     }
 
@@ -70,7 +70,7 @@ def announce_evaluation(session: Session, kind: NoticeKind, evaluation: Evaluati
         "submission": str(submission.id),
         "name": submission.name,
         "track": submission.track,
-        "track_title": track_title(session, submission.track),
+        "track_title": Contest.read(session).track_title(submission.track),
         "stage": submission.stage or None,
         "evaluation": str(evaluation.id),
         "state": evaluation.state.value,

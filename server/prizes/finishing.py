@@ -1,4 +1,4 @@
-"""The end of a competition: boards that stand still, winners by the prize table, and the final word."""
+"""The end of a competition: winners by the prize table, and the boards as they are then."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -8,10 +8,9 @@ from datetime import UTC, datetime
 from sqlalchemy.orm import Session
 
 from ..audit import newest_entries, record
-from ..contest.definition import CompetitionDefinition, CompetitionTrack, Prize
-from ..contest.stages import current
-from ..db.competition_row import competition_row, lock_competition, require_not_final
-from ..db.models import Competition
+from ..contest.contest import Contest
+from ..contest.definition import Prize, TrackRules
+from ..contest.stages import Stage
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.readiness import require_current, require_scored
 from ..judging.judging import ranked_by_total
@@ -49,31 +48,6 @@ class Winner:
     total: float | None = None
 
 
-def freeze(session: Session, by: Principal) -> None:
-    """Let the boards of all stages stand still for everybody but organizers; results go on arriving.
-
-    Raises:
-        ServiceError: not an organizer, or there is no competition that goes on.
-    """
-    row = _lock(session, by)
-    if row.frozen_at is None:
-        row.frozen_at = datetime.now(UTC)
-        record(session, by, "competition.freeze", _subject(row), {"frozen_at": row.frozen_at.isoformat()})
-
-
-def unfreeze(session: Session, by: Principal) -> None:
-    """Show all results again.
-
-    Raises:
-        ServiceError: not an organizer, or there is no competition that goes on.
-    """
-    row = _lock(session, by)
-    if row.frozen_at is not None:
-        before = {"frozen_at": row.frozen_at.isoformat()}
-        row.frozen_at = None
-        record(session, by, "competition.unfreeze", _subject(row), {"frozen_at": None}, before=before)
-
-
 def finalize(session: Session, by: Principal, *, at: datetime | None = None) -> list[Winner]:
     """End the competition and keep winners and boards as they are now; these show all results again.
 
@@ -86,19 +60,17 @@ def finalize(session: Session, by: Principal, *, at: datetime | None = None) -> 
         ServiceError: not an organizer, there is no competition or it is final already, a stage or an evaluation is not
             over, a board has results of another evaluator version, or a judged track has an entry without a total.
     """
-    row = _lock(session, by)
-    definition = CompetitionDefinition.model_validate(row.definition)
-    now = at or datetime.now(UTC)
-    _require_over(session, definition, now)
-    found = _winners_now(session, row, definition)
-    row.finalized_at, row.frozen_at = now, None
-    _keep(session, row, definition, found)
-    record(session, by, "competition.finalize", _subject(row), {"winners": row.winners})
+    contest, now = Contest.lock_to_change(session, by), at or datetime.now(UTC)
+    _require_over(session, contest, now)
+    found = _winners_now(session, contest)
+    contest.row.finalized_at, contest.row.frozen_at = now, None
+    _store(session, contest, found)
+    record(session, by, "competition.finalize", contest.subject, {"winners": contest.row.winners})
     return found
 
 
 def finalize_again(session: Session, by: Principal) -> list[Winner]:
-    """Keep winners and boards of a final competition anew, without the teams that were disqualified since.
+    """Decide winners and boards of a final competition again, without the teams that were disqualified since.
 
     The results stay those of its end, and so does its moment; names of teams, and what the track files say, are
     today's.
@@ -109,25 +81,23 @@ def finalize_again(session: Session, by: Principal) -> list[Winner]:
             an entry without a total.
     """
     by.require_organizer()
-    row = lock_competition(session)
-    if row is None:
-        raise _no_competition()
-    if row.finalized_at is None:
+    contest = Contest.lock(session)
+    contest.require_held()
+    if contest.row.finalized_at is None:
         raise ServiceError(
             ProblemCode.INVALID_REQUEST, "The competition is not final yet; `vitac admin results finalize` ends it."
         )
-    definition = CompetitionDefinition.model_validate(row.definition)
-    _require_track_files(definition)
-    before = {"winners": row.winners, "boards": row.boards}
-    found = _winners_now(session, row, definition)
-    _keep(session, row, definition, found)
-    record(session, by, FINALIZE_AGAIN, _subject(row), {"winners": row.winners}, before=before)
+    _require_track_files(contest)
+    before = {"winners": contest.row.winners, "boards": contest.row.boards}
+    found = _winners_now(session, contest)
+    _store(session, contest, found)
+    record(session, by, FINALIZE_AGAIN, contest.subject, {"winners": contest.row.winners}, before=before)
     return found
 
 
-def decided_again_at(session: Session, row: Competition) -> datetime | None:
-    """Return when winners and boards of a final competition were last kept anew; None: never."""
-    lines = newest_entries(session, 1, action=FINALIZE_AGAIN, subject=_subject(row))
+def decided_again_at(session: Session, contest: Contest) -> datetime | None:
+    """Return when winners and boards of a final competition were last decided again; None: never."""
+    lines = newest_entries(session, 1, action=FINALIZE_AGAIN, subject=contest.subject)
     return lines[0].at if lines else None
 
 
@@ -138,68 +108,57 @@ def winners(session: Session) -> list[Winner]:
         ServiceError: there is no competition, a board has results of another evaluator version, or a judged track has
             an entry without a total.
     """
-    row = competition_row(session)
-    definition = current(session)
-    if row is None or definition is None:
-        raise _no_competition()
-    if row.winners is not None:
-        return [Winner(**winner) for winner in row.winners]
-    return _winners_now(session, row, definition)
+    contest = Contest.read(session)
+    contest.require_held()
+    if contest.row.winners is not None:
+        return [Winner(**winner) for winner in contest.row.winners]
+    return _winners_now(session, contest)
 
 
 def prizes_without_winner(session: Session, found: Sequence[Winner]) -> list[str]:
     """Return for each track with prizes that nobody wins a sentence that names them, with how many of each."""
-    definition = current(session)
-    tracks = definition.tracks.items() if definition else ()
-    left = {name: _left_over(name, track, found) for name, track in tracks}
+    tracks = Contest.read(session).definition.tracks
+    left = {name: _left_over(name, track, found) for name, track in tracks.items()}
     return [
         f"{name}: nobody wins {', '.join(f'{count} x {place}' for place, count in prizes.items())}"
-        + ("." if definition and definition.tracks[name].taken_here else "; this service does not hold the track.")
+        + ("." if tracks[name].taken_here else "; this service does not hold the track.")
         for name, prizes in left.items()
         if prizes
     ]
 
 
-def boards_of(session: Session, definition: CompetitionDefinition) -> list[LeaderboardView]:
+def boards_of(session: Session, contest: Contest) -> list[LeaderboardView]:
     """Return the board of every stage that is held here, as organizers see it now."""
-    return [
-        leaderboard(session, name, stage=stage.name, live=True).view
-        for name, track in definition.tracks.items()
-        if track.taken_here
-        for stage in track.stages
-    ]
+    return [leaderboard(session, stage, live=True).view for stage in contest.stages_held_here]
 
 
-def _winners_now(session: Session, row: Competition, definition: CompetitionDefinition) -> list[Winner]:
-    """Return who wins by the boards of the last stages; kept boards rank by the evaluator version of the end."""
+def _winners_now(session: Session, contest: Contest) -> list[Winner]:
+    """Return who wins by the boards of the last stages; stored boards rank by the evaluator version of the end."""
     found = []
-    for name, track in definition.tracks.items():
-        if track.taken_here:
-            if row.boards is None:
-                require_current(session, name, track.stages[-1].name)
-            found += _winners_of(session, definition, name, track)
+    for stage in contest.last_stages:
+        if contest.row.boards is None:
+            require_current(session, stage)
+        found += _winners_of(session, stage, contest.definition.currency)
     return found
 
 
-def _keep(session: Session, row: Competition, definition: CompetitionDefinition, found: Sequence[Winner]) -> None:
+def _store(session: Session, contest: Contest, found: Sequence[Winner]) -> None:
     """Write winners, and the boards as they are for organizers."""
-    row.winners = [asdict(winner) for winner in found]
-    row.boards = [board.model_dump(mode="json") for board in boards_of(session, definition)]
+    contest.row.winners = [asdict(winner) for winner in found]
+    contest.row.boards = [board.model_dump(mode="json") for board in boards_of(session, contest)]
 
 
-def _winners_of(
-    session: Session, definition: CompetitionDefinition, name: str, track: CompetitionTrack
-) -> list[Winner]:
-    """Return the winners of a track; of fewer teams than prizes all win."""
-    stage = track.stages[-1].name
+def _winners_of(session: Session, stage: Stage, currency: str) -> list[Winner]:
+    """Return the winners by the board of a stage; of fewer teams than prizes all win."""
+    prizes = _single_prizes(stage.track_rules.prizes)
     return [
         Winner(
-            track=name,
+            track=stage.track,
             place=prize.place,
             rank=rank,
             team=entry.team,
             amount=prize.amount,
-            currency=definition.currency,
+            currency=currency,
             note=prize.note,
             success_rate=entry.success_rate,
             mean_steps=entry.mean_steps,
@@ -207,23 +166,19 @@ def _winners_of(
             result_hash=entry.result_hash,
             total=total,
         )
-        for rank, (prize, (entry, total)) in enumerate(
-            zip(_single_prizes(track.prizes), _in_order(session, name, track, stage), strict=False), start=1
-        )
+        for rank, (prize, (entry, total)) in enumerate(zip(prizes, _in_order(session, stage), strict=False), start=1)
     ]
 
 
-def _in_order(
-    session: Session, name: str, track: CompetitionTrack, stage: str
-) -> Sequence[tuple[LeaderboardEntryView, float | None]]:
+def _in_order(session: Session, stage: Stage) -> Sequence[tuple[LeaderboardEntryView, float | None]]:
     """Return the ranked entries as prizes go to them: by total where judged, else as on the board."""
-    if track.judging is not None:
-        return ranked_by_total(session, name, stage)
-    board = leaderboard(session, name, stage=stage, live=True).view
+    if stage.track_rules.judging is not None:
+        return ranked_by_total(session, stage)
+    board = leaderboard(session, stage, live=True).view
     return [(entry, None) for entry in board.entries if entry.rank is not None]
 
 
-def _left_over(name: str, track: CompetitionTrack, found: Sequence[Winner]) -> Counter[str]:
+def _left_over(name: str, track: TrackRules, found: Sequence[Winner]) -> Counter[str]:
     given = Counter(winner.place for winner in found if winner.track == name)
     return Counter({prize.place: prize.winners for prize in track.prizes}) - given
 
@@ -232,42 +187,21 @@ def _single_prizes(prizes: Sequence[Prize]) -> list[Prize]:
     return [prize for prize in prizes for _ in range(prize.winners)]
 
 
-def _lock(session: Session, by: Principal) -> Competition:
-    """Return the competition, which goes on."""
-    by.require_organizer()
-    row = lock_competition(session)
-    if row is None:
-        raise _no_competition()
-    require_not_final(row)
-    return row
-
-
-def _require_over(session: Session, definition: CompetitionDefinition, now: datetime) -> None:
+def _require_over(session: Session, contest: Contest, now: datetime) -> None:
     """Refuse while a stage takes submissions, or one of them is not scored."""
-    last = max(track.stages[-1].closes for track in definition.tracks.values())
+    last = max(stage.rules.closes for stage in contest.stages)
     if now < last:
         raise ServiceError(ProblemCode.STAGE_NOT_OVER, f"The last stage closes at {last:%F %T} UTC; wait until then.")
-    for name, track in definition.tracks.items():
-        for stage in track.stages:
-            require_scored(session, name, stage.name)
+    for stage in contest.stages:
+        require_scored(session, stage)
 
 
-def _require_track_files(definition: CompetitionDefinition) -> None:
-    """Refuse to make boards anew while a track that is held here has no file."""
-    missing = [name for name, track in definition.tracks.items() if track.taken_here and known_track(name) is None]
+def _require_track_files(contest: Contest) -> None:
+    """Refuse to make boards again while a track that is held here has no file."""
+    missing = [stage.track for stage in contest.last_stages if known_track(stage.track) is None]
     if missing:
         raise ServiceError(
             ProblemCode.UNKNOWN_TRACK,
             f"Expected a track file of each track of the competition, got none of {', '.join(missing)}; put it back as "
             "it was at the end. Nothing was changed.",
         )
-
-
-def _subject(row: Competition) -> str:
-    return f"competition:{row.definition['name']}"
-
-
-def _no_competition() -> ServiceError:
-    return ServiceError(
-        ProblemCode.NOT_FOUND, "There is no competition; `vitac admin competition apply FILE` makes one."
-    )

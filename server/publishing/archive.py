@@ -1,10 +1,9 @@
 """A competition after its end: what was final then, or when it was decided again."""
 
-from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from ..contest.contest import Contest
 from ..contest.view import competition_view
-from ..db.models import Competition
 from ..errors import ProblemCode, ServiceError
 from ..prizes.finishing import decided_again_at
 from ..receipts.chain import chain_state
@@ -18,7 +17,7 @@ def archive_view(session: Session) -> ArchiveView:
     Raises:
         ServiceError: this service runs none, or it is not final.
     """
-    found, row = competition_view(session), session.scalars(select(Competition)).one()
+    found, contest = competition_view(session), Contest.read(session)
     if found.finalized_at is None:
         raise ServiceError(
             ProblemCode.NOT_FOUND, f"{found.title} goes on; its archive is here once the organizers have made it final."
@@ -26,9 +25,9 @@ def archive_view(session: Session) -> ArchiveView:
     state = chain_state(session)
     return ArchiveView(
         competition=found,
-        boards=[LeaderboardView.model_validate(board) for board in row.boards or []],
+        boards=[LeaderboardView.model_validate(board) for board in contest.row.boards or []],
         public_key=state.public_key,
-        decided_again_at=decided_again_at(session, row),
+        decided_again_at=decided_again_at(session, contest),
         citation=_citation(found.name, found.title, found.finalized_at.year, found.website),
     )
 

@@ -13,9 +13,7 @@ from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.evaluator.strict_model import StrictModel
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..contest.definition import DEFAULT_RANKING
-from ..contest.sealing import list_of_stage
-from ..contest.stages import track_rules
+from ..contest.stages import Stage
 from ..db.among import among
 from ..db.models import BoardResult, Evaluation
 from ..db.states import FileRole
@@ -40,10 +38,9 @@ def export_receipts(
     session: Session,
     blobs: BlobStore,
     path: Path,
-    track: str,
+    stage: Stage,
     *,
     task: str | None = None,
-    stage: str | None = None,
     kind: SubmissionKind = SubmissionKind.MODEL,
 ) -> ExportDescription:
     """Write the board of a track with all that its audit needs to a new file.
@@ -56,26 +53,23 @@ def export_receipts(
         session: of a transaction that sees one moment (`Database.snapshot`): results may end meanwhile.
         blobs: where the teams' sensors are.
         path: of the new file.
-        track: whose board.
+        stage: whose board.
         task: as for `leaderboard`.
-        stage: as for `leaderboard`.
         kind: model or log; logs are ranked task by task.
 
     Raises:
         ResultsNotWritten: the file exists or cannot be made.
         ServiceError: there is no such board, or a sensor cannot be read.
     """
-    _require_board(track, task, kind)
-    board = leaderboard(session, track, task=task, stage=stage, kind=kind, live=True).view
-    rules = track_rules(session, track)
-    sealed = list_of_stage(session, track, board.stage) if board.stage else None
-    state = chain_state(session)
-    receipts = receipts_of_board(session, track, board.stage or "", kind)
+    _require_board(stage.track, task, kind)
+    board = leaderboard(session, stage, task=task, kind=kind, live=True).view
+    sealed, state = stage.sealed_list, chain_state(session)
+    receipts = receipts_of_board(session, stage, kind)
     results = [receipt.result.evaluation for receipt in receipts]
     description = ExportDescription(
         made_at=datetime.now(UTC),
         public_key=state.public_key,
-        ranking=tuple(key.value for key in (rules.ranking if rules else DEFAULT_RANKING)),
+        ranking=tuple(key.value for key in stage.ranking),
         secret=sealed.secret if sealed and sealed.revealed_at else None,
         board=board,
         kind=kind,

@@ -12,10 +12,9 @@ from jinja2 import Environment
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 
+from ..contest.contest import Contest
 from ..contest.definition import CompetitionDefinition
-from ..contest.stages import current
 from ..contest.view import disqualified_since_the_end
-from ..db.competition_row import competition_row
 from ..errors import ProblemCode, ServiceError
 from ..prizes.finishing import Winner, boards_of, winners
 from ..views.leaderboards import LeaderboardView
@@ -124,18 +123,15 @@ def result_files(session: Session) -> Mapping[str, str]:
         ServiceError: there is no competition, a board has results of another evaluator version, or a winner was
             disqualified after the end.
     """
-    definition, row = current(session), competition_row(session)
-    if definition is None or row is None:
-        raise ServiceError(ProblemCode.NOT_FOUND, "There is no competition, so it has no results.")
-    boards = boards_of(session, definition)
-    found = winners(session)
+    contest, found = Contest.read(session), winners(session)
+    boards, final_since = boards_of(session, contest), contest.row.finalized_at
     _require_qualified(session, found)
-    final_on = None if row.finalized_at is None else f"{row.finalized_at.astimezone(UTC):%F}"
+    final_on = None if final_since is None else f"{final_since.astimezone(UTC):%F}"
     return {
-        "results.json": _json(definition, boards, found, is_final=final_on is not None),
+        "results.json": _json(contest.definition, boards, found, is_final=final_on is not None),
         "results.csv": _csv(boards),
-        "results.html": _page(definition, boards, found, final_on=final_on, certificates=False),
-        "certificates.html": _page(definition, boards, found, final_on=final_on, certificates=True),
+        "results.html": _page(contest, boards, found, final_on=final_on, certificates=False),
+        "certificates.html": _page(contest, boards, found, final_on=final_on, certificates=True),
     }
 
 
@@ -181,7 +177,7 @@ def _plain(text: str) -> str:
 
 
 def _page(
-    definition: CompetitionDefinition,
+    contest: Contest,
     boards: Sequence[LeaderboardView],
     found: Sequence[Winner],
     *,
@@ -190,11 +186,11 @@ def _page(
 ) -> str:
     page = Environment(autoescape=True).from_string(_PAGE)
     return page.render(
-        title=definition.title,
-        names={name: track.title for name, track in definition.tracks.items()},
+        title=contest.definition.title,
+        names={name: track.title for name, track in contest.definition.tracks.items()},
         winners=found,
         boards=boards,
         final_on=final_on,
-        stages=definition.stage_titles,
+        stages=contest.stage_titles,
         certificates=certificates,
     )

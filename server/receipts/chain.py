@@ -12,6 +12,7 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session, defer
 from vitac.evaluator.submission_kinds import SubmissionKind
 
+from ..contest.stages import Stage
 from ..db.advisory_locks import AdvisoryLock, wait_for_turn
 from ..db.models import Evaluation, ReceiptKey, ReceiptRow, Submission
 from .receipt import CombinedResult, Link, Receipt, Result, TaskResult, board_name, sign, team_commitment
@@ -99,14 +100,14 @@ def receipts_of(session: Session, evaluations: Collection[UUID]) -> Mapping[UUID
     return {row.evaluation_id: _receipt(row) for row in rows}
 
 
-def receipts_of_board(session: Session, track: str, stage: str, kind: SubmissionKind) -> Sequence[Receipt]:
+def receipts_of_board(session: Session, stage: Stage, kind: SubmissionKind) -> Sequence[Receipt]:
     """Return the receipts of all results of a stage, on its boards or not, the first one first."""
-    of_stage = (Submission.track == track, Submission.stage == stage, Submission.kind == kind)
+    board = board_name(stage.track, stage.name, kind)
     rows = session.scalars(
         select(ReceiptRow)
         .outerjoin(Evaluation, Evaluation.id == ReceiptRow.evaluation_id)
         .outerjoin(Submission, Submission.id == Evaluation.submission_id)
-        .where(or_(and_(*of_stage), ReceiptRow.board == board_name(track, stage, kind)))
+        .where(or_(and_(stage.submissions, Submission.kind == kind), ReceiptRow.board == board))
         .order_by(ReceiptRow.number)
     )
     return [_receipt(row) for row in rows]

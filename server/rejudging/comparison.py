@@ -12,8 +12,9 @@ from vitac.evaluator.episodes.records import canonical_json
 from vitac.evaluator.scoring.ranking import CombinedScore
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..contest.definition import DEFAULT_RANKING, RankingKey
-from ..contest.stages import track_rules
+from ..contest.contest import Contest
+from ..contest.definition import RankingKey
+from ..contest.stages import Stage
 from ..db.models import Evaluation, Rejudgement, Submission, Team
 from ..db.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from ..evaluations.scores import combined_score
@@ -66,9 +67,8 @@ def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmi
     they were then, among the teams that take part now.
     """
     new, kept = newest_of(session, rejudgement), _evaluated_since(session, rejudgement)
-    present = _present(session, rejudgement)
-    rules = track_rules(session, rejudgement.track)
-    keys = rules.ranking if rules else DEFAULT_RANKING
+    stage = Contest.read(session).stored_stage(rejudgement.track, rejudgement.stage)
+    present, keys = _present(session, rejudgement, stage), stage.ranking
     replaced = {submission: run for submission, run in new.items() if not _keeps_result(run, kept)}
     ranks_before, ranks_after = _ranks(present, keys), _ranks({**present, **replaced}, keys)
     rows = [
@@ -118,7 +118,7 @@ def newest_of(session: Session, rejudgement: Rejudgement) -> Mapping[UUID, Evalu
     return {evaluation.submission_id: evaluation for evaluation in rows}
 
 
-def _present(session: Session, rejudgement: Rejudgement) -> Mapping[UUID, Evaluation]:
+def _present(session: Session, rejudgement: Rejudgement, stage: Stage) -> Mapping[UUID, Evaluation]:
     """Return the newest result of each model of the stage whose team takes part, beside this rejudgement's own."""
     ended = _ended_at(rejudgement)
     rows = session.scalars(
@@ -126,8 +126,7 @@ def _present(session: Session, rejudgement: Rejudgement) -> Mapping[UUID, Evalua
         .join(Submission)
         .join(Team)
         .where(
-            Submission.track == rejudgement.track,
-            Submission.stage == rejudgement.stage,
+            stage.submissions,
             Submission.kind == SubmissionKind.MODEL,
             Evaluation.state == EvaluationState.COMPLETED,
             *_counted(Evaluation, rejudgement),

@@ -12,10 +12,10 @@ from vitac.evaluator.version import evaluator_version
 
 from .. import names
 from ..audit import record
-from ..contest.stages import shown_stage
+from ..contest.contest import Contest
+from ..contest.stages import PRACTICE, Stage
 from ..db.among import among
-from ..db.competition_row import lock_competition, require_not_final
-from ..db.models import BoardResult, Competition, Evaluation, Rejudgement, Submission, Team
+from ..db.models import BoardResult, Evaluation, Rejudgement, Submission, Team
 from ..db.row_locks import lock_evaluation
 from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState, NoticeKind
 from ..errors import ProblemCode, ServiceError, not_found
@@ -34,21 +34,14 @@ REASON_LENGTH = 500
 
 
 def start(
-    session: Session,
-    by: Principal,
-    *,
-    track: str,
-    stage: str | None = None,
-    submissions: Collection[UUID] = (),
-    reason: str,
+    session: Session, by: Principal, stage: Stage, *, submissions: Collection[UUID] = (), reason: str
 ) -> Rejudgement:
     """Evaluate models of a stage again with the present evaluator, beside the results that they have.
 
     Args:
         session: of the transaction.
         by: an organizer.
-        track: of the submissions.
-        stage: of the competition; None: the one that opened last.
+        stage: of the submissions.
         submissions: which ones; none: all models of the stage whose team takes part and whose tasks are there.
         reason: for the audit log.
 
@@ -58,11 +51,9 @@ def start(
     """
     by.require_organizer()
     shown_reason = names.clean(reason, what="A reason", min_length=1, max_length=REASON_LENGTH)
-    load_known_track(track)
-    of_stage = shown_stage(session, track, stage)
-    _going_on(session, of_stage)
-    chosen = _chosen(session, track, of_stage, submissions)
-    made = Rejudgement(track=track, stage=of_stage, reason=shown_reason)
+    _lock_contest(session, stage.name)
+    chosen = _chosen(session, stage, submissions)
+    made = Rejudgement(track=stage.track, stage=stage.name, reason=shown_reason)
     session.add(made)
     session.flush()
     for submission in chosen:
@@ -75,8 +66,8 @@ def start(
         run = 1 + max((run.run for run in runs if run.evaluator_version == evaluator_version()), default=0)
         lifecycle.start(session, submission, run, rejudgement_id=made.id)
     after = {
-        "track": track,
-        "stage": of_stage,
+        "track": stage.track,
+        "stage": stage.name,
         "submissions": [str(submission.id) for submission in chosen],
         "evaluator_version": evaluator_version(),
         "reason": shown_reason,
@@ -130,15 +121,16 @@ def apply(
         shown: the revision of what was seen before (`revision_of`); None: whatever it is now.
 
     Raises:
-        ServiceError: not an organizer, no such rejudgement, it has ended, the competition is final, its boards stand
-            still, an evaluation goes on, or something has changed since it was shown.
+        ServiceError: not an organizer, no such rejudgement, it has ended, the competition is final or its boards
+            are frozen, an evaluation waits or runs, or something has changed since it was shown.
     """
     found = _lock_open(session, by, rejudgement_id)
-    competition = _going_on(session, found.stage)
-    if competition is not None and competition.frozen_at is not None:
+    _lock_contest(session, found.stage)
+    stage = Contest.read(session).stored_stage(found.track, found.stage)
+    if stage.frozen_at is not None:
         raise ServiceError(
             ProblemCode.INVALID_REQUEST,
-            f"The boards stand still since {competition.frozen_at:%F %T} UTC, and this would change them; run "
+            f"The boards are frozen since {stage.frozen_at:%F %T} UTC, and this would change them; run "
             "`vitac admin results unfreeze` first.",
         )
     rows = comparison(session, found)
@@ -189,13 +181,12 @@ def discard(session: Session, by: Principal, rejudgement_id: UUID) -> None:
     record(session, by, "rejudgement.discard", _subject(found), {"discarded": True})
 
 
-def _chosen(session: Session, track: str, stage: str, ids: Collection[UUID]) -> Sequence[Submission]:
+def _chosen(session: Session, stage: Stage, ids: Collection[UUID]) -> Sequence[Submission]:
     query = (
         select(Submission)
         .join(Team)
         .where(
-            Submission.track == track,
-            Submission.stage == stage,
+            stage.submissions,
             Submission.kind == SubmissionKind.MODEL,
             Team.erased_at.is_(None),
             exists().where(Evaluation.submission_id == Submission.id),
@@ -203,15 +194,14 @@ def _chosen(session: Session, track: str, stage: str, ids: Collection[UUID]) -> 
         .order_by(Submission.submitted_at, Submission.id)
         .with_for_update(key_share=True, of=Submission)
     )
-    known = query.where(takes_part(), Submission.tasks.contained_by(list(load_known_track(track).tasks)))
+    known = query.where(takes_part(), Submission.tasks.contained_by(list(load_known_track(stage.track).tasks)))
     found = session.scalars(query.where(Submission.id.in_(ids)) if ids else known).all()
     missing = set(ids) - {submission.id for submission in found}
     if missing or not found:
         what = f"submission {min(missing)}" if missing else "any submission"
-        where = f"stage {stage} of {track}" if stage else track
         raise ServiceError(
             ProblemCode.NOT_FOUND,
-            f"Expected models of {where}, but {what} is none. Logs cannot be evaluated again, and uploads that were "
+            f"Expected models of {stage}, but {what} is none. Logs cannot be evaluated again, and uploads that were "
             "removed with their team neither.",
         )
     return found
@@ -228,11 +218,10 @@ def _lock_open(session: Session, by: Principal, rejudgement_id: UUID) -> Rejudge
     return found
 
 
-def _going_on(session: Session, stage: str) -> Competition | None:
-    """Return the competition of a stage, which neither ends nor is frozen meanwhile; None outside of one."""
-    row = lock_competition(session, shared=True) if stage else None
-    require_not_final(row)
-    return row
+def _lock_contest(session: Session, stage: str) -> None:
+    """Refuse after the end; from here on the competition of a stage is neither ended nor frozen meanwhile."""
+    if stage != PRACTICE:
+        Contest.lock(session, shared=True).require_not_final()
 
 
 def _audited(rows: Sequence[RejudgedSubmission], side: str) -> dict[str, object]:

@@ -10,7 +10,8 @@ from sqlalchemy import or_, select
 from sqlalchemy.orm import Session, joinedload
 
 from ..audit import record
-from ..contest.stages import NO_STAGE, boards_stand_since, current
+from ..contest.contest import Contest
+from ..contest.stages import PRACTICE
 from ..db.among import among
 from ..db.models import Evaluation, Submission, Team
 from ..db.states import EvaluationState
@@ -47,9 +48,9 @@ def public_among(session: Session, submissions: Collection[UUID]) -> frozenset[U
             newest_state() == EvaluationState.COMPLETED,
         )
     )
-    frozen_at = boards_stand_since(session)
+    frozen_at = Contest.read(session).row.frozen_at
     if frozen_at is not None:
-        query = query.where(or_(Submission.stage == NO_STAGE, of_newest(Evaluation.finished_at) <= frozen_at))
+        query = query.where(or_(Submission.stage == PRACTICE, of_newest(Evaluation.finished_at) <= frozen_at))
     return frozenset(session.scalars(query))
 
 
@@ -73,10 +74,3 @@ def set_public(session: Session, by: Principal, submission_id: UUID, *, public: 
         {"public": public},
         before={"public": not public},
     )
-
-
-def is_public_from_the_start(session: Session, track: str, stage: str) -> bool:
-    """Return what the competition says of the submissions of a stage; outside of one they are the team's own."""
-    competition = current(session) if stage else None
-    found = competition.stage(track, stage) if competition else None
-    return found is not None and found.public_pages

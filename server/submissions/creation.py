@@ -1,23 +1,22 @@
 """Makes submissions out of checked uploads, in one transaction with their evaluation and its jobs."""
 
-from datetime import datetime
+from datetime import UTC, datetime
 
 from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
-from vitac.evaluator.tracks import load_track
 
 from ..audit import record
-from ..contest.stages import check_stage_quotas, stage_for_submission
+from ..contest.contest import Contest
+from ..contest.stages import Stage
 from ..db.models import Submission, Team
 from ..db.states import NoticeKind, Quota
 from ..errors import ProblemCode, ServiceError
 from ..evaluations import lifecycle
 from ..notices.outbox import announce_evaluation
 from ..principals import Principal
-from ..quotas import charge, check
+from ..quotas import charge, check, check_stage
 from ..settings import Quotas
-from ..sharing.public_pages import is_public_from_the_start
 from ..teams import teams
 from ..uploads.checked_upload import CheckedUpload
 from ..uploads.file_names import check_file_name
@@ -61,8 +60,10 @@ def create(
     """
     team_row = owner(session, by, team)
     teams.lock(session, team_row)
-    stage = stage_for_submission(session, by, team_row, track=upload.track, kind=upload.kind, at=at)
-    check_file_name(upload.file_name, team=team_row.name, track=load_track(upload.track), stage=stage)
+    teams.require_taking_part(team_row)
+    stage = Contest.read(session).open_stage(upload.track, by, at or datetime.now(UTC))
+    stage.require_accepts(team_row, upload.kind)
+    check_file_name(upload.file_name, team=team_row.name, stage=stage)
     submission = _find_or_add(session, team_row, upload, stage)
     run = next_run(session, submission, again=again)
     if run is None:
@@ -70,7 +71,7 @@ def create(
     add_files(session, submission.id, upload.files)
     require_machines_hold(session, by, submission)
     charged_at = charge(session, quotas, by, team_row, *EVALUATION_QUOTAS)
-    check_stage_quotas(session, by, team_row, track=submission.track, stage=stage)
+    check_stage(session, by, team_row, stage)
     evaluation = lifecycle.start(session, submission, run, charged_at=charged_at)
     record(session, by, "submission.evaluate", f"submission:{submission.id}", {"run": run, "digest": upload.digest})
     announce_evaluation(session, NoticeKind.ACCEPTED, evaluation)
@@ -110,7 +111,7 @@ def owner(session: Session, by: Principal, team: str | None) -> Team:
     return teams.find(session, team)
 
 
-def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: str) -> Submission:
+def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: Stage) -> Submission:
     """Return the row of this content, locked: two equal uploads at once go on one after the other."""
     session.execute(
         insert(Submission)
@@ -118,14 +119,14 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: st
             team_id=owner.id,
             kind=upload.kind,
             track=upload.track,
-            stage=stage,
+            stage=stage.name,
             tasks=list(upload.tasks),
             name=upload.name,
             digest=upload.digest,
             archive_sha256=upload.archive_sha256,
             archive_bytes=upload.archive_bytes,
             manifest=upload.manifest,
-            is_public=is_public_from_the_start(session, upload.track, stage),
+            is_public=stage.rules.public_pages,
         )
         .on_conflict_do_nothing(
             index_elements=[
@@ -142,8 +143,7 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: st
         select(Submission)
         .where(
             Submission.team_id == owner.id,
-            Submission.track == upload.track,
-            Submission.stage == stage,
+            stage.submissions,
             Submission.kind == upload.kind,
             Submission.digest == upload.digest,
             Submission.merged_from.is_(None),

@@ -9,14 +9,14 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..contest.definition import DEFAULT_RANKING
-from ..contest.stages import counted_results, track_rules
-from ..db.models import Evaluation, Submission
+from ..contest.contest import Contest
+from ..contest.stages import Stage
+from ..db.models import Evaluation
 from ..db.states import EvaluationState
 from ..evaluations.copies import copies_among
 from ..evaluations.scores import counted_tasks
 from ..evaluations.view import EvaluationRows, evaluation_view, summary_view
-from ..leaderboards.best_entries import EVER, Board, PlacesOfBoards, places
+from ..leaderboards.best_entries import Board, PlacesOfBoards, places
 from ..logs.view import findings_of
 from ..principals import Principal
 from ..queue.workers import Fleet, fleet
@@ -29,8 +29,7 @@ from ..views.logs import LogCopyView
 from ..views.submissions import RankView, SubmissionView
 from ..views.workers import WorkersView
 
-PlacesOf = Callable[[str, str], PlacesOfBoards]
-"""By track and stage."""
+PlacesOf = Callable[[Stage], PlacesOfBoards]
 
 WorkersOf = Callable[[str, str, tuple[str, ...]], WorkersView]
 """By evaluator version, track and tasks."""
@@ -67,22 +66,15 @@ def submission_views(
         ),
         fleet=known_workers,
         workers=cache(partial(_workers, known_workers)),
+        contest=Contest.read(session),
         places=cache(partial(_places, session, by)),
     )
     return [_view(found, shown) for found in runs.values()]
 
 
-def _places(session: Session, by: Principal, track: str, stage: str) -> PlacesOfBoards:
-    """Return all places as the boards show them, which may stand still for all but organizers."""
-    rules = track_rules(session, track) if stage else None
-    counted = counted_results(session, stage, live=by.is_organizer)
-    combined = Board(
-        track=track,
-        stage=stage,
-        ranking=rules.ranking if rules else DEFAULT_RANKING,
-        evaluator_version=counted.evaluator_version,
-    )
-    return places(session, combined, until=counted.until or EVER)
+def _places(session: Session, by: Principal, stage: Stage) -> PlacesOfBoards:
+    """Return all places as the boards show them, which may be frozen for all but organizers."""
+    return places(session, Board.of(stage, stage.counted_results(live=by.is_organizer)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +89,8 @@ class _Shown:
         copies: among logs, by evaluation.
         fleet: the workers known now.
         workers: who of them can run some tasks.
-        places: on the boards of a track.
+        contest: whose boards they are on.
+        places: on the boards of a stage.
     """
 
     by: Principal
@@ -107,6 +100,7 @@ class _Shown:
     copies: Mapping[UUID, LogCopyView]
     fleet: Fleet
     workers: WorkersOf
+    contest: Contest
     places: PlacesOf
 
 
@@ -114,7 +108,7 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
     newest, submission = runs[0], runs[0].submission
     log_view = SERVED_KINDS[submission.kind].log_view
     finding, copy = shown.findings.get(newest.id), shown.copies.get(newest.id)
-    ranks = _ranks(submission, newest, shown.places)
+    ranks = _ranks(newest, shown)
     log = log_view(submission, newest, finding, copy) if log_view else None
     if log is not None and shown.names.hides(submission.team):
         log = log.model_copy(update={"team_named": None})
@@ -155,9 +149,10 @@ def _workers(known: Fleet, evaluator_version: str, track: str, tasks: tuple[str,
     )
 
 
-def _ranks(submission: Submission, newest: Evaluation, places_of: PlacesOf) -> dict[str | None, RankView]:
+def _ranks(newest: Evaluation, shown: _Shown) -> dict[str | None, RankView]:
     """Return the places of the submission by task; under None that of all tasks together."""
+    submission = newest.submission
     if newest.state is not EvaluationState.COMPLETED or not submission.kind.form.runs_policy:
         return {}
-    boards = places_of(submission.track, submission.stage)
+    boards = shown.places(shown.contest.stored_stage(submission.track, submission.stage))
     return {task: places[submission.id] for task, places in boards.items() if submission.id in places}

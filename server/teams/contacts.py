@@ -6,7 +6,7 @@ from sqlalchemy import delete, update
 from sqlalchemy.orm import Session
 
 from ..audit import record
-from ..db.competition_row import competition_row
+from ..contest.contest import Contest
 from ..db.models import Member, Notice, Team
 from ..db.states import NoticeChannel
 from ..principals import CONSOLE
@@ -15,9 +15,7 @@ from ..settings import Settings
 
 def forget_contacts(session: Session, settings: Settings, at: datetime | None = None) -> int:
     """Forget the addresses of people so long after the end of the competition; of how many. `at`: None is now."""
-    row = competition_row(session)
-    days = settings.contacts_kept_days
-    over = row.finalized_at if row is not None else None
+    days, over = settings.contacts_kept_days, Contest.read(session).row.finalized_at
     if days is None or over is None or (at or datetime.now(UTC)) < over + timedelta(days=days):
         return 0
     of_members = session.scalars(

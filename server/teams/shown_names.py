@@ -6,15 +6,9 @@ from uuid import NAMESPACE_OID, UUID, uuid5
 
 from sqlalchemy.orm import Session
 
-from ..db.competition_row import competition_row
+from ..contest.contest import Contest
 from ..db.models import Team
 from ..principals import VISITOR, Principal
-
-
-def are_hidden(session: Session) -> bool:
-    """Return whether teams are shown to others under random names: the competition says so, and is not final."""
-    row = competition_row(session)
-    return row is not None and row.finalized_at is None and bool(row.definition.get("anonymous"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +17,7 @@ class ShownNames:
 
     Attributes:
         by: who sees them.
-        hidden: whether others' names are hidden now (`are_hidden`).
+        hidden: whether others' names are hidden now (`Contest.hides_names`).
     """
 
     by: Principal
@@ -32,7 +26,7 @@ class ShownNames:
     @classmethod
     def read(cls, session: Session, by: Principal = VISITOR) -> Self:
         """Return those of now."""
-        return cls(by=by, hidden=are_hidden(session))
+        return cls(by=by, hidden=Contest.read(session).hides_names)
 
     def hides(self, team: Team) -> bool:
         """Return whether it is not told which team it is; its members, judges and organizers always see it."""

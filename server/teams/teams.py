@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 
 from .. import names
 from ..audit import record
-from ..db.competition_row import competition_row
+from ..contest.contest import Contest
 from ..db.models import Member, Team
 from ..db.states import MemberRole, Role
 from ..errors import ProblemCode, ServiceError, not_found
@@ -151,9 +151,7 @@ def require_unlocked(session: Session, by: Principal | None) -> None:
 
 def locked_since(session: Session) -> datetime | None:
     """Return the competition's lock date if it is over."""
-    competition = competition_row(session)
-    locked = competition.definition.get("teams_locked") if competition else None
-    at = datetime.fromisoformat(locked) if locked is not None else None
+    at = Contest.read(session).definition.teams_locked
     return at if at is not None and at <= datetime.now(UTC) else None
 
 

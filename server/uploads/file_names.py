@@ -3,8 +3,9 @@
 import re
 import unicodedata
 
-from vitac.evaluator.tracks import Track
+from vitac.evaluator.tracks import load_track
 
+from ..contest.stages import Stage
 from ..errors import ProblemCode, ServiceError
 
 MAX_CHARACTERS = 255
@@ -15,14 +16,13 @@ _FORM = re.compile(
 """`teamname-Track_1-stage1-result` and whatever follows, as the organizers of 2025 asked for it."""
 
 
-def check_file_name(name: str | None, *, team: str, track: Track | None = None, stage: str = "") -> None:
+def check_file_name(name: str | None, *, team: str, stage: Stage | None = None) -> None:
     """Refuse a file whose name says another team, track or stage than it is uploaded for.
 
     Args:
-        name: of the file; None: not told.
+        name: of the file; None if the client did not send it.
         team: whose submission it becomes.
-        track: of the submission; None: not known yet.
-        stage: of the competition; empty outside of one, or where it is not known yet.
+        stage: to which it is submitted; None: not known yet.
 
     Raises:
         ServiceError: file_name_mismatch.
@@ -31,11 +31,12 @@ def check_file_name(name: str | None, *, team: str, track: Track | None = None, 
     if found is None:
         return
     _require(name, "team", found["team"], team, agrees=_folded(found["team"]) == _folded(team))
-    if track is not None:
-        named = f"Track_{found['track']}"
-        _require(name, "track", named, track.folder, agrees=named.casefold() == track.folder.casefold())
-    if stage:
-        _require(name, "stage", found["stage"], stage, agrees=found["stage"].casefold() == stage.casefold())
+    if stage is None:
+        return
+    named, folder = f"Track_{found['track']}", load_track(stage.track).folder
+    _require(name, "track", named, folder, agrees=named.casefold() == folder.casefold())
+    if not stage.is_practice:
+        _require(name, "stage", found["stage"], stage.name, agrees=found["stage"].casefold() == stage.name.casefold())
 
 
 def _require(name: str | None, what: str, named: str, expected: str, *, agrees: bool) -> None:

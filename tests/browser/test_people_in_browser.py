@@ -21,7 +21,7 @@ from vitac.server.sharing.public_pages import set_public
 from vitac.server.teams import teams
 from waiting import answered, resize
 
-from competitions import make_competition, open_now, put_in_place
+from competitions import make_competition, open_now, put_in_place, shown_stage
 
 WEEK = timedelta(days=7)
 FINGER_PX = 44  # what a finger hits, and how high every field of a form is
@@ -71,7 +71,7 @@ def secrets(service: CliService) -> dict[str, str]:
     with service.database.transaction() as session:
         set_public(session, team, shared.id, public=True)
         appeals.open_appeal(session, team, submission.id, "The peg was in the hole.")
-        rejudging.start(session, CONSOLE, track="track_1", reason="The worker was wrong.")
+        rejudging.start(session, CONSOLE, shown_stage(session, "track_1"), reason="The worker was wrong.")
         return {
             "SUBMISSION": f"/submissions/{submission.id}",
             "PUBLIC": f"/submissions/{shared.id}",

@@ -14,6 +14,7 @@ from vitac.evaluator.sensors.appearance import appearance
 from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.server import tokens
 from vitac.server.api.teams import NewTeam
+from vitac.server.contest.contest import Contest
 from vitac.server.contest.view import competition_view, track_stages
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import histories
@@ -148,7 +149,11 @@ class ServiceData:
 
     async def leaderboard(self, track: str, task: str | None, stage: str | None = None) -> LeaderboardView:
         """Return the leaderboard of a track, or of one of its tasks; `stage` None is the stage that opened last."""
-        return await self.read(lambda session: standings.leaderboard(session, track, task=task, stage=stage).view)
+
+        def read(session: Session) -> LeaderboardView:
+            return standings.leaderboard(session, Contest.read(session).shown_stage(track, stage), task=task).view
+
+        return await self.read(read)
 
     async def competition(self) -> CompetitionView:
         """Return the competition of this service."""
@@ -164,7 +169,9 @@ class ServiceData:
 
     async def log_boards(self, track: str, stage: str | None = None) -> LogBoardsView:
         """Return the logs of a track."""
-        return await self.read(lambda session: log_boards.log_boards(session, track, stage=stage).view)
+        return await self.read(
+            lambda session: log_boards.log_boards(session, Contest.read(session).shown_stage(track, stage)).view
+        )
 
     async def submission(self, visitor: Visitor | None, submission_id: UUID) -> SubmissionDetail:
         """Return one submission with its episodes."""

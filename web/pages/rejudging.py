@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from vitac.server.contest.stages import current, track_title
+from vitac.server.contest.contest import Contest
 from vitac.server.rejudging import rejudging
 from vitac.server.rejudging.view import rejudgement_detail_view, rejudgement_view
 
@@ -35,12 +35,12 @@ async def rejudgements(request: Request) -> Response:
         found = rejudging.rejudgements(session)
         ended = [one for one in found if one.applied_at or one.discarded_at]
         open_ones = [rejudgement_detail_view(session, one) for one in found if one not in ended]
-        competition = current(session)
+        contest = Contest.read(session)
         return {
             "open_ones": open_ones,
             "ended": [rejudgement_view(one) for one in ended],
-            "stages": competition.stage_titles if competition else {},
-            "titles": {name: track_title(session, name) for name in {*site.tracks, *(one.track for one in found)}},
+            "stages": contest.stage_titles,
+            "titles": {name: contest.track_title(name) for name in {*site.tracks, *(one.track for one in found)}},
         }
 
     shown = await site.data.ask(read)
@@ -58,8 +58,9 @@ async def start(request: Request) -> Response:
     """Evaluate the models of a stage again."""
 
     def started(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
-        stage = fields.get("stage", "").strip() or None
-        rejudging.start(session, by, track=fields.get("track", ""), stage=stage, reason=fields.get("reason", ""))
+        named = fields.get("stage", "").strip() or None
+        stage = Contest.read(session).shown_stage(fields.get("track", ""), named)
+        rejudging.start(session, by, stage, reason=fields.get("reason", ""))
 
     return await act(request, started, back=ADDRESS)
 

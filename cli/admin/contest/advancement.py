@@ -1,6 +1,6 @@
 """`vitac admin advance`: who takes part in a stage for qualified teams."""
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -8,6 +8,9 @@ from ...service.database import transaction
 from ...terminal.output import AsJson, percent, print_json, print_table, warn
 from ..consent import DryRun, Yes, change_as_shown
 from .contest import StageName, TrackName
+
+if TYPE_CHECKING:
+    from sqlalchemy.orm import Session
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -20,9 +23,10 @@ def propose(track: TrackName, stage: StageName, as_json: AsJson = False) -> None
     from dataclasses import asdict
 
     from vitac.server.advancement.advancement import propose as propose_teams
+    from vitac.server.contest.contest import Contest
 
     with transaction() as session:
-        found = propose_teams(session, track, stage)
+        found = propose_teams(session, Contest.read(session).stage(track, stage))
     if as_json:
         print_json(asdict(found))
         return
@@ -59,7 +63,12 @@ def confirm(
 ) -> None:
     """Let the proposed teams, more of them or fewer, take part in a stage."""
     from vitac.server.advancement.advancement import confirm as confirm_teams
+    from vitac.server.contest.contest import Contest
     from vitac.server.principals import CONSOLE
+
+    def change(session: "Session") -> list[str]:
+        found = Contest.read(session).stage(track, stage)
+        return confirm_teams(session, CONSOLE, found, add=add or (), without=without or ())
 
     def show(found: list[str]) -> None:
         if as_json:
@@ -70,7 +79,7 @@ def confirm(
             warn(f"no team takes part in {stage} of {track}; `vitac admin advance propose` shows the board before.")
 
     change_as_shown(
-        lambda session: confirm_teams(session, CONSOLE, track, stage, add=add or (), without=without or ()),
+        change,
         show,
         lambda found: f"Let these {len(found)} teams take part in {stage} of {track}?",
         yes=yes,
@@ -82,9 +91,10 @@ def confirm(
 def list_teams(track: TrackName, stage: StageName, as_json: AsJson = False) -> None:
     """List the teams that were confirmed for a stage."""
     from vitac.server.advancement.advancement import qualified_teams
+    from vitac.server.contest.contest import Contest
 
     with transaction() as session:
-        found = qualified_teams(session, track, stage)
+        found = qualified_teams(session, Contest.read(session).stage(track, stage))
     if as_json:
         print_json(found)
     else:

@@ -76,17 +76,18 @@ def apply(file: CompetitionFile, yes: Yes = False, dry_run: DryRun = False, as_j
 @app.command()
 def show(as_json: AsJson = False) -> None:
     """Show the competition of this service."""
-    from vitac.server.contest.stages import current
+    from vitac.server.contest.contest import Contest
 
     with transaction() as session:
-        found = current(session)
+        contest = Contest.read(session)
+    found = contest.definition
     if as_json:
-        print_json(found.model_dump(mode="json") if found else None)
-    elif found is None:
+        print_json(found.model_dump(mode="json") if contest.is_held else None)
+    elif not contest.is_held:
         print("No competition; `vitac admin competition apply FILE` makes one.")
     else:
-        stages = [f"{name}/{stage.name}" for name, track in found.tracks.items() for stage in track.stages]
-        print_pairs({"competition": found.name, "title": found.title, "stages": ", ".join(stages)})
+        stages = ", ".join(f"{stage.track}/{stage.name}" for stage in contest.stages)
+        print_pairs({"competition": found.name, "title": found.title, "stages": stages})
 
 
 @app.command()
@@ -114,16 +115,17 @@ def reveal(
     track: TrackName, stage: StageName, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False
 ) -> None:
     """Publish the secret of a stage's sealed list, for good, after the stage has closed."""
+    from vitac.server.contest.contest import Contest
     from vitac.server.contest.sealing import reveal as reveal_list
-    from vitac.server.contest.stages import require_over
     from vitac.server.principals import CONSOLE
 
     with transaction() as session:
-        require_over(session, track, stage)
+        Contest.read(session).stage(track, stage).require_over()
     question = f"Publish the episodes of stage {stage} of {track} for good?"
     with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
-        require_over(session, track, stage)  # the stage may have been prolonged meanwhile
-        found = reveal_list(session, CONSOLE, track, stage)
+        over = Contest.read(session).stage(track, stage)
+        over.require_over()  # the stage may have been prolonged meanwhile
+        found = reveal_list(session, CONSOLE, over)
         shown = {"track": track, "stage": stage, "commitment": found.commitment, "secret": found.secret}
     print_record(shown | ({"secret": None} if dry_run else {}), as_json=as_json)
 

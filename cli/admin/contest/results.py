@@ -22,8 +22,8 @@ COLUMNS = ("track", "place", "team", "amount", "currency", "rank", "success_rate
 @app.command()
 def freeze(dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Let the boards of all stages stand still for everybody but organizers; `unfreeze` takes it back."""
+    from vitac.server.contest.freezing import freeze as freeze_boards
     from vitac.server.principals import CONSOLE
-    from vitac.server.prizes.finishing import freeze as freeze_boards
 
     with change_transaction(dry_run=dry_run) as session:
         freeze_boards(session, CONSOLE)
@@ -33,8 +33,8 @@ def freeze(dry_run: DryRun = False, as_json: AsJson = False) -> None:
 @app.command()
 def unfreeze(yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Show all results again."""
+    from vitac.server.contest.freezing import unfreeze as unfreeze_boards
     from vitac.server.principals import CONSOLE
-    from vitac.server.prizes.finishing import unfreeze as unfreeze_boards
 
     with change_transaction(dry_run=dry_run, question="Show all results on the boards again?", yes=yes) as session:
         unfreeze_boards(session, CONSOLE)

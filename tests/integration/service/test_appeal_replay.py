@@ -38,7 +38,7 @@ from vitac.server.principals import CONSOLE, Principal
 from vitac.server.storage.blobs import BlobStore
 from vitac.server.submissions import creation
 
-from competitions import open_now, put_in_place, sealed_competition
+from competitions import open_now, put_in_place, sealed_competition, stored_stage
 
 NEVER_LOADS = "raise ImportError('no such library')\n"
 
@@ -62,7 +62,7 @@ def appealed(service: CliService, tmp_path: Path) -> int:
     secret = new_secret(secret_file)
     with service.database.transaction() as session:
         put_in_place(session, open_now(sealed_competition() | {"appeal_days": 7}))
-        seal(session, CONSOLE, TRACK, "stage1", secret)
+        seal(session, CONSOLE, stored_stage(session, TRACK, "stage1"), secret)
         team = make_principal(session, "Ants")
         submission, _ = creation.create(session, team, make_upload(archive_sha256=stored.stem))
         (shard,) = shard_ids(session, submission)

@@ -7,8 +7,11 @@ from typing import Any
 import yaml
 from service_factories import TRACK
 from sqlalchemy.orm import Session
+from vitac.server.contest.contest import Contest
 from vitac.server.contest.definition import CompetitionDefinition
+from vitac.server.contest.stages import Stage
 from vitac.server.db.models import Competition
+from vitac.server.leaderboards.standings import leaderboard
 
 FIRST, SECOND = "stage1", "stage2"
 OPENS = datetime(2031, 1, 1, tzinfo=UTC)
@@ -85,3 +88,25 @@ def write_competition(folder: Path, content: dict[str, Any]) -> Path:
     path = folder / "cup.yaml"
     path.write_text(yaml.safe_dump(content))
     return path
+
+
+def stored_stage(session: Session, track: str, name: str) -> Stage:
+    """The stage that a row names, also where no competition has it."""
+    return Contest.read(session).stored_stage(track, name)
+
+
+def shown_stage(session: Session, track: str, name: str | None = None) -> Stage:
+    """The stage whose board a track shows now."""
+    return Contest.read(session).shown_stage(track, name)
+
+
+def teams_on_board(session: Session, name: str | None = None, *, task: str | None = None) -> list[str]:
+    """The teams on the board of a stage, best first."""
+    board = leaderboard(session, shown_stage(session, TRACK, name), task=task)
+    return [entry.team for entry in board.view.entries]
+
+
+def contest_of(content: dict[str, Any]) -> Contest:
+    """A contest without a database."""
+    definition = CompetitionDefinition.model_validate(content)
+    return Contest(session=Session(), row=Competition(), definition=definition, is_held=True)

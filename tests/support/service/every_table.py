@@ -37,7 +37,7 @@ from vitac.server.db.models import (
 from vitac.server.db.states import AppealState, FileRole, NoticeChannel, NoticeKind, PlaybackState, Quota, WorkerState
 from vitac.server.principals import CONSOLE
 
-from competitions import make_competition, put_in_place
+from competitions import make_competition, put_in_place, stored_stage
 
 TEXT = "Ünïcode, 'quotes', \\ and\ttabs\nover lines"
 
@@ -55,7 +55,7 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
     appeal = Appeal(
         team_id=team_id, evaluation_id=evaluation.id, text=TEXT, state=AppealState.UPHELD, ended_at=now, ruling=TEXT
     )
-    seal(session, CONSOLE, track, stage)
+    seal(session, CONSOLE, stored_stage(session, track, stage))
     session.add_all([upload, appeal])
     session.flush()
     session.add_all(

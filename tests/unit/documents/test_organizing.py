@@ -10,11 +10,11 @@ from vitac.server.contest.definition import (
     DEFAULT_RANKING,
     Advancement,
     CompetitionDefinition,
-    CompetitionTrack,
     Judging,
     Prize,
-    Stage,
     StageQuotas,
+    StageRules,
+    TrackRules,
 )
 
 
@@ -29,7 +29,7 @@ def rows(repository: Path, table: str) -> dict[str, tuple[str, str]]:
 
 @pytest.mark.parametrize(
     ("table", "model"),
-    [("key of the file", CompetitionDefinition), ("key of a track", CompetitionTrack), ("key of a stage", Stage)],
+    [("key of the file", CompetitionDefinition), ("key of a track", TrackRules), ("key of a stage", StageRules)],
 )
 def test_every_key_is_told_with_what_is_taken_without_it(repository: Path, table: str, model: type[BaseModel]) -> None:
     told = rows(repository, table)
@@ -43,7 +43,7 @@ def test_defaults_and_inner_keys_are_those_of_the_code(repository: Path) -> None
     of_file, of_track, of_stage = (rows(repository, f"key of {what}") for what in ("the file", "a track", "a stage"))
     assert CompetitionDefinition.model_fields["currency"].default in of_file["currency"][1]
     assert of_track["ranking"][1].strip() == ", ".join(f"`{key}`" for key in DEFAULT_RANKING)
-    assert Stage.model_fields["list"].default.value in of_stage["list"][1]
+    assert StageRules.model_fields["list"].default.value in of_stage["list"][1]
     for row, model in (
         (of_track["prizes"], Prize),
         (of_track["judging"], Judging),

@@ -24,7 +24,6 @@ from vitac.server.db.models import EpisodeResult, Evaluation, Question, Submissi
 from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations.history import histories
-from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.members import members
 from vitac.server.members.members import NewMember
 from vitac.server.messages import announcements, questions
@@ -35,7 +34,7 @@ from vitac.server.submissions.files import stored_digests
 from vitac.server.submissions.view import submission_views
 from vitac.server.teams import teams
 
-from competitions import make_competition, put_in_place
+from competitions import make_competition, put_in_place, stored_stage, teams_on_board
 
 SETTINGS = make_settings()
 
@@ -75,7 +74,7 @@ def test_a_teams_data_says_nothing_that_was_said_in_confidence_or_is_sealed(data
     play_all(database, submission, partial(make_failed_record, output="secret start"))
     with database.transaction() as session:
         own = teams.own(session, ants)
-        sealed = seal(session, CONSOLE, TRACK, "stage1")
+        sealed = seal(session, CONSOLE, stored_stage(session, TRACK, "stage1"))
         session.execute(update(Evaluation).values(commitment=sealed.commitment))
         session.expire_all()
         bob = tokens.authenticate(session, issued.secret)
@@ -148,7 +147,7 @@ def test_a_removed_team_leaves_its_scores_and_nothing_else(database: Database) -
         assert members.of_team(session, team.id) == []
         with refused(ProblemCode.INVALID_CREDENTIALS):
             tokens.authenticate(session, secret)
-        names = [entry.team for entry in leaderboard(session, TRACK, task=TASK).view.entries]
+        names = teams_on_board(session, task=TASK)
         assert team.name in names
         printed = session.execute(select(EpisodeResult.submission_digest, EpisodeResult.output).distinct()).all()
         assert sorted(output for _, output in printed) == ["", "I am Ann"], "what Bees have, too, stays theirs"

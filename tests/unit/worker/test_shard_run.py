@@ -53,6 +53,8 @@ from vitac.worker.slot import Slot
 from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShard, FakeShards, eventually
 
+from competitions import stored_stage
+
 
 @pytest.fixture
 def submission(services: Services, archive_sha256: str) -> Submission:
@@ -220,7 +222,7 @@ def test_a_shard_of_a_sealed_list_gets_the_secret_in_a_file_that_goes_with_it(
     services: Services, stage: SubmissionStage, submission: Submission
 ) -> None:
     with services.database.transaction() as session:
-        made = sealing.seal(session, CONSOLE, submission.track, "final")
+        made = sealing.seal(session, CONSOLE, stored_stage(session, submission.track, "final"))
         newest_evaluation(session, session.get_one(Submission, submission.id)).commitment = made.commitment
     lease = claim(services.database, first_shard(services, submission), lease_s=services.settings.lease_s)
     seen: list[tuple[Path, int, str]] = []

@@ -18,6 +18,8 @@ from vitac.server.errors import ServiceError
 from vitac.server.evaluations import scores
 from vitac.server.leaderboards.standings import leaderboard
 
+from competitions import shown_stage
+
 
 def admin(service: CliService, *arguments: str) -> Result:
     return service.run("admin", *arguments)
@@ -177,7 +179,7 @@ def test_the_combination_is_that_of_todays_rule_in_every_list(
     assert "12.5 %" in admin(service, "evaluation", "list").stdout
     assert "12.5 %" in admin(service, "submission", "list").stdout
     with service.database.transaction() as session:
-        (entry,) = leaderboard(session, "track_1").view.entries
+        (entry,) = leaderboard(session, shown_stage(session, "track_1")).view.entries
     assert entry.success_rate == 0.125
 
 

@@ -20,6 +20,7 @@ from vitac.cli.admin.app import app
 from vitac.cli.admin.consent import NOTHING_CHANGED
 from vitac.server.appeals import appeals
 from vitac.server.audit import newest_entries
+from vitac.server.contest.freezing import freeze
 from vitac.server.contest.sealing import seal
 from vitac.server.db.models import Notice, Team
 from vitac.server.db.states import NoticeKind, Role
@@ -27,12 +28,19 @@ from vitac.server.members import members
 from vitac.server.messages import announcements, questions
 from vitac.server.notices.outbox import announce
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.prizes.finishing import freeze
 from vitac.server.teams import teams
 from vitac.server.tokens import list_tokens
 from vitac.worker import appeal_replay
 
-from competitions import make_competition, moved, open_now, put_in_place, sealed_competition, write_competition
+from competitions import (
+    make_competition,
+    moved,
+    open_now,
+    put_in_place,
+    sealed_competition,
+    stored_stage,
+    write_competition,
+)
 
 READS = {
     "advance list",
@@ -207,7 +215,7 @@ def prepare(service: CliService, command: str) -> None:
                 teams.disqualify(session, CONSOLE, teams.find(session, "Team A"), "two accounts")
         elif command == "competition reveal":
             put_in_place(session, open_now(sealed_competition(), stage=1))
-            seal(session, CONSOLE, "track_1", "stage1")
+            seal(session, CONSOLE, stored_stage(session, "track_1", "stage1"))
         elif command == "advance confirm":
             put_in_place(session, open_now(make_competition(), stage=1))
         elif command.startswith("results"):

@@ -16,7 +16,7 @@ from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import creation
 from vitac.server.teams import teams
 
-from competitions import FIRST, SECOND, make_competition, open_now, put_in_place
+from competitions import FIRST, SECOND, make_competition, open_now, put_in_place, stored_stage
 
 SUCCESSES = {"Ants": 180, "Bees": 160, "Cats": 156, "Dogs": 20}
 """Of 200 in the one task of two that is played; Bees and Cats cannot be told apart."""
@@ -42,12 +42,12 @@ def register_in_time(database: Database) -> None:
 
 def proposed(database: Database) -> Proposal:
     with database.transaction() as session:
-        return propose(session, TRACK, SECOND)
+        return propose(session, stored_stage(session, TRACK, SECOND))
 
 
 def confirmed(database: Database, **options: Any) -> list[str]:
     with database.transaction() as session:
-        return confirm(session, CONSOLE, TRACK, SECOND, **options)
+        return confirm(session, CONSOLE, stored_stage(session, TRACK, SECOND), **options)
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_a_confirmed_team_may_submit_and_the_decision_is_recorded(database: Data
     begin(database, {"top": 1})
     assert confirmed(database) == ["Ants"]
     with database.transaction() as session:
-        assert qualified_teams(session, TRACK, SECOND) == ["Ants"]
+        assert qualified_teams(session, stored_stage(session, TRACK, SECOND)) == ["Ants"]
         by = {name: session.query(Team).filter_by(name=name).one().id for name in SUCCESSES}
         for name, allowed in (("Ants", True), ("Bees", False)):
             principal = Principal(role=Role.TEAM, team_id=by[name], team_name=name)
@@ -181,12 +181,12 @@ def test_results_of_another_evaluator_version_are_named_and_not_proposed(databas
 def test_nobody_advances_to_a_stage_for_all_or_an_unknown_one(database: Database, stage: str) -> None:
     begin(database, {"top": 1})
     with refused(ProblemCode.UNKNOWN_STAGE), database.transaction() as session:
-        propose(session, TRACK, stage)
+        propose(session, stored_stage(session, TRACK, stage))
 
 
 def test_only_organizers_confirm(database: Database) -> None:
     begin(database, {"top": 1})
     with refused(ProblemCode.FORBIDDEN), database.transaction() as session:
-        confirm(session, Principal(role=Role.JUDGE), TRACK, SECOND)
+        confirm(session, Principal(role=Role.JUDGE), stored_stage(session, TRACK, SECOND))
     with database.transaction() as session:
         assert session.query(Submission).filter_by(stage=SECOND).count() == 0

@@ -39,6 +39,8 @@ from vitac.worker.shard_run import ShardRun
 from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShards
 
+from competitions import stored_stage
+
 PDF = b"%PDF-1.7\n1 0 obj << /OpenAction << /S /JavaScript /JS (app.alert(1)) >> >> endobj\n"
 NO_CHANGES: Mapping[str, str | bytes | None] = {}
 MANIFEST = "track: track_3\ntasks: [{tasks}]\nname: flat\n"
@@ -206,7 +208,7 @@ def test_gain_is_not_shown_on_a_sealed_list_nor_of_one_run(service: Service) -> 
         play_all(service.database, submission)
     with service.database.transaction() as session:
         session.execute(delete(EpisodeResult).where(EpisodeResult.task == "sensor-blind"))
-        made = sealing.seal(session, CONSOLE, "track_3", "final")
+        made = sealing.seal(session, CONSOLE, stored_stage(session, "track_3", "final"))
         session.execute(update(Evaluation).where(Evaluation.submission_id == sealed).values(commitment=made.commitment))
     for identity in (sealed, single):
         answer = service.get(f"/submissions/{identity}/sensor")
@@ -341,7 +343,7 @@ def test_figures_are_not_taken_from_a_shard_that_could_not_measure_all_or_played
     assert measured_with(service, again, 0, measuring([])) is FigureChoice.ALL
     assert measured_with(service, first, 1, measuring([])) is FigureChoice.ALL
     with service.database.transaction() as session:
-        made = sealing.seal(session, CONSOLE, "track_3", "final")
+        made = sealing.seal(session, CONSOLE, stored_stage(session, "track_3", "final"))
         evaluation = newest_evaluation(session, session.get_one(Submission, again))
         evaluation.commitment = made.commitment
     assert measured_with(service, again, 1, measuring([])) is FigureChoice.ALL
@@ -434,7 +436,7 @@ def test_figures_on_a_sealed_list_are_its_own_and_those_of_starts_only_for_organ
     run_shard(service, lease, measuring([]))
     public = SensorFigures.model_validate(service.get(address).json()["figures"])
     with service.database.transaction() as session:
-        made = sealing.seal(session, CONSOLE, "track_3", "final")
+        made = sealing.seal(session, CONSOLE, stored_stage(session, "track_3", "final"))
         session.execute(update(Evaluation).values(commitment=made.commitment))
         assert has_part(session, lease)
         assert not has_part(session, replace(lease, commitment=made.commitment))

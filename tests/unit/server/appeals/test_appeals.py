@@ -22,7 +22,7 @@ from vitac.server.principals import CONSOLE, Principal
 from vitac.server.teams import teams
 from vitac.server.texts import TEXT_LENGTH
 
-from competitions import make_competition, put_in_place
+from competitions import make_competition, put_in_place, stored_stage
 
 JUDGE = Principal(role=Role.JUDGE)
 TEXT = "The peg was in the hole."
@@ -180,7 +180,7 @@ def test_what_an_episode_gives_again_stands_beside_its_result(
             (True, False, "success", "tactile"),
         ]
         assert results(session) == before
-        sealed = seal(session, CONSOLE, "track_1", "stage1")
+        sealed = seal(session, CONSOLE, stored_stage(session, "track_1", "stage1"))
         session.execute(update(Evaluation).values(commitment=sealed.commitment))
         session.expire_all()
         for by, seen in ((team, 0), (JUDGE, 0), (CONSOLE, 2)):

@@ -7,9 +7,9 @@ from service_factories import TASK, TRACK, make_principal, make_score, submit_sc
 from submission_steps import refused
 from vitac.server.audit import newest_entries
 from vitac.server.contest.applying import Change, apply, changes_by
+from vitac.server.contest.contest import Contest
 from vitac.server.contest.definition import CompetitionDefinition
 from vitac.server.contest.sealing import sealed_lists
-from vitac.server.contest.stages import current
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Competition
 from vitac.server.db.states import Role
@@ -35,9 +35,7 @@ def test_the_first_application_makes_the_competition_and_its_sealed_lists(databa
     assert Change(place="title", before=None, after="The cup") in found
     assert Change(place=f"tracks.{TRACK}.stages.{SECOND}.qualified.top", before=None, after=1) in found
     with database.transaction() as session:
-        competition = current(session)
-        assert competition is not None
-        assert competition.name == "cup"
+        assert Contest.read(session).definition.name == "cup"
         assert [(each.track, each.stage) for each in sealed_lists(session)] == [(TRACK, SECOND)]
         assert [entry.action for entry in newest_entries(session)] == ["list.seal", "competition.apply"]
 
@@ -74,7 +72,7 @@ def test_what_would_change_is_told_without_changing_it(database: Database) -> No
     with database.transaction() as session:
         found = changes_by(session, CompetitionDefinition.model_validate(make_competition()))
         assert len(found) > 10
-        assert current(session) is None
+        assert not Contest.read(session).is_held
         assert sealed_lists(session) == []
 
 
@@ -124,8 +122,7 @@ def test_another_order_is_a_change(database: Database) -> None:
         Change(place=f"tracks.{TRACK}.prizes", before=["first", "second"], after=["second", "first"])
     ]
     with database.transaction() as session:
-        found = current(session)
-        assert found is not None
+        found = Contest.read(session).definition
         assert [prize.place for prize in found.tracks[TRACK].prizes] == ["second", "first"]
 
 

@@ -33,6 +33,8 @@ from vitac.server.submissions import listing
 from vitac.server.submissions.output import episode_outputs
 from vitac.server.visibility import Sight, sight_of
 
+from competitions import stored_stage
+
 STAGE = "final"
 JUDGE = Principal(role=Role.JUDGE)
 
@@ -47,7 +49,7 @@ def principal(database: Database) -> Principal:
 def sealed(database: Database, principal: Principal) -> Submission:
     """A submission whose evaluation plays the sealed list of a stage."""
     with database.transaction() as session:
-        sealing.seal(session, CONSOLE, TRACK, STAGE, b"\1" * 32)
+        sealing.seal(session, CONSOLE, stored_stage(session, TRACK, STAGE), b"\1" * 32)
         submission = submit(session, principal)
         lifecycle.cancel(session, newest_evaluation(session, submission))
         session.execute(update(Submission).values(stage=STAGE))
@@ -59,7 +61,7 @@ def sealed(database: Database, principal: Principal) -> Submission:
 
 def reveal(database: Database) -> None:
     with database.transaction() as session:
-        sealing.reveal(session, CONSOLE, TRACK, STAGE)
+        sealing.reveal(session, CONSOLE, stored_stage(session, TRACK, STAGE))
 
 
 def complete(database: Database, submission: Submission) -> None:
@@ -69,30 +71,30 @@ def complete(database: Database, submission: Submission) -> None:
 
 def test_a_stage_is_sealed_once_and_its_commitment_does_not_change(database: Database) -> None:
     with database.transaction() as session:
-        made = sealing.seal(session, CONSOLE, TRACK, STAGE)
+        made = sealing.seal(session, CONSOLE, stored_stage(session, TRACK, STAGE))
         assert commitment_of(bytes.fromhex(made.secret)) == made.commitment
-        assert sealing.seal(session, CONSOLE, TRACK, STAGE).commitment == made.commitment
-        assert sealing.seal(session, CONSOLE, TRACK, STAGE, bytes.fromhex(made.secret)) is made
+        assert sealing.seal(session, CONSOLE, stored_stage(session, TRACK, STAGE)).commitment == made.commitment
+        assert sealing.seal(session, CONSOLE, stored_stage(session, TRACK, STAGE), bytes.fromhex(made.secret)) is made
         assert [entry.action for entry in newest_entries(session)] == ["list.seal"]
         assert made.secret not in str(newest_entries(session)[0].after)
     with refused(ProblemCode.LIST_SEALED), database.transaction() as session:
-        sealing.seal(session, CONSOLE, TRACK, STAGE, b"\2" * 32)
+        sealing.seal(session, CONSOLE, stored_stage(session, TRACK, STAGE), b"\2" * 32)
 
 
 def test_other_stages_have_other_secrets(database: Database) -> None:
     with database.transaction() as session:
-        first, second = (sealing.seal(session, CONSOLE, TRACK, stage) for stage in ("one", "two"))
+        one, two, three = (stored_stage(session, TRACK, name) for name in ("one", "two", "three"))
+        first, second = (sealing.seal(session, CONSOLE, stage) for stage in (one, two))
         assert first.secret != second.secret
         assert [found.stage for found in sealing.sealed_lists(session)] == ["one", "two"]
-        assert sealing.commitment_of_stage(session, TRACK, "three") is None
-        assert sealing.commitment_of_stage(session, TRACK, "") is None
+        assert [stage.commitment for stage in (one, two, three)] == [first.commitment, second.commitment, None]
 
 
 @pytest.mark.parametrize("by", [JUDGE, Principal(role=Role.TEAM)])
 def test_only_organizers_seal_and_reveal(database: Database, by: Principal) -> None:
     for change in (sealing.seal, sealing.reveal):
         with refused(ProblemCode.FORBIDDEN), database.transaction() as session:
-            change(session, by, TRACK, STAGE)
+            change(session, by, stored_stage(session, TRACK, STAGE))
 
 
 def test_an_evaluation_of_the_stage_plays_the_sealed_list(database: Database, sealed: Submission) -> None:
@@ -179,7 +181,7 @@ def test_what_was_found_against_a_log_is_not_shown_on_a_sealed_list(
 ) -> None:
     with database.transaction() as session:
         log = submit_refuted_log(session, principal, "log")
-        newest_evaluation(session, log).commitment = sealing.commitment_of_stage(session, TRACK, STAGE)
+        newest_evaluation(session, log).commitment = stored_stage(session, TRACK, STAGE).commitment
     with database.transaction() as session:
         of_team, full = (listing.get(session, SETTINGS, by, log.id).log for by in (principal, CONSOLE))
     assert of_team is not None
@@ -217,7 +219,7 @@ def test_nothing_is_revealed_while_an_evaluation_runs(database: Database, sealed
     with database.transaction() as session:
         assert [entry.action for entry in newest_entries(session)].count("list.reveal") == 1
     with refused(ProblemCode.NOT_FOUND), database.transaction() as session:
-        sealing.reveal(session, CONSOLE, TRACK, "another")
+        sealing.reveal(session, CONSOLE, stored_stage(session, TRACK, "another"))
 
 
 def test_sight_is_by_role_and_list(database: Database, principal: Principal, sealed: Submission) -> None:
@@ -237,7 +239,7 @@ def test_sight_is_by_role_and_list(database: Database, principal: Principal, sea
 
 def test_an_episode_is_played_back_with_the_seed_of_its_list(database: Database) -> None:
     with database.transaction() as session:
-        made = sealing.seal(session, CONSOLE, TRACK, STAGE, b"\1" * 32)
+        made = sealing.seal(session, CONSOLE, stored_stage(session, TRACK, STAGE), b"\1" * 32)
         derived = sealed_track(load_track(TRACK), b"\1" * 32).tasks[TASK].episode_list.list_seed
         assert sealing.list_seed_of(session, made.commitment, TRACK, TASK) == derived
         assert sealing.list_seed_of(session, "", TRACK, TASK) is None

@@ -19,7 +19,7 @@ from submission_steps import refused
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 from vitac.server.contest import sealing
-from vitac.server.contest import stages as schedule
+from vitac.server.contest.contest import Contest
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Qualification, Submission, Team
 from vitac.server.errors import ProblemCode, ServiceError
@@ -27,10 +27,22 @@ from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE, Principal
+from vitac.server.quotas import stage_uses
 from vitac.server.submissions import creation
 from vitac.server.teams import teams
 
-from competitions import CLOSES, FIRST, LATER_CLOSES, LATER_OPENS, OPENS, SECOND, make_competition, put_in_place
+from competitions import (
+    CLOSES,
+    FIRST,
+    LATER_CLOSES,
+    LATER_OPENS,
+    OPENS,
+    SECOND,
+    make_competition,
+    put_in_place,
+    shown_stage,
+    stored_stage,
+)
 
 MODEL = SubmissionKind.MODEL
 SECOND_LONG = timedelta(seconds=1)
@@ -96,8 +108,8 @@ def test_organizers_submit_also_after_the_end_but_never_before_the_opening(
 
 def test_a_published_list_is_scored_for_nobody(database: Database, principal: Principal) -> None:
     with database.transaction() as session:
-        sealing.seal(session, CONSOLE, TRACK, SECOND)
-        sealing.reveal(session, CONSOLE, TRACK, SECOND)
+        sealing.seal(session, CONSOLE, stored_stage(session, TRACK, SECOND))
+        sealing.reveal(session, CONSOLE, stored_stage(session, TRACK, SECOND))
     qualify(database, principal)
     for by in (principal, CONSOLE):
         with refused(ProblemCode.STAGE_CLOSED):
@@ -144,7 +156,7 @@ def test_a_run_that_saw_the_sealed_list_counts_also_where_it_was_cancelled(
 ) -> None:
     qualify(database, principal)
     with database.transaction() as session:
-        sealing.seal(session, CONSOLE, TRACK, SECOND)
+        sealing.seal(session, CONSOLE, stored_stage(session, TRACK, SECOND))
     for content, sees in (("one", True), ("two", False), ("three", True)):
         found = create(database, principal, IN_SECOND, content)
         with database.transaction() as session:
@@ -196,8 +208,8 @@ def test_a_disqualified_team_submits_nothing_anywhere(database: Database, princi
 def test_tracks_without_a_competition_are_open_for_practice(database: Database) -> None:
     with database.transaction() as session:
         team = make_principal(session)
-        assert schedule.current(session) is None
-        assert schedule.shown_stage(session, TRACK) == ""
+        assert not Contest.read(session).is_held
+        assert shown_stage(session, TRACK).is_practice
     assert create(database, team, IN_FIRST).stage == ""
 
 
@@ -205,7 +217,7 @@ def test_a_track_whose_submissions_are_collected_elsewhere_is_open_for_practice(
     with database.transaction() as session:
         put_in_place(session, make_competition(taken_here=False))
         team = make_principal(session)
-        assert schedule.shown_stage(session, TRACK) == ""
+        assert shown_stage(session, TRACK).is_practice
     assert create(database, team, LATER_CLOSES).stage == ""
 
 
@@ -216,10 +228,11 @@ def test_the_board_of_the_stage_that_opened_last_is_shown(
     database: Database, principal: Principal, at: datetime, stage: str
 ) -> None:
     with database.transaction() as session:
-        assert schedule.shown_stage(session, TRACK, at=at) == stage
-        assert schedule.shown_stage(session, TRACK, FIRST, at=at) == FIRST
+        contest = Contest.read(session)
+        assert contest.shown_stage(TRACK, at=at).name == stage
+        assert contest.shown_stage(TRACK, FIRST, at=at).name == FIRST
         with refused(ProblemCode.UNKNOWN_STAGE):
-            schedule.shown_stage(session, TRACK, "stage9")
+            contest.shown_stage(TRACK, "stage9")
 
 
 def test_each_stage_has_its_board_and_disqualified_teams_are_on_none(database: Database, principal: Principal) -> None:
@@ -231,25 +244,24 @@ def test_each_stage_has_its_board_and_disqualified_teams_are_on_none(database: D
         final = creation.create(session, principal, make_upload("final", name="final"), at=IN_SECOND)[0]
         complete_scored(session, final, {TASK: make_score(30)})
     with database.transaction() as session:
-        names = [entry.submission_name for entry in leaderboard(session, TRACK, stage=FIRST).view.entries]
-        assert names == ["first", "other"]
-        view = leaderboard(session, TRACK, stage=SECOND).view
+        one, two = (shown_stage(session, TRACK, name) for name in (FIRST, SECOND))
+        assert [entry.submission_name for entry in leaderboard(session, one).view.entries] == ["first", "other"]
+        view = leaderboard(session, two).view
         assert [(entry.submission_name, view.stage) for entry in view.entries] == [("final", SECOND)]
         assert view.list_kind is ListKind.PUBLIC
-        sealing.seal(session, CONSOLE, TRACK, SECOND)
-        assert leaderboard(session, TRACK, stage=SECOND).view.list_kind is ListKind.SEALED
-        assert leaderboard(session, TRACK, stage=FIRST).view.list_kind is ListKind.PUBLIC
+        sealing.seal(session, CONSOLE, two)
+        assert leaderboard(session, two).view.list_kind is ListKind.SEALED
+        assert leaderboard(session, one).view.list_kind is ListKind.PUBLIC
         team = session.get_one(Team, principal.team_id)
         team.disqualified_at, team.disqualified_for = IN_SECOND, "two accounts"
         session.flush()
-        names = [entry.submission_name for entry in leaderboard(session, TRACK, stage=FIRST).view.entries]
-        assert names == ["other"]
+        assert [entry.submission_name for entry in leaderboard(session, one).view.entries] == ["other"]
 
 
 def test_a_team_learns_what_it_may_still_have_in_the_open_stages(database: Database, principal: Principal) -> None:
     def uses(at: datetime) -> list[tuple[str, str, int | None, int]]:
         with database.transaction() as session:
-            found = schedule.stage_quota_uses(session, teams.own(session, principal), at)
+            found = stage_uses(session, teams.own(session, principal), at)
         return [(use.stage, use.quota, use.limit, use.used) for use in found]
 
     assert uses(OPENS - SECOND_LONG) == uses(CLOSES) == []

@@ -11,7 +11,7 @@ from vitac.server.db.models import Competition
 from vitac.server.errors import ProblemCode
 from vitac.server.principals import CONSOLE
 
-from competitions import FIRST, OPENS, SECOND, make_competition, put_in_place
+from competitions import FIRST, OPENS, SECOND, make_competition, put_in_place, stored_stage
 
 WINNER = {
     "track": TRACK, "place": "first", "rank": 1, "team": "Ants", "amount": 5, "currency": "USD", "note": None,
@@ -25,7 +25,7 @@ def prepared(database: Database) -> Database:
         content = make_competition(prizes=[{"place": "first", "amount": 5}], appeal_days=3)
         content["tracks"][TRACK]["judging"] = {"criteria": [{"name": "idea", "title": "The idea"}]}
         put_in_place(session, content)
-        sealing.seal(session, CONSOLE, TRACK, SECOND)
+        sealing.seal(session, CONSOLE, stored_stage(session, TRACK, SECOND))
     return database
 
 
@@ -50,12 +50,12 @@ def test_the_stages_of_a_track_are_those_of_the_competition(prepared: Database) 
     with prepared.transaction() as session:
         at = OPENS + timedelta(days=1)
         assert track_stages(session, TRACK, at) == competition_view(session, at).tracks[0].stages
-        assert track_stages(session, "track_3") == ()
+        assert track_stages(session, "track_3") == []
 
 
 def test_after_the_reveal_the_secret_is_published(prepared: Database) -> None:
     with prepared.transaction() as session:
-        made = sealing.reveal(session, CONSOLE, TRACK, SECOND)
+        made = sealing.reveal(session, CONSOLE, stored_stage(session, TRACK, SECOND))
         assert competition_view(session).tracks[0].stages[1].secret == made.secret
 
 

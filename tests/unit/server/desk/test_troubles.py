@@ -114,7 +114,7 @@ def state_of(found: StageState) -> tuple[str, str, int | None, int, int, bool]:
 
 
 def test_stages_tell_how_far_they_are(session: Session) -> None:
-    assert stages(session) == ()
+    assert stages(session) == []
     put_in_place(session, make_competition())
     desk = Desk(session)
     for minute in range(3):

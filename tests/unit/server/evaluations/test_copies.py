@@ -29,6 +29,8 @@ from vitac.server.submissions import creation
 from vitac.server.teams.shown_names import ShownNames
 from vitac.server.views.logs import LogCopyView
 
+from competitions import shown_stage
+
 CLAIM = LogClaim(team=None, episodes=270, successes=270, success_rate=1.0, mean_steps=3.0)
 
 
@@ -97,7 +99,10 @@ def found(database: Database, *submissions: Submission) -> list[LogCopyView | No
 
 def ranks(database: Database) -> Mapping[str, int | None]:
     with database.transaction() as session:
-        return {entry.team: entry.rank for entry in log_boards(session, "track_1").view.boards[0].entries}
+        return {
+            entry.team: entry.rank
+            for entry in log_boards(session, shown_stage(session, "track_1")).view.boards[0].entries
+        }
 
 
 @pytest.mark.parametrize("theirs", [SubmissionKind.LOG, SubmissionKind.MODEL, SubmissionKind.TEXT_LOG])

@@ -24,14 +24,14 @@ from vitac.server.principals import CONSOLE
 from vitac.server.prizes.finishing import finalize
 from vitac.server.submissions import creation, runs
 
-from competitions import FIRST, SECOND, make_competition, moved, put_in_place
+from competitions import FIRST, SECOND, make_competition, moved, put_in_place, stored_stage
 
 AT = datetime(2031, 1, 3, tzinfo=UTC)
 Decision = Callable[[Session], object]
 
 
 def advance(session: Session) -> object:
-    return confirm(session, CONSOLE, TRACK, SECOND)
+    return confirm(session, CONSOLE, stored_stage(session, TRACK, SECOND))
 
 
 @pytest.fixture

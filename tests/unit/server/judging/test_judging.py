@@ -17,7 +17,7 @@ from vitac.server.judging.judging import JudgedTeam, declare_conflict, give_mark
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.teams import merging, teams
 
-from competitions import make_competition, open_now, put_in_place
+from competitions import make_competition, open_now, put_in_place, shown_stage
 
 MARKS = {"structure": 8.0, "clarity": 6.0}
 JUDGE = Principal(role=Role.JUDGE, token_id=UUID(int=7), judge_name="Dr. Y")
@@ -48,7 +48,7 @@ def mark(
 
 def shown(database: Database) -> dict[str, JudgedTeam]:
     with database.transaction() as session:
-        return {team.team: team for team in judged(session, CONSOLE, TRACK)}
+        return {team.team: team for team in judged(session, CONSOLE, shown_stage(session, TRACK))}
 
 
 def test_marks_of_two_judges_make_mean_spread_and_total(database: Database, stage: dict[str, Submission]) -> None:
@@ -151,9 +151,9 @@ def test_what_is_no_judgement_is_refused(database: Database, stage: dict[str, Su
     team = Principal(role=Role.TEAM, team_id=stage["Ants"].team_id, team_name="Ants")
     refuse(ProblemCode.FORBIDDEN, by=team)
     with refused(ProblemCode.FORBIDDEN), database.transaction() as session:
-        judged(session, JUDGE, TRACK)
+        judged(session, JUDGE, shown_stage(session, TRACK))
     with refused(ProblemCode.INVALID_REQUEST), database.transaction() as session:
-        judged(session, CONSOLE, "track_2")
+        judged(session, CONSOLE, shown_stage(session, "track_2"))
     with database.transaction() as session:
         row = session.get_one(Competition, 1)
         row.finalized_at, row.winners = row.applied_at, []

@@ -16,7 +16,7 @@ from vitac.server.judging.judging import declare_conflict, give_marks
 from vitac.server.judging.sheet import Sheet, SheetEntry, sheets
 from vitac.server.principals import CONSOLE, VISITOR, Principal
 
-from competitions import make_competition, open_now, put_in_place
+from competitions import make_competition, open_now, put_in_place, stored_stage
 
 JUDGE = Principal(role=Role.JUDGE, token_id=UUID(int=7), judge_name="Dr. Y")
 SENSORS = "track_3"
@@ -86,7 +86,7 @@ def test_judges_see_figures_their_own_marks_and_their_own_conflict(database: Dat
 
 def test_figures_of_starts_on_a_sealed_list_are_for_organizers(database: Database, measured: Submission) -> None:
     with database.transaction() as session:
-        commitment = sealing.seal(session, CONSOLE, SENSORS, "stage1").commitment
+        commitment = sealing.seal(session, CONSOLE, stored_stage(session, SENSORS, "stage1")).commitment
         session.execute(update(Evaluation).values(commitment=commitment))
     keep_figures(database, measured, commitment)
     judges, organizers = (seen(database, by)[1].figures for by in (JUDGE, CONSOLE))

@@ -20,6 +20,8 @@ from vitac.server.leaderboards.best_entries import Board, best_entries, places
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
 
+from competitions import shown_stage
+
 TEAMS = 4
 BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
 
@@ -116,9 +118,9 @@ def many_results(address_of_many_results: str) -> Iterator[Database]:
 
 def test_boards_read_the_best_of_each_team_and_not_all_results(many_results: Database) -> None:
     for read in (
-        lambda session: leaderboard(session, TRACK),
-        lambda session: leaderboard(session, TRACK, task=TASK),
-        lambda session: log_boards(session, TRACK),
+        lambda session: leaderboard(session, shown_stage(session, TRACK)),
+        lambda session: leaderboard(session, shown_stage(session, TRACK), task=TASK),
+        lambda session: log_boards(session, shown_stage(session, TRACK)),
         lambda session: places(session, Board(track=TRACK)),
     ):
         with many_results.transaction() as session, database_work(session) as work:
@@ -131,13 +133,21 @@ def test_boards_read_the_best_of_each_team_and_not_all_results(many_results: Dat
 
 def test_as_long_as_nothing_changes_boards_and_places_cost_one_small_statement(many_results: Database) -> None:
     with many_results.transaction() as session:
-        first = places(session, Board(track=TRACK)), leaderboard(session, TRACK).view, log_boards(session, TRACK).view
+        first = (
+            places(session, Board(track=TRACK)),
+            leaderboard(session, shown_stage(session, TRACK)).view,
+            log_boards(session, shown_stage(session, TRACK)).view,
+        )
     with many_results.transaction() as session, database_work(session) as work:
         found = places(session, Board(track=TRACK))
     assert (work.statements, work.rows_read["board_results"]) == (1, 0)
     best = {place.rank: submission for submission, place in found[TASK].items()}
     with many_results.transaction() as session, database_work(session) as work:
-        again = places(session, Board(track=TRACK)), leaderboard(session, TRACK).view, log_boards(session, TRACK).view
+        again = (
+            places(session, Board(track=TRACK)),
+            leaderboard(session, shown_stage(session, TRACK)).view,
+            log_boards(session, shown_stage(session, TRACK)).view,
+        )
         entries = best_entries(session, Board(track=TRACK, task=TASK))
     assert again == first
     assert work.rows_read["board_results"] <= 2 * 10, "those of the last call, which keeps nothing"
@@ -146,11 +156,11 @@ def test_as_long_as_nothing_changes_boards_and_places_cost_one_small_statement(m
 
 def test_a_new_entry_is_all_that_is_read_for_a_board_that_was_made_before(many_results: Database) -> None:
     with many_results.transaction() as session:
-        before = leaderboard(session, TRACK).view
+        before = leaderboard(session, shown_stage(session, TRACK)).view
         team = session.scalars(select(Team).where(Team.name == "Team 3")).one()
         add_result(session, 1000, team, {TASK: make_score(99), LOCK: make_score(99)}, BEGIN)
     with many_results.transaction() as session, database_work(session) as work:
-        after = leaderboard(session, TRACK).view
+        after = leaderboard(session, shown_stage(session, TRACK)).view
     assert work.rows_read["evaluations"] <= 1
     assert [entry.rank for entry in after.entries] == list(range(1, 11))
     assert [entry.team for entry in after.entries] == [
@@ -159,5 +169,5 @@ def test_a_new_entry_is_all_that_is_read_for_a_board_that_was_made_before(many_r
     ]
     with many_results.transaction() as session:
         standings._made_boards._made.clear()
-        anew = leaderboard(session, TRACK).view
+        anew = leaderboard(session, shown_stage(session, TRACK)).view
     assert after.model_copy(update={"generated_at": anew.generated_at}) == anew

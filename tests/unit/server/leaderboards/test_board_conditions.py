@@ -1,5 +1,6 @@
 """What is on a board and what is not, condition by condition: each of them was once left out to see a test fail."""
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 from uuid import UUID
@@ -13,7 +14,7 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import ALL_TASKS, Evaluation, Team
 from vitac.server.db.states import Role
 from vitac.server.leaderboards import history
-from vitac.server.leaderboards.best_entries import EVER, BestEntry, Board, best_entries, places
+from vitac.server.leaderboards.best_entries import BestEntry, Board, best_entries, places
 from vitac.server.leaderboards.history import past_results
 from vitac.server.leaderboards.log_boards import MAX_TEXT_LOGS, _newest_text_logs
 from vitac.server.principals import Principal
@@ -69,8 +70,8 @@ def session(database: Database) -> Any:
         opened.rollback()
 
 
-def placed_on_pegs(results: Results, until: datetime = EVER) -> list[UUID]:
-    found = places(results.session, Board(track=TRACK), until=until)[TASK]
+def placed_on_pegs(results: Results, until: datetime = Board.until) -> list[UUID]:
+    found = places(results.session, Board(track=TRACK, until=until))[TASK]
     assert [place.rank for place in found.values()] == list(range(1, len(found) + 1))
     assert {place.of for place in found.values()} <= {len(found)}
     return list(found)
@@ -98,12 +99,12 @@ def test_a_result_counts_from_the_moment_it_is_complete(results: Results) -> Non
     in_time = results.add("In time", 10, finished_at=UNTIL)
     late = results.add("Late", 90, finished_at=UNTIL + timedelta(microseconds=1))
     better = results.add("In time", 80, finished_at=UNTIL + timedelta(seconds=1))
-    assert results.shown(best_entries(results.session, PEGS, until=UNTIL)) == [(1, "In time")]
+    assert results.shown(best_entries(results.session, replace(PEGS, until=UNTIL))) == [(1, "In time")]
     assert placed_on_pegs(results, UNTIL) == [in_time.submission_id]
     assert results.shown(best_entries(results.session, PEGS)) == [(1, "Late"), (2, "In time")]
     assert placed_on_pegs(results) == [late.submission_id, better.submission_id]
     results.add("Older", 99, finished_at=UNTIL + timedelta(seconds=1), evaluator_version=OLD)
-    assert results.shown(best_entries(results.session, PEGS, until=UNTIL)) == [(1, "In time")]
+    assert results.shown(best_entries(results.session, replace(PEGS, until=UNTIL))) == [(1, "In time")]
 
 
 def test_other_versions_and_copies_follow_unranked_where_a_team_has_nothing_better(results: Results) -> None:
@@ -130,8 +131,8 @@ def test_a_rank_on_another_board_hides_nothing_on_this_one(results: Results) -> 
     assert results.shown(best_entries(results.session, PEGS)) == [(1, "Ours")]
     for elsewhere in ({"track": "track_2"}, {"stage": "final"}, {"kind": SubmissionKind.LOG}, {"finished_at": UNTIL}):
         results.change(moved, **before | elsewhere)
-        until = UNTIL - timedelta(seconds=1) if "finished_at" in elsewhere else EVER
-        assert results.shown(best_entries(results.session, PEGS, until=until)) == [(None, "Ours")], elsewhere
+        until = UNTIL - timedelta(seconds=1) if "finished_at" in elsewhere else Board.until
+        assert results.shown(best_entries(results.session, replace(PEGS, until=until))) == [(None, "Ours")], elsewhere
     results.change(moved, **before, board=LOCK)
     assert results.shown(best_entries(results.session, PEGS)) == [(None, "Ours")]
 
@@ -198,7 +199,7 @@ def test_equal_entries_stand_in_the_order_of_their_ids(results: Results) -> None
 
 
 def newest_text_logs(results: Results, **changes: Any) -> list[UUID]:
-    named = {"track": TRACK, "stage": "", "until": EVER, "at_most": MAX_TEXT_LOGS} | changes
+    named = {"track": TRACK, "stage": "", "until": Board.until, "at_most": MAX_TEXT_LOGS} | changes
     return list(results.session.scalars(_newest_text_logs(), named))
 
 

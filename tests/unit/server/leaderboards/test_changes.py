@@ -15,6 +15,8 @@ from vitac.server.leaderboards.changes import forget_old_notes, kept_until_chang
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
 
+from competitions import shown_stage
+
 Change = Callable[[Session], object]
 
 
@@ -121,9 +123,12 @@ def test_boards_and_places_follow_a_disqualification_and_a_new_best_result(score
             names = {submission: session.get_one(Submission, submission).name for submission in found}
             ranked = sorted(found, key=lambda submission: found[submission].rank)
             assert {place.of for place in found.values()} <= {len(found)}
-            log_boards(session, TRACK)
+            log_boards(session, shown_stage(session, TRACK))
             return [
-                [entry.submission_name for entry in leaderboard(session, TRACK, task=TASK).view.entries],
+                [
+                    entry.submission_name
+                    for entry in leaderboard(session, shown_stage(session, TRACK), task=TASK).view.entries
+                ],
                 [names[submission] for submission in ranked],
             ]
 

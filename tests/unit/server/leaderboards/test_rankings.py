@@ -12,7 +12,7 @@ from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.logs.claims import LogClaim
 
-from competitions import OPENS, make_competition, open_now, put_in_place
+from competitions import OPENS, make_competition, open_now, put_in_place, shown_stage
 
 CLAIM = LogClaim(team=None, episodes=270, successes=270, success_rate=1.0, mean_steps=3.0)
 SCORES = {"A": (50, 4.0), "B": (50, 3.0), "C": (60, 5.0), "D": (0, None), "E": (60, 5.0)}
@@ -47,7 +47,7 @@ def key_of(name: str, ranking: tuple[RankingKey, ...]) -> tuple[float, ...]:
 def test_entries_are_compared_key_by_key(filled: Database, ranking: tuple[RankingKey, ...]) -> None:
     with filled.transaction() as session:
         entries = best_entries(session, Board(track=TRACK, task=TASK, ranking=ranking))
-        board = leaderboard(session, TRACK, task=TASK).view
+        board = leaderboard(session, shown_stage(session, TRACK), task=TASK).view
         name_of = {entry.submission_id: entry.submission_name for entry in board.entries}
         shown = [name_of[entry.submission_id] for entry in entries]
         assert shown == sorted(SCORES, key=lambda name: key_of(name, ranking))
@@ -68,7 +68,7 @@ def test_the_file_of_a_competition_says_what_counts(database: Database) -> None:
             team = make_principal(session, f"Team {name}")
             submit_scored(session, team, name, {TASK: make_score(successes, mean_steps=steps)}, at=OPENS)
     with database.transaction() as session:
-        view = leaderboard(session, TRACK, task=TASK).view
+        view = leaderboard(session, shown_stage(session, TRACK), task=TASK).view
     assert [entry.submission_name for entry in view.entries][:2] == ["B", "A"]
     assert view.ranking_rule.startswith("First comes fewer mean env steps of the successful episodes; then higher")
     assert view.ranking_rule.endswith("The earlier submission is in front.")
@@ -84,8 +84,8 @@ def test_logs_are_compared_by_the_keys_of_the_competition_too(database: Database
             team = make_principal(session, f"Team {name}")
             submit_scored(session, team, name, scores, kind=SubmissionKind.LOG, manifest=CLAIM.stored())
     with database.transaction() as session:
-        view = log_boards(session, TRACK).view
-        same = leaderboard(session, TRACK, task=TASK, kind=SubmissionKind.LOG).view.entries
+        view = log_boards(session, shown_stage(session, TRACK)).view
+        same = leaderboard(session, shown_stage(session, TRACK), task=TASK, kind=SubmissionKind.LOG).view.entries
     board = next(board for board in view.boards if board.task == TASK)
     assert [entry.submission_name for entry in board.entries][:2] == ["B", "A"]
     assert [entry.evaluation_id for entry in same] == [entry.evaluation_id for entry in board.entries]

@@ -19,10 +19,12 @@ from vitac.server.submissions import listing, runs
 from vitac.server.views.leaderboards import LeaderboardView
 from vitac.server.views.submissions import RankView
 
+from competitions import shown_stage
+
 
 def board_of(database: Database, task: str | None = None) -> LeaderboardView:
     with database.transaction() as session:
-        return leaderboard(session, TRACK, task=task).view
+        return leaderboard(session, shown_stage(session, TRACK), task=task).view
 
 
 def standings(board: LeaderboardView) -> list[tuple[int | None, str, str]]:

@@ -44,6 +44,8 @@ from vitac.server.principals import CONSOLE
 from vitac.server.queue.leases import Lease
 from vitac.server.submissions import creation
 
+from competitions import shown_stage, stored_stage
+
 
 @pytest.fixture
 def service(database: Database, tmp_path: Path) -> Any:
@@ -312,9 +314,9 @@ def test_text_log_is_listed_with_both_rates_and_never_ranked(service: Service) -
 def test_text_logs_of_a_disqualified_team_are_not_listed(service: Service) -> None:
     play_all(service.database, uploaded(service, a_text_log(), "text_log"))
     with service.database.transaction() as session:
-        assert len(log_boards.log_boards(session, "track_1").view.text_logs) == 1
+        assert len(log_boards.log_boards(session, shown_stage(session, "track_1")).view.text_logs) == 1
         session.execute(update(Team).values(disqualified_at=datetime.now(UTC), disqualified_for="two accounts"))
-        assert log_boards.log_boards(session, "track_1").view.text_logs == []
+        assert log_boards.log_boards(session, shown_stage(session, "track_1")).view.text_logs == []
 
 
 def test_only_the_newest_text_logs_are_loaded(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -325,7 +327,7 @@ def test_only_the_newest_text_logs_are_loaded(service: Service, monkeypatch: pyt
     loaded: list[Evaluation] = []
     with service.database.transaction() as session:
         event.listen(session, "loaded_as_persistent", lambda _, found: loaded.append(found))
-        shown = log_boards.log_boards(session, "track_1").view.text_logs
+        shown = log_boards.log_boards(session, shown_stage(session, "track_1")).view.text_logs
     assert [entry.claimed_success_rate for entry in shown] == [0.0479, 0.048]
     evaluations = [found for found in loaded if isinstance(found, Evaluation)]
     assert len(evaluations) == 2
@@ -375,7 +377,7 @@ def test_a_model_on_a_sealed_list_is_not_compared_with_a_log_of_the_public_one(s
     log, model = resimulated(service, a_log()), with_model(service)
     assert len(service.get(f"/submissions/{log.id}/action-matches").json()) == 1
     with service.database.transaction() as session:
-        made = sealing.seal(session, CONSOLE, model.track, "final")
+        made = sealing.seal(session, CONSOLE, stored_stage(session, model.track, "final"))
         session.execute(
             update(Evaluation).where(Evaluation.submission_id == model.id).values(commitment=made.commitment)
         )

@@ -1,17 +1,16 @@
 from datetime import UTC, datetime, timedelta
 
-from service_factories import TASK, TRACK, make_principal, make_score, make_settings, submit, submit_scored
+from service_factories import TASK, make_principal, make_score, make_settings, submit, submit_scored
 from submission_steps import refused
 from vitac.server import tokens
 from vitac.server.audit import newest_entries
 from vitac.server.db.engine import Database
 from vitac.server.errors import ProblemCode
-from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.members.registration import NewTeam, register
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.teams import teams
 
-from competitions import make_competition, put_in_place
+from competitions import make_competition, put_in_place, teams_on_board
 
 
 def registered(database: Database, name: str, by: Principal | None = None) -> str:
@@ -64,13 +63,13 @@ def test_a_team_is_renamed_as_boards_show_at_once(database: Database) -> None:
         make_principal(session, "Bees")
         submit_scored(session, ants, "one", {TASK: make_score(50)})
         team = teams.own(session, ants)
-        assert [entry.team for entry in leaderboard(session, TRACK, task=TASK).view.entries] == ["Ants"]
+        assert teams_on_board(session, task=TASK) == ["Ants"]
         for taken in ("bees", "B\u0435es"):
             with refused(ProblemCode.TEAM_EXISTS):
                 teams.rename(session, CONSOLE, team, taken)
         with refused(ProblemCode.FORBIDDEN):
             teams.rename(session, ants, team, "Wasps")
         teams.rename(session, CONSOLE, team, "ANTS")
-        assert [entry.team for entry in leaderboard(session, TRACK, task=TASK).view.entries] == ["ANTS"]
+        assert teams_on_board(session, task=TASK) == ["ANTS"]
         found = newest_entries(session, 1)[0]
         assert (found.action, found.before, found.after) == ("team.rename", {"name": "Ants"}, {"name": "ANTS"})

@@ -6,6 +6,7 @@ import pytest
 from service_factories import TASK, TRACK, make_principal, make_score, make_upload, outdate, submit_scored
 from submission_steps import SETTINGS, refused
 from vitac.server.audit import newest_entries
+from vitac.server.contest.freezing import freeze, unfreeze
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Competition
 from vitac.server.db.states import Role
@@ -14,11 +15,11 @@ from vitac.server.judging.judging import give_marks
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.prizes.finishing import Winner, finalize, freeze, unfreeze, winners
+from vitac.server.prizes.finishing import Winner, finalize, winners
 from vitac.server.publishing.publishing import result_files
 from vitac.server.submissions import creation, listing
 
-from competitions import FIRST, SECOND, make_competition, moved, open_now, put_in_place
+from competitions import FIRST, SECOND, make_competition, moved, open_now, put_in_place, shown_stage, teams_on_board
 
 PRIZES = [
     {"place": "first", "amount": 2000, "winners": 1, "note": "a talk"},
@@ -51,7 +52,7 @@ def close(database: Database) -> None:
 
 def names_on_board(database: Database, *, live: bool = False) -> list[str]:
     with database.transaction() as session:
-        return [entry.team for entry in leaderboard(session, TRACK, live=live).view.entries]
+        return [entry.team for entry in leaderboard(session, shown_stage(session, TRACK), live=live).view.entries]
 
 
 def table(found: list[Winner]) -> list[tuple[str, str, int]]:
@@ -80,10 +81,10 @@ def test_a_frozen_board_stands_still_for_all_but_organizers(played: Database) ->
     assert names_on_board(played) == list(SUCCESSES)
     assert names_on_board(played, live=True) == ["Eels", *SUCCESSES]
     with played.transaction() as session:
-        view = leaderboard(session, TRACK).view
+        view = leaderboard(session, shown_stage(session, TRACK)).view
         assert view.frozen_at is not None
-        assert leaderboard(session, TRACK, live=True).view.frozen_at is None
-        assert log_boards(session, TRACK).view.boards[0].entries == []
+        assert leaderboard(session, shown_stage(session, TRACK), live=True).view.frozen_at is None
+        assert log_boards(session, shown_stage(session, TRACK)).view.boards[0].entries == []
         shown = {by: listing.get(session, SETTINGS, by, submission.id).rank for by in (late, CONSOLE)}
         assert shown[late] is None
         assert shown[CONSOLE] is not None
@@ -144,8 +145,8 @@ def test_the_last_stage_decides_and_tracks_elsewhere_have_no_winners_here(databa
         put_in_place(session, open_now(content, stage=1))
         submit_scored(session, bees, "second stage", {TASK: make_score(50)})
         assert table(winners(session)) == [("Bees", "first", 2000)]
-        assert [entry.team for entry in leaderboard(session, TRACK, stage=FIRST).view.entries] == ["Ants"]
-        assert leaderboard(session, TRACK).view.stage == SECOND
+        assert teams_on_board(session, FIRST) == ["Ants"]
+        assert leaderboard(session, shown_stage(session, TRACK)).view.stage == SECOND
 
 
 def test_a_judged_track_is_won_by_total_once_every_ranked_team_has_one(played: Database) -> None:
@@ -157,7 +158,7 @@ def test_a_judged_track_is_won_by_total_once_every_ranked_team_has_one(played: D
     }
     with played.transaction() as session:
         put_in_place(session, content)
-        of_team = {entry.team: entry for entry in leaderboard(session, TRACK).view.entries}
+        of_team = {entry.team: entry for entry in leaderboard(session, shown_stage(session, TRACK)).view.entries}
     # Success is 0.45, 0.4, 0.375 and 0.05; these marks make 0.325, 0.7, 0.5875 and 0.325.
     marks = {"Dogs": 6.0, "Cats": 8.0, "Bees": 10.0, "Ants": 2.0}
     for n_judged, (team, mark) in enumerate(marks.items()):

@@ -11,7 +11,6 @@ from vitac.evaluator import version
 from vitac.evaluator.tracks import Track, UnknownTrack
 from vitac.evaluator.version import evaluator_version
 from vitac.server.audit import newest_entries
-from vitac.server.contest.stages import current
 from vitac.server.contest.view import competition_view, disqualified_since_the_end
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Competition, Evaluation, Submission
@@ -29,7 +28,7 @@ from vitac.server.teams import teams
 from vitac.server.teams.teams import disqualify, reinstate
 from vitac.server.views.leaderboards import LeaderboardView
 
-from competitions import make_competition, moved, open_now, put_in_place
+from competitions import make_competition, moved, open_now, put_in_place, shown_stage, teams_on_board
 
 PRIZES = [{"place": "first", "amount": 2000, "winners": 1}, {"place": "second", "amount": 1000, "winners": 1}]
 
@@ -53,10 +52,9 @@ def final(database: Database) -> Database:
 
 def submit_late(session: Session) -> Submission:
     """A result of the Bees that would lead, from within the stage, but complete only after the end."""
-    bees, competition = teams.find(session, "Bees"), current(session)
-    assert competition is not None
+    bees = teams.find(session, "Bees")
     by = Principal(role=Role.TEAM, team_id=bees.id, team_name=bees.name, leads_team=True)
-    opened = competition.tracks[TRACK].stages[0].opens
+    opened = shown_stage(session, TRACK).rules.opens
     return submit_scored(session, by, "after the end", {TASK: make_score(99)}, at=opened + timedelta(seconds=1))
 
 
@@ -83,16 +81,16 @@ def test_the_boards_stay_as_they_are_after_an_upgrade_of_the_evaluator(
     with final.transaction() as session:
         (kept,) = archive_view(session).boards
         for live in (False, True):
-            board = leaderboard(session, TRACK, live=live).view
+            board = leaderboard(session, shown_stage(session, TRACK), live=live).view
             assert board.entries == kept.entries
             assert (board.evaluator_version, board.final_since) == (before, kept.final_since)
             assert board.final_since == competition_view(session).finalized_at
-        of_task = leaderboard(session, TRACK, task=TASK).view
+        of_task = leaderboard(session, shown_stage(session, TRACK), task=TASK).view
         assert [(entry.team, entry.rank, entry.stale) for entry in of_task.entries] == [
             ("Ants", 1, False),
             ("Bees", 2, False),
         ]
-        logs = log_boards(session, TRACK).view
+        logs = log_boards(session, shown_stage(session, TRACK)).view
         assert (logs.final_since, logs.evaluator_version) == (kept.final_since, before)
         ranks = [row["rank"] for row in csv.DictReader(io.StringIO(result_files(session)["results.csv"]))]
         assert ranks == ["1", "2"]
@@ -106,14 +104,14 @@ def test_a_later_result_of_the_same_version_changes_no_final_board(final: Databa
     with final.transaction() as session:
         submit_late(session)
     with final.transaction() as session:
-        assert [entry.team for entry in leaderboard(session, TRACK).view.entries] == ["Ants", "Bees"]
+        assert teams_on_board(session) == ["Ants", "Bees"]
 
 
 def test_a_competition_that_was_final_before_boards_were_kept_ranks_by_the_present_version(final: Database) -> None:
     with final.transaction() as session:
         session.execute(update(Competition).values(boards=null()))
         session.expire_all()
-        found = leaderboard(session, TRACK).view
+        found = leaderboard(session, shown_stage(session, TRACK)).view
     assert [entry.rank for entry in found.entries] == [1, 2]
     assert found.evaluator_version == evaluator_version()
 
@@ -143,7 +141,7 @@ def test_a_team_disqualified_after_the_end_stays_until_the_results_are_finalized
         assert (struck.boards, struck.competition.winners) == (before.boards, before.competition.winners)
         assert [each.team for each in struck.competition.disqualified] == ["Ants"]
         assert "two accounts" not in struck.model_dump_json(), "the reason is told to the team"
-        assert [entry.team for entry in leaderboard(session, TRACK).view.entries] == ["Bees"]
+        assert teams_on_board(session) == ["Bees"]
         with pytest.raises(ServiceError, match=r"got Ants, disqualified after the end; .*--again"):
             result_files(session)
     assert again(final) == [("Bees", "first", 1)]

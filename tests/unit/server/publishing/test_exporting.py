@@ -33,6 +33,8 @@ from vitac.server.submissions.files import add_files
 from vitac.server.teams import teams
 from vitac.server.uploads.checked_upload import UploadedFile
 
+from competitions import shown_stage
+
 SEED = 1
 SENSOR_TASK = "sensor-standard"
 CLAIM = LogClaim(team=None, episodes=270, successes=270, success_rate=1.0, mean_steps=3.0)
@@ -132,7 +134,7 @@ def exported(database: Database, blobs: BlobStore, tmp_path: Path) -> Exported:
             session.expire_all()
             kind = SubmissionKind.LOG if of_logs else SubmissionKind.MODEL
             track, task = (TRACK, TASK) if of_logs else ("track_3", SENSOR_TASK)
-            export_receipts(session, blobs, path, track, task=task, kind=kind)
+            export_receipts(session, blobs, path, shown_stage(session, track), task=task, kind=kind)
         return path
 
     return write
@@ -262,5 +264,5 @@ def test_logs_are_exported_task_by_task_and_text_logs_not(database: Database, bl
     with database.transaction() as session:
         for kind, message in ((SubmissionKind.LOG, "name one of peg-insertion"), (SubmissionKind.TEXT_LOG, "no board")):
             with pytest.raises(ServiceError, match=message):
-                export_receipts(session, blobs, tmp_path / "logs.zip", TRACK, kind=kind)
+                export_receipts(session, blobs, tmp_path / "logs.zip", shown_stage(session, TRACK), kind=kind)
     assert not (tmp_path / "logs.zip").exists()

@@ -31,6 +31,8 @@ from vitac.server.rejudging import rejudging
 from vitac.server.storage.blobs import BlobStore
 from vitac.server.teams import merging, teams
 
+from competitions import shown_stage
+
 SEED = 1
 ADDED = {"kind", "receipts", "last", "teams", "set_aside", "copies"}
 """What the second format of exports says."""
@@ -79,7 +81,7 @@ def audited(
             else:
                 session.execute(change)
         session.expire_all()
-        export_receipts(session, NO_FILES, folder / "board.zip", TRACK, task=TASK)
+        export_receipts(session, NO_FILES, folder / "board.zip", shown_stage(session, TRACK), task=TASK)
     return audit(folder / "board.zip", **({"episodes": 0} | options))
 
 
@@ -113,7 +115,7 @@ def test_an_untouched_board_is_found_right_and_a_sampled_episode_gives_the_same_
     assert len(other.findings) == 1, "the other records are made up, which only the physics tells"
     assert "diverge" in other.findings[0].lower() or "differs" in other.findings[0].lower()
     with pytest.raises(ResultsNotWritten, match="Name a new file"), database.transaction() as session:
-        export_receipts(session, NO_FILES, tmp_path / "board.zip", TRACK)
+        export_receipts(session, NO_FILES, tmp_path / "board.zip", shown_stage(session, TRACK))
 
 
 SCORE = "UPDATE {} SET success_rate = 1, mean_steps = 1 WHERE {}"
@@ -229,7 +231,7 @@ def test_what_organizers_did_with_teams_is_told_and_is_no_finding(database: Data
 def test_a_policy_that_failed_in_a_rejudgement_is_told_and_is_no_finding(database: Database, tmp_path: Path) -> None:
     def rejudged(session: Session) -> None:
         chosen = session.scalars(select(Submission.id).join(Team).where(Team.name == "Ants")).all()
-        made = rejudging.start(session, CONSOLE, track=TRACK, submissions=chosen, reason="in doubt")
+        made = rejudging.start(session, CONSOLE, shown_stage(session, TRACK), submissions=chosen, reason="in doubt")
         failed = {"state": EvaluationState.FAILED, "verdict_code": "crashed", "finished_at": func.now()}
         session.execute(update(Evaluation).where(Evaluation.rejudgement_id == made.id).values(failed))
         rejudging.apply(session, CONSOLE, made.id)

@@ -39,13 +39,13 @@ from vitac.server.rejudging import rejudging
 from vitac.server.rejudging.comparison import RejudgedSubmission, comparison
 from vitac.server.submissions import creation, runs
 
-from competitions import make_competition, open_now, put_in_place
+from competitions import make_competition, open_now, put_in_place, shown_stage
 
 
 def standings(database: Database) -> list[tuple[str, int | None, float]]:
     """Teams of the board with rank and success rate, those of other versions last."""
     with database.transaction() as session:
-        entries = leaderboard(session, TRACK, task=TASK).view.entries
+        entries = leaderboard(session, shown_stage(session, TRACK), task=TASK).view.entries
         return [(entry.team, entry.rank, entry.success_rate) for entry in entries]
 
 
@@ -73,7 +73,9 @@ def upgraded(database: Database) -> dict[str, Submission]:
 def start(database: Database, *submissions: Submission) -> UUID:
     with database.transaction() as session:
         ids = [submission.id for submission in submissions]
-        return rejudging.start(session, CONSOLE, track=TRACK, submissions=ids, reason="the new evaluator").id
+        return rejudging.start(
+            session, CONSOLE, shown_stage(session, TRACK), submissions=ids, reason="the new evaluator"
+        ).id
 
 
 def play_proposed(database: Database, rejudgement: UUID, **plays: RecordOf) -> None:
@@ -195,7 +197,8 @@ def test_a_policy_that_fails_now_leaves_the_board_and_lost_machines_change_nothi
 def test_what_cannot_be_rejudged_is_refused(database: Database, upgraded: dict[str, Submission]) -> None:
     def refuse(code: ProblemCode, by: Principal = CONSOLE, **options: Any) -> None:
         with refused(code), database.transaction() as session:
-            rejudging.start(session, by, **({"track": TRACK, "reason": "x"} | options))
+            place = shown_stage(session, options.pop("track", TRACK), options.pop("stage", None))
+            rejudging.start(session, by, place, **({"reason": "x"} | options))
 
     for reason in ("", " ", "two\x00parts", "x" * 501, "turned \u202e around"):
         refuse(ProblemCode.INVALID_REQUEST, reason=reason)
@@ -296,6 +299,6 @@ def test_what_played_a_removed_task_is_left_out_unless_it_is_named(
         on_board = session.get_one(Evaluation, newest_evaluation(session, gone).id)
         on_board.scores = [{**row, "task": "gone"} for row in on_board.scores or []]
     with database.transaction() as session:
-        board = leaderboard(session, TRACK).view
+        board = leaderboard(session, shown_stage(session, TRACK)).view
     assert [(entry.team, entry.rank) for entry in board.entries] == [("Ants", None), ("Cats", None)]
     assert board.teams == 2

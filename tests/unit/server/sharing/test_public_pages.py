@@ -27,7 +27,7 @@ from vitac.server.sharing.public_pages import public_among, readable, set_public
 from vitac.server.submissions import listing, runs
 from vitac.server.visibility import sight_of
 
-from competitions import make_competition, open_now, put_in_place, sealed_competition
+from competitions import make_competition, open_now, put_in_place, sealed_competition, stored_stage
 
 SETTINGS = make_settings(database_url="postgresql:///elsewhere")
 JUDGE = Principal(role=Role.JUDGE)
@@ -158,7 +158,7 @@ def test_a_stage_may_make_results_public_and_a_team_takes_its_own_back(two: Two)
 
 def test_of_a_sealed_list_others_see_the_final_score_only(two: Two) -> None:
     put_in_place(two.session, open_now(sealed_competition()))
-    sealing.seal(two.session, CONSOLE, TRACK, "stage1")
+    sealing.seal(two.session, CONSOLE, stored_stage(two.session, TRACK, "stage1"))
     sealed = submit_scored(two.session, two.owner, "sealed", {TASK: make_score(90)})
     two.publish(sealed)
     for by in (VISITOR, two.other, two.owner):

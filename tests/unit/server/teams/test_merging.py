@@ -13,7 +13,6 @@ from service_factories import (
 from submission_steps import refused
 from vitac.server import team_data, tokens
 from vitac.server.audit import newest_entries
-from vitac.server.contest.stages import is_qualified
 from vitac.server.db.engine import Database
 from vitac.server.db.models import JudgingConflict, Notice, Qualification, Submission, Team
 from vitac.server.db.states import MemberRole, NoticeKind, Quota
@@ -27,6 +26,8 @@ from vitac.server.quotas import uses
 from vitac.server.settings import Quotas
 from vitac.server.teams import merging, teams
 
+from competitions import shown_stage, stored_stage, teams_on_board
+
 
 def test_a_merge_keeps_submissions_members_tokens_and_places_and_counts_quotas_together(database: Database) -> None:
     with database.transaction() as session:
@@ -39,7 +40,7 @@ def test_a_merge_keeps_submissions_members_tokens_and_places_and_counts_quotas_t
         old, new = teams.own(session, ants), teams.own(session, bees)
         _, code = members.invite(session, ants, old)
         members.join(session, NewMember(code=code, name="Ann"), timedelta(days=1))
-        assert [entry.team for entry in leaderboard(session, TRACK, task=TASK).view.entries] == ["Ants", "Bees"]
+        assert teams_on_board(session, task=TASK) == ["Ants", "Bees"]
         merging.merge(session, CONSOLE, old, new)
     with database.transaction() as session:
         assert session.get(Team, ants.team_id) is None
@@ -47,13 +48,13 @@ def test_a_merge_keeps_submissions_members_tokens_and_places_and_counts_quotas_t
         assert {row.team_id for row in session.query(Submission)} == {left.id}
         assert [session.get_one(Submission, one).merged_from for one in both] == [ants.team_id, None]
         assert submit(session, bees, "the same").id == both[1]
-        (entry,) = leaderboard(session, TRACK, task=TASK).view.entries
+        (entry,) = leaderboard(session, shown_stage(session, TRACK), task=TASK).view.entries
         assert (entry.team, entry.submission_id) == ("Bees", best)
         people = members.of_team(session, left.id)
         assert sorted(one.name for one in people) == ["Ann", "Captain", "Captain 2"]
         assert [one.name for one in people if one.role is MemberRole.CAPTAIN] == ["Captain"]
         assert tokens.authenticate(session, secret).team_id == left.id
-        assert is_qualified(session, left, TRACK, "stage2")
+        assert stored_stage(session, TRACK, "stage2").is_qualified(left)
         used = {use.quota: use.used for use in uses(session, Quotas(), left.id)}
         assert used[Quota.ATTEMPTS_PER_DAY] == 4
         found = newest_entries(session, 1, action="team.merge")[0]

@@ -10,6 +10,7 @@ from served_pages import team_visitor, visitor, visitor_of_role
 from service_factories import LOCK, TASK, TRACK, make_score, make_upload, play_all, submit, submit_scored
 from sqlalchemy import ColumnElement, select, update
 from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.server.contest.contest import Contest
 from vitac.server.db.models import Competition, Submission, Team
 from vitac.server.db.states import Role
 from vitac.server.leaderboards.standings import leaderboard
@@ -18,9 +19,9 @@ from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.submissions import creation
 from vitac.server.submissions.receipts import receipts
 from vitac.server.teams import teams
-from vitac.server.teams.shown_names import ShownNames, are_hidden
+from vitac.server.teams.shown_names import ShownNames
 
-from competitions import make_competition, open_now, put_in_place
+from competitions import make_competition, open_now, put_in_place, shown_stage
 
 NAME, OTHER = "Quokkas", "Wombats"
 
@@ -152,8 +153,8 @@ def test_when_a_hidden_team_registered_is_not_told(service: CliService) -> None:
 def test_organizers_boards_winners_and_receipts_have_the_names(service: CliService) -> None:
     with service.database.transaction() as session:
         team = teams.find(session, NAME)
-        live = leaderboard(session, TRACK, live=True).view
-        seen = leaderboard(session, TRACK).view
+        live = leaderboard(session, shown_stage(session, TRACK), live=True).view
+        seen = leaderboard(session, shown_stage(session, TRACK)).view
         assert [entry.team for entry in live.entries] == [NAME, OTHER]
         assert {entry.team for entry in seen.entries}.isdisjoint({NAME, OTHER})
         submission = session.scalars(select(Submission).where(*model_of(team))).one()
@@ -175,8 +176,8 @@ def test_the_names_are_shown_again_once_the_competition_is_final(service: CliSer
     with service.database.transaction() as session:
         row = session.get_one(Competition, 1)
         row.finalized_at = row.winners = None
-        assert are_hidden(session)
+        assert Contest.read(session).hides_names
         row.definition = row.definition | {"anonymous": False}
-        assert not are_hidden(session)
+        assert not Contest.read(session).hides_names
         assert ShownNames.read(session).name_of(teams.find(session, NAME)) == NAME
         row.definition = row.definition | {"anonymous": True}

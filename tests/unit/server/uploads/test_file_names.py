@@ -1,10 +1,13 @@
 import pytest
+from service_factories import TRACK
 from submission_steps import refused
-from vitac.evaluator.tracks import load_track
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.uploads.file_names import check_file_name
 
-TRACK_1 = load_track("track_1")
+from competitions import FIRST, contest_of, make_competition
+
+STAGE = contest_of(make_competition()).stage(TRACK, FIRST)
+PRACTICE = contest_of(make_competition(taken_here=False)).stages_of(TRACK)[0]
 
 
 @pytest.mark.parametrize(
@@ -22,7 +25,7 @@ TRACK_1 = load_track("track_1")
     ],
 )
 def test_other_names_are_allowed(name: str | None) -> None:
-    check_file_name(name, team="Ants", track=TRACK_1, stage="stage1")
+    check_file_name(name, team="Ants", stage=STAGE)
 
 
 @pytest.mark.parametrize(
@@ -35,7 +38,7 @@ def test_other_names_are_allowed(name: str | None) -> None:
     ],
 )
 def test_a_name_in_the_challenges_form_agrees(name: str) -> None:
-    check_file_name(name, team="Red Ants", track=TRACK_1, stage="stage1")
+    check_file_name(name, team="Red Ants", stage=STAGE)
 
 
 @pytest.mark.parametrize(
@@ -49,13 +52,13 @@ def test_a_name_in_the_challenges_form_agrees(name: str) -> None:
 )
 def test_each_part_that_differs_is_named(name: str, part: str) -> None:
     with pytest.raises(ServiceError, match=f"says the {part}") as caught:
-        check_file_name(name, team="Ants", track=TRACK_1, stage="stage1")
+        check_file_name(name, team="Ants", stage=STAGE)
     assert caught.value.code is ProblemCode.FILE_NAME_MISMATCH
     assert caught.value.extras == {"part": part}
 
 
 def test_what_is_not_known_yet_is_not_compared() -> None:
     check_file_name("Ants-Track_3-stage2-result", team="Ants")
-    check_file_name("Ants-Track_1-stage2-result", team="Ants", track=TRACK_1)
+    check_file_name("Ants-Track_1-stage2-result", team="Ants", stage=PRACTICE)
     with refused(ProblemCode.FILE_NAME_MISMATCH):
         check_file_name("Bees-Track_3-stage2-result", team="Ants")

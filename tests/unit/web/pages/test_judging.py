@@ -9,7 +9,7 @@ from vitac.server.db.states import Role
 from vitac.server.judging.judging import judged
 from vitac.server.principals import CONSOLE
 
-from competitions import make_competition, open_now, put_in_place
+from competitions import make_competition, open_now, put_in_place, shown_stage
 
 STRUCTURE = "A <new> structure"
 
@@ -71,5 +71,5 @@ def test_judges_give_marks_on_their_page_and_organizers_see_the_spread(service: 
     assert "You do not judge this team: I &lt;advise&gt;." in judge.get("/judging").text
     assert judge.send("/judging", "/judging/marks", **marks).status_code == 403
     with service.database.transaction() as session:
-        (bees,) = [one for one in judged(session, CONSOLE, TRACK) if one.team == "Bees"]
+        (bees,) = [one for one in judged(session, CONSOLE, shown_stage(session, TRACK)) if one.team == "Bees"]
     assert (bees.judges, len(bees.conflicts)) == (("Prof. X",), 1)

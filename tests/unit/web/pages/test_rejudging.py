@@ -16,6 +16,8 @@ from vitac.server.db.states import Role
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE
 
+from competitions import shown_stage
+
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CliService]:
@@ -39,7 +41,10 @@ def play_proposed(service: CliService) -> None:
 
 def board(service: CliService) -> list[tuple[int | None, float]]:
     with service.database.transaction() as session:
-        return [(one.rank, one.success_rate) for one in leaderboard(session, TRACK, task=TASK).view.entries]
+        return [
+            (one.rank, one.success_rate)
+            for one in leaderboard(session, shown_stage(session, TRACK), task=TASK).view.entries
+        ]
 
 
 def ended(service: CliService) -> dict[str, tuple[bool, bool]]:

@@ -18,6 +18,7 @@ from competitions import (
     open_now,
     put_in_place,
     sealed_competition,
+    stored_stage,
     write_competition,
 )
 
@@ -61,7 +62,7 @@ def test_a_list_is_revealed_after_its_stage_and_fits_its_commitment(service: Cli
     with service.database.transaction() as session:
         put_in_place(session, open_now(sealed_competition(), stage=1))
         for stage in (FIRST, SECOND):
-            seal(session, CONSOLE, TRACK, stage)
+            seal(session, CONSOLE, stored_stage(session, TRACK, stage))
     early = service.run("admin", "competition", "reveal", TRACK, SECOND, "--yes")
     assert isinstance(early.exception, ServiceError)
     assert "closes at" in str(early.exception)

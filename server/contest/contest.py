@@ -1,0 +1,234 @@
+"""The contest as an object that answers: its stages, what its file says, whether it is frozen or final.
+
+There is one in a transaction. Called by doors to look up a stage by its name, and by everything that follows its rules.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cached_property
+from typing import Self
+
+from sqlalchemy.orm import Session
+
+from ..db.models import Competition
+from ..errors import ProblemCode, ServiceError
+from ..principals import Principal
+from ..tracks import known_track, load_known_track
+from .definition import CompetitionDefinition, StageRules, TrackRules
+from .stages import PRACTICE, PRACTICE_RULES, PRACTICE_TRACK, Stage
+
+_ONLY_ID = 1
+_NO_COMPETITION = CompetitionDefinition.model_construct(name="", title="", tracks={})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Contest:
+    """The competition of this service as a transaction sees it. Without one, all tracks are for practice.
+
+    Attributes:
+        session: of the transaction.
+        row: of the competition; empty and not in the database where there is none.
+        definition: what its file says; without tracks where there is none.
+        is_held: whether there is a competition.
+    """
+
+    session: Session
+    row: Competition
+    definition: CompetitionDefinition
+    is_held: bool
+
+    @classmethod
+    def read(cls, session: Session) -> Self:
+        """Return the contest as far as the session has read it."""
+        return cls._of(session, session.get(Competition, _ONLY_ID))
+
+    @classmethod
+    def lock(cls, session: Session, *, shared: bool = False) -> Self:
+        """Return the contest as it is now; nobody else changes it until the end of the transaction.
+
+        Args:
+            session: of the transaction.
+            shared: whether others may lock it so at the same time.
+        """
+        lock = {"read": True} if shared else True
+        return cls._of(session, session.get(Competition, _ONLY_ID, with_for_update=lock, populate_existing=True))
+
+    @classmethod
+    def lock_to_change(cls, session: Session, by: Principal) -> Self:
+        """Return the same for an organizer who changes it.
+
+        Raises:
+            ServiceError: not an organizer, or there is no competition, or it is final.
+        """
+        by.require_organizer()
+        contest = cls.lock(session)
+        contest.require_held()
+        contest.require_not_final()
+        return contest
+
+    @classmethod
+    def _of(cls, session: Session, row: Competition | None) -> Self:
+        """Return the contest of a row; its content is validated again only where that was changed or read again."""
+        if row is None:
+            return cls(session=session, row=Competition(), definition=_NO_COMPETITION, is_held=False)
+        known: tuple[object, Self] | None = session.info.get(cls)
+        if known is not None and known[0] is row.definition:
+            return known[1]
+        definition = CompetitionDefinition.model_validate(row.definition)
+        contest = cls(session=session, row=row, definition=definition, is_held=True)
+        session.info[cls] = row.definition, contest
+        return contest
+
+    @property
+    def subject(self) -> str:
+        """What the audit log calls it."""
+        return f"competition:{self.definition.name}"
+
+    @property
+    def hides_names(self) -> bool:
+        """Whether teams are shown to others under random names: the file says so, and it is not final."""
+        return self.definition.anonymous and self.row.finalized_at is None
+
+    @property
+    def stage_titles(self) -> Mapping[tuple[str, str], str]:
+        """The titles of all stages, by the names of track and stage."""
+        return {(stage.track, stage.name): stage.title for stage in self.stages}
+
+    @cached_property
+    def stages(self) -> tuple[Stage, ...]:
+        """All stages in the order of the file, also those of tracks that are not held here."""
+        found = []
+        for track, rules in self.definition.tracks.items():
+            before = None
+            for stage in rules.stages:
+                before = self._make_stage(track, stage.name, stage, rules, before)
+                found.append(before)
+        return tuple(found)
+
+    @property
+    def stages_held_here(self) -> tuple[Stage, ...]:
+        """Those whose submissions this service takes."""
+        return tuple(stage for stage in self.stages if stage.track_rules.taken_here)
+
+    @property
+    def last_stages(self) -> tuple[Stage, ...]:
+        """The last stage of each track that is held here: its boards decide who wins."""
+        return tuple(stage for stage in self.stages_held_here if stage.rules is stage.track_rules.stages[-1])
+
+    def stages_of(self, track: str) -> tuple[Stage, ...]:
+        """Return the stages of a track that are held here; outside of a competition that is one for practice."""
+        found = tuple(stage for stage in self.stages_held_here if stage.track == track)
+        return found or (self.stored_stage(track, PRACTICE),)
+
+    def stage(self, track: str, name: str) -> Stage:
+        """Return a stage of the competition.
+
+        Raises:
+            ServiceError: there is none of that name.
+        """
+        found = next((stage for stage in self.stages if (stage.track, stage.name) == (track, name)), None)
+        if found is None:
+            raise ServiceError(
+                ProblemCode.UNKNOWN_STAGE, f"The competition has no stage {name!r:.80} of {track!r:.80}."
+            )
+        return found
+
+    def stored_stage(self, track: str, name: str) -> Stage:
+        """Return the stage that a row names; without rules for practice, or where the file no longer has it."""
+        found = next((stage for stage in self.stages if (stage.track, stage.name) == (track, name)), None)
+        return found or self._make_stage(track, name, PRACTICE_RULES, PRACTICE_TRACK)
+
+    def shown_stage(self, track: str, wanted: str | None = None, *, at: datetime | None = None) -> Stage:
+        """Return the stage whose board a track shows: the wanted one, else the one that opened last, else the first.
+
+        Args:
+            track: whose board.
+            wanted: name of a stage; None: whichever is shown now.
+            at: the moment; None: now.
+
+        Raises:
+            ServiceError: there is no such track or stage.
+        """
+        load_known_track(track)
+        stages = self.stages_of(track)
+        if wanted is None:
+            return _last_opened(stages, at or datetime.now(UTC)) or stages[0]
+        names = [stage.name for stage in stages if not stage.is_practice]
+        if wanted not in names:
+            listed = f"its stages are {', '.join(names)}" if names else "it has none"
+            raise ServiceError(ProblemCode.UNKNOWN_STAGE, f"{track} has no stage {wanted!r:.80}; {listed}.")
+        return stages[names.index(wanted)]
+
+    def open_stage(self, track: str, by: Principal, at: datetime) -> Stage:
+        """Return the stage of a track that takes submissions at a moment.
+
+        Organizers submit also after the end, to the stage that opened last, for instance what reached them by mail in
+        time.
+
+        Raises:
+            ServiceError: none does, or its episodes are published.
+        """
+        stages = self.stages_of(track)
+        found = next((stage for stage in stages if stage.is_open(at)), None)
+        if found is None and by.is_organizer:
+            found = _last_opened(stages, at)
+        if found is None:
+            raise ServiceError(ProblemCode.STAGE_CLOSED, f"{track} takes no submissions now: {_times(stages, at)}.")
+        if found.is_revealed:
+            raise ServiceError(ProblemCode.STAGE_CLOSED, f"The episodes of {found} are published; it is over.")
+        return found
+
+    def track_title(self, track: str) -> str:
+        """Return what people call a track: in the competition, else by its file; its name where that is gone."""
+        rules = self.definition.tracks.get(track)
+        named = rules if rules and rules.taken_here else known_track(track)
+        return named.title if named else track
+
+    def require_held(self) -> None:
+        """Refuse what needs a competition.
+
+        Raises:
+            ServiceError: there is none.
+        """
+        if not self.is_held:
+            raise ServiceError(
+                ProblemCode.NOT_FOUND, "There is no competition; `vitac admin competition apply FILE` makes one."
+            )
+
+    def require_not_final(self) -> None:
+        """Refuse what would change a competition after its end.
+
+        Raises:
+            ServiceError: it is final.
+        """
+        if self.row.finalized_at is not None:
+            raise ServiceError(
+                ProblemCode.COMPETITION_FINAL,
+                f"{self.definition.title} is final since {self.row.finalized_at:%F %T} UTC.",
+            )
+
+    def _make_stage(
+        self, track: str, name: str, rules: StageRules, track_rules: TrackRules, before: Stage | None = None
+    ) -> Stage:
+        return Stage(
+            session=self.session,
+            competition=self.row,
+            track=track,
+            name=name,
+            rules=rules,
+            track_rules=track_rules,
+            before=before,
+        )
+
+
+def _last_opened(stages: tuple[Stage, ...], at: datetime) -> Stage | None:
+    return next((stage for stage in reversed(stages) if stage.rules.opens <= at), None)
+
+
+def _times(stages: tuple[Stage, ...], at: datetime) -> str:
+    """Return what comes next, or what was last, for a message."""
+    following = next((stage for stage in stages if at < stage.rules.opens), None)
+    if following is not None:
+        return f"stage {following.name} opens at {following.rules.opens:%F %T} UTC"
+    return f"its last stage closed at {stages[-1].rules.closes:%F %T} UTC"

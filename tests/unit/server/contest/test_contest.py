@@ -1,0 +1,125 @@
+"""The contest as one object of a transaction: read once, locked by who changes it, and left alone after the end."""
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from service_factories import TRACK, make_principal
+from sqlalchemy import update
+from submission_steps import refused
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.version import evaluator_version
+from vitac.server.contest.contest import Contest
+from vitac.server.contest.stages import PRACTICE, CountedResults
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Competition
+from vitac.server.db.row_locks import unless_held
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.principals import CONSOLE
+from vitac.server.teams import teams
+
+from competitions import CLOSES, FIRST, OPENS, SECOND, contest_of, make_competition, put_in_place
+
+ENDED = datetime(2026, 9, 1, 12, 30, tzinfo=UTC)
+FROZEN = datetime(2026, 8, 1, tzinfo=UTC)
+
+
+def is_free(database: Database, *, shared: bool) -> bool:
+    with database.transaction() as session:
+        return unless_held(session, lambda: Contest.lock(session, shared=shared)) is not None
+
+
+def test_a_service_without_competition_has_nothing_to_change_and_nothing_final(database: Database) -> None:
+    with database.transaction() as session:
+        contest = Contest.lock(session)
+        assert (contest.is_held, contest.stages, contest.hides_names) == (False, (), False)
+        contest.require_not_final()
+        with refused(ProblemCode.NOT_FOUND):
+            Contest.lock_to_change(session, CONSOLE)
+
+
+def test_many_may_hold_it_as_it_is_and_one_alone_may_change_it(database: Database) -> None:
+    with database.transaction() as session:
+        put_in_place(session, make_competition())
+    with database.transaction() as session:
+        assert Contest.lock(session, shared=True).row is Contest.read(session).row
+        assert is_free(database, shared=True)
+        assert not is_free(database, shared=False)
+    with database.transaction() as session:
+        Contest.lock(session)
+        assert not is_free(database, shared=True)
+    assert is_free(database, shared=False)
+
+
+def test_a_transaction_reads_it_once_until_it_is_changed_or_locked(database: Database) -> None:
+    with database.transaction() as session:
+        put_in_place(session, make_competition())
+    with database.transaction() as session:
+        contest = Contest.read(session)
+        assert Contest.read(session) is contest
+        put_in_place(session, make_competition(title="Another"))
+        assert Contest.read(session).definition.title == "Another"
+    with database.transaction() as session:
+        read = Contest.read(session)
+        with database.transaction() as other:
+            put_in_place(other, make_competition(title="A third"))
+            other.execute(update(Competition).values(frozen_at=ENDED))
+        assert (read.definition.title, read.row.frozen_at) == ("Another", None)
+        assert (Contest.lock(session).definition.title, read.row.frozen_at) == ("A third", ENDED)
+
+
+def test_a_final_competition_is_refused_by_its_title_and_end() -> None:
+    contest = contest_of(make_competition(title="Cup of Gels", anonymous=True))
+    contest.require_not_final()
+    assert contest.hides_names
+    contest.row.finalized_at = ENDED
+    assert not contest.hides_names
+    with pytest.raises(ServiceError, match=r"^Cup of Gels is final since 2026-09-01 12:30:00 UTC\.") as refusal:
+        contest.require_not_final()
+    assert refusal.value.code is ProblemCode.COMPETITION_FINAL
+
+
+def test_a_stage_is_open_from_its_first_instant_to_before_its_last() -> None:
+    stage, moment = contest_of(make_competition()).stage(TRACK, FIRST), timedelta(microseconds=1)
+    instants = (OPENS - moment, OPENS, CLOSES - moment, CLOSES)
+    assert [stage.is_open(at) for at in instants] == [False, True, True, False]
+    assert [stage.is_over(at) for at in instants] == [False, False, False, True]
+    elsewhere = contest_of(make_competition(taken_here=False)).stage(TRACK, FIRST)
+    assert not elsewhere.is_open(OPENS)
+
+
+def test_stages_know_their_track_the_one_before_them_and_the_last_one() -> None:
+    contest = contest_of(make_competition(ranking=["success_rate", "submitted_at"]))
+    first, second = contest.stages
+    assert (first.before, second.before) == (None, first)
+    assert contest.last_stages == (second,)
+    assert (str(second), second.subject) == (f"stage {SECOND} of {TRACK}", f"stage:{TRACK}/{SECOND}")
+    assert second.ranking == ("success_rate", "submitted_at")
+    assert (first.plays_sealed_list, second.plays_sealed_list) == (False, True)
+    assert contest.stage_titles == {(TRACK, FIRST): "Simulation", (TRACK, SECOND): "Final"}
+    assert contest_of(make_competition(taken_here=False)).stages_held_here == ()
+    with refused(ProblemCode.UNKNOWN_STAGE):
+        contest.stage(TRACK, "stage9")
+
+
+def test_outside_of_a_competition_a_stage_takes_everything_from_everybody_at_any_time(database: Database) -> None:
+    with database.transaction() as session:
+        team = teams.own(session, make_principal(session))
+        (stage,) = Contest.read(session).stages_of(TRACK)
+        assert (stage.name, str(stage), stage.is_practice, stage.is_sealed) == (PRACTICE, TRACK, True, False)
+        assert stage.is_open(OPENS)
+        assert stage.may_submit(team)
+        for kind in SubmissionKind:
+            stage.require_accepts(team, kind)
+        with refused(ProblemCode.UNKNOWN_STAGE):
+            Contest.read(session).shown_stage(TRACK, PRACTICE)
+
+
+def test_frozen_and_final_hold_for_the_stages_of_the_competition_and_not_for_practice() -> None:
+    contest = contest_of(make_competition())
+    contest.row.frozen_at, contest.row.finalized_at = FROZEN, ENDED
+    contest.row.boards = [{"evaluator_version": "old"}]
+    stage, practice = contest.stage(TRACK, FIRST), contest.stored_stage(TRACK, PRACTICE)
+    assert stage.counted_results() == CountedResults(evaluator_version="old", frozen_at=FROZEN, final_since=ENDED)
+    assert stage.counted_results(live=True).frozen_at is None
+    today = CountedResults(evaluator_version=evaluator_version(), frozen_at=None, final_since=None)
+    assert practice.counted_results() == today
