@@ -33,6 +33,7 @@ class StepStatus(StrEnum):
     CONVERGED = "converged"  # solved in one go
     DIVIDED = "divided"  # solved after the driven motion was divided
     ESCAPED_SADDLE = "escaped_saddle"  # solved after an unstable equilibrium was left along negative curvature
+    RELAXED = "relaxed"  # solved after the forces were relaxed along their flow
     NOT_CONVERGED = "not_converged"  # not solved; the state is free of intersections but is not a minimum
 
 
@@ -219,7 +220,7 @@ class Scene:
         return target
 
     def _solve(self, attempt: _Attempt) -> tuple[StepStatus, int]:
-        """Solve at once, in more and more parts, or by escaping a saddle; how, and in how many parts."""
+        """Solve at once, in more and more parts, by escaping a saddle or by relaxing; how, and in how many parts."""
         s = self._solver
         unstable: tuple[FloatArray, int] | None = None
         for parts in (2**level for level in range(s.first_division_level, s.division_levels + 1)):
@@ -228,10 +229,13 @@ class Scene:
                 return StepStatus.DIVIDED if parts > 1 else StepStatus.CONVERGED, parts
             if outcome == UNSTABLE and unstable is None:
                 unstable = self._x.copy(), parts
-        if unstable is None or s.saddle_escapes == 0:
-            return StepStatus.NOT_CONVERGED, parts
-        self._x[:], parts = unstable
-        return (StepStatus.ESCAPED_SADDLE if self._escape_saddles(attempt) else StepStatus.NOT_CONVERGED), parts
+        if unstable is not None and s.saddle_escapes > 0:
+            self._x[:], parts = unstable
+            if self._escape_saddles(attempt):
+                return StepStatus.ESCAPED_SADDLE, parts
+        self._x[:] = attempt.start
+        relaxed = self._solve_to(attempt, attempt.target, relaxes=True) == SOLVED
+        return (StepStatus.RELAXED if relaxed else StepStatus.NOT_CONVERGED), 1
 
     def _solve_in_parts(self, attempt: _Attempt, parts: int) -> int:
         """Solve along intermediate driven positions, each from the solution of the one before; how the last one ended.
@@ -254,9 +258,11 @@ class Scene:
                 return outcome == SOLVED
         return False
 
-    def _solve_to(self, attempt: _Attempt, waypoint: FloatArray, *, escapes_saddle: bool = False) -> int:
+    def _solve_to(
+        self, attempt: _Attempt, waypoint: FloatArray, *, escapes_saddle: bool = False, relaxes: bool = False
+    ) -> int:
         s = self._solver
-        step = IpcStep(attempt.start, attempt.memory, attempt.x_hat, waypoint, escapes_saddle)
+        step = IpcStep(attempt.start, attempt.memory, attempt.x_hat, waypoint, escapes_saddle, relaxes)
         tolerances = Tolerances(s.step_tolerance_m, s.residual_tolerance_n, s.newton_iterations, s.phase_iterations)
         return solve_step(self._model, self._x, step, tolerances, self._workspace, attempt.record)
 

@@ -29,6 +29,7 @@ class IpcStep(NamedTuple):
     x_hat: FloatArray
     x_target: FloatArray  # of prescribed nodes
     escapes_saddle: bool  # whether the state at hand is an unstable equilibrium, to be left first
+    relaxes: bool  # whether forces are relaxed before the first turn
 
 
 class NewtonStep(NamedTuple):

@@ -15,7 +15,8 @@ Kelley, Iterative Methods for Linear and Nonlinear Equations, 1995, section 5.4)
 A solution whose exact Jacobian, as last factorised, has a negative determinant is a saddle: it is refused, and the
 caller looks for another by dividing the driven motion. Where that leads to none, the saddle can be escaped along
 negative curvature; iterations after that step are cautious ones. Where these crawl and use up their number, as many
-more may follow in turns of both sorts.
+more may follow in turns of both sorts. Where nothing else helps the caller asks for the forces to be relaxed before the
+first turn (see `relaxation`), which leaves little to Newton's method.
 """
 
 from enum import IntEnum
@@ -40,6 +41,7 @@ from .iterate import (
     write_remaining_motion,
     write_step,
 )
+from .relaxation import relax
 from .stability import find_escape, is_stable
 from .step_length import falling_fraction, feasible_fraction, fraction_without_overshoot
 from .workspace import Workspace
@@ -104,6 +106,10 @@ def solve_step(
     applied as far as contact allows in each iteration. Whatever the outcome, x is free of intersections and inversions.
     """
     s, system = new_solve(model, x, step), workspace.system
+    if step.relaxes:
+        record.counts[Counter.ITERATIONS] += relax(
+            model, s, step.x_target, tolerances.residual_n, 2 * tolerances.iterations, workspace
+        )
     candidates = list_candidates(model, s)
     turn, residual, reusable, escaping = 0, np.inf, False, step.escapes_saddle
     limit = 2 * tolerances.iterations if step.escapes_saddle else tolerances.iterations

@@ -24,7 +24,7 @@ def feasible_fraction(model: Model, candidates: Candidates, s: Solve) -> float:
 @large_kernel
 def falling_fraction(model: Model, candidates: Candidates, s: Solve, workspace: Workspace, fraction: float) -> float:
     """Return the part of a step away from a balance at whose end the forces still act along it; by halving."""
-    _bound_motion(s)
+    bound_motion(s)
     for _ in range(_SHORTENINGS):
         if force_along_at(model, candidates, s, workspace, fraction) < 0.0:
             break
@@ -38,7 +38,7 @@ def fraction_without_overshoot(
 ) -> float:
     """Return the part of a step at whose end the forces along it are turned round by half at most; by regula falsi."""
     here = force_along(model, s.step.solution, workspace.system.gradient)
-    _bound_motion(s)
+    bound_motion(s)
     for _ in range(_SHORTENINGS):
         there = force_along_at(model, candidates, s, workspace, fraction)
         if there <= -_OVERSHOOT * here:
@@ -48,7 +48,7 @@ def fraction_without_overshoot(
 
 
 @kernel
-def _bound_motion(s: Solve) -> None:
+def bound_motion(s: Solve) -> None:
     """Write a bound of how far pairs of bodies have moved anywhere along the step."""
     for k in range(len(s.trial.motion)):
         s.trial.motion[k] = max(s.iterate.motion[k], s.step.motion_ahead[k])
