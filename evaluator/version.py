@@ -4,10 +4,9 @@ Nothing here imports the environments: their sources are found and read, not run
 """
 
 import hashlib
-import os
 import platform
 from functools import cache
-from importlib.metadata import entry_points, version
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -15,10 +14,6 @@ EVALUATOR_RELEASE = "1"
 """Raised by hand when a change is meant to move scores, so that people can speak of it."""
 
 _HASHED_PACKAGES = ("vitac.envs", "vitac.evaluator")
-_TASKS = "vitac.tasks"
-"""Group of the entry points by which other packages add tasks."""
-TRACKS_FOLDER_VARIABLE = "VITAC_TRACKS_DIR"
-"""Names a folder with further track files, which `vitac.evaluator.tracks.registry` reads."""
 _HASHED_SUFFIXES = frozenset({".py", ".yaml"})
 _HASHED_DISTRIBUTIONS = ("llvmlite", "numba", "numpy")
 
@@ -27,22 +22,31 @@ _HASHED_DISTRIBUTIONS = ("llvmlite", "numba", "numpy")
 def evaluator_hash() -> str:
     """Return the SHA-256 [hex] of all that moves a score: our sources, and which NumPy, Numba and llvmlite.
 
-    The sources of packages that add tasks (`vitac.envs.tasks.registry`) and the track files of the folder that
-    VITAC_TRACKS_DIR names count too, where there are any. The same for a wheel and an editable installation of one
-    tree, because only names and contents of files count.
+    The same for a wheel and an editable installation of one tree, because only names and contents of files count. What
+    tracks and tasks from elsewhere add for themselves says `vitac.evaluator.tracks.versions`.
     """
     digest = hashlib.sha256()
     for distribution in _HASHED_DISTRIBUTIONS:
         digest.update(f"{distribution}=={version(distribution)}\n".encode())
-    for package in (*_HASHED_PACKAGES, *_packages_with_tasks()):
+    for package in _HASHED_PACKAGES:
         _add_sources(digest, package)
-    _add_further_tracks(digest)
     return digest.hexdigest()
+
+
+def evaluator_parts() -> dict[str, str]:
+    """Return what the hash is made of, by name: versions of distributions, and the hash of the sources of packages."""
+    versions = {distribution: version(distribution) for distribution in _HASHED_DISTRIBUTIONS}
+    return versions | {package: sources_hash(package) for package in _HASHED_PACKAGES}
 
 
 def evaluator_version() -> str:
     """Return this evaluator's name, `<release>+<start of its hash>`; results of different ones are never mixed."""
-    return f"{EVALUATOR_RELEASE}+{evaluator_hash()[:12]}"
+    return version_with(evaluator_hash())
+
+
+def version_with(sha256: str) -> str:
+    """Return the version that has a hash: `<release>+<start of the hash>`."""
+    return f"{EVALUATOR_RELEASE}+{sha256[:12]}"
 
 
 def sources_hash(package: str) -> str:
@@ -65,10 +69,6 @@ def platform_class() -> str:
     return f"{platform.machine().lower()}-{platform.system().lower()}"
 
 
-def _packages_with_tasks() -> list[str]:
-    return sorted({point.module.partition(".")[0] for point in entry_points(group=_TASKS)})
-
-
 def _add_sources(digest: "hashlib._Hash", package: str) -> None:
     root = _package_path(package)
     if root.is_file():
@@ -79,12 +79,6 @@ def _add_sources(digest: "hashlib._Hash", package: str) -> None:
     )
     for name, path in files:
         _add_file(digest, f"{package}/{name}", path)
-
-
-def _add_further_tracks(digest: "hashlib._Hash") -> None:
-    if folder := os.environ.get(TRACKS_FOLDER_VARIABLE):
-        for path in sorted(Path(folder).glob("*.yaml")):
-            _add_file(digest, f"{TRACKS_FOLDER_VARIABLE}/{path.name}", path)
 
 
 def _add_file(digest: "hashlib._Hash", name: str, path: Path) -> None:

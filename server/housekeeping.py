@@ -42,10 +42,13 @@ class Housekeeping:
     Args:
         services: of this process.
         sweeps: False in one of several processes that share a parent, which sweeps: it only writes its totals.
+        supersedes: False in a worker: which evaluator the service has, and so which evaluations begin again, is said by
+            its server. A worker whose version or track files differ would take the server's evaluations away.
     """
 
-    def __init__(self, services: Services, *, sweeps: bool = True) -> None:
+    def __init__(self, services: Services, *, sweeps: bool = True, supersedes: bool = True) -> None:
         self._services = services
+        self._supersedes = supersedes
         self._sweeps = sweeps
         self._totals = TotalsWriter(services.instruments)
         self._stopping = threading.Event()
@@ -95,8 +98,9 @@ class Housekeeping:
             logger.info("swept", queued_again=done.queued_again, given_up=done.given_up, woken=done.woken)
 
     def _sweep_others(self) -> None:
-        with self._services.database.transaction() as session:
-            supersede_outdated(session, self._services.settings)
+        if self._supersedes:
+            with self._services.database.transaction() as session:
+                supersede_outdated(session, self._services.settings)
         with self._services.database.transaction() as session:
             playbacks.recover(session, self._services.settings)
 

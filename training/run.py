@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from vitac.envs.errors import VitacError
 from vitac.evaluator.scoring.score import Rate, rate
-from vitac.evaluator.version import evaluator_hash, sources_hash
+from vitac.evaluator.tracks.versions import differing_parts
+from vitac.evaluator.version import evaluator_parts, sources_hash
 
 from .actors import ActorKind
 from .charts import Charts
@@ -245,22 +246,35 @@ def _alone(folder: Path, tell: Tell) -> Iterator[None]:
 
 def _claim(folder: Path, recipe: Mapping[str, Any]) -> None:
     """Write what the folder is for, or make sure that it is for this."""
-    told_now = {
+    now = {
         "recipe": recipe,
-        "made_by": evaluator_hash(),
+        "made_by": evaluator_parts(),
         "trained_by": sources_hash("vitac.training"),
     }
     path = folder / "run.json"
-    text = json.dumps(told_now, indent=1) + "\n"
+    text = json.dumps(now, indent=1) + "\n"
     if path.exists():
         if path.read_bytes() != text.encode():
-            raise OtherRun(f"{folder} holds a run of another recipe or version; give another folder.")
+            raise OtherRun(f"{folder} holds a run of another {_difference(path, now)}; give another folder.")
     elif any(folder.glob("round-*.npz")) or (folder / "progress.csv").exists():
         raise OtherRun(f"{folder} holds a training but no run.json that says of which recipe; give another folder.")
     else:
         write_text(path, text)
     for written in ("", "checkpoints", "episodes", "submission/Track_1"):
         remove_leftovers(folder / written)
+
+
+def _difference(path: Path, now: Mapping[str, Any]) -> str:
+    """Return in what a run differs from one that would begin now."""
+    try:
+        then = json.loads(path.read_bytes())
+        parts = {**then["made_by"], "vitac.training": then["trained_by"]}
+        recipe = then["recipe"]
+    except (ValueError, KeyError, TypeError):
+        return "version, or its run.json is damaged"
+    if recipe != json.loads(json.dumps(now["recipe"])):
+        return "recipe"
+    return ", ".join(differing_parts({**now["made_by"], "vitac.training": now["trained_by"]}, parts))
 
 
 def results_of(folder: Folder) -> list[RoundResult]:

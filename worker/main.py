@@ -68,7 +68,7 @@ def _take_shards(services: Services, report: IsolationReport, start: StartShard,
         stack.callback(heartbeat.stop)
         stage = SubmissionStage(services.blobs, services.settings.scratch_dir, services.settings.limits)
         stack.callback(stage.close)
-        housekeeping = Housekeeping(services)
+        housekeeping = Housekeeping(services, supersedes=False)
         housekeeping.start()
         stack.callback(housekeeping.stop)
         worker = QueueWorker(services, stage, heartbeat.worker_id, start)

@@ -13,7 +13,7 @@ import structlog
 from procrastinate.exceptions import ProcrastinateException
 from sqlalchemy.exc import DBAPIError
 from vitac.evaluator.playback.process import making
-from vitac.evaluator.version import evaluator_version
+from vitac.evaluator.tracks.versions import current_versions
 from vitac.server.metrics.instruments import RetryReason
 from vitac.server.playbacks import work
 from vitac.server.queue import leases
@@ -98,7 +98,9 @@ class QueueWorker:
         async with app.open_async():
             working = asyncio.create_task(
                 app.run_worker_async(
-                    queues=[queue_name(evaluator_version(), family) for family in families_here()],
+                    queues=[
+                        queue_name(version, family) for version in current_versions() for family in families_here()
+                    ],
                     concurrency=self._slots,
                     fetch_job_polling_interval=POLL_S,
                     delete_jobs="always",

@@ -42,6 +42,14 @@ def added_tasks() -> tuple[EntryPoint, ...]:
     return tuple(sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: (point.name, point.value)))
 
 
+def package_of(env_id: str) -> str | None:
+    """Return the package that adds the task of an environment; None for our own, and for what no package adds."""
+    own = {task.env_id for task in _own_tasks()}
+    if env_id in own:
+        return None
+    return next((point.module.partition(".")[0] for point in added_tasks() if _loaded(point).env_id == env_id), None)
+
+
 def _own_tasks() -> Iterator[TaskDefinition]:
     """Yield the task of each folder beside this module that has a definition."""
     for folder in iter_modules([str(Path(__file__).parent)]):

@@ -201,7 +201,7 @@ def digest_of_stored(record: Mapping[str, Any]) -> str:
 
 
 class Manifest(StrictModel):
-    """What an evaluation was made with."""
+    """What an evaluation was made with. `evaluator_parts` say what a difference of evaluators lies in."""
 
     track: Word
     task: Word
@@ -209,6 +209,7 @@ class Manifest(StrictModel):
     task_hash: Word
     evaluator_version: Word
     evaluator_hash: Word
+    evaluator_parts: dict[Word, Word] = Field(default={}, max_length=16)
     solver_version: Word
     mesh_hash: Word
     platform_class: Word

@@ -15,7 +15,8 @@ from ..episodes.records import EpisodeRecord
 from ..shards.order import ShardOrder
 from ..shards.result import ShardResult
 from ..strict_model import StrictModel
-from ..version import evaluator_version, platform_class
+from ..tracks.versions import version_of
+from ..version import platform_class
 
 # A shard that was neither finished nor used again for so long [s] is removed.
 _UNUSED_S = 30 * 86400.0
@@ -78,7 +79,7 @@ class KeptShards:
                 raise
 
     def _path(self, order: ShardOrder) -> Path:
-        parts = (evaluator_version(), platform_class(), self._of, order.model_dump_json(exclude=set(_NO_CONTENT)))
+        parts = (version_of(order.track), platform_class(), self._of, order.model_dump_json(exclude=set(_NO_CONTENT)))
         digest = hashlib.sha256("\0".join(parts).encode()).hexdigest()
         return self._folder / f"{digest}.json"
 

@@ -9,7 +9,7 @@ from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure
 from ..scoring.failures import breaking_failure
 from ..tracks import Task, Track
 from ..tracks.cut import cut
-from ..version import evaluator_version
+from ..tracks.versions import differing_parts, parts_of, version_of
 from .findings import Impossibility, ImpossibleReason
 from .log import LogHeader
 from .recordings import RecordingRejected, recording_of
@@ -32,13 +32,14 @@ def known_without_running(track: Track, task: Task) -> dict[str, object]:
         "task": task.name,
         "list_seed": task.episode_list.list_seed,
         "task_hash": task.digest(),
-        "evaluator_version": evaluator_version(),
+        "evaluator_version": version_of(track.name),
+        "evaluator_parts": parts_of(track.name),
     }
 
 
 def must_agree(manifest: Manifest) -> dict[str, object]:
     """Return the manifest values that a log must share with an evaluation that has this manifest."""
-    return manifest.model_dump(include=set(_KEYS_THAT_MUST_AGREE))
+    return manifest.model_dump(include={*_KEYS_THAT_MUST_AGREE, "evaluator_parts"})
 
 
 def why_impossible(
@@ -60,7 +61,8 @@ def why_impossible(
     for key in _KEYS_THAT_MUST_AGREE:
         got = getattr(header.manifest, key)
         if got != expected.get(key, got):
-            message = f"Expected a log made with {key} {expected[key]!r}, got {got!r}; evaluate again."
+            parts = _what_differs(expected, header.manifest) if key == "evaluator_version" else ""
+            message = f"Expected a log made with {key} {expected[key]!r}, got {got!r}{parts}; evaluate again."
             return Impossibility(reason=ImpossibleReason.OTHER_EVALUATION, message=message)
     wanted = {episode.number for episode in task.episodes} if episodes is None else set(episodes)
     missing = set(wanted)
@@ -72,6 +74,15 @@ def why_impossible(
         missing.discard(record.episode)
         failed.extend([record] if record.failure else [])
     return _missing(missing, wanted) or _broken(task, failed)
+
+
+def _what_differs(expected: Mapping[str, object], got: Manifest) -> str:
+    """Return which parts of two evaluators differ, for a message; nothing where a log names no parts or the same."""
+    parts = expected.get("evaluator_parts")
+    if not isinstance(parts, Mapping) or not got.evaluator_parts:
+        return ""
+    differing = ", ".join(differing_parts(parts, got.evaluator_parts))
+    return f" (they differ in {differing})" if differing else ""
 
 
 def why_record_impossible(task: Task, record: EpisodeRecord) -> Impossibility | None:

@@ -12,8 +12,10 @@ from pathlib import Path
 from vitac.envs.errors import VitacError
 
 from ..strict_model import DocumentRejected, read_yaml
-from ..version import TRACKS_FOLDER_VARIABLE
 from .definition import Task, Track, UnknownTask
+
+TRACKS_FOLDER_VARIABLE = "VITAC_TRACKS_DIR"
+"""Names a folder with further track files."""
 
 
 class UnknownTrack(VitacError):
@@ -59,6 +61,12 @@ def archive_folders() -> tuple[str, ...]:
     return tuple(dict.fromkeys(load_track(name).folder for name in list_tracks()))
 
 
+def further_track_files() -> Mapping[str, Path]:
+    """Return the track files of the folder that VITAC_TRACKS_DIR names, by track; none where it names no folder."""
+    folder = os.environ.get(TRACKS_FOLDER_VARIABLE)
+    return _further_files(folder) if folder else {}
+
+
 def _track_files() -> Mapping[str, Path]:
     return _files_with(os.environ.get(TRACKS_FOLDER_VARIABLE))
 
@@ -86,12 +94,17 @@ def _files_with(further: str | None) -> Mapping[str, Path]:
     own = _files_in(Path(__file__).parent)
     if not further:
         return own
-    added = _files_in(Path(further))
+    added = _further_files(further)
     if not added:
         raise DocumentRejected(f"{TRACKS_FOLDER_VARIABLE} is {further}, expected a folder with track files (*.yaml).")
     for name in added.keys() & own.keys():
         raise DocumentRejected(f"{added[name]} has the name of a track that is there already; choose another name.")
     return {**own, **added}
+
+
+@cache
+def _further_files(folder: str) -> dict[str, Path]:
+    return _files_in(Path(folder))
 
 
 def _files_in(folder: Path) -> dict[str, Path]:

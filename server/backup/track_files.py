@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 from vitac.evaluator.strict_model import DocumentRejected, Word
-from vitac.evaluator.version import TRACKS_FOLDER_VARIABLE
+from vitac.evaluator.tracks.registry import TRACKS_FOLDER_VARIABLE
 
 from .archive import BackupRejected
 

@@ -14,7 +14,7 @@ from vitac.evaluator.scoring.score import score
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
-from vitac.evaluator.version import evaluator_hash, evaluator_version
+from vitac.evaluator.tracks.versions import hash_of, version_of
 
 from ..contest.contest import Contest
 from ..db.models import Evaluation, Shard, Submission
@@ -72,8 +72,8 @@ def start(
     evaluation = Evaluation(
         submission=submission,
         run=run,
-        evaluator_version=evaluator_version(),
-        evaluator_hash=evaluator_hash(),
+        evaluator_version=version_of(submission.track),
+        evaluator_hash=hash_of(submission.track),
         state=EvaluationState.QUEUED,
         episodes_reused=0,
         commitment=Contest.read(session).stored_stage(submission.track, submission.stage).commitment,

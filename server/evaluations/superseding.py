@@ -9,6 +9,7 @@ from sqlalchemy import Text, and_, func, literal, or_, select
 from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import list_tracks, load_track
+from vitac.evaluator.tracks.versions import current_versions, version_of
 from vitac.evaluator.version import evaluator_version
 
 from ..db.advisory_locks import AdvisoryLock, try_lock
@@ -31,17 +32,16 @@ def supersede_outdated(session: Session, settings: Settings) -> int:
     Only while a worker of this version lives: otherwise nothing would be gained, and two versions of the service side
     by side would take each other's work away.
     """
-    current = evaluator_version()
     if not try_lock(session, AdvisoryLock.SUPERSEDE):
         return 0
-    if not workers_alive(session, settings, current).alive:
+    if not workers_alive(session, settings, evaluator_version()).alive:
         return 0
-    outdated = _outdated(session, settings, current)
-    begun = [unless_held(session, partial(_begin_again, session, evaluation_id, current)) for evaluation_id in outdated]
+    outdated = _outdated(session, settings)
+    begun = [unless_held(session, partial(_begin_again, session, evaluation_id)) for evaluation_id in outdated]
     return begun.count(True)
 
 
-def _outdated(session: Session, settings: Settings, current: str) -> Sequence[UUID]:
+def _outdated(session: Session, settings: Settings) -> Sequence[UUID]:
     served = select(Worker.evaluator_version).where(is_alive(settings))
     # One whose track file is gone, or no longer has its task, waits until it is back.
     known = [(name, literal(list(load_track(name).tasks), ARRAY(Text))) for name in list_tracks()]
@@ -51,7 +51,7 @@ def _outdated(session: Session, settings: Settings, current: str) -> Sequence[UU
         .where(
             or_(*(and_(Submission.track == name, tasks.contains(Submission.tasks)) for name, tasks in known)),
             Evaluation.state.in_(ACTIVE_EVALUATION_STATES),
-            Evaluation.evaluator_version != current,
+            Evaluation.evaluator_version.not_in(current_versions()),
             Evaluation.evaluator_version.not_in(served),
         )
         .order_by(Evaluation.created_at, Evaluation.id)
@@ -59,10 +59,11 @@ def _outdated(session: Session, settings: Settings, current: str) -> Sequence[UU
     ).all()
 
 
-def _begin_again(session: Session, evaluation_id: UUID, current: str) -> bool:
+def _begin_again(session: Session, evaluation_id: UUID) -> bool:
     evaluation = try_lock_evaluation(session, evaluation_id)
     if evaluation is None or evaluation.state not in ACTIVE_EVALUATION_STATES:
         return False
+    current = version_of(evaluation.submission.track)
     lifecycle.cancel(session, evaluation)
     session.flush()
     done_before = session.scalar(

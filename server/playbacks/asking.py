@@ -15,7 +15,7 @@ from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeRecord, canonical_json
 from vitac.evaluator.playback.order import FORMAT, NotPlayable, require_playable
 from vitac.evaluator.tracks import load_track
-from vitac.evaluator.version import evaluator_version
+from vitac.evaluator.tracks.versions import version_of
 
 from ..db.advisory_locks import AdvisoryLock, wait_for_turn
 from ..db.models import EpisodeResult, Playback, Shard
@@ -87,7 +87,7 @@ def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeRes
     playback = Playback(
         key=playback_key(episode),
         episode_id=episode.id,
-        evaluator_version=evaluator_version(),
+        evaluator_version=version_of(episode.track),
         state=PlaybackState.QUEUED,
         asked_by=asked_by,
         asked_at=datetime.now(UTC),
@@ -108,7 +108,7 @@ def playback_key(episode: EpisodeResult) -> str:
     """Return the SHA-256 [hex] of all that a playback is made from."""
     content = {
         "format": FORMAT,
-        "evaluator_version": evaluator_version(),
+        "evaluator_version": version_of(episode.track),
         "track": episode.track,
         "record_digest": episode.record_digest,
     }
@@ -178,7 +178,7 @@ def _may_be_tried_again(playback: Playback) -> bool:
 def _require_somebody_who_draws(session: Session, settings: Settings, episode: EpisodeResult) -> None:
     """Refuse a film that no running worker can make; most machines never can, and it would count as waiting."""
     family = playback_family_of(episode.track, episode.task)
-    if family is not Family.TACTILE and not fleet(session, settings).alive(evaluator_version(), family).alive:
+    if family is not Family.TACTILE and not fleet(session, settings).alive(version_of(episode.track), family).alive:
         raise ServiceError(ProblemCode.INVALID_REQUEST, f"There is no playback of this episode, as {NOBODY_DRAWS}.")
 
 

@@ -4,7 +4,7 @@ from uuid import UUID
 
 from sqlalchemy import and_, select
 from sqlalchemy.orm import Session
-from vitac.evaluator.version import evaluator_version
+from vitac.evaluator.tracks.versions import current_versions
 
 from ..db.models import EpisodeResult, Playback, Submission
 from ..db.states import PlaybackState
@@ -23,7 +23,7 @@ def newest_public_episode(session: Session, settings: Settings) -> PublicEpisode
     """Return the episode of a public submission whose playback was asked for last and is made; None without one."""
     newest = (
         select(Playback.episode_id, Playback.asked_at)
-        .where(Playback.scene_sha256.is_not(None), Playback.evaluator_version == evaluator_version())
+        .where(Playback.scene_sha256.is_not(None), Playback.evaluator_version.in_(current_versions()))
         .order_by(Playback.asked_at.desc())
         .limit(LOOKED_AT)
         .subquery()

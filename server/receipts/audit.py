@@ -22,7 +22,7 @@ from vitac.evaluator.scoring.score import score
 from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.evaluator.tracks import Track, load_track
 from vitac.evaluator.tracks.sealed import commitment_of, load_played_track
-from vitac.evaluator.version import evaluator_version
+from vitac.evaluator.tracks.versions import version_of
 
 from ..views.leaderboards import LeaderboardEntryView
 from .completeness import (
@@ -227,10 +227,10 @@ def _check_logs(reader: ExportReader, receipts: Mapping[UUID, Receipt], found: A
         for task in receipt.result.tasks if receipt else ():
             if receipt is None or not reader.has_log(entry.evaluation_id, task.task):
                 found.unchecked.append(f"{entry.team}, {task.task}: the records are not in the export.")
-            elif receipt.result.evaluator_version != evaluator_version():
+            elif receipt.result.evaluator_version != version_of(receipt.result.track):
                 found.unchecked.append(
                     f"{entry.team}, {task.task}: made by evaluator {receipt.result.evaluator_version}, this is "
-                    f"{evaluator_version()}."
+                    f"{version_of(receipt.result.track)}."
                 )
             else:
                 log = _checked_log(reader, receipt.result, task, entry.team, found)

@@ -8,7 +8,7 @@ from uuid import UUID
 from sqlalchemy import delete, exists, select
 from sqlalchemy.orm import Session, aliased
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.version import evaluator_version
+from vitac.evaluator.tracks.versions import version_of
 
 from .. import names
 from ..audit import record
@@ -63,13 +63,13 @@ def start(
                 ProblemCode.NOT_REQUEUABLE,
                 f"Submission {submission.id} of {submission.team.name} is being evaluated; wait or cancel.",
             )
-        run = 1 + max((run.run for run in runs if run.evaluator_version == evaluator_version()), default=0)
+        run = 1 + max((run.run for run in runs if run.evaluator_version == version_of(stage.track)), default=0)
         lifecycle.start(session, submission, run, rejudgement_id=made.id)
     after = {
         "track": stage.track,
         "stage": stage.name,
         "submissions": [str(submission.id) for submission in chosen],
-        "evaluator_version": evaluator_version(),
+        "evaluator_version": version_of(stage.track),
         "reason": shown_reason,
     }
     record(session, by, "rejudgement.start", _subject(made), after)

@@ -1,7 +1,6 @@
 import shutil
 import subprocess
 import sys
-from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
@@ -86,51 +85,9 @@ def test_hash_changes_with_numpy_version(copied_sources: Path, monkeypatch: pyte
     assert fresh_hash() != before
 
 
-def test_hash_covers_packages_that_add_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def added(source: str) -> str:
-        package = tmp_path / "toys"
-        package.mkdir(exist_ok=True)
-        (package / "__init__.py").write_text(source)
-        return fresh_hash()
-
-    point = EntryPoint(name="lift", value="toys.lift:TASK", group="vitac.tasks")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(version, "entry_points", lambda *, group: [point] if group == point.group else [])
-    hashes = [added(""), added("x = 1"), added("")]
-    assert hashes[0] == hashes[2]
-    assert len({*hashes, version.evaluator_hash()}) == 3
-
-
-def test_hash_covers_a_single_module_that_adds_a_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def added(source: str) -> str:
-        (tmp_path / "single_toy.py").write_text(source)
-        return fresh_hash()
-
-    point = EntryPoint(name="lift", value="single_toy:TASK", group="vitac.tasks")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(version, "entry_points", lambda *, group: [point] if group == point.group else [])
-    assert len({added(""), added("x = 1"), version.evaluator_hash()}) == 3
-
-
-def test_hash_covers_the_files_of_the_folder_of_further_tracks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    without = fresh_hash()
-    monkeypatch.setenv("VITAC_TRACKS_DIR", str(tmp_path))
-    track = tmp_path / "mine.yaml"
-    track.write_text("max_steps: 10")
-    (tmp_path / "notes.txt").write_text("x")
-    before = fresh_hash()
-    track.write_text("max_steps: 20")
-    edited = fresh_hash()
-    track.rename(tmp_path / "other.yaml")
-    renamed = fresh_hash()
-    assert len({without, before, edited, renamed}) == 4
-
-
-def test_hash_does_not_depend_on_where_the_further_tracks_lie(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    hashes = set()
-    for name in ("here", "there"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "mine.yaml").write_text("max_steps: 10")
-        monkeypatch.setenv("VITAC_TRACKS_DIR", str(tmp_path / name))
-        hashes.add(fresh_hash())
-    assert len(hashes) == 1
+def test_parts_name_all_that_is_hashed(copied_sources: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = version.evaluator_parts()
+    assert before.keys() == {"llvmlite", "numba", "numpy", "vitac.envs", "vitac.evaluator"}
+    (copied_sources / "envs" / "errors.py").write_text("")
+    after = version.evaluator_parts()
+    assert {name for name in after if after[name] != before[name]} == {"vitac.envs"}

@@ -121,6 +121,21 @@ def test_only_lost_shards_are_looked_for_in_every_round(services: Services, monk
     assert [what for what in done[before:] if what != "shards"][:4] == 2 * ["versions", "playbacks"]
 
 
+def test_a_worker_never_begins_evaluations_of_other_versions_again(
+    services: Services, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    monkeypatch.setattr(housekeeping, "OTHERS_EVERY_S", 0.0)
+    monkeypatch.setattr(housekeeping, "prune", lambda _: None)
+    monkeypatch.setattr(housekeeping, "supersede_outdated", lambda *_: done.append("versions"))
+    monkeypatch.setattr(work, "recover", lambda *_: done.append("playbacks"))
+    keeper = Housekeeping(services, supersedes=False)
+    keeper.start()
+    eventually(lambda: done.count("playbacks") > 2)
+    keeper.stop()
+    assert set(done) == {"playbacks"}
+
+
 def leases_lost(services: Services) -> float:
     with services.database.transaction() as session:
         return totals(session).get(SeriesKey("vitac_leases_lost_total"), 0.0)

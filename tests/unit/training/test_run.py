@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from toy_peg import ToyPeg
 from vitac.evaluator.scoring.score import rate
+from vitac.evaluator.version import evaluator_parts
 from vitac.training.charts import FOLDER, Charts
 from vitac.training.files import FileDamaged
 from vitac.training.learning.network import Learner, TrainingDiverged
@@ -195,14 +196,15 @@ def test_second_run_in_the_same_folder_is_refused_and_changes_nothing(tmp_path: 
 def test_folder_of_another_recipe_is_refused(tmp_path: Path) -> None:
     run(tmp_path).collect_first()
     other = RECIPE.model_copy(update={"seed": 3})
-    with pytest.raises(OtherRun, match="holds a run of another recipe or version; give another folder"):
+    with pytest.raises(OtherRun, match="holds a run of another recipe; give another folder"):
         run(tmp_path, other).go()
 
 
 def test_folder_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run(tmp_path).collect_first()
-    monkeypatch.setattr("vitac.training.run.evaluator_hash", lambda: "another")
-    with pytest.raises(OtherRun):
+    changed = {**evaluator_parts(), "numpy": "9.9.9"}
+    monkeypatch.setattr("vitac.training.run.evaluator_parts", lambda: changed)
+    with pytest.raises(OtherRun, match="holds a run of another numpy; give another folder"):
         run(tmp_path).go()
 
 
@@ -211,7 +213,7 @@ def test_folder_that_does_not_say_what_it_is_for_is_refused(tmp_path: Path) -> N
     described = tmp_path / "run.json"
     for damage in (b"", b"{", b"\xff", described.read_bytes()[:-20]):
         described.write_bytes(damage)
-        with pytest.raises(OtherRun, match="another recipe or version"):
+        with pytest.raises(OtherRun, match=r"another version, or its run.json is damaged"):
             run(tmp_path).go()
     described.unlink()
     before = files(tmp_path)
@@ -238,7 +240,7 @@ def test_folder_of_other_training_code_is_refused(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(
         "vitac.training.run.sources_hash", lambda package: {"vitac.training": "a learner that was changed"}[package]
     )
-    with pytest.raises(OtherRun, match="another recipe or version"):
+    with pytest.raises(OtherRun, match=r"holds a run of another vitac\.training; give another folder"):
         run(tmp_path).go()
     assert files(tmp_path) == before
 

@@ -15,7 +15,7 @@ from vitac.evaluator.logs.checks import (
 from vitac.evaluator.logs.findings import Impossibility, ImpossibleReason
 from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.tracks import load_track
-from vitac.evaluator.version import evaluator_version
+from vitac.evaluator.version import evaluator_parts, evaluator_version
 
 TASK = load_track("track_1").tasks["peg-insertion"]
 FIRST = TASK.episodes[0]
@@ -169,8 +169,19 @@ def test_what_is_known_without_an_environment_is_a_part_of_what_must_agree() -> 
         "list_seed": TASK.episode_list.list_seed,
         "task_hash": TASK.digest(),
         "evaluator_version": evaluator_version(),
+        "evaluator_parts": evaluator_parts(),
     }
     assert known.keys() < must_agree(make_manifest()).keys()
+
+
+def test_a_log_of_another_evaluator_is_refused_with_the_parts_that_differ() -> None:
+    ours = make_manifest().model_copy(update={"evaluator_parts": {"numpy": "2.4.6", "vitac.envs": "a"}})
+    theirs = ours.model_copy(
+        update={"evaluator_version": "1+b", "evaluator_parts": {"numpy": "2.5.0", "vitac.envs": "a"}}
+    )
+    problem = why_impossible(must_agree(ours), TASK, LogHeader(manifest=theirs), [])
+    assert problem is not None
+    assert problem.message.endswith("got '1+b' (they differ in numpy); evaluate again.")
 
 
 def test_what_must_agree_leaves_out_what_only_names_the_machine() -> None:

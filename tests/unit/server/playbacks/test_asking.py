@@ -99,7 +99,7 @@ def test_another_evaluator_or_format_makes_another_playback(team_a: Played, monk
     keys = {playback_key(episode)}
     monkeypatch.setattr(asking, "FORMAT", 2)
     keys.add(playback_key(episode))
-    monkeypatch.setattr(asking, "evaluator_version", lambda: "2+other")
+    monkeypatch.setattr(asking, "version_of", lambda _: "2+other")
     keys.add(playback_key(episode))
     assert len(keys) == 3
 

@@ -89,7 +89,7 @@ def test_playbacks_that_pages_no_longer_find_are_passed_over(team_a: Played, mon
     monkeypatch.setattr(recent, "LOOKED_AT", 1)
     assert newest(team_a) is None
     monkeypatch.setattr(recent, "LOOKED_AT", 100)
-    monkeypatch.setattr(recent, "evaluator_version", lambda: "2+other")
+    monkeypatch.setattr(recent, "current_versions", lambda: frozenset({"2+other"}))
     assert newest(team_a) is None
 
 

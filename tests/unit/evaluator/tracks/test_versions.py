@@ -1,0 +1,87 @@
+import sys
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+from vitac.envs.tasks import registry
+from vitac.evaluator.tracks import load_track, versions
+from vitac.evaluator.tracks.versions import (
+    current_versions,
+    differing_parts,
+    evaluator_of,
+    hash_of,
+    parts_of,
+    version_of,
+)
+from vitac.evaluator.version import evaluator_hash, evaluator_parts, evaluator_version
+
+TOY = Path(__file__).parents[3] / "integration" / "toy_task"
+
+
+@pytest.fixture(autouse=True)
+def _fresh() -> Iterator[None]:
+    registry.task_definitions.cache_clear()
+    yield
+    registry.task_definitions.cache_clear()
+
+
+@pytest.fixture
+def toy_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the toy's package, installed with its entry point."""
+    copied = tmp_path / "copied_toy"
+    copied.mkdir()
+    for source in (TOY / "packages" / "toy_lift").glob("*.py"):
+        (copied / source.name).write_text(source.read_text().replace("toy_lift", copied.name))
+    point = EntryPoint(name="lift", value="copied_toy.definition:TASK", group=registry.ENTRY_POINT_GROUP)
+    for name in [name for name in sys.modules if name.partition(".")[0] == copied.name]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(registry, "entry_points", lambda *, group: [point] if group == point.group else [])
+    return copied
+
+
+@pytest.fixture
+def toy_tracks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "tracks"
+    folder.mkdir()
+    (folder / "toy.yaml").write_text((TOY / "tracks" / "toy.yaml").read_text())
+    monkeypatch.setenv("VITAC_TRACKS_DIR", str(folder))
+    return folder
+
+
+def test_our_own_tracks_have_the_evaluators_version() -> None:
+    assert version_of("track_1") == evaluator_version()
+    assert hash_of("track_1") == evaluator_hash()
+    assert parts_of("track_1") == evaluator_parts()
+    assert version_of("gone") == evaluator_version()
+    assert current_versions() == {evaluator_version()}
+
+
+def test_a_package_and_a_track_file_beside_them_change_only_their_own_track(
+    toy_package: Path, toy_tracks: Path
+) -> None:
+    assert version_of("track_1") == evaluator_version()
+    assert hash_of("track_1") == evaluator_hash()
+    found = version_of("toy")
+    assert found != evaluator_version()
+    assert len(found) == len(evaluator_version())  # the queue's name has no room for more
+    assert evaluator_of(found) == evaluator_version()
+    assert evaluator_of("1+000000000000") == "1+000000000000"
+    assert current_versions() == {evaluator_version(), found}
+    assert parts_of("toy").keys() - evaluator_parts().keys() == {"toy.yaml", toy_package.name}
+
+
+@pytest.mark.parametrize("changed", ["package", "track file"])
+def test_a_track_changes_with_its_file_and_with_the_package_of_its_task(
+    toy_package: Path, toy_tracks: Path, changed: str
+) -> None:
+    before, parts = version_of("toy"), parts_of("toy")
+    file = toy_package / "__init__.py" if changed == "package" else toy_tracks / "toy.yaml"
+    file.write_text(file.read_text() + "\n# another\n")
+    versions._parts_of_file.cache_clear()
+    assert load_track("toy").name == "toy"
+    assert version_of("toy") != before
+    expected = toy_package.name if changed == "package" else "toy.yaml"
+    assert differing_parts(parts, parts_of("toy")) == (expected,)
+    assert version_of("track_1") == evaluator_version()
