@@ -212,8 +212,8 @@ def installed_packages() -> list[str]:
     """Return name and version of the packages that a policy can import."""
     import importlib.metadata  # late: it would make every copy of the policy slower to start
 
-    found = {each.metadata["Name"].lower(): each.version for each in importlib.metadata.distributions()}
-    return [f"{name} {found[name]}" for name in sorted(found)]
+    found = {(each.metadata["Name"] or "").lower(): each.version for each in importlib.metadata.distributions()}
+    return [f"{name} {found[name]}" for name in sorted(found.keys() - {"", "vitac-arena"})]
 
 
 def load(entry_point: str, submission: str) -> Any:

@@ -102,7 +102,7 @@ if __name__ == "__main__":
     host.calibrated = calibrated  # type: ignore[attr-defined, assignment]
     host.design_in = lambda _: None  # type: ignore[attr-defined, assignment]
     execution.run_estimator = run_estimator  # type: ignore[attr-defined, assignment]
-    execution.load_in_sandbox = load_policy  # type: ignore[attr-defined]
+    execution.load_in_sandbox = load_policy  # type: ignore[attr-defined, assignment]
     for module in (execution, host):
         module.make_environment = lambda *_, **__: FakeEnvironment()  # type: ignore[attr-defined]
     execution.load_manifest = lambda _: SubmissionManifest(  # type: ignore[attr-defined, assignment]

@@ -48,14 +48,16 @@ class SlowOracle:
 
     def __init__(self, grasped: GraspedScene) -> None:
         gel, held, physics = grasped.gel, grasped.held, grasped.physics
+        contact = physics.contact
+        assert isinstance(contact, ContactSettings), "the oracle knows the model challenge-2025 only"
         self._h = physics.time_step_s
         rest_m = np.concatenate([grasped.gel_nodes_m(0), grasped.gel_nodes_m(1)])
         nodes = len(gel.rest_position_m)
         tetrahedra = np.concatenate([gel.tetrahedra, gel.tetrahedra + nodes])
         driven = np.concatenate([gel.driven_nodes, gel.driven_nodes + nodes])
         self._elasticity = _Elasticity(rest_m, tetrahedra, physics.youngs_modulus_pa, physics.poisson_ratio)
-        self._body = _AffineBody(held.mesh, held.density_kg_m3, physics.contact.kappa_affine / self._h**2)
-        self._contacts = _Contacts(grasped)
+        self._body = _AffineBody(held.mesh, held.density_kg_m3, contact.kappa_affine / self._h**2)
+        self._contacts = _Contacts(grasped, contact)
         self._mass = sparse.block_diag([self._elasticity.mass(physics.gel_density_kg_m3), self._body.mass])
         self.X = np.concatenate([rest_m.ravel(), held.translation_m, held.rotation.ravel()])
         self._velocity = np.zeros_like(self.X)
@@ -214,9 +216,9 @@ class _Pair:
 class _Contacts:
     """Barrier, mollifier and friction of all pairs, with geometry and laws from the IPC Toolkit."""
 
-    def __init__(self, grasped: GraspedScene) -> None:
+    def __init__(self, grasped: GraspedScene, settings: ContactSettings) -> None:
         ipctk.set_num_threads(1)
-        self._settings: ContactSettings = grasped.physics.contact
+        self._settings = settings
         gel, held, fixed = grasped.gel, grasped.held, grasped.fixed
         fixed_m = fixed.mesh.vertices_m @ fixed.rotation.T + fixed.translation_m
         nodes = np.concatenate([gel.surface_nodes, gel.surface_nodes + len(gel.rest_position_m)])

@@ -29,6 +29,7 @@ from vitac.evaluator.scoring.score import Score, rate
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import find_task
+from vitac.evaluator.tracks.versions import hash_of, version_of
 from vitac.evaluator.version import evaluator_hash, evaluator_version, platform_class
 from vitac.server import tokens
 from vitac.server.db.engine import Database
@@ -247,13 +248,14 @@ def make_failed_record(
 
 
 def make_manifest(task: str = TASK) -> Manifest:
+    track = find_task(task)[0].name
     return Manifest(
-        track=find_task(task)[0].name,
+        track=track,
         task=task,
         list_seed=0,
         task_hash=sha256("task"),
-        evaluator_version=evaluator_version(),
-        evaluator_hash=evaluator_hash(),
+        evaluator_version=version_of(track),
+        evaluator_hash=hash_of(track),
         solver_version="1",
         mesh_hash=sha256("mesh"),
         platform_class=platform_class(),

@@ -117,7 +117,7 @@ def test_outside_of_a_competition_a_stage_takes_everything_from_everybody_at_any
 def test_frozen_and_final_hold_for_the_stages_of_the_competition_and_not_for_practice() -> None:
     contest = contest_of(make_competition())
     contest.row.frozen_at, contest.row.finalized_at = FROZEN, ENDED
-    contest.row.boards = [{"evaluator_version": "old"}]
+    contest.row.boards = [{"track": TRACK, "evaluator_version": "old"}]
     stage, practice = contest.stage(TRACK, FIRST), contest.stored_stage(TRACK, PRACTICE)
     assert stage.counted_results() == CountedResults(evaluator_version="old", frozen_at=FROZEN, final_since=ENDED)
     assert stage.counted_results(live=True).frozen_at is None

@@ -312,7 +312,7 @@ def test_time_of_all_processes_is_counted(whole: Path, tmp_path: Path, monkeypat
 
 def test_other_training_or_version_is_refused(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = {path: path.stat().st_mtime_ns for path in whole.rglob("*")}
-    with pytest.raises(OtherRun, match="holds a run of another recipe or version; give another folder"):
+    with pytest.raises(OtherRun, match="holds a run of another recipe; give another folder"):
         train_reference(TASK, whole, env_steps=ENV_STEPS, seed=1)
     monkeypatch.setattr(td3, "version", lambda name: f"another {name}")
     with pytest.raises(OtherRun):

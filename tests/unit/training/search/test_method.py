@@ -207,7 +207,7 @@ def test_starts_that_choose_teach_nothing_and_none_is_reported(tmp_path: Path) -
 
 def test_folder_of_another_recipe_is_refused(small: Path) -> None:
     before = files(small)
-    with pytest.raises(OtherRun, match="another recipe or version"):
+    with pytest.raises(OtherRun, match="holds a run of another recipe; give another folder"):
         search(small, SMALL.model_copy(update={"seed": 5})).go()
     assert files(small) == before
 
