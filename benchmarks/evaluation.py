@@ -10,7 +10,7 @@ from time import perf_counter
 from typing import Any
 
 from vitac.evaluator.evaluation.local import Evaluation, evaluate
-from vitac.evaluator.submission.staging import staged
+from vitac.evaluator.submission.sources import staged
 from vitac.evaluator.tracks import find_task
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "peg_insertion_heuristic"

@@ -61,8 +61,8 @@ def check(submission: Path) -> Findings:
         VitacError: the path is not a submission, or this machine cannot evaluate.
     """
     from vitac.evaluator.submission.archive import ArchiveRejected
-    from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest, submission_digest
-    from vitac.evaluator.submission.staging import staged
+    from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest
+    from vitac.evaluator.submission.sources import staged, submission_digest
     from vitac.evaluator.tracks import load_track
 
     findings = Findings()

@@ -56,8 +56,8 @@ def command(
     ] = None,
 ) -> None:
     """Evaluate a submission here, with the same records, score and result hash as the service."""
-    from vitac.evaluator.submission.manifest import load_manifest, submission_digest
-    from vitac.evaluator.submission.staging import staged
+    from vitac.evaluator.submission.manifest import load_manifest
+    from vitac.evaluator.submission.sources import staged, submission_digest
 
     request = _Request(
         task=task, episodes=parse_episodes(episodes), workers=workers, assets=assets, secret=secret, sensor=sensor

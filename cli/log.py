@@ -160,7 +160,7 @@ def match(
     from vitac.evaluator.logs.action_match import match_actions
     from vitac.evaluator.shards.policy import load_in_sandbox
     from vitac.evaluator.submission.manifest import load_manifest
-    from vitac.evaluator.submission.staging import staged
+    from vitac.evaluator.submission.sources import staged
     from vitac.evaluator.tracks import find_task
 
     from .terminal.compiling import compiling_shown

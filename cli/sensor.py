@@ -183,7 +183,7 @@ def _kept_folder() -> Path:
 
 
 def _evaluate_policy(sensor: Path, policy: Path, episodes: str | None, workers: int | None, json: Path | None) -> None:
-    from vitac.evaluator.submission.manifest import manifest_of
+    from vitac.evaluator.submission.sources import manifest_of
 
     from .evaluate import command
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.evaluation.local import evaluate
 from vitac.evaluator.submission.manifest import load_manifest
-from vitac.evaluator.submission.staging import staged
+from vitac.evaluator.submission.sources import staged
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.sealed import write_secret

@@ -22,7 +22,7 @@ from vitac.evaluator.agent.session import PolicySession
 from vitac.evaluator.episodes.episode import Policy, make_environment, run_episode
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.evaluation.local import evaluate
-from vitac.evaluator.submission.staging import staged
+from vitac.evaluator.submission.sources import staged
 from vitac.evaluator.tracks import Episode, Task, find_task
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "maniskill"

@@ -39,7 +39,7 @@ def pack(folder: Path, archive: Path) -> int:
         ManifestRejected: its manifest cannot be read.
         ArchiveRejected: the folder contains a link or a device.
     """
-    from vitac.evaluator.submission.manifest import find_submission, top_folder
+    from vitac.evaluator.submission.sources import find_submission, top_folder
 
     found = find_submission(folder)
     top = top_folder(found)

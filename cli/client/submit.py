@@ -79,7 +79,7 @@ def _track_of(submission: Path, kind: SubmissionKind) -> str:
     """Return the track that a submission names: a model in its manifest, a log of ours in its header."""
     from vitac.evaluator.logs.log import LogReader
     from vitac.evaluator.logs.packing import open_log
-    from vitac.evaluator.submission.manifest import manifest_of
+    from vitac.evaluator.submission.sources import manifest_of
 
     if kind is SubmissionKind.MODEL:
         return manifest_of(submission).track

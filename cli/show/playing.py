@@ -147,7 +147,7 @@ def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Pla
     from vitac.evaluator.agent.session import PolicySession
     from vitac.evaluator.episodes.reading import reading_of
     from vitac.evaluator.submission.manifest import load_manifest
-    from vitac.evaluator.submission.staging import staged
+    from vitac.evaluator.submission.sources import staged
     from vitac.evaluator.tracks import find_task
 
     packages = find_task(task.name)[0].packages

@@ -1,26 +1,20 @@
-"""A submission as a zip or folder: its submission manifest (submission.yaml) and its digest."""
+"""The submission manifest, submission.yaml: its keys, and whether they fit the track that it names."""
 
-import hashlib
-import os
 import re
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
+from collections.abc import Iterable
 from difflib import get_close_matches
-from functools import partial
 from pathlib import Path
-from typing import IO, Annotated, Final
+from typing import Annotated, Final
 
 from pydantic import AfterValidator, Field
 from vitac.envs.errors import VitacError
 
-from ..agent.limits import Limits
 from ..agent.verdicts import VerdictCode
 from ..strict_model import DocumentRejected, StrictModel, parse_untrusted_yaml
-from ..tracks import UnknownTrack, archive_folders, load_track
-from .archive import ArchiveFault, ArchiveRejected, Entry, packed_entries, unpack, write
-from .names import MANIFEST_NAME, NamedEntry, check_names, contents_of, is_ignored, link, listed, special_file
+from ..tracks import UnknownTrack, load_track
+from .names import MANIFEST_NAME, ArchiveFault, ArchiveRejected, listed
 
-_MANIFEST_MAX_BYTES: Final = 16 * 1024
+MANIFEST_MAX_BYTES: Final = 16 * 1024
 _TASKS_MAX: Final = 128
 """More than any track has; whether the named ones exist is asked of the track."""
 _ENTRY_POINT: Final = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
@@ -30,10 +24,6 @@ class ManifestRejected(VitacError):
     """submission.yaml is missing or wrong: correct the key that the message names."""
 
     verdict = VerdictCode.MANIFEST_REJECTED
-
-
-class NoSubmission(VitacError):
-    """The path is neither a zip nor a folder of a submission: name one."""
 
 
 def _printable(text: str) -> str:
@@ -91,10 +81,10 @@ def load_manifest(submission_dir: Path) -> SubmissionManifest:
     path = submission_dir / MANIFEST_NAME
     try:
         with path.open("rb") as file:
-            data = file.read(_MANIFEST_MAX_BYTES + 1)
+            data = file.read(MANIFEST_MAX_BYTES + 1)
     except FileNotFoundError as error:
         names = [path.name for path in submission_dir.glob("*")]
-        mend = _renaming(names) or "put it directly into that folder"
+        mend = renaming(names) or "put it directly into that folder"
         raise ManifestRejected(
             f"{MANIFEST_NAME} is missing, the submission's folder holds {listed(names)}; {mend}."
         ) from error
@@ -116,7 +106,7 @@ def load_unpacked_manifest(submission_dir: Path) -> SubmissionManifest:
         ArchiveRejected: the folder is that of another track.
     """
     manifest = load_manifest(submission_dir)
-    _check_top_folder(manifest, submission_dir.name)
+    check_top_folder(manifest, submission_dir.name)
     return manifest
 
 
@@ -126,8 +116,8 @@ def parse_manifest(data: bytes) -> SubmissionManifest:
     Raises:
         ManifestRejected: too large, not YAML, or a key or value is wrong.
     """
-    if len(data) > _MANIFEST_MAX_BYTES:
-        raise ManifestRejected(f"{MANIFEST_NAME} is larger than {_MANIFEST_MAX_BYTES} bytes; make it smaller.")
+    if len(data) > MANIFEST_MAX_BYTES:
+        raise ManifestRejected(f"{MANIFEST_NAME} is larger than {MANIFEST_MAX_BYTES} bytes; make it smaller.")
     try:
         manifest = parse_untrusted_yaml(SubmissionManifest, data.decode("utf-8"), MANIFEST_NAME)
     except UnicodeDecodeError as error:
@@ -140,141 +130,19 @@ def parse_manifest(data: bytes) -> SubmissionManifest:
     return manifest
 
 
-def find_submission(path: Path) -> Path:
-    """Return the folder below a path that holds submission.yaml: itself, or its folder of a track, such as `Track_1`.
-
-    Raises:
-        NoSubmission: there is none.
-    """
-    if not path.exists():
-        raise NoSubmission(f"{path} does not exist; {contents_of(path.parent)}.")
-    for folder in (path, *(path / top for top in archive_folders())):
-        if (folder / MANIFEST_NAME).is_file():
-            return folder
-    mend = _renaming(each.name for each in path.glob("*")) or "name the submission's folder or its zip"
-    raise NoSubmission(f"Expected {MANIFEST_NAME} or a zip, {contents_of(path)}; {mend}.")
-
-
-def _renaming(names: Iterable[str]) -> str:
+def renaming(names: Iterable[str]) -> str:
     """Return which file should have the manifest's name, such as submission.yml; nothing where none is like it."""
     others = [name for name in names if name != MANIFEST_NAME]
     close = get_close_matches(MANIFEST_NAME, others, n=1, cutoff=0.8)
     return f"rename {close[0]!r} to {MANIFEST_NAME}" if close else ""
 
 
-def manifest_of(source: Path, limits: Limits | None = None) -> SubmissionManifest:
-    """Read the manifest of a zip or a folder; nothing is unpacked.
+def check_top_folder(manifest: SubmissionManifest, top: str) -> None:
+    """Refuse an archive whose top folder is that of another track.
 
     Raises:
-        ManifestRejected: it is missing or cannot be read.
-        ArchiveRejected: a rule of archives is broken, or the top folder of a zip is that of another track.
-        NoSubmission: the path is no submission.
+        ArchiveRejected: it is.
     """
-    if not source.is_file():
-        return load_manifest(find_submission(source))
-    with ExitStack() as exits:
-        top, entries = packed_entries(exits.enter_context(source.open("rb")), limits or Limits(), exits)
-        for entry in entries:
-            if entry.path == MANIFEST_NAME and entry.n_bytes <= _MANIFEST_MAX_BYTES:
-                manifest = parse_manifest(b"".join(entry.chunks()))
-                _check_top_folder(manifest, top)
-                return manifest
-    names = [entry.path for entry in entries]
-    mend = _renaming(names) or "put it directly into the submission's folder"
-    raise ManifestRejected(
-        f"{MANIFEST_NAME} is missing or larger than {_MANIFEST_MAX_BYTES} bytes; {mend}. "
-        f"The archive holds {listed(names)}."
-    )
-
-
-def top_folder(submission_dir: Path) -> str:
-    """Return the one folder that an archive of a submission holds: its track's.
-
-    Raises:
-        ManifestRejected: the manifest cannot be read.
-    """
-    return load_track(load_manifest(submission_dir).track).folder
-
-
-def stage(source: Path, destination: Path, limits: Limits | None = None) -> Path:
-    """Copy a zip or folder to where it can be evaluated, under the same rules for both.
-
-    Args:
-        source: zip, submission folder, or the folder that contains it under its track's name, such as `Track_1`.
-        destination: new or empty folder.
-        limits: sizes and counts.
-
-    Returns:
-        The submission's folder below `destination`, readable by every user.
-
-    Raises:
-        ArchiveRejected: a rule of archives is broken, or the top folder of a zip is that of another track.
-        ManifestRejected: the manifest is missing or wrong.
-        NoSubmission: the path is not a submission.
-    """
-    limits = limits or Limits()
-    if source.is_file():
-        manifest_of(source, limits)  # refuses the folder of another track
-        return unpack(source, destination, limits)
-    found = find_submission(source)
-    top = top_folder(found)
-    return write(_folder_entries(found, top, limits), destination, top, limits)
-
-
-def submission_digest(source: Path, limits: Limits | None = None) -> str:
-    """Return SHA-256 over path, size and content of every file, sorted by path: equal for a folder and its zip.
-
-    Raises:
-        ArchiveRejected: a rule of archives is broken.
-        ManifestRejected: the manifest of a folder is missing or wrong.
-        NoSubmission: the path is not a submission.
-    """
-    limits = limits or Limits()
-    with ExitStack() as exits:
-        if source.is_file():
-            _, entries = packed_entries(exits.enter_context(source.open("rb")), limits, exits)
-        else:
-            found = find_submission(source)
-            entries = _folder_entries(found, top_folder(found), limits)
-        return _digest(entries)
-
-
-def _digest(entries: list[Entry]) -> str:
-    digest = hashlib.sha256()
-    for entry in sorted(entries, key=lambda entry: entry.path):
-        path = entry.path.encode()
-        digest.update(len(path).to_bytes(8, "little") + path + entry.n_bytes.to_bytes(8, "little"))
-        for chunk in entry.chunks():
-            digest.update(chunk)
-    return digest.hexdigest()
-
-
-def _folder_entries(folder: Path, top: str, limits: Limits) -> list[Entry]:
-    entries = list(_walk(folder, ""))
-    check_names((NamedEntry(path=f"{top}/{entry.path}", is_folder=False) for entry in entries), limits)
-    return entries
-
-
-def _walk(folder: Path, prefix: str) -> Iterator[Entry]:
-    for item in sorted(os.scandir(folder), key=lambda item: item.name):
-        path = f"{prefix}{item.name}"
-        if is_ignored(path):
-            continue
-        if item.is_symlink():
-            raise link(path)
-        if item.is_dir():
-            yield from _walk(Path(item.path), f"{path}/")
-        elif item.is_file():
-            yield Entry(path=path, n_bytes=item.stat().st_size, open=partial(_open, item.path))
-        else:
-            raise special_file(path)
-
-
-def _open(path: str) -> IO[bytes]:
-    return Path(path).open("rb")
-
-
-def _check_top_folder(manifest: SubmissionManifest, top: str) -> None:
     expected = load_track(manifest.track).folder
     if top != expected:
         raise ArchiveRejected(

@@ -1,8 +1,9 @@
 """Checks an uploaded model: the archive's rules and the submission manifest; called by `kinds`."""
 
 from vitac.evaluator.submission.archive import unpack
-from vitac.evaluator.submission.manifest import ManifestRejected, load_unpacked_manifest, submission_digest
+from vitac.evaluator.submission.manifest import ManifestRejected, load_unpacked_manifest
 from vitac.evaluator.submission.names import ArchiveRejected
+from vitac.evaluator.submission.sources import submission_digest
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..errors import ProblemCode, ServiceError

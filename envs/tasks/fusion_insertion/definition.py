@@ -1,6 +1,6 @@
 """The fusion task as others need to know it: actions, observables and where its parts lie."""
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -12,15 +12,21 @@ from ..definition import ActionComponent, TaskDefinition
 from ..insertion.interface import MARKER_FLOW, PEG_HEIGHT, gt_offset, horizontal_actions, relative_motion
 from ..measures import SURFACE_DIFF
 
-if TYPE_CHECKING:
-    from .scene import FusionScene
 
-GT_DIRECTION: "Observable[FusionScene]" = Observable(
+class HasDirection(Protocol):
+    """A scene with a peg and a hole on the left and on the right."""
+
+    @property
+    def direction(self) -> float:
+        """Which of them is played: 1 left, -1 right."""
+
+
+GT_DIRECTION: Observable[HasDirection] = Observable(
     name="gt_direction",
     shape=(1,),
     unit="1",
     meaning="Which peg and hole it is: 1 left, the hexagon; -1 right, the cuboid.",
-    read=lambda scene, _: np.array([scene.target.direction]),
+    read=lambda scene, _: np.array([scene.direction]),
     privileged=True,
 )
 

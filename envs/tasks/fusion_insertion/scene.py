@@ -50,6 +50,11 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
         """Which peg is held."""
         return self.target.shape
 
+    @property
+    def direction(self) -> float:
+        """Which peg and hole it plays: 1 left, the hexagon; -1 right, the cuboid."""
+        return self.target.direction
+
     def grasp(self) -> None:
         """Close on the peg in free air, and take the references."""
         super().grasp()

@@ -1,24 +1,51 @@
 """The lock task as others need to know it: actions, observables and where its parts lie."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ...observable import Observable
 from ...scene.observables import MEASURED_POSE, SURFACE_POINTS, marker_flow, played_shape
 from ..definition import ActionComponent, InfoView, Measure, TaskDefinition
 from ..measures import SURFACE_DIFF
 
-if TYPE_CHECKING:
-    from .scene import FloatArray, LockScene
+FloatArray = NDArray[np.float64]
 
 
-def _corners(name: str, meaning: str, read: "Callable[[LockScene], FloatArray]") -> "Observable[LockScene]":
+class HasLock(Protocol):
+    """A scene with a key and a lock, whose corners and teeth are measured."""
+
+    def tip_m(self) -> FloatArray:
+        """Return the corners of the key's tip [m], shape (4, 3)."""
+
+    def rear_slot_m(self) -> FloatArray:
+        """Return the lower corners of the slot for the rear tooth [m], shape (4, 3)."""
+
+    def front_slot_m(self) -> FloatArray:
+        """Return the lower corners of the slot for the front tooth [m], shape (4, 3)."""
+
+    def entrance_m(self) -> FloatArray:
+        """Return the corners of the lock's entrance face [m], shape (4, 3)."""
+
+    def rear_tooth_from_slot(self) -> FloatArray:
+        """Return where the rear tooth is from its slot [5 mm], shape (3,)."""
+
+    def front_tooth_from_slot(self) -> FloatArray:
+        """Return where the front tooth is from its slot [5 mm], shape (3,)."""
+
+    def relative_motion_mm(self) -> FloatArray:
+        """Return the commanded motion of the gripper since the start [mm], shape (3,)."""
+
+
+def _corners(name: str, meaning: str, read: Callable[[HasLock], FloatArray]) -> Observable[HasLock]:
     return Observable(
         name=name, shape=(4, 3), unit="m", meaning=meaning, read=lambda scene, _: read(scene), privileged=True
     )
 
 
-def _tooth(name: str, meaning: str, read: "Callable[[LockScene], FloatArray]") -> "Observable[LockScene]":
+def _tooth(name: str, meaning: str, read: Callable[[HasLock], FloatArray]) -> Observable[HasLock]:
     return Observable(
         name=name, shape=(3,), unit="5 mm", meaning=meaning, read=lambda scene, _: read(scene), privileged=True
     )
@@ -29,7 +56,7 @@ def _lowest_corners_mm(info: InfoView) -> tuple[float, ...]:
     return tuple(1000 * min(z for _, _, z in info[key]) for key in ("key1_pts_m", "key2_pts_m"))
 
 
-RELATIVE_MOTION: "Observable[LockScene]" = Observable(
+RELATIVE_MOTION: Observable[HasLock] = Observable(
     name="relative_motion",
     shape=(3,),
     unit="mm",

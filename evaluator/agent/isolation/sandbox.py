@@ -128,7 +128,7 @@ class Sandbox:
         if bubblewrap.current_user_isolation() is UserIsolation.ROOT and mode & 0o005 != 0o005:
             raise SandboxFailed(
                 f"The folder {self._submission} may be entered by its owner only, but the policy runs as another user; "
-                "copy the submission with `vitac.evaluator.submission.manifest.stage` first."
+                "copy the submission with `vitac.evaluator.submission.sources.stage` first."
             )
 
     def _start(self) -> None:

@@ -25,7 +25,7 @@ from service_factories import (
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 from vitac.evaluator.evaluation.local import evaluate
-from vitac.evaluator.submission.staging import staged
+from vitac.evaluator.submission.sources import staged
 from vitac.evaluator.tracks import Task, load_track
 from vitac.evaluator.tracks.cut import Shard, cut
 from vitac.evaluator.tracks.sealed import new_secret, sealed_track

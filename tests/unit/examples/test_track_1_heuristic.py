@@ -8,7 +8,8 @@ import pytest
 from example_policies import flow, load
 from vitac.cli.client.packing import pack
 from vitac.evaluator.submission.archive import unpack
-from vitac.evaluator.submission.manifest import load_unpacked_manifest, submission_digest
+from vitac.evaluator.submission.manifest import load_unpacked_manifest
+from vitac.evaluator.submission.sources import submission_digest
 from vitac.evaluator.tracks import load_track
 
 SINGLE_TASK = {"peg_insertion": "peg_insertion_heuristic", "lock_opening": "lock_opening_heuristic"}

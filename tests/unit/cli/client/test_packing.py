@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from submissions import MANIFEST
 from vitac.cli.client.packing import pack
-from vitac.evaluator.submission.manifest import NoSubmission, submission_digest
 from vitac.evaluator.submission.names import ArchiveRejected
+from vitac.evaluator.submission.sources import NoSubmission, submission_digest
 
 
 @pytest.fixture

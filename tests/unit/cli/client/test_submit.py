@@ -8,7 +8,7 @@ from service_factories import TASK
 from uploaded_logs import EPISODES, a_log, a_text_log, packed
 from vitac.cli.client.refusals import RequestRefused, ServiceUnreachable
 from vitac.cli.client.upload_kind import kind_of
-from vitac.evaluator.submission.manifest import NoSubmission, submission_digest
+from vitac.evaluator.submission.sources import NoSubmission, submission_digest
 
 
 def test_submits_a_folder_and_prints_id_and_page(service: CliService, tmp_path: Path) -> None:

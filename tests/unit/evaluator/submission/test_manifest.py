@@ -15,17 +15,8 @@ from hypothesis import strategies as st
 from submissions import FILES, MANIFEST, submission_folder, submission_zip, zip_bytes
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.submission.archive import ArchiveFault, ArchiveRejected, unpack
-from vitac.evaluator.submission.manifest import (
-    ManifestRejected,
-    NoSubmission,
-    find_submission,
-    load_manifest,
-    load_unpacked_manifest,
-    manifest_of,
-    parse_manifest,
-    stage,
-    submission_digest,
-)
+from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest, load_unpacked_manifest, parse_manifest
+from vitac.evaluator.submission.sources import NoSubmission, find_submission, manifest_of, stage, submission_digest
 from vitac.evaluator.tracks import registry
 
 

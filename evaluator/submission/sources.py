@@ -1,0 +1,173 @@
+"""What a submission is read from, a zip or a folder: its manifest, its digest, and a copy that can be evaluated."""
+
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import IO
+
+from vitac.envs.errors import VitacError
+
+from ..agent.limits import Limits
+from ..tracks import archive_folders, load_track
+from .archive import Entry, packed_entries, unpack, write
+from .manifest import (
+    MANIFEST_MAX_BYTES,
+    ManifestRejected,
+    SubmissionManifest,
+    check_top_folder,
+    load_manifest,
+    parse_manifest,
+    renaming,
+)
+from .names import MANIFEST_NAME, NamedEntry, check_names, contents_of, is_ignored, link, listed, special_file
+
+
+class NoSubmission(VitacError):
+    """The path is neither a zip nor a folder of a submission: name one."""
+
+
+def find_submission(path: Path) -> Path:
+    """Return the folder below a path that holds submission.yaml: itself, or its folder of a track, such as `Track_1`.
+
+    Raises:
+        NoSubmission: there is none.
+    """
+    if not path.exists():
+        raise NoSubmission(f"{path} does not exist; {contents_of(path.parent)}.")
+    for folder in (path, *(path / top for top in archive_folders())):
+        if (folder / MANIFEST_NAME).is_file():
+            return folder
+    mend = renaming(each.name for each in path.glob("*")) or "name the submission's folder or its zip"
+    raise NoSubmission(f"Expected {MANIFEST_NAME} or a zip, {contents_of(path)}; {mend}.")
+
+
+def manifest_of(source: Path, limits: Limits | None = None) -> SubmissionManifest:
+    """Read the manifest of a zip or a folder; nothing is unpacked.
+
+    Raises:
+        ManifestRejected: it is missing or cannot be read.
+        ArchiveRejected: a rule of archives is broken, or the top folder of a zip is that of another track.
+        NoSubmission: the path is no submission.
+    """
+    if not source.is_file():
+        return load_manifest(find_submission(source))
+    with ExitStack() as exits:
+        top, entries = packed_entries(exits.enter_context(source.open("rb")), limits or Limits(), exits)
+        for entry in entries:
+            if entry.path == MANIFEST_NAME and entry.n_bytes <= MANIFEST_MAX_BYTES:
+                manifest = parse_manifest(b"".join(entry.chunks()))
+                check_top_folder(manifest, top)
+                return manifest
+    names = [entry.path for entry in entries]
+    mend = renaming(names) or "put it directly into the submission's folder"
+    raise ManifestRejected(
+        f"{MANIFEST_NAME} is missing or larger than {MANIFEST_MAX_BYTES} bytes; {mend}. "
+        f"The archive holds {listed(names)}."
+    )
+
+
+def stage(source: Path, destination: Path, limits: Limits | None = None) -> Path:
+    """Copy a zip or folder to where it can be evaluated, under the same rules for both.
+
+    Args:
+        source: zip, submission folder, or the folder that contains it under its track's name, such as `Track_1`.
+        destination: new or empty folder.
+        limits: sizes and counts.
+
+    Returns:
+        The submission's folder below `destination`, readable by every user.
+
+    Raises:
+        ArchiveRejected: a rule of archives is broken, or the top folder of a zip is that of another track.
+        ManifestRejected: the manifest is missing or wrong.
+        NoSubmission: the path is not a submission.
+    """
+    limits = limits or Limits()
+    if source.is_file():
+        manifest_of(source, limits)  # refuses the folder of another track
+        return unpack(source, destination, limits)
+    found = find_submission(source)
+    top = top_folder(found)
+    return write(_folder_entries(found, top, limits), destination, top, limits)
+
+
+@contextmanager
+def staged(submission: Path) -> Iterator[Path]:
+    """Return the folder of an unpacked copy of a submission, which is removed when the block is left.
+
+    Args:
+        submission: zip or folder.
+
+    Raises:
+        ArchiveRejected: a rule of archives is broken.
+        NoSubmission: the path is no submission.
+    """
+    with TemporaryDirectory(prefix="vitac-submission-") as folder:
+        Path(folder).chmod(0o755)  # Under root the sandbox has a user of its own, which must reach the submission.
+        yield stage(submission, Path(folder) / "submission")
+
+
+def submission_digest(source: Path, limits: Limits | None = None) -> str:
+    """Return SHA-256 over path, size and content of every file, sorted by path: equal for a folder and its zip.
+
+    Raises:
+        ArchiveRejected: a rule of archives is broken.
+        ManifestRejected: the manifest of a folder is missing or wrong.
+        NoSubmission: the path is not a submission.
+    """
+    limits = limits or Limits()
+    with ExitStack() as exits:
+        if source.is_file():
+            _, entries = packed_entries(exits.enter_context(source.open("rb")), limits, exits)
+        else:
+            found = find_submission(source)
+            entries = _folder_entries(found, top_folder(found), limits)
+        return _digest(entries)
+
+
+def top_folder(submission_dir: Path) -> str:
+    """Return the one folder that an archive of a submission holds: its track's.
+
+    Raises:
+        ManifestRejected: the manifest cannot be read.
+    """
+    return load_track(load_manifest(submission_dir).track).folder
+
+
+def _folder_entries(folder: Path, top: str, limits: Limits) -> list[Entry]:
+    entries = list(_walk(folder, ""))
+    check_names((NamedEntry(path=f"{top}/{entry.path}", is_folder=False) for entry in entries), limits)
+    return entries
+
+
+def _walk(folder: Path, prefix: str) -> Iterator[Entry]:
+    for item in sorted(os.scandir(folder), key=lambda item: item.name):
+        path = f"{prefix}{item.name}"
+        if is_ignored(path):
+            continue
+        if item.is_symlink():
+            raise link(path)
+        if item.is_dir():
+            yield from _walk(Path(item.path), f"{path}/")
+        elif item.is_file():
+            yield Entry(path=path, n_bytes=item.stat().st_size, open=partial(_open, item.path))
+        else:
+            raise special_file(path)
+
+
+def _open(path: str) -> IO[bytes]:
+    return Path(path).open("rb")
+
+
+def _digest(entries: list[Entry]) -> str:
+    digest = hashlib.sha256()
+    for entry in sorted(entries, key=lambda entry: entry.path):
+        path = entry.path.encode()
+        digest.update(len(path).to_bytes(8, "little") + path + entry.n_bytes.to_bytes(8, "little"))
+        for chunk in entry.chunks():
+            digest.update(chunk)
+    return digest.hexdigest()
