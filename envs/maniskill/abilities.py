@@ -10,7 +10,8 @@ import warnings
 from dataclasses import asdict, dataclass
 from functools import cache
 
-from .env import has_cuda, has_driver, missing_packages
+from .driver import has_cuda, has_driver
+from .env import missing_packages
 
 _TIME_LIMIT_S = 120.0
 

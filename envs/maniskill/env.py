@@ -8,7 +8,6 @@ import hashlib
 import json
 import math
 import os
-import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -28,6 +27,7 @@ from ..tasks.options import RNG_SEED, refuse_unknown, seeded_generator
 from ..tasks.settings import settings_from
 from .catalogue import catalogue
 from .definition import CPU, PREFIX, ManiSkillSettings, definition_of, needs_driver
+from .driver import has_cuda, has_driver, replace_materials
 from .observations import flattened, unbatched
 from .state import StateReader
 
@@ -297,7 +297,7 @@ def made(name: str, settings: ManiSkillSettings, *, draws: bool = False, n_scene
             "Ubuntu 24.04, `apt-get install -t bookworm-backports mesa-vulkan-drivers` on Debian 12."
         )
     if not has_renderer:
-        _do_without_materials()
+        replace_materials()
     _keep_what_is_loaded()
     env: Any = gymnasium.make(
         name,
@@ -325,43 +325,3 @@ def _keep_what_is_loaded() -> None:
     """
     gc.collect()
     gc.freeze()
-
-
-def has_cuda() -> bool:
-    """Return whether torch finds a GPU to run physics on."""
-    import torch
-
-    return bool(torch.cuda.is_available())
-
-
-@cache
-def has_driver() -> bool:
-    """Return whether SAPIEN finds a Vulkan driver; kept, for a stand-in takes the place of what is asked."""
-    import sapien
-
-    try:
-        sapien.render.RenderMaterial()
-    except RuntimeError:
-        return False
-    return True
-
-
-class _Material:
-    """Stands in for SAPIEN's material where there is no driver: ManiSkill makes some even if it draws nothing."""
-
-    def __init__(self, **values: Any) -> None:
-        self.__dict__.update(values)
-
-    def set_base_color(self, value: Any) -> None:
-        """Keep a colour that nothing draws."""
-        self.base_color = value
-
-
-def _do_without_materials() -> None:
-    """Put the stand-in wherever SAPIEN and ManiSkill have the class under its name."""
-    import sapien
-
-    real = sapien.render.RenderMaterial
-    for name, module in list(sys.modules.items()):
-        if name.partition(".")[0] in {"sapien", "mani_skill"} and getattr(module, "RenderMaterial", None) is real:
-            module.__dict__["RenderMaterial"] = _Material

@@ -26,8 +26,8 @@ from vitac.evaluator.evaluation.local import evaluate
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.logs.verification import verify
+from vitac.evaluator.package_sets import FURTHER_SETS_VARIABLE
 from vitac.evaluator.tracks import Task, Track, load_track
-from vitac.evaluator.version import evaluator_hash
 
 pytestmark = [
     pytest.mark.skipif(
@@ -85,9 +85,7 @@ def track(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Track]:
     (folder / "cubes.yaml").write_text(TRACK_FILE)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("VITAC_TRACKS_DIR", str(folder))
-        evaluator_hash.cache_clear()  # it covers these files, too; an earlier test may have asked without them
         yield load_track("cubes")
-    evaluator_hash.cache_clear()
 
 
 @pytest.fixture(scope="module")
@@ -98,8 +96,11 @@ def env(track: Track) -> ManiSkillEnv:
 @pytest.fixture(scope="module")
 def play(env: ManiSkillEnv, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[Task], EpisodeRecord]]:
     """Plays an episode of a task with the action that the task's name stands for, in one sandbox for all."""
-    with PolicySession(folder_with(tmp_path_factory.mktemp("policy"), WHAT_THE_TASK_IS_CALLED)) as session:
-        yield lambda task: run_episode(env=env, task=task, episode=task.episodes[0], open_session=lambda: session)
+    folder = folder_with(tmp_path_factory.mktemp("policy"), WHAT_THE_TASK_IS_CALLED)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(FURTHER_SETS_VARIABLE, "torch")
+        with PolicySession(folder) as session:
+            yield lambda task: run_episode(env=env, task=task, episode=task.episodes[0], open_session=lambda: session)
 
 
 def made(task: Task, max_steps: int = 5) -> ManiSkillEnv:

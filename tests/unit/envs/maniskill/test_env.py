@@ -210,37 +210,6 @@ def test_results_of_both_backends_have_provenances_of_their_own(fake: FakePickCu
     assert pick_cube().mesh_hash() in hashes
 
 
-def test_a_material_without_a_driver_takes_a_colour(monkeypatch: pytest.MonkeyPatch) -> None:
-    """PlugCharger-v1 and PullCubeTool-v1 give theirs one after making it."""
-    render = SimpleNamespace(RenderMaterial=object())
-    monkeypatch.setitem(sys.modules, "sapien", SimpleNamespace(render=render))
-    monkeypatch.setitem(sys.modules, "sapien.render", render)
-    adapter._do_without_materials()
-    material = render.RenderMaterial(roughness=0.5)
-    material.set_base_color([1, 0, 0, 1])
-    assert (material.roughness, material.base_color) == (0.5, [1, 0, 0, 1])
-
-
-def test_a_driver_that_is_not_there_is_not_found_after_the_stand_in_for_its_material(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    class NoDevice:
-        def __init__(self) -> None:
-            raise RuntimeError("failed to find a rendering device")
-
-    render = SimpleNamespace(RenderMaterial=NoDevice)
-    monkeypatch.setitem(sys.modules, "sapien", SimpleNamespace(render=render))
-    monkeypatch.setitem(sys.modules, "sapien.render", render)
-    adapter.has_driver.cache_clear()
-    try:
-        assert not adapter.has_driver()
-        adapter._do_without_materials()
-        assert render.RenderMaterial().__dict__ == {}
-        assert not adapter.has_driver()
-    finally:
-        adapter.has_driver.cache_clear()
-
-
 def test_pictures_without_a_driver_are_refused_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("mani_skill", "mani_skill.envs", "torch"):
         monkeypatch.setitem(sys.modules, name, SimpleNamespace(set_num_threads=lambda count: None))
