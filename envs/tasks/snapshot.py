@@ -2,7 +2,7 @@
 
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -31,6 +31,7 @@ class EpisodeSnapshot:
     """What `restore` needs; it belongs to the environment that made it and to no other process.
 
     Attributes:
+        owner: the environment that made it.
         scene: of the episode; it is shared by all snapshots of the episode and built again by none.
         commanded: what was commanded so far and what else the task's scene keeps, beside the physics.
         grasp: state of the physics, the gripper and the sensors.
@@ -38,8 +39,20 @@ class EpisodeSnapshot:
         generators: as they were.
     """
 
+    owner: Any
     scene: Any
     commanded: dict[str, Any]
     grasp: GraspState
     error: float
     generators: Generators
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be pickled or copied, as the scene would come along.
+
+        Raises:
+            TypeError: always.
+        """
+        raise TypeError(
+            "A snapshot cannot leave the process and the environment that made it. Send the seed and the actions "
+            "instead, and play them again: the states are the same to the last bit."
+        )

@@ -39,7 +39,11 @@ Info = dict[str, Any]
 
 
 class ActionError(VitacError):
-    """An action has the wrong shape or is not a finite number; the message says what was expected."""
+    """An action has the wrong type or shape or is not finite; the message says what was expected."""
+
+
+class ForeignSnapshot(VitacError):
+    """A snapshot belongs to another environment; restore it there, or replay the actions from a `reset` here."""
 
 
 class NotReset(VitacError):
@@ -231,7 +235,8 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         """Play one env step.
 
         Raises:
-            ActionError: the action has another shape than the action space or is not finite.
+            ActionError: the action is not an array of real numbers, has another shape than the action space, or is not
+                finite.
         """
         command = self._checked(action)
         self.task_scene.env_steps += 1
@@ -254,6 +259,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         """
         scene, own, episode = self.task_scene, self.np_random, self._episode_random
         return EpisodeSnapshot(
+            owner=self,
             scene=scene,
             commanded={**vars(scene)},
             grasp=scene.grasped.state(),
@@ -265,7 +271,15 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         """Continue the episode of a snapshot that this environment made, as often as you like.
 
         Counters and clocks are sums of all that was played and do not go back.
+
+        Raises:
+            ForeignSnapshot: another environment made it; both would play in the same scene.
         """
+        if snapshot.owner is not self:
+            raise ForeignSnapshot(
+                f"The snapshot was made by another environment of {snapshot.owner.env_id}. Expected one of this "
+                f"environment of {self.env_id}: reset it and play the actions again."
+            )
         self._earlier_ipc_steps = self.ipc_steps - snapshot.grasp.ipc_steps
         if snapshot.scene is not self._scene:
             self._still = None
@@ -345,9 +359,16 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
 
     def _checked(self, action: NDArray[np.float32]) -> FloatArray:
         try:
-            command = np.asarray(action, dtype=np.float32).astype(np.float64)
+            given = np.asanyarray(action)
         except (TypeError, ValueError) as error:
             raise ActionError(f"Action for {self.env_id} is {action!r}, expected numbers: {error}.") from error
+        is_masked = hasattr(given, "mask")  # asking for numpy.ma would load it, which takes 50 ms
+        if is_masked or given.dtype.kind not in "fiu":
+            kind = "a masked array" if is_masked else "an array"
+            raise ActionError(
+                f"Action for {self.env_id} is {kind} of type {given.dtype}, expected an array of real numbers."
+            )
+        command = np.asarray(given, dtype=np.float32).astype(np.float64)
         expected = (len(self.task.actions),)
         if command.shape != expected:
             names = ", ".join(f"{component.name} {component.unit}" for component in self.task.actions)

@@ -120,6 +120,21 @@ def test_refusals_are_ours_and_name_the_environment(env: Any, env_id: str) -> No
     assert issubclass(ActionError, VitacError)
 
 
+@pytest.mark.parametrize("type_", ["bool", "str", "complex64", "object"])
+def test_what_is_no_array_of_real_numbers_is_refused_as_an_action(env: Any, env_id: str, type_: str) -> None:
+    env.reset(seed=1)
+    before = env.state_hash()
+    with pytest.raises(ActionError, match=rf"Action for {env_id} is an array of type .*, expected an array of real"):
+        env.step(np.zeros(env.action_space.shape).astype(type_))
+    assert env.state_hash() == before
+
+
+def test_a_masked_array_is_refused_as_an_action(env: Any) -> None:
+    env.reset(seed=1)
+    with pytest.raises(ActionError, match="is a masked array of type float64, expected an array of real numbers"):
+        env.step(np.ma.masked_all(env.action_space.shape))
+
+
 @pytest.fixture(scope="module")
 def digests() -> dict[str, str]:
     return trajectory_digests()

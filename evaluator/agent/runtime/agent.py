@@ -127,13 +127,15 @@ def as_numbers(value: Any, what: str = "act()") -> Any:
     if isinstance(value, (bytes, str, dict)) or value is None:
         raise Refused("bad_action_type", f"{what} returned {type(value).__name__}, expected an array of real numbers.")
     try:
-        array = np.asarray(value)
+        array = np.asanyarray(value)
     except Exception as error:
         raise Refused(
             "bad_action_type", f"{what} returned what NumPy cannot make an array of: {error!r:.500}"
         ) from error
     if array.dtype.kind not in "fiu":
         raise Refused("bad_action_type", f"{what} returned an array of dtype {array.dtype}, expected real numbers.")
+    if hasattr(array, "mask"):  # asking for numpy.ma would load it, which takes 50 ms
+        raise Refused("bad_action_type", f"{what} returned a masked array, expected real numbers without a mask.")
     if array.size > 4096:
         raise Refused("bad_action_shape", f"{what} returned an array of shape {array.shape}, far larger than expected.")
     return np.ascontiguousarray(array, dtype="<f4" if array.dtype == np.float32 else "<f8").reshape(array.shape)

@@ -1,12 +1,13 @@
 """Going back to a state of an episode: what follows is the same to the last bit."""
 
+import pickle
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 import vitac.envs
-from vitac.envs.tasks.task_env import NotReset
+from vitac.envs.tasks.task_env import ForeignSnapshot, NotReset
 
 ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
 
@@ -111,6 +112,24 @@ def test_counters_do_not_go_back() -> None:
     assert env.ipc_steps == after > before
     env.step(np.zeros(3, dtype=np.float32))
     assert env.ipc_steps == after + (after - before)
+
+
+def test_snapshot_of_another_environment_is_refused_and_changes_neither() -> None:
+    ours, theirs = made("ViTac/PegInsertion-v1"), made("ViTac/PegInsertion-v1")
+    for env in (ours, theirs):
+        env.reset(seed=3)
+    theirs.step(np.full(3, 0.5, dtype=np.float32))
+    before = ours.state_hash(), theirs.state_hash()
+    with pytest.raises(ForeignSnapshot, match=r"another environment of ViTac/PegInsertion-v1\. Expected one of this"):
+        ours.restore(theirs.snapshot())
+    assert (ours.state_hash(), theirs.state_hash()) == before
+
+
+def test_snapshot_does_not_leave_its_process() -> None:
+    env = made("ViTac/PegInsertion-v1")
+    env.reset(seed=3)
+    with pytest.raises(TypeError, match="Send the seed and the actions"):
+        pickle.dumps(env.snapshot())
 
 
 def test_snapshot_needs_an_episode() -> None:

@@ -238,7 +238,7 @@ def test_unknown_reset_option_names_the_nearest() -> None:
         (0.0, r"shape \(\)"),
         ([0.0, float("nan"), 0.0], "not finite"),
         ([0.0, float("inf"), 0.0], "not finite"),
-        (["a", "b", "c"], "expected numbers"),
+        (["a", "b", "c"], "expected an array of real numbers"),
         ([0.0, None, []], "expected numbers"),
     ],
 )
