@@ -132,7 +132,7 @@ def test_what_is_no_array_of_real_numbers_is_refused_as_an_action(env: Any, env_
 def test_a_masked_array_is_refused_as_an_action(env: Any) -> None:
     env.reset(seed=1)
     with pytest.raises(ActionError, match="is a masked array of type float64, expected an array of real numbers"):
-        env.step(np.ma.masked_all(env.action_space.shape))
+        env.step(np.ma.array(np.ones(env.action_space.shape), mask=True))
 
 
 @pytest.fixture(scope="module")

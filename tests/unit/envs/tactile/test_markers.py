@@ -122,6 +122,14 @@ def test_reference_outside_the_picture_is_not_seen() -> None:
     assert unique_count(pixels) < 63
 
 
+def test_marker_that_leaves_the_picture_is_given_where_it_is_projected() -> None:
+    moved = rest_view() + np.array([0.006, 0.0, 0.0])
+    pixels = flow(moved, STILL)
+    assert unique_count(pixels) == 63, "the reference decides what is seen"
+    assert pixels[1, :, 0].max() > 320.0
+    assert pixels[1] - pixels[0] == pytest.approx(np.tile([3.4 * 0.006 / 0.00022, 0.0], (128, 1)))
+
+
 def test_nothing_visible_is_an_error_not_an_empty_flow() -> None:
     with pytest.raises(NoMarkerVisible, match="No marker"):
         flow(settings=MarkerSettings(loss_probability=1.0))

@@ -159,7 +159,18 @@ def test_accepts_every_kind_of_real_numbers(value: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "value", [[True, False], np.zeros(3, bool), [1j], ["1"], [object()], "1 0", {"a": 1}, None, np.ma.masked_all(3)]
+    "value",
+    [
+        [True, False],
+        np.zeros(3, bool),
+        [1j],
+        ["1"],
+        [object()],
+        "1 0",
+        {"a": 1},
+        None,
+        np.ma.array(np.ones(3), mask=True),
+    ],
 )
 def test_refuses_what_is_no_number(value: Any) -> None:
     with pytest.raises(agent.Refused) as caught:
