@@ -17,8 +17,10 @@ class ProblemCode(StrEnum):
     APPEAL_TOO_LATE = "appeal_too_late"
     ARCHIVE_REJECTED = "archive_rejected"
     BODY_TOO_LARGE = "body_too_large"
+    CHANGED_MEANWHILE = "changed_meanwhile"
     CHECKSUM_MISMATCH = "checksum_mismatch"
     COMPETITION_FINAL = "competition_final"
+    CONFIRMATION_NEEDED = "confirmation_needed"
     DATABASE_UNAVAILABLE = "database_unavailable"
     DIGEST_MISMATCH = "digest_mismatch"
     FILE_NAME_MISMATCH = "file_name_mismatch"
@@ -79,8 +81,10 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.APPEAL_TOO_LATE: HTTPStatus.CONFLICT,
         ProblemCode.ARCHIVE_REJECTED: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.BODY_TOO_LARGE: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+        ProblemCode.CHANGED_MEANWHILE: HTTPStatus.CONFLICT,
         ProblemCode.CHECKSUM_MISMATCH: HTTPStatus.BAD_REQUEST,
         ProblemCode.COMPETITION_FINAL: HTTPStatus.CONFLICT,
+        ProblemCode.CONFIRMATION_NEEDED: HTTPStatus.CONFLICT,
         ProblemCode.DATABASE_UNAVAILABLE: HTTPStatus.SERVICE_UNAVAILABLE,
         ProblemCode.DIGEST_MISMATCH: HTTPStatus.BAD_REQUEST,
         ProblemCode.FILE_NAME_MISMATCH: HTTPStatus.UNPROCESSABLE_ENTITY,

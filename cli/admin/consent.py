@@ -12,9 +12,13 @@ import typer
 from vitac.envs.errors import VitacError
 
 from ..service.database import transaction
+from ..terminal.output import warn
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from sqlalchemy.orm import Session
+    from vitac.server.confirmations import Concern
 
 ShownT = TypeVar("ShownT")
 
@@ -23,6 +27,18 @@ Yes = Annotated[bool, typer.Option("--yes", help="Do not ask.")]
 
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Only say what would change.")]
 """The option of every command that changes something."""
+
+Base = Annotated[
+    str | None,
+    typer.Option(help="With --yes: the revision that this change was made from, as a dry run or `show` prints it."),
+]
+"""The option of a command that replaces what somebody else may have changed meanwhile."""
+
+Confirmed = Annotated[
+    list[str] | None,
+    typer.Option("--confirm", help="With --yes: a warning, by its name, that you have read; several times."),
+]
+"""The option of a command that warns of what it cannot take back."""
 
 NOTHING_CHANGED = "Dry run: nothing was changed."
 """Printed on stderr, so that the output is what the change itself would print."""
@@ -43,6 +59,7 @@ def change_as_shown(
     *,
     yes: bool,
     dry_run: bool,
+    concerns: Callable[[ShownT], "Sequence[Concern]"] = lambda _: (),
 ) -> None:
     """Try a change, show what it does, ask, and make it. While somebody reads, nothing in the database is locked.
 
@@ -52,6 +69,7 @@ def change_as_shown(
         question: what is asked, or what is asked about what was shown; None: nothing changes, so nothing is asked.
         yes: do not ask.
         dry_run: only show it.
+        concerns: what the change cannot take back, by what was shown: printed as warnings, and asked about one by one.
 
     Raises:
         ConsentMissing: nobody can be asked.
@@ -65,15 +83,29 @@ def change_as_shown(
         elif not yes:
             session.rollback()
     show(shown)
+    for concern in concerns(shown):
+        warn(f"{concern.name}: {concern.sentence}")
     if dry_run or yes:
         return
     asked = question if isinstance(question, str) else question(shown)
     if asked is None:
         return
+    for concern in concerns(shown):
+        require_consent(f"{concern.name}: do you mean that?", yes=False)
     require_consent(asked, yes=False)
     with transaction() as session:
         if change(session) != shown:
             raise ChangedMeanwhile("Something changed while you were asked, and nothing was done. Run it again.")
+
+
+def base_of(base: str | None, *, yes: bool) -> str | None:
+    """Return what a change was made against: nothing, where it is made without a question and without saying so."""
+    return "" if base is None and yes else base
+
+
+def confirmed_of(confirmed: "Sequence[str] | None", *, yes: bool) -> "Sequence[str] | None":
+    """Return the names of the warnings that are confirmed; None where somebody is asked about them, or in a dry run."""
+    return (confirmed or ()) if yes else None
 
 
 @contextmanager

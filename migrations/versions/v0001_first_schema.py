@@ -325,6 +325,7 @@ def make_tables() -> None:
         sa.Column("secret", sa.String(length=64), nullable=False),
         sa.Column("made_at", sa.DateTime(timezone=True), server_default=sa.text("now()"), nullable=False),
         sa.Column("revealed_at", sa.DateTime(timezone=True), nullable=True),
+        sa.Column("withdrawn_at", sa.DateTime(timezone=True), nullable=True),
         sa.CheckConstraint("commitment ~ '^[0-9a-f]{64}$'", name=op.f("ck_sealed_lists_commitment_is_sha256")),
         sa.CheckConstraint("secret ~ '^[0-9a-f]{64}$'", name=op.f("ck_sealed_lists_secret_is_hexadecimal")),
         sa.PrimaryKeyConstraint("commitment", name=op.f("pk_sealed_lists")),

@@ -1,6 +1,6 @@
 """Makes a competition file the competition of this service: what changes by it, and the change itself."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -9,17 +9,20 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import ListKind
 
-from ..audit import record
+from ..audit import newest_entries, record
+from ..confirmations import Concern, require_base, require_confirmed, revision_of
 from ..db.models import Competition, Submission
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
 from .contest import Contest
 from .definition import CompetitionDefinition
-from .sealing import seal, withdraw
+from .sealing import refuse_reopening, seal, withdraw, withdraw_unplayed
+from .touching import concerns_about
 
 _NAMES = ("name", "place")
 """Fields by which the members of a list are told apart."""
 
+_SHOWN_CHANGES = 10
 _HIDING = (
     "anonymous is switched on: from now on others see teams under random names, but whoever has seen results with the "
     "real names knows them again."
@@ -43,35 +46,67 @@ class Change:
     after: object
 
 
+def concerns_by(session: Session, definition: CompetitionDefinition) -> list[Concern]:
+    """Return what applying a file touches that already happened; `apply` wants each confirmed by its name."""
+    return concerns_about(Contest.read(session), definition, datetime.now(UTC))
+
+
 def changes_by(session: Session, definition: CompetitionDefinition) -> list[Change]:
     """Return what applying a file would change, in the order of the file.
 
     Raises:
-        ServiceError: the competition is final, or submissions were made by what it takes away.
+        ServiceError: the competition is final, submissions were made by what it takes away, or a stage whose secret is
+            published would open again.
     """
     contest = Contest.read(session)
     if contest.definition != definition:
         contest.require_not_final()
     _refuse_loss(contest, definition)
+    refuse_reopening(contest, definition, datetime.now(UTC))
     return list(_differences(contest.definition if contest.is_held else None, definition))
 
 
-def apply(session: Session, by: Principal, definition: CompetitionDefinition) -> list[Change]:
+def apply(
+    session: Session,
+    by: Principal,
+    definition: CompetitionDefinition,
+    *,
+    base: str | None = None,
+    confirmed: Collection[str] | None = (),
+) -> list[Change]:
     """Make it the competition of this service, with a sealed list for each stage that plays one; return what changed.
 
     Applying the same file again changes nothing.
 
+    Args:
+        session: of the transaction.
+        by: an organizer.
+        definition: the content of the file.
+        base: revision of the competition that the file was made from; None: the caller compares the changes itself.
+        confirmed: names of the concerns (`concerns_by`) that the organizer confirms; None: the caller asks.
+
     Raises:
-        ServiceError: not an organizer, or as `changes_by`.
+        ServiceError: not an organizer, the competition is at another revision, a concern is not confirmed, or as
+            `changes_by`.
     """
     by.require_organizer()
     contest = Contest.lock(session)
     before = contest.row.definition if contest.is_held else None
     found = changes_by(session, definition)
     after = definition.model_dump(mode="json")
+    if found:
+        require_base(
+            "the competition",
+            base=base,
+            revision=contest.revision,
+            difference=lambda: _difference_since(contest, base, definition),
+        )
+        require_confirmed(concerns_by(session, definition), confirmed)
     if not contest.is_held:
-        session.add(Competition(definition=after))
+        session.add(Competition(definition=after, frozen_at=definition.freeze_at))
     elif before != after:
+        if contest.definition.freeze_at != definition.freeze_at:
+            contest.row.frozen_at = definition.freeze_at
         contest.row.definition, contest.row.applied_at = after, datetime.now(UTC)
     session.flush()
     if before != after:
@@ -79,6 +114,7 @@ def apply(session: Session, by: Principal, definition: CompetitionDefinition) ->
     for stage in Contest.read(session).stages:
         change = seal if stage.plays_sealed_list else withdraw
         change(session, by, stage)
+    withdraw_unplayed(session, by, Contest.read(session))
     return found
 
 
@@ -106,6 +142,27 @@ def warnings_about(definition: CompetitionDefinition, changes: Sequence[Change])
                 f"The last stage of {name} closed at {track.stages[-1].closes:%F %T} UTC: it takes no submissions."
             )
     return found
+
+
+def _difference_since(contest: Contest, base: str | None, definition: CompetitionDefinition) -> str:
+    """Return what was changed since a revision; where nobody knows that, what the file would change."""
+    known = (
+        content
+        for entry in newest_entries(contest.session, action="competition.apply", subject=contest.subject)
+        for content in (entry.after, entry.before)
+    )
+    old = next((content for content in known if base and revision_of(content) == base), None)
+    if old is None:
+        present = contest.definition if contest.is_held else None
+        return f"The file would change {_listed(_differences(present, definition))}."
+    since = _differences(CompetitionDefinition.model_validate(old), contest.definition)
+    return f"Since then changed: {_listed(since)}."
+
+
+def _listed(changes: Iterator[Change]) -> str:
+    sentences = [f"{change.place}: {change.before} -> {change.after}" for change in changes]
+    more = f"; and {len(sentences) - _SHOWN_CHANGES} more" if len(sentences) > _SHOWN_CHANGES else ""
+    return "; ".join(sentences[:_SHOWN_CHANGES]) + more
 
 
 def _refuse_loss(contest: Contest, definition: CompetitionDefinition) -> None:

@@ -11,6 +11,7 @@ from typing import Self
 
 from sqlalchemy.orm import Session
 
+from ..confirmations import revision_of
 from ..db.models import Competition
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
@@ -84,6 +85,17 @@ class Contest:
     def subject(self) -> str:
         """What the audit log calls it."""
         return f"competition:{self.definition.name}"
+
+    @property
+    def revision(self) -> str:
+        """What a changed file says it was made from; empty where there is no competition."""
+        return revision_of(self.row.definition)
+
+    @property
+    def frozen_at(self) -> datetime | None:
+        """Since when its boards show no new results; None: they do."""
+        at = self.row.frozen_at
+        return at if at is not None and at <= datetime.now(UTC) else None
 
     @property
     def hides_names(self) -> bool:
@@ -170,7 +182,7 @@ class Contest:
             ServiceError: none does, or its episodes are published.
         """
         stages = self.stages_of(track)
-        found = next((stage for stage in stages if stage.is_open(at)), None)
+        found = next((stage for stage in stages if stage.is_in_time(at)), None)
         if found is None and by.is_organizer:
             found = _last_opened(stages, at)
         if found is None:

@@ -198,6 +198,9 @@ class CompetitionDefinition(StrictModel):
     rules: tuple[str, ...] = ()
     currency: Word = "USD"
     teams_locked: Instant | None = Field(default=None, description="From then on only organizers register teams.")
+    freeze_at: Instant | None = Field(
+        default=None, description="From then on boards show no new results to anybody but organizers."
+    )
     appeal_days: PositiveInt | None = Field(
         default=None, description="So long after the end of an evaluation its team may appeal; null: no appeals."
     )

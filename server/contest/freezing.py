@@ -16,14 +16,14 @@ def freeze(session: Session, by: Principal) -> None:
         ServiceError: not an organizer, or there is no competition, or it is final.
     """
     contest = Contest.lock_to_change(session, by)
-    if contest.row.frozen_at is None:
+    if contest.frozen_at is None:
         contest.row.frozen_at = datetime.now(UTC)
         after = {"frozen_at": contest.row.frozen_at.isoformat()}
         record(session, by, "competition.freeze", contest.subject, after)
 
 
 def unfreeze(session: Session, by: Principal) -> None:
-    """Show all results again.
+    """Show all results again; a time at which the file would freeze them no longer does.
 
     Raises:
         ServiceError: not an organizer, or there is no competition, or it is final.

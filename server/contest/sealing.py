@@ -16,64 +16,103 @@ from ..db.models import Evaluation, SealedList
 from ..db.states import ACTIVE_EVALUATION_STATES
 from ..errors import ProblemCode, ServiceError, not_found
 from ..principals import Principal
+from .contest import Contest
+from .definition import CompetitionDefinition
 from .stages import Stage
 
 
 def seal(session: Session, by: Principal, stage: Stage, secret: bytes | None = None) -> SealedList:
-    """Give a stage a sealed list; one that it has stays.
+    """Give a stage a sealed list; one that it has stays, and one that was withdrawn is its list again.
+
+    A commitment that everybody could read holds for good, so nobody draws secrets until one pleases.
 
     Args:
         session: of the transaction.
         by: an organizer.
         stage: which one.
-        secret: of the list; None: a new one.
+        secret: of the list; None: a new one, where the stage never had one.
 
     Raises:
         ServiceError: not an organizer, or another secret was committed to.
     """
     by.require_organizer()
-    found = stage.sealed_list
-    if found is not None:
-        if secret is not None and commitment_of(secret) != found.commitment:
+    found = session.scalar(select(SealedList).where(SealedList.track == stage.track, SealedList.stage == stage.name))
+    if found is None:
+        return _make_list(session, by, stage, secret or secrets.token_bytes(SECRET_BYTES))
+    if secret is not None and commitment_of(secret) != found.commitment:
+        raise ServiceError(
+            ProblemCode.LIST_SEALED,
+            f"Stage {stage.name} of {stage.track} is committed to {found.commitment}, expected the secret of that; "
+            "a published commitment does not change.",
+        )
+    if found.withdrawn_at is not None:
+        before = {"withdrawn_at": found.withdrawn_at.isoformat()}
+        found.withdrawn_at = None
+        record(session, by, "list.seal", stage.subject, {"commitment": found.commitment}, before=before)
+    return found
+
+
+def withdraw(session: Session, by: Principal, stage: Stage) -> None:
+    """Take the list of a stage that is to play the public one out of play; nothing happens where it has none.
+
+    Its commitment stays public, as a withdrawn one.
+
+    Raises:
+        ServiceError: not an organizer, or an evaluation plays the list.
+    """
+    by.require_organizer()
+    if stage.sealed_list is not None:
+        _withdraw(session, by, stage, stage.sealed_list)
+
+
+def withdraw_unplayed(session: Session, by: Principal, contest: Contest) -> None:
+    """Take the lists of stages out of play that the competition's file no longer has.
+
+    Raises:
+        ServiceError: an evaluation plays one of the lists.
+    """
+    known = {(stage.track, stage.name) for stage in contest.stages}
+    for found in sealed_lists(session):
+        if (found.track, found.stage) not in known and found.withdrawn_at is None:
+            _withdraw(session, by, contest.stored_stage(found.track, found.stage), found)
+
+
+def refuse_reopening(contest: Contest, definition: CompetitionDefinition, at: datetime) -> None:
+    """Refuse a file by which a stage would take submissions after its secret was published.
+
+    Raises:
+        ServiceError: stage_in_use.
+    """
+    for found in sealed_lists(contest.session):
+        track = definition.tracks.get(found.track)
+        rules = next((stage for stage in track.stages if stage.name == found.stage), None) if track else None
+        if found.revealed_at is not None and rules is not None and rules.closes > at:
             raise ServiceError(
-                ProblemCode.LIST_SEALED,
-                f"Stage {stage.name} of {stage.track} is committed to {found.commitment}, expected the secret of that; "
-                "a published commitment does not change.",
+                ProblemCode.STAGE_IN_USE,
+                f"The secret of stage {found.stage} of {found.track} is published since {found.revealed_at:%F %T} UTC, "
+                f"so it never opens again: expected closes before now, got {rules.closes:%F %T} UTC. Add another "
+                "stage with a list of its own.",
             )
-        return found
-    chosen = secrets.token_bytes(SECRET_BYTES) if secret is None else secret
-    made = SealedList(commitment=commitment_of(chosen), track=stage.track, stage=stage.name, secret=chosen.hex())
+
+
+def _make_list(session: Session, by: Principal, stage: Stage, secret: bytes) -> SealedList:
+    made = SealedList(commitment=commitment_of(secret), track=stage.track, stage=stage.name, secret=secret.hex())
     session.add(made)
     session.flush()
     record(session, by, "list.seal", stage.subject, {"commitment": made.commitment})
     return made
 
 
-def withdraw(session: Session, by: Principal, stage: Stage) -> None:
-    """Take away the list of a stage that is to play the public one; nothing happens where it has none.
-
-    Raises:
-        ServiceError: not an organizer, or an evaluation plays the list.
-    """
-    by.require_organizer()
-    found = stage.sealed_list
-    if found is None:
-        return
+def _withdraw(session: Session, by: Principal, stage: Stage, found: SealedList) -> None:
     if session.scalar(select(exists().where(Evaluation.commitment == found.commitment))):
         raise ServiceError(
             ProblemCode.STAGE_IN_USE,
             f"Stage {stage.name} of {stage.track} has evaluations on its sealed list. Keep it sealed.",
         )
-    session.delete(found)
+    found.withdrawn_at = datetime.now(UTC)
     session.flush()
-    record(
-        session,
-        by,
-        "list.withdraw",
-        stage.subject,
-        {"commitment": None},
-        before={"commitment": found.commitment},
-    )
+    before = {"commitment": found.commitment}
+    record(session, by, "list.withdraw", stage.subject, {"commitment": None}, before=before)
 
 
 def reveal(session: Session, by: Principal, stage: Stage) -> SealedList:
@@ -83,9 +122,8 @@ def reveal(session: Session, by: Principal, stage: Stage) -> SealedList:
         ServiceError: not an organizer, there is no such list, or an evaluation of it has not ended.
     """
     by.require_organizer()
-    found = session.scalar(
-        select(SealedList).where(SealedList.track == stage.track, SealedList.stage == stage.name).with_for_update()
-    )
+    of_stage = SealedList.track == stage.track, SealedList.stage == stage.name, SealedList.withdrawn_at.is_(None)
+    found = session.scalar(select(SealedList).where(*of_stage).with_for_update())
     if found is None:
         raise not_found("sealed list of", f"{stage.track}/{stage.name}")
     active = select(func.count()).where(
@@ -103,7 +141,7 @@ def reveal(session: Session, by: Principal, stage: Stage) -> SealedList:
 
 
 def sealed_lists(session: Session) -> list[SealedList]:
-    """Return all sealed lists, by track and stage."""
+    """Return all sealed lists, by track and stage, also withdrawn ones."""
     return list(session.scalars(select(SealedList).order_by(SealedList.track, SealedList.stage)))
 
 

@@ -94,7 +94,8 @@ class Stage:
     @property
     def frozen_at(self) -> datetime | None:
         """Since when its boards show no new results; None: they do."""
-        return None if self.is_practice else self.competition.frozen_at
+        at = None if self.is_practice else self.competition.frozen_at
+        return at if at is not None and at <= datetime.now(UTC) else None
 
     @property
     def final_since(self) -> datetime | None:
@@ -116,9 +117,8 @@ class Stage:
         """The list that only organizers know; None where the public one is played."""
         if self.is_practice:
             return None
-        return self.session.scalar(
-            select(SealedList).where(SealedList.track == self.track, SealedList.stage == self.name)
-        )
+        of_stage = SealedList.track == self.track, SealedList.stage == self.name
+        return self.session.scalar(select(SealedList).where(*of_stage, SealedList.withdrawn_at.is_(None)))
 
     @property
     def is_sealed(self) -> bool:
@@ -143,7 +143,11 @@ class Stage:
         return found.commitment if found else None
 
     def is_open(self, at: datetime) -> bool:
-        """Return whether it takes submissions: from the opening instant to before the closing one."""
+        """Return whether it takes submissions: in its time, and while its episodes are not published."""
+        return self.is_in_time(at) and not self.is_revealed
+
+    def is_in_time(self, at: datetime) -> bool:
+        """Return whether a moment lies in its time: from the opening instant to before the closing one."""
         return self.track_rules.taken_here and self.rules.opens <= at < self.rules.closes
 
     def is_over(self, at: datetime) -> bool:

@@ -15,6 +15,7 @@ from ..views.contest import (
     PrizeView,
     StageView,
     WinnerView,
+    WithdrawnListView,
 )
 from .contest import Contest
 from .sealing import sealed_lists
@@ -45,10 +46,16 @@ def competition_view(session: Session, at: datetime | None = None) -> Competitio
         anonymous=found.anonymous,
         appeal_days=found.appeal_days,
         tracks=[_track(name, contest, lists, now) for name in found.tracks],
-        frozen_at=row.frozen_at,
+        freeze_at=found.freeze_at,
+        frozen_at=contest.frozen_at,
         finalized_at=row.finalized_at,
         winners=[WinnerView.model_validate(winner, extra="ignore") for winner in row.winners or []],
         disqualified=disqualified_since_the_end(session),
+        withdrawn_lists=[
+            WithdrawnListView.model_validate(each, from_attributes=True)
+            for each in sealed_lists(session)
+            if each.withdrawn_at is not None
+        ],
     )
 
 
@@ -72,7 +79,7 @@ def track_stages(session: Session, track: str, at: datetime | None = None) -> Se
 
 
 def _lists(session: Session) -> Lists:
-    return {(each.track, each.stage): each for each in sealed_lists(session)}
+    return {(each.track, each.stage): each for each in sealed_lists(session) if each.withdrawn_at is None}
 
 
 def _track(name: str, contest: Contest, lists: Lists, now: datetime) -> CompetitionTrackView:

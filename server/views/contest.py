@@ -70,6 +70,16 @@ class DisqualifiedTeamView(View):
     disqualified_at: datetime
 
 
+class WithdrawnListView(View):
+    """A sealed list that no stage plays, because the competition's file was changed after its commitment was public."""
+
+    track: str
+    stage: str
+    commitment: str
+    made_at: datetime
+    withdrawn_at: datetime
+
+
 class CompetitionView(View):
     """The competition of this service."""
 
@@ -89,10 +99,14 @@ class CompetitionView(View):
         description="So long after the end of an evaluation its team may appeal; null: there are no appeals.",
     )
     tracks: list[CompetitionTrackView]
-    frozen_at: datetime | None = Field(description="Since then boards stand still; null: they do not.")
+    freeze_at: datetime | None = Field(default=None, description="When boards freeze by the file; null: not by it.")
+    frozen_at: datetime | None = Field(description="Since then boards show no new results; null: they do.")
     finalized_at: datetime | None = Field(description="Since then everything is final.")
     winners: list[WinnerView] = Field(description="Empty before the end.")
     disqualified: list[DisqualifiedTeamView] = Field(
         default=[],
         description="Of winners and archived boards, since the end; without them once it is finalized again.",
+    )
+    withdrawn_lists: list[WithdrawnListView] = Field(
+        default=[], description="Commitments that were published, of lists that no stage plays now."
     )

@@ -1,5 +1,6 @@
 """`vitac admin competition`: the competition's file, its stages and their sealed lists."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -7,11 +8,13 @@ import typer
 
 from ...service.database import transaction
 from ...terminal.output import AsJson, moment, print_json, print_pairs, print_record, print_records, print_table, warn
-from ..consent import DryRun, Yes, change_as_shown, change_transaction
+from ..consent import Base, Confirmed, DryRun, Yes, base_of, change_as_shown, change_transaction, confirmed_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from sqlalchemy.orm import Session
+    from vitac.server.confirmations import Concern
     from vitac.server.contest.applying import Change
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -50,24 +53,42 @@ def check(file: CompetitionFile, as_json: AsJson = False) -> None:
 
 
 @app.command()
-def apply(file: CompetitionFile, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
+def apply(
+    file: CompetitionFile,
+    base: Base = None,
+    confirm: Confirmed = None,
+    yes: Yes = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
     """Show what a competition's file changes, and make it the competition of this service."""
     from vitac.server.contest.applying import apply as apply_definition
-    from vitac.server.contest.applying import warnings_about
+    from vitac.server.contest.applying import concerns_by, warnings_about
+    from vitac.server.contest.contest import Contest
     from vitac.server.contest.definition import read_competition
     from vitac.server.principals import CONSOLE
 
-    definition = read_competition(file)
+    definition, without_question = read_competition(file), yes and not dry_run
 
-    def show(found: "Sequence[Change]") -> None:
+    def change(session: "Session") -> "tuple[list[Change], list[Concern], str]":
+        revision, concerns = Contest.read(session).revision, concerns_by(session, definition)
+        made_from, confirmed = base_of(base, yes=without_question), confirmed_of(confirm, yes=without_question)
+        found = apply_definition(session, CONSOLE, definition, base=made_from, confirmed=confirmed)
+        return found, concerns, revision
+
+    def show(shown: "tuple[list[Change], list[Concern], str]") -> None:
+        found, _, revision = shown
         _print_changes(found, as_json=as_json)
         for warning in warnings_about(definition, found) if found else ():
             warn(warning)
+        if dry_run and found and revision:
+            print(f"Made against revision {revision}: --yes needs --base {revision}.", file=sys.stderr)
 
     change_as_shown(
-        lambda session: apply_definition(session, CONSOLE, definition),
+        change,
         show,
-        lambda found: f"Apply these {len(found)} changes?" if found else None,
+        lambda shown: f"Apply these {len(shown[0])} changes?" if shown[0] else None,
+        concerns=lambda shown: shown[1],
         yes=yes,
         dry_run=dry_run,
     )
@@ -87,7 +108,8 @@ def show(as_json: AsJson = False) -> None:
         print("No competition; `vitac admin competition apply FILE` makes one.")
     else:
         stages = ", ".join(f"{stage.track}/{stage.name}" for stage in contest.stages)
-        print_pairs({"competition": found.name, "title": found.title, "stages": stages})
+        names = {"competition": found.name, "title": found.title, "stages": stages}
+        print_pairs(names | {"revision": contest.revision})
 
 
 @app.command()
@@ -101,12 +123,13 @@ def lists(as_json: AsJson = False) -> None:
                 "track": each.track,
                 "stage": each.stage,
                 "commitment": each.commitment,
+                "withdrawn_at": each.withdrawn_at,
                 "revealed_at": each.revealed_at,
                 "secret": each.secret if each.revealed_at else None,
             }
             for each in sealed_lists(session)
         ]
-    columns = ("track", "stage", "commitment", "revealed_at", "secret")
+    columns = ("track", "stage", "commitment", "withdrawn_at", "revealed_at", "secret")
     print_records(found, columns, none="No stage plays a sealed list.", as_json=as_json)
 
 

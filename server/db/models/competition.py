@@ -16,7 +16,7 @@ class Competition(Base):
 
     Attributes:
         definition: what `server.contest.definition` reads.
-        frozen_at: since then boards stand still for everybody but organizers; NULL: they do not.
+        frozen_at: from then on boards show no new results to anybody but organizers; NULL: they do. May lie ahead.
         finalized_at: since then winners and boards change only by `finalize_again`, and where a team is erased.
         winners: as they were finalized, or finalized again.
         boards: as they were then (`LeaderboardView`); NULL before, and of one that was final before they were kept.
@@ -38,7 +38,10 @@ class Competition(Base):
 
 
 class SealedList(Base):
-    """The secret from which the episode lists of a stage follow; everybody may know it once it is revealed."""
+    """The secret from which the episode lists of a stage follow; everybody may know it once it is revealed.
+
+    One that is withdrawn is played by no stage now; where its stage is sealed again, it is the same list again.
+    """
 
     __tablename__ = "sealed_lists"
     __table_args__ = (
@@ -52,6 +55,7 @@ class SealedList(Base):
     secret: Mapped[str] = mapped_column(String(64))
     made_at: Mapped[datetime] = mapped_column(server_default=func.now())
     revealed_at: Mapped[datetime | None]
+    withdrawn_at: Mapped[datetime | None]
 
 
 class Rejudgement(Base):

@@ -9,15 +9,28 @@ from submission_steps import refused
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
 from vitac.server.contest.contest import Contest
+from vitac.server.contest.sealing import reveal, seal
 from vitac.server.contest.stages import PRACTICE, CountedResults
+from vitac.server.contest.view import competition_view
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Competition
 from vitac.server.db.row_locks import unless_held
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import CONSOLE
+from vitac.server.quotas import stage_uses
 from vitac.server.teams import teams
 
-from competitions import CLOSES, FIRST, OPENS, SECOND, contest_of, make_competition, put_in_place
+from competitions import (
+    CLOSES,
+    FIRST,
+    OPENS,
+    SECOND,
+    contest_of,
+    make_competition,
+    open_now,
+    put_in_place,
+    sealed_competition,
+)
 
 ENDED = datetime(2026, 9, 1, 12, 30, tzinfo=UTC)
 FROZEN = datetime(2026, 8, 1, tzinfo=UTC)
@@ -81,10 +94,26 @@ def test_a_final_competition_is_refused_by_its_title_and_end() -> None:
 def test_a_stage_is_open_from_its_first_instant_to_before_its_last() -> None:
     stage, moment = contest_of(make_competition()).stage(TRACK, FIRST), timedelta(microseconds=1)
     instants = (OPENS - moment, OPENS, CLOSES - moment, CLOSES)
-    assert [stage.is_open(at) for at in instants] == [False, True, True, False]
+    assert [stage.is_in_time(at) for at in instants] == [False, True, True, False]
     assert [stage.is_over(at) for at in instants] == [False, False, False, True]
     elsewhere = contest_of(make_competition(taken_here=False)).stage(TRACK, FIRST)
-    assert not elsewhere.is_open(OPENS)
+    assert not elsewhere.is_in_time(OPENS)
+
+
+def test_a_stage_whose_secret_is_published_is_open_to_nobody_and_nowhere(database: Database) -> None:
+    with database.transaction() as session:
+        definition = put_in_place(session, open_now(sealed_competition()))
+        contest, now = Contest.read(session), datetime.now(UTC)
+        stage, team = contest.stage(TRACK, FIRST), teams.own(session, make_principal(session))
+        seal(session, CONSOLE, stage)
+        assert stage.is_open(now)
+        assert {use.stage for use in stage_uses(session, team)} == {FIRST}
+        reveal(session, CONSOLE, stage)
+        assert not stage.is_open(now)
+        assert stage_uses(session, team) == []
+        assert not competition_view(session).tracks[0].stages[0].is_open
+        with refused(ProblemCode.STAGE_CLOSED):
+            contest.open_stage(TRACK, CONSOLE, definition.tracks[TRACK].stages[0].opens)
 
 
 def test_stages_know_their_track_the_one_before_them_and_the_last_one() -> None:

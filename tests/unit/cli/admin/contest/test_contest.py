@@ -7,8 +7,9 @@ from service_factories import TRACK
 from vitac.cli.admin.consent import ConsentMissing
 from vitac.evaluator.strict_model import DocumentRejected
 from vitac.evaluator.tracks.sealed import commitment_of
+from vitac.server.contest.contest import Contest
 from vitac.server.contest.sealing import seal
-from vitac.server.errors import ServiceError
+from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import CONSOLE
 
 from competitions import (
@@ -100,10 +101,49 @@ def test_hiding_and_showing_names_is_warned_of(service: CliService, tmp_path: Pa
     told = []
     for anonymous in (True, False, True):
         file = str(write_competition(tmp_path, make_competition(anonymous=anonymous)))
-        done = service.run("admin", "competition", "apply", file, "--yes")
+        with service.database.transaction() as session:
+            base = Contest.read(session).revision
+        done = service.run("admin", "competition", "apply", file, "--yes", "--base", base)
         assert done.exit_code == 0
         told.append(done.stderr)
     assert told[0] == "", "nothing was shown before"
     assert "WARNING: anonymous is switched off: from now on everybody sees the real names" in told[1]
     assert "WARNING: anonymous is switched on" in told[2]
     assert "knows them again" in told[2]
+
+
+def test_the_second_of_two_who_apply_from_the_same_file_is_refused(service: CliService, tmp_path: Path) -> None:
+    apply = ("admin", "competition", "apply")
+    service.run(*apply, str(write_competition(tmp_path, make_competition())), "--yes")
+    first = str(write_competition(tmp_path, make_competition(title="The first cup")))
+    dry = service.run(*apply, first, "--dry-run")
+    base = dry.stderr.rpartition("--base ")[2].split(".")[0]
+    assert base in service.run("admin", "competition", "show").stdout
+    assert service.run(*apply, first, "--yes", "--base", base).exit_code == 0
+    second = str(write_competition(tmp_path, make_competition(summary="By touch.")))
+    for options in (("--yes", "--base", base), ("--yes",), ("--dry-run", "--base", base)):
+        refused = service.run(*apply, second, *options)
+        assert isinstance(refused.exception, ServiceError)
+        assert refused.exception.code is ProblemCode.CHANGED_MEANWHILE
+    assert "The first cup" in service.run("admin", "competition", "show").stdout
+
+
+def test_a_change_of_what_has_happened_is_confirmed_by_name(
+    service: CliService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    apply = ("admin", "competition", "apply")
+    content = make_competition()
+    service.run(*apply, str(write_competition(tmp_path, content)), "--yes")
+    with service.database.transaction() as session:
+        base = Contest.read(session).revision
+    content["tracks"][TRACK]["stages"][1]["list"] = "public"
+    public, name = str(write_competition(tmp_path, content)), f"tracks.{TRACK}.stages.{SECOND}.list"
+    assert f"WARNING: {name}: The commitment" in service.run(*apply, public, "--dry-run").stderr
+    refused = service.run(*apply, public, "--yes", "--base", base)
+    assert isinstance(refused.exception, ServiceError)
+    assert f"--confirm {name}" in str(refused.exception)
+    asked: list[str] = []
+    monkeypatch.setattr("vitac.cli.admin.consent.require_consent", lambda question, *, yes: asked.append(question))
+    assert service.run(*apply, public).exit_code == 0
+    assert asked == [f"{name}: do you mean that?", "Apply these 1 changes?"]
+    assert service.run(*apply, public, "--yes").stdout.strip() == "Nothing changes."

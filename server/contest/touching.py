@@ -1,0 +1,118 @@
+"""What a changed competition file touches that already happened; whoever applies it confirms each by its place."""
+
+from collections.abc import Iterator
+from datetime import datetime
+
+from sqlalchemy import ColumnElement, func, select
+
+from ..confirmations import Concern
+from ..db.models import Qualification, Submission
+from .contest import Contest
+from .definition import CompetitionDefinition, StageRules, TrackRules
+from .stages import Stage
+
+
+def concerns_about(contest: Contest, new: CompetitionDefinition, at: datetime) -> list[Concern]:
+    """Return what a file touches, by its places in the file.
+
+    Args:
+        contest: as it is.
+        new: the file.
+        at: the moment.
+    """
+    return [Concern(name=place, sentence=sentence) for place, sentence in _touched(contest, new, at)]
+
+
+def _touched(contest: Contest, new: CompetitionDefinition, at: datetime) -> Iterator[tuple[str, str]]:
+    if not contest.is_held:
+        return
+    yield from _of_all_tracks(contest, new, at)
+    for name, track in new.tracks.items():
+        old = contest.definition.tracks.get(name)
+        if old is None:
+            yield from _of_new_track(contest, name)
+        else:
+            yield from _of_track(contest, name, old, track)
+    for stage in contest.stages:
+        yield from _of_stage(contest, stage, new, at)
+
+
+def _of_all_tracks(contest: Contest, new: CompetitionDefinition, at: datetime) -> Iterator[tuple[str, str]]:
+    old, count = contest.definition, _count(contest, Submission.stage != "")
+    if count and old.appeal_days != new.appeal_days:
+        yield (
+            "appeal_days",
+            f"{count} submissions were made while teams could appeal for {_days(old.appeal_days)}; from now on it is "
+            f"{_days(new.appeal_days)} for them, too.",
+        )
+    if old.freeze_at != new.freeze_at and count:
+        if contest.row.frozen_at is not None and contest.row.frozen_at <= at:
+            yield "freeze_at", f"Boards are frozen since {contest.row.frozen_at:%F %T} UTC; that changes at once."
+        elif new.freeze_at is not None and new.freeze_at <= at:
+            yield "freeze_at", f"Results after {new.freeze_at:%F %T} UTC, which everybody could see, leave the boards."
+
+
+def _of_new_track(contest: Contest, track: str) -> Iterator[tuple[str, str]]:
+    if count := _count(contest, Submission.track == track):
+        yield f"tracks.{track}", f"{track} has {count} submissions for practice; they are in none of its stages."
+
+
+def _of_track(contest: Contest, name: str, old: TrackRules, new: TrackRules) -> Iterator[tuple[str, str]]:
+    count = _count(contest, Submission.track == name, Submission.stage != "")
+    if not count:
+        return
+    place, submitted = f"tracks.{name}", f"{name} has {count} submissions"
+    if old.ranking != new.ranking:
+        yield f"{place}.ranking", f"{submitted}, which were made under another ranking rule; their places change."
+    if old.taken_here and not new.taken_here:
+        yield f"{place}.taken_here", f"{submitted}; its boards are closed, and no winner is found by them."
+    if old.judging != new.judging:
+        yield f"{place}.judging", f"{submitted}, which were made under another rule of judging; their totals change."
+
+
+def _of_stage(contest: Contest, stage: Stage, new: CompetitionDefinition, at: datetime) -> Iterator[tuple[str, str]]:
+    track = new.tracks.get(stage.track)
+    rules = next((one for one in track.stages if one.name == stage.name), None) if track else None
+    place = f"tracks.{stage.track}.stages.{stage.name}"
+    is_played = track is not None and track.taken_here and rules is not None and rules.list is stage.rules.list
+    if not is_played and (found := stage.sealed_list) is not None:
+        yield (
+            f"{place}.list",
+            f"The commitment {found.commitment} is published since {found.made_at:%F %T} UTC; it is withdrawn, and "
+            "everybody sees that. The stage has the same list if it is sealed again.",
+        )
+    if rules is not None:
+        yield from _of_times(contest, stage, rules, at)
+        confirmed = contest.session.scalar(select(func.count()).select_from(Qualification).where(stage.qualifications))
+        if confirmed and rules.qualified != stage.rules.qualified:
+            yield f"{place}.qualified", f"{confirmed} teams were confirmed by another rule; they stay confirmed."
+
+
+def _of_times(contest: Contest, stage: Stage, new: StageRules, at: datetime) -> Iterator[tuple[str, str]]:
+    old, place = stage.rules, f"tracks.{stage.track}.stages.{stage.name}"
+    early = _count(contest, stage.submissions, Submission.submitted_at < new.opens) if new.opens > old.opens else 0
+    if early:
+        yield (
+            f"{place}.opens",
+            f"{early} submissions were made before {new.opens:%F %T} UTC; they stay in the stage and rank.",
+        )
+    late = _count(contest, stage.submissions, Submission.submitted_at >= new.closes) if new.closes < old.closes else 0
+    if late:
+        yield (
+            f"{place}.closes",
+            f"{late} submissions were made after {new.closes:%F %T} UTC; they stay in the stage and rank.",
+        )
+    if stage.is_over(at) and new.closes > at:
+        yield (
+            f"{place}.closes",
+            f"The stage is over since {old.closes:%F %T} UTC; it takes submissions again, also of teams that have seen "
+            "its results.",
+        )
+
+
+def _count(contest: Contest, *conditions: ColumnElement[bool]) -> int:
+    return contest.session.scalars(select(func.count()).select_from(Submission).where(*conditions)).one()
+
+
+def _days(days: int | None) -> str:
+    return "no time" if days is None else f"{days} days"
