@@ -234,12 +234,19 @@ def disqualify(
 
 
 @app.command()
-def reinstate(team: TeamName, dry_run: DryRun = False, as_json: AsJson = False) -> None:
+def reinstate(team: TeamName, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Let a disqualified team take part again, with all its results."""
     from vitac.server.principals import CONSOLE
     from vitac.server.teams import teams
 
-    _change(team, lambda session, found: teams.reinstate(session, CONSOLE, found), dry_run=dry_run, as_json=as_json)
+    _change(
+        team,
+        lambda session, found: teams.reinstate(session, CONSOLE, found),
+        question=f"Reinstate {team}, with all its results on the boards?",
+        yes=yes,
+        dry_run=dry_run,
+        as_json=as_json,
+    )
 
 
 def _change(

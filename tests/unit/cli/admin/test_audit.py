@@ -84,7 +84,7 @@ CHANGES = {
     "results unfreeze": (["--yes"], "competition.unfreeze"),
     "results finalize": (["--yes"], "competition.finalize"),
     "team disqualify": (["Team A", "--reason", "two accounts", "--yes"], "team.disqualify"),
-    "team reinstate": (["Team A"], "team.reinstate"),
+    "team reinstate": (["Team A", "--yes"], "team.reinstate"),
     "team accept": (["Waiting"], "team.accept"),
     "team refuse": (["Waiting", "--reason", "two accounts"], "team.refuse"),
     "team rename": (["Team A", "Ants"], "team.rename"),

@@ -54,7 +54,7 @@ def test_a_final_result_is_decided_again_without_a_team_that_was_disqualified(
     early = played.run(*results, "finalize", "--again", "--yes")
     assert "is not final yet" in str(early.exception)
     assert played.run("admin", "team", "disqualify", "Bees", "--reason", "late", "--yes").stderr == ""
-    played.run("admin", "team", "reinstate", "Bees")
+    played.run("admin", "team", "reinstate", "Bees", "--yes")
     played.run(*results, "finalize", "--yes")
     disqualify = ("admin", "team", "disqualify", "Ants", "--reason", "two accounts")
     tried = played.run(*disqualify, "--dry-run")
