@@ -79,6 +79,8 @@ def _parse(model: type[ModelT], text: str, origin: str, loader: type[UniqueKeyLo
         content = yaml.load(text, Loader=loader)  # noqa: S506 - both derive from SafeLoader
     except yaml.YAMLError as error:
         raise DocumentRejected(f"{origin} is not valid YAML: {_one_line(error)}. Correct the file.") from error
+    if content is None:
+        raise DocumentRejected(f"{origin} is empty, expected {_needed_keys(model)}. Write these, or name another file.")
     return validate(model, content, origin)
 
 
@@ -107,10 +109,17 @@ def _sentence(model: type[BaseModel], problem: dict[str, Any]) -> str:
         return f"Unknown key {place!r}; {_nearest(str(problem['loc'][-1]), _keys_at(model, problem['loc'][:-1]))}"
     if problem["type"] == "missing":
         return f"Missing key {place!r}; add it."
+    if problem["type"] == "model_type" and not problem["loc"]:
+        return f"Expected {_needed_keys(model)}, got {_shown(problem['input'])}."
     given = "" if isinstance(problem["input"], dict | list) else f" (got: {_shown(problem['input'])})"
     message = problem["msg"].removeprefix("Value error, ").rstrip(".")  # pydantic's name for a rule of ours
     sentence = f"{place}: {message}{given}"
     return sentence if sentence.endswith("?") else f"{sentence}."
+
+
+def _needed_keys(model: type[BaseModel]) -> str:
+    needed = [name for name, field in model.model_fields.items() if field.is_required()]
+    return f"a document with the keys {', '.join(needed)}" if needed else "a document with keys"
 
 
 def _shown(value: object) -> str:

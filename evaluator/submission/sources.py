@@ -41,8 +41,19 @@ def find_submission(path: Path) -> Path:
     for folder in (path, *(path / top for top in archive_folders())):
         if (folder / MANIFEST_NAME).is_file():
             return folder
-    mend = renaming(each.name for each in path.glob("*")) or "name the submission's folder or its zip"
+    mend = renaming(each.name for each in path.glob("*")) or _unknown_track(path)
     raise NoSubmission(f"Expected {MANIFEST_NAME} or a zip, {contents_of(path)}; {mend}.")
+
+
+def _unknown_track(path: Path) -> str:
+    """Return what to do about a folder without a submission: often its track's file is missing on this machine."""
+    inside = [each.parent.name for each in path.glob(f"*/{MANIFEST_NAME}")]
+    if len(inside) != 1:
+        return "name the submission's folder or its zip"
+    return (
+        f"folder {inside[0]!r} holds one, but no track of this machine has a folder of that name, only "
+        f"{', '.join(archive_folders())}: rename it, or set VITAC_TRACKS_DIR to the folder with its track's file"
+    )
 
 
 def manifest_of(source: Path, limits: Limits | None = None) -> SubmissionManifest:

@@ -12,11 +12,12 @@ from typing import IO, Final, Literal, Self
 
 from pydantic import ValidationError
 from vitac.envs.errors import VitacError
-from vitac.evaluator.strict_model import StrictModel, Word
+from vitac.evaluator.strict_model import StrictModel, Word, explain
 
 DESCRIPTION_NAME: Final = "backup.json"
 DUMP_NAME: Final = "database.dump"
 BLOB_FOLDER: Final = "blobs"
+FORMAT: Final = 1
 _COPY_BYTES = 1 << 20
 
 
@@ -27,7 +28,7 @@ class BackupRejected(VitacError):
 class BackupDescription(StrictModel):
     """What a backup holds, written as its first member."""
 
-    format: Literal[1] = 1
+    format: Literal[1] = FORMAT
     made_at: datetime
     release: str
     """Version of the package that wrote it."""
@@ -71,10 +72,14 @@ class BackupReader:
     def __init__(self, tar: tarfile.TarFile) -> None:
         self._tar = tar
         try:
-            content = self._open(DESCRIPTION_NAME).read(64 << 20)
-            self.description = BackupDescription.model_validate_json(content)
-        except (ValidationError, json.JSONDecodeError) as error:
-            raise BackupRejected(f"{DESCRIPTION_NAME} cannot be read: {error}.") from error
+            content = json.loads(self._open(DESCRIPTION_NAME).read(64 << 20))
+        except ValueError as error:
+            raise BackupRejected(f"{DESCRIPTION_NAME} cannot be read: {error}. Expected a whole backup.") from error
+        _refuse_newer(content)
+        try:
+            self.description = BackupDescription.model_validate(content)
+        except ValidationError as error:
+            raise BackupRejected(f"{DESCRIPTION_NAME}: {explain(BackupDescription, error)}") from error
 
     @classmethod
     @contextmanager
@@ -126,3 +131,14 @@ class BackupReader:
                     destination.write(chunk)
         if digest.hexdigest() != sha256:
             raise BackupRejected(f"{name} was altered: expected SHA-256 {sha256}, got {digest.hexdigest()}.")
+
+
+def _refuse_newer(content: object) -> None:
+    """Refuse what a newer release has written, before the keys that it may have added are read."""
+    found = content.get("format") if isinstance(content, dict) else None
+    if isinstance(found, int) and found > FORMAT:
+        release = content.get("release") if isinstance(content, dict) else None
+        raise BackupRejected(
+            f"This backup has format {found}, written by release {release!s:.40}; this release reads format {FORMAT}. "
+            "Restore it with that release or a newer one."
+        )

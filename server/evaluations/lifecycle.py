@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, func, select, update
+from sqlalchemy import ColumnElement, exists, func, select, update
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure, result_hash
@@ -101,12 +101,20 @@ def start(
             )
     session.add(evaluation)
     session.flush()
-    evaluation.episodes_reused = count_stored(session, EpisodeKey.of(evaluation, submission))
+    if _has_evaluated_before(session, evaluation, submission):
+        evaluation.episodes_reused = count_stored(session, EpisodeKey.of(evaluation, submission))
     for task in submission.tasks:
         ids = [shard.id for shard in evaluation.shards if shard.task == task]
         queue = queue_name(evaluation.evaluator_version, family_of(submission.track, task))
         enqueue_shards(session, ids, queue, priority=-evaluation.turn)
     return evaluation
+
+
+def _has_evaluated_before(session: Session, evaluation: Evaluation, submission: Submission) -> bool:
+    """Return whether the team itself has had this content evaluated; of other teams' it must not learn."""
+    own = Submission.team_id == submission.team_id, Submission.digest == submission.digest
+    earlier = exists().where(Evaluation.submission_id == Submission.id, Evaluation.id != evaluation.id, *own)
+    return bool(session.scalar(select(earlier)))
 
 
 def finish_shard(session: Session, lease: Lease, result: ShardResult) -> None:

@@ -126,12 +126,22 @@ def remove(session: Session, by: Principal, member: Member) -> None:
     _lock_present(session, by, member)
     if member.role is MemberRole.CAPTAIN:
         raise ServiceError(
-            ProblemCode.INVALID_REQUEST, f"{member.name} is the captain; make another member the captain first."
+            ProblemCode.INVALID_REQUEST, f"{member.name} is the captain. {_how_to_hand_over(session, member)}"
         )
     tokens.end_tokens_of(session, by, member)
     member.left_at, member.password_hash, member.email = datetime.now(UTC), None, None
     action = "member.leave" if by.member_id == member.id else "member.remove"
     record(session, by, action, f"member:{member.id}", {"member": False}, before={"member": True, "name": member.name})
+
+
+def _how_to_hand_over(session: Session, captain: Member) -> str:
+    others = [one.name for one in of_team(session, captain.team_id) if one.left_at is None and one.id != captain.id]
+    if not others:
+        return "The team has no other member: invite one first, who then becomes the captain."
+    return (
+        f"Make another member the captain first ({', '.join(others)}): `vitac team captain NAME`, or the button on the "
+        "page /team."
+    )
 
 
 def hand_over(session: Session, by: Principal, member: Member) -> None:

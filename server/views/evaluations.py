@@ -26,7 +26,8 @@ class ProgressView(View):
     episodes_done: int = Field(description="In tenths of the total before the end on a sealed list.")
     episodes_total: int
     episodes_reused: int = Field(
-        description="Of the finished ones: those that were stored before this evaluation began."
+        description="Of the finished ones: those that were stored before this evaluation began; 0 where the team has "
+        "not submitted this content before."
     )
     successes: int | None = Field(description="Null before the end on a sealed list.")
     tasks: list[TaskProgressView] = Field(description="None before the end on a sealed list.")

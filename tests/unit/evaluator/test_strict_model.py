@@ -92,7 +92,13 @@ def test_a_wrong_value_is_shown() -> None:
 
 
 def test_what_is_no_mapping_is_refused_as_a_whole() -> None:
-    assert refused([1, 2]).startswith("the document: ")
+    assert refused([1, 2]) == "Expected a document with the keys name, got list."
+
+
+def test_an_empty_document_is_called_empty() -> None:
+    for text in ("", "# nothing but a comment"):
+        with pytest.raises(DocumentRejected, match=r"^cup\.yaml is empty, expected a document with the keys name"):
+            parse_yaml(Camera, text, "cup.yaml")
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
@@ -135,7 +141,7 @@ def test_a_huge_integer_is_counted_in_bits() -> None:
     [
         ("name: [", "camera.yaml is not valid YAML: "),
         ("name: a\nname: b", "camera.yaml is not valid YAML: "),
-        ("", "camera.yaml: the document: "),
+        ("", "camera.yaml is empty, expected a document with the keys name"),
     ],
 )
 def test_text_that_is_no_document_is_refused_in_one_line(text: str, reason: str) -> None:

@@ -383,6 +383,12 @@ def test_wrong_name_of_the_manifest_lists_the_files_that_are_there(tmp_path: Pat
         manifest_of(archive)
 
 
+def test_the_folder_of_a_track_that_this_machine_lacks_is_named(tmp_path: Path) -> None:
+    submission_folder(tmp_path / "Mine")
+    with pytest.raises(NoSubmission, match=r"; folder 'Mine' holds one, but no track .* Track_1, .*VITAC_TRACKS_DIR"):
+        find_submission(tmp_path)
+
+
 def test_a_manifest_of_the_right_name_is_not_to_be_renamed(tmp_path: Path) -> None:
     (tmp_path / "submission.yaml").mkdir()
     with pytest.raises(NoSubmission, match=r"name the submission's folder or its zip\.$"):

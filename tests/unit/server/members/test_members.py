@@ -10,7 +10,7 @@ from vitac.server.audit import newest_entries
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Invitation, Member
 from vitac.server.db.states import MemberRole
-from vitac.server.errors import ProblemCode
+from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.members import members, passwords
 from vitac.server.members.members import NewMember
 from vitac.server.principals import CONSOLE, Principal
@@ -97,6 +97,17 @@ def test_only_the_captain_and_organizers_invite_remove_and_hand_over(database: D
         assert (found.action, found.before, found.after) == ("team.captain", {"captain": "Captain"}, {"captain": "Ann"})
         with refused(ProblemCode.INVALID_REQUEST):
             members.remove(session, CONSOLE, ann)
+
+
+def test_a_captain_who_wants_to_leave_reads_how_to_hand_over(database: Database) -> None:
+    with database.transaction() as session:
+        team = make_principal(session)
+        captain = members.captain_of(session, teams.own(session, team))
+        with pytest.raises(ServiceError, match="no other member: invite one first"):
+            members.remove(session, CONSOLE, captain)
+        joined(session, team)
+        with pytest.raises(ServiceError, match=r"captain first \(Ann\): `vitac team captain NAME`"):
+            members.remove(session, CONSOLE, captain)
 
 
 def test_a_shared_token_leads_the_team_until_its_captain_has_one(database: Database) -> None:
