@@ -15,6 +15,7 @@ from .leaderboards.changes import forget_old_notes
 from .metrics.instruments import RetryReason
 from .metrics.totals import TotalsWriter
 from .playbacks import work as playbacks
+from .queue.declared import declare, versions_here
 from .queue.jobs import prune_finished_jobs
 from .queue.sweep import sweep
 from .services import Services
@@ -42,14 +43,15 @@ class Housekeeping:
     Args:
         services: of this process.
         sweeps: False in one of several processes that share a parent, which sweeps: it only writes its totals.
-        supersedes: False in a worker: which evaluator the service has, and so which evaluations begin again, is said by
-            its server. A worker whose version or track files differ would take the server's evaluations away.
+        supersedes: False in a worker: its server declares which evaluator the service has, and begins evaluations of
+            another one again. A worker whose version or track files differ would take the server's evaluations away.
     """
 
     def __init__(self, services: Services, *, sweeps: bool = True, supersedes: bool = True) -> None:
         self._services = services
         self._supersedes = supersedes
         self._sweeps = sweeps
+        self._declared: dict[str, str] = {}
         self._totals = TotalsWriter(services.instruments)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="housekeeping", daemon=True)
@@ -97,8 +99,17 @@ class Housekeeping:
         if done.queued_again or done.given_up or done.woken:
             logger.info("swept", queued_again=done.queued_again, given_up=done.given_up, woken=done.woken)
 
+    def _declare(self) -> None:
+        """Say which evaluator the service has, where this server has not yet said so."""
+        versions = versions_here()
+        if versions != self._declared:
+            with self._services.database.transaction() as session:
+                declare(session, versions)
+            self._declared = versions
+
     def _sweep_others(self) -> None:
         if self._supersedes:
+            self._declare()
             with self._services.database.transaction() as session:
                 supersede_outdated(session, self._services.settings)
         with self._services.database.transaction() as session:

@@ -8,14 +8,16 @@ from uuid import UUID, uuid4
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
 from vitac.evaluator.version import evaluator_version, platform_class
 from vitac.server.db.models import Worker
 from vitac.server.db.schema import installed_revision, newest_revision
 from vitac.server.db.states import WorkerState
 from vitac.server.queue import workers
+from vitac.server.queue.declared import declared_versions, why_other_evaluator
 from vitac.server.services import Services
 
-from .families import families_here
+from .fitness import fit_families, why_unfit
 from .isolation import IsolationReport
 
 logger = structlog.get_logger(__name__)
@@ -31,7 +33,8 @@ class Heartbeat:
         services: of this process.
         state: of the worker.
         report: how it isolates policies.
-        message: for organizers.
+        message: for organizers; empty: of which tracks it takes no shards, and why.
+        on_other_evaluator: called when the service has begun to declare another evaluator than this worker's.
         on_upgrade: called when the database has another schema than this release's: what the worker stores would be
             refused, and its shards given up after some attempts.
     """
@@ -43,6 +46,7 @@ class Heartbeat:
         state: WorkerState,
         report: IsolationReport,
         message: str = "",
+        on_other_evaluator: Callable[[], None] = lambda: None,
         on_upgrade: Callable[[], None],
     ) -> None:
         self.worker_id: UUID = uuid4()
@@ -50,6 +54,7 @@ class Heartbeat:
         self._state = state
         self._report = report
         self._message = message
+        self._on_other_evaluator = on_other_evaluator
         self._on_upgrade = on_upgrade
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
@@ -57,7 +62,7 @@ class Heartbeat:
     def start(self) -> None:
         """Register the worker and begin; wait for a while for a database that restarts."""
         database = self._services.database
-        database.retrying(lambda session: workers.register(session, self._row()), give_up_after_s=START_PATIENCE_S)
+        database.retrying(self._register, give_up_after_s=START_PATIENCE_S)
         self._thread.start()
 
     def stop(self) -> None:
@@ -90,12 +95,20 @@ class Heartbeat:
     def _beat(self, state: WorkerState) -> None:
         try:
             with self._services.database.transaction() as session:
+                declared = declared_versions(session)
                 disk = workers.disk_of(self._services.settings.scratch_dir)
-                workers.heartbeat(session, self.worker_id, state, disk, self._message)
+                message = self._message or why_unfit(declared)
+                workers.heartbeat(session, self.worker_id, state, disk, message)
         except (SQLAlchemyError, OSError) as error:
             logger.warning("heartbeat_failed", error=" ".join(str(error).split())[:200])
+        else:
+            if why_other_evaluator(declared):
+                self._on_other_evaluator()
 
-    def _row(self) -> Worker:
+    def _register(self, session: Session) -> None:
+        workers.register(session, self._row(self._message or why_unfit(declared_versions(session))))
+
+    def _row(self, message: str) -> Worker:
         return Worker(
             id=self.worker_id,
             host=platform.node(),
@@ -103,9 +116,9 @@ class Heartbeat:
             slots=self._services.settings.worker_slots,
             state=self._state,
             evaluator_version=evaluator_version(),
-            families=[str(family) for family in families_here()],
+            families=[str(family) for family in fit_families()],
             platform_class=platform_class(),
             isolation=self._report.level,
             sandbox=self._report.sandbox.model_dump(mode="json") if self._report.sandbox else None,
-            message=self._message,
+            message=message,
         )

@@ -10,11 +10,12 @@ import structlog
 from vitac.evaluator.shards.process import ShardProcesses
 from vitac.server.db.states import WorkerState
 from vitac.server.housekeeping import Housekeeping
+from vitac.server.queue.declared import declared_versions, why_other_evaluator
 from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
 from vitac.server.storage.disk_space import is_disk_full
 
-from .heartbeat import Heartbeat
+from .heartbeat import START_PATIENCE_S, Heartbeat
 from .isolation import IsolationReport, probe_isolation
 from .shard_run import StartShard
 from .staging import SubmissionStage
@@ -29,6 +30,9 @@ DISK_AGAIN_S = 10.0
 
 PROBE_AGAIN_S = 60.0
 """Pause of a worker that refuses: what kept it from isolating policies may have been repaired."""
+
+LOOK_S = 0.5
+"""Time between two looks for a reason to take no more shards."""
 
 
 def run(settings: Settings, *, probe: ProbeIsolation = probe_isolation) -> None:
@@ -48,8 +52,9 @@ def work(services: Services, start: StartShard, *, probe: ProbeIsolation = probe
     with _stopped_by_signals(stopping):
         while not stopping.is_set():
             report = probe()
-            if not report.is_sound:
-                _refuse(services, report, stopping)
+            refusal = _why_refused(services, report)
+            if refusal is not None:
+                _refuse(services, report, refusal, stopping)
                 continue
             try:
                 _take_shards(services, report, start, stopping)
@@ -61,9 +66,16 @@ def work(services: Services, start: StartShard, *, probe: ProbeIsolation = probe
 
 
 def _take_shards(services: Services, report: IsolationReport, start: StartShard, stopping: threading.Event) -> None:
-    """Take and run shards until a request to stop."""
+    """Take and run shards until a request to stop, or until the service declares another evaluator."""
+    leaving = threading.Event()
     with ExitStack() as stack:
-        heartbeat = Heartbeat(services, state=WorkerState.READY, report=report, on_upgrade=stopping.set)
+        heartbeat = Heartbeat(
+            services,
+            state=WorkerState.READY,
+            report=report,
+            on_other_evaluator=leaving.set,
+            on_upgrade=stopping.set,
+        )
         heartbeat.start()
         stack.callback(heartbeat.stop)
         stage = SubmissionStage(services.blobs, services.settings.scratch_dir, services.settings.limits)
@@ -73,15 +85,22 @@ def _take_shards(services: Services, report: IsolationReport, start: StartShard,
         stack.callback(housekeeping.stop)
         worker = QueueWorker(services, stage, heartbeat.worker_id, start)
         # A thread, not the signal's handler: that may interrupt whoever holds the locks which `stop` needs.
-        threading.Thread(target=_stop_when, args=(stopping, worker), name="stop", daemon=True).start()
+        threading.Thread(target=_stop_when, args=((stopping, leaving), worker), name="stop", daemon=True).start()
         logger.info("worker_started", worker=str(heartbeat.worker_id), slots=services.settings.worker_slots)
         asyncio.run(worker.run())
         logger.info("worker_stopped", worker=str(heartbeat.worker_id))
 
 
-def _refuse(services: Services, report: IsolationReport, stopping: threading.Event) -> None:
-    """Say on the organizers' pages why nothing is taken here, until it is time to probe again."""
-    message = f"This machine may not run policies: {' '.join(report.problems)} Run `vitac doctor` here."
+def _why_refused(services: Services, report: IsolationReport) -> str | None:
+    """Return why this worker may take no shard at all; None if it may."""
+    if not report.is_sound:
+        return f"This machine may not run policies: {' '.join(report.problems)} Run `vitac doctor` here."
+    declared = services.database.retrying(declared_versions, give_up_after_s=START_PATIENCE_S)
+    return why_other_evaluator(declared)
+
+
+def _refuse(services: Services, report: IsolationReport, message: str, stopping: threading.Event) -> None:
+    """Say on the organizers' pages why nothing is taken here, until it is time to look again."""
     logger.error("worker_refuses", message=message)
     heartbeat = Heartbeat(services, state=WorkerState.REFUSING, report=report, message=message, on_upgrade=stopping.set)
     heartbeat.start()
@@ -89,8 +108,9 @@ def _refuse(services: Services, report: IsolationReport, stopping: threading.Eve
     heartbeat.stop()
 
 
-def _stop_when(stopping: threading.Event, worker: QueueWorker) -> None:
-    stopping.wait()
+def _stop_when(events: tuple[threading.Event, ...], worker: QueueWorker) -> None:
+    while not any(event.is_set() for event in events):
+        events[0].wait(LOOK_S)
     worker.stop()
 
 

@@ -50,6 +50,8 @@ from .staging import SubmissionStage
 class RunningShard(RunningProcess, Protocol):
     """What a shard's process offers (`evaluator.shards.process.ShardProcess`)."""
 
+    packages: dict[str, str] | None
+
     def records(self) -> Iterator[EpisodeRecord]:
         """Yield each record as soon as its episode is over."""
 
@@ -94,7 +96,8 @@ class ShardRun(LeasedRun[RunningShard]):
         self._start = start
         self._slot = slot or Slot()
         self._began_with_space = False
-        self._has_stored = False
+        self._packages: dict[str, str] | None = None
+        """What the policy sees, until it is stored."""
 
     def _work(self) -> None:
         stored: StoredEpisodes = self._database(lambda session: stored_episodes(session, self._lease))
@@ -145,6 +148,8 @@ class ShardRun(LeasedRun[RunningShard]):
             self._watch(process)
             pace = _Pace(len(self._lease.episodes) - len(stored.numbers))
             for record in process.records():
+                if not pace.played:
+                    self._packages = process.packages
                 self._advance()
                 store.add(record)
                 pace.count()
@@ -225,9 +230,9 @@ class ShardRun(LeasedRun[RunningShard]):
         return Coefficients.model_validate_json(content)
 
     def _store(self, records: Sequence[EpisodeRecord]) -> None:
-        notes_packages = not self._has_stored
-        self._database(lambda session: store_episodes(session, self._lease, records, notes_packages=notes_packages))
-        self._has_stored = True
+        packages = self._packages
+        self._database(lambda session: store_episodes(session, self._lease, records, packages=packages))
+        self._packages = None
         self._services.instruments.episodes.labels(self._lease.task).inc(len(records))
 
     def _renew(self, session: Session) -> None:
@@ -257,14 +262,14 @@ class _Pace:
 
     def __init__(self, episodes: int) -> None:
         self._left = episodes
-        self._played = 0
+        self.played = 0
         self._began = time.monotonic()
 
     def count(self) -> None:
         """Count an episode as played."""
         self._left -= 1
-        self._played += 1
+        self.played += 1
 
     def left_s(self) -> float:
         """Return the time that those left will take [s]."""
-        return self._left * (time.monotonic() - self._began) / self._played
+        return self._left * (time.monotonic() - self._began) / self.played

@@ -13,15 +13,14 @@ import structlog
 from procrastinate.exceptions import ProcrastinateException
 from sqlalchemy.exc import DBAPIError
 from vitac.evaluator.playback.process import making
-from vitac.evaluator.tracks.versions import current_versions
 from vitac.server.metrics.instruments import RetryReason
 from vitac.server.playbacks import work
 from vitac.server.queue import leases
-from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD, make_worker_app, queue_name
+from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD, make_worker_app
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 
-from .families import families_here
+from .fitness import queues_here
 from .leased_run import DATABASE_PATIENCE_S, RunEnd
 from .playback_run import PlaybackRun, StartPlayback
 from .shard_run import ShardRun, StartShard
@@ -98,9 +97,7 @@ class QueueWorker:
         async with app.open_async():
             working = asyncio.create_task(
                 app.run_worker_async(
-                    queues=[
-                        queue_name(version, family) for version in current_versions() for family in families_here()
-                    ],
+                    queues=queues_here(),
                     concurrency=self._slots,
                     fetch_job_polling_interval=POLL_S,
                     delete_jobs="always",

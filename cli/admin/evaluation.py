@@ -134,6 +134,7 @@ def _pairs(found: "EvaluationDetailView") -> dict[str, object]:
         "evaluator": found.evaluator_version,
         "platform class": found.platform_class,
         "isolation": "; ".join(found.isolation),
+        "packages": "; ".join(f"{len(seen.versions)}, digest {seen.digest}" for seen in found.packages),
         "created": moment(found.created_at),
         "started": moment(found.started_at),
         "finished": moment(found.finished_at),

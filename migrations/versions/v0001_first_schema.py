@@ -30,6 +30,7 @@ TABLES = (
     "sealed_lists",
     "teams",
     "workers",
+    "declared_evaluators",
     "invitations",
     "judging_conflicts",
     "members",
@@ -382,6 +383,12 @@ def make_tables() -> None:
         sa.PrimaryKeyConstraint("id", name=op.f("pk_workers")),
     )
     op.create_index(op.f("ix_workers_heartbeat_at"), "workers", ["heartbeat_at"], unique=False)
+    op.create_table(
+        "declared_evaluators",
+        sa.Column("track", sa.Text(), nullable=False),
+        sa.Column("version", sa.Text(), nullable=False),
+        sa.PrimaryKeyConstraint("track", name=op.f("pk_declared_evaluators")),
+    )
     op.create_table(
         "invitations",
         sa.Column("id", sa.Uuid(), nullable=False),
@@ -1028,6 +1035,7 @@ def make_tables() -> None:
         sa.Column("lease_expires_at", sa.DateTime(timezone=True), nullable=True),
         sa.Column("manifest", postgresql.JSONB(none_as_null=True, astext_type=sa.Text()), nullable=True),
         sa.Column("isolation", sa.Text(), nullable=True),
+        sa.Column("packages_digest", sa.String(length=64), nullable=True),
         sa.Column("finding", postgresql.JSONB(none_as_null=True, astext_type=sa.Text()), nullable=True),
         sa.Column("queued_at", sa.DateTime(timezone=True), server_default=sa.text("now()"), nullable=False),
         sa.Column("started_at", sa.DateTime(timezone=True), nullable=True),

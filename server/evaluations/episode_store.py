@@ -1,7 +1,7 @@
 """Stored episodes: one row for each key and episode, written by whoever holds the shard, never written twice."""
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Self
 
@@ -89,23 +89,24 @@ class StoredEpisodes:
 
 
 def store_episodes(
-    session: Session, lease: Lease, records: Iterable[EpisodeRecord], *, notes_packages: bool = True
+    session: Session, lease: Lease, records: Iterable[EpisodeRecord], *, packages: Mapping[str, str] | None = None
 ) -> None:
-    """Store finished episodes, and what their policy could import; storing one again writes nothing.
+    """Store finished episodes, and which packages their policy saw; storing one again writes nothing.
 
     Args:
         session: of the transaction.
         lease: on their shard.
         records: of the episodes.
-        notes_packages: False where the packages were stored with earlier episodes under this lease.
+        packages: that the policy saw, versions by name; None where no policy ran, or where they were stored before
+            under this lease.
 
     Raises:
         LeaseLost: the shard is no longer ours.
     """
     # In one order for all: another evaluation of the same content may store the same rows at the same time.
     by_number = {record.episode: record for record in sorted(records, key=lambda record: record.episode, reverse=True)}
-    if notes_packages:
-        note_packages(session, lease)  # It may lock the evaluation, which comes before its shards.
+    if packages is not None:
+        note_packages(session, lease, packages)  # It may lock the evaluation, which comes before its shards.
     attempts = lock_held(session, lease)
     rows = {number: row_values(lease, record) for number, record in by_number.items()}
     added = session.scalars(_ADD_NEW, list(rows.values())).all()

@@ -1,17 +1,18 @@
 """What an evaluation was made with: manifests of its shards, isolation of the policy, and packages it could import."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import Manifest
+from vitac.evaluator.package_sets import digest_of_packages
 
 from ..db.among import among
-from ..db.models import Evaluation, Shard, Submission, Worker
+from ..db.models import Evaluation, Shard, Submission
 from ..db.row_locks import lock_evaluation
 from ..db.states import ShardState
-from ..queue.leases import Lease
+from ..queue.leases import Lease, store_packages_digest
 
 
 def known_manifest(session: Session, lease: Lease) -> Manifest | None:
@@ -46,28 +47,25 @@ def manifest_of(session: Session, evaluation: Evaluation, task: str) -> Manifest
     return Manifest.model_validate(found)
 
 
-def note_packages(session: Session, lease: Lease) -> None:
-    """Keep with its evaluation what the worker of a shard says that its policy can import; call it with nothing locked.
+def note_packages(session: Session, lease: Lease, packages: Mapping[str, str]) -> None:
+    """Store what the policy of a shard sees: the digest with the shard, the list with its evaluation.
 
-    Locks the evaluation only where that is new, once for each kind of worker.
+    Locks the evaluation only where the list is new to it, and before the shard: call it with nothing locked.
+
+    Args:
+        session: of the transaction.
+        lease: on the shard.
+        packages: versions by name, as the shard's process says.
+
+    Raises:
+        LeaseLost: the shard is no longer ours.
     """
-    if not lease.kind.form.runs_policy:
-        return
-    found = session.execute(
-        select(Worker.sandbox["packages"], Evaluation.packages)
-        .select_from(Shard)
-        .join(Worker, Worker.id == Shard.worker_id)
-        .join(Evaluation)
-        .where(Shard.id == lease.shard_id)
-    ).one_or_none()
-    if found is None:
-        return
-    packages, noted = found
-    if packages is None or packages in noted:
-        return
-    evaluation = lock_evaluation(session, lease.evaluation_id)
-    if packages not in evaluation.packages:  # Another worker of the kind may have been quicker.
-        evaluation.packages = [*evaluation.packages, packages]
+    seen = dict(packages)
+    if seen not in (session.scalar(select(Evaluation.packages).where(Evaluation.id == lease.evaluation_id)) or []):
+        evaluation = lock_evaluation(session, lease.evaluation_id)
+        if seen not in evaluation.packages:  # Another shard may have been quicker.
+            evaluation.packages = [*evaluation.packages, seen]
+    store_packages_digest(session, lease, digest_of_packages(packages))
 
 
 def isolation_levels(session: Session, evaluations: Collection[Evaluation]) -> dict[UUID, list[str]]:

@@ -8,6 +8,7 @@ from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
+from vitac.evaluator.package_sets import digest_of_packages
 from vitac.evaluator.tracks import ListKind
 
 from ..db.models import EpisodeResult, Evaluation
@@ -21,6 +22,7 @@ from ..views.evaluations import (
     DifferingEpisodeView,
     EvaluationSummaryView,
     EvaluationView,
+    PackagesView,
     ProgressView,
     VerdictView,
 )
@@ -72,7 +74,7 @@ class EvaluationRows:
     isolation: Mapping[UUID, list[str]]
     differing: Mapping[UUID, list[DifferingEpisodeView]] | None
     output: Mapping[UUID, str]
-    packages: Mapping[UUID, list[dict[str, str]]]
+    packages: Mapping[UUID, list[PackagesView]]
     counts: Mapping[UUID, EpisodeCounts]
     hidden: frozenset[UUID]
     positions: Mapping[UUID, int]
@@ -103,7 +105,7 @@ class EvaluationRows:
             output={
                 found.id: _output(session, found) for found in evaluations if with_output and sights[found.id].output
             },
-            packages={found.id: found.packages for found in evaluations} if with_output else {},
+            packages={found.id: _packages(found) for found in evaluations} if with_output else {},
             counts=episode_counts(session, evaluations),
             hidden=hidden,
             positions=queue_positions(session, evaluations),
@@ -224,6 +226,10 @@ def _seconds_to_end(
     at_once = tuple((name, task.definition.batch_size if task else 1) for name, task in known.items())
     mean_s = rows.mean_s(at_once)
     return seconds_to_end(progress, ahead=rows.ahead.get(evaluation.id, 0), slots=alive.slots, mean_s=mean_s)
+
+
+def _packages(evaluation: Evaluation) -> list[PackagesView]:
+    return [PackagesView(digest=digest_of_packages(seen), versions=seen) for seen in evaluation.packages]
 
 
 def _output(session: Session, evaluation: Evaluation) -> str:

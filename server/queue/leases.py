@@ -136,6 +136,15 @@ def reset_attempts(session: Session, lease: Lease) -> None:
     _change_held(session, lease, attempts=0)
 
 
+def store_packages_digest(session: Session, lease: Lease, digest: str) -> None:
+    """Store which list of packages the shard's policy sees.
+
+    Raises:
+        LeaseLost: the shard is no longer ours.
+    """
+    _change_held(session, lease, packages_digest=digest)
+
+
 def end_shard(session: Session, lease: Lease, state: ShardState, result: ShardResult) -> None:
     """Mark the shard as done or failed.
 

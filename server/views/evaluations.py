@@ -69,6 +69,13 @@ class DifferingEpisodeView(View):
     seen_at: datetime
 
 
+class PackagesView(View):
+    """The packages that a policy saw."""
+
+    digest: str = Field(description="SHA-256 of the list; each shard names the one that its policy saw.")
+    versions: dict[str, str] = Field(description="Versions by name.")
+
+
 class EvaluationView(EvaluationSummaryView):
     """One run of the evaluator over a submission."""
 
@@ -92,9 +99,8 @@ class EvaluationView(EvaluationSummaryView):
     evaluator_hash: str
     platform_class: str | None
     isolation: list[str] = Field(description="How the policy was isolated, on each kind of worker machine.")
-    packages: list[dict[str, str]] = Field(
-        default=[],
-        description="Versions by name of what the policy could import, on each kind of worker; empty in a list.",
+    packages: list[PackagesView] = Field(
+        default=[], description="What the policy could import, each list once; empty in a list of submissions."
     )
     list_kind: ListKind = Field(description="Who could know the episodes that it plays.")
     commitment: str | None = Field(description="Of the sealed list of its stage; null for a track file's own list.")
@@ -130,6 +136,7 @@ class ShardView(View):
     state: ShardState
     attempts: int
     worker_id: UUID | None
+    packages_digest: str | None = Field(description="Of the packages that its policy saw; null where none ran.")
 
 
 class EvaluationDetailView(EvaluationView):

@@ -18,7 +18,7 @@ from .evaluations import (
 )
 from .judging import JudgingConflict, JudgingMark
 from .notices import Notice, Webhook
-from .operations import MetricTotal, Worker
+from .operations import DeclaredEvaluator, MetricTotal, Worker
 from .people import Announcement, Appeal, AppealReplay, Question
 from .playbacks import Playback
 from .receipts import ReceiptKey, ReceiptRow
@@ -35,6 +35,7 @@ __all__ = [
     "BoardChange",
     "BoardResult",
     "Competition",
+    "DeclaredEvaluator",
     "EpisodeDifference",
     "EpisodeResult",
     "Evaluation",

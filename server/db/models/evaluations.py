@@ -43,8 +43,8 @@ class Evaluation(Base):
     One that `is_proposed` belongs to a rejudgement that was not applied: it is no result of its submission.
     `commitment` names the sealed list that is played; NULL: the public one. `turn` orders those that wait, see
     `server.queue.turns`. `charged_at` says when the team's quotas counted it; NULL
-    where it costs nothing. `asked_by_team`: organizers did not start it. `packages`: versions by name of what the
-    policy could import, once for each kind of worker that stored episodes; of those stored before, nothing.
+    where it costs nothing. `asked_by_team`: organizers did not start it. `packages`: lists of the packages that the
+    policy saw, versions by name, each list once (`Shard.packages_digest` names one); nothing of episodes stored before.
     `list_kind` says who could know the episodes when it began, `counted_tasks` which tasks were combined when it was
     scored. NULL: as the track file says that is there, as it was before they were kept.
     """
@@ -155,7 +155,8 @@ class BoardChange(Base):
 class Shard(Base):
     """A fixed piece of an evaluation, the unit of queue work. `token` rises with each claim: it fences off others.
 
-    `attempts` counts the claims since an episode was last stored.
+    `attempts` counts the claims since an episode was last stored. `packages_digest` is that of the packages that its
+    policy saw (`evaluator.package_sets`); NULL where no policy ran. The list stands in the evaluation's `packages`.
     `finding` says why an uploaded log is not true (`evaluator.logs.findings.LogFinding`).
     """
 
@@ -182,6 +183,7 @@ class Shard(Base):
     lease_expires_at: Mapped[datetime | None]
     manifest: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     isolation: Mapped[str | None]
+    packages_digest: Mapped[str | None] = mapped_column(String(64))
     finding: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     queued_at: Mapped[datetime] = mapped_column(server_default=func.now())
     started_at: Mapped[datetime | None]

@@ -1,4 +1,4 @@
-"""Workers, and what all processes have counted."""
+"""Workers, the evaluator that the service declares, and what all processes have counted."""
 
 from datetime import datetime
 from typing import Any
@@ -35,6 +35,17 @@ class Worker(Base):
     disk_bytes: Mapped[int | None] = mapped_column(BigInteger)
     disk_free_bytes: Mapped[int | None] = mapped_column(BigInteger)
     sandbox: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True), deferred=True)
+
+
+class DeclaredEvaluator(Base):
+    """What the service evaluates with, as its server has said last: a version for each of its tracks.
+
+    Under the empty name stands the version of our own sources, which most tracks have.
+    """
+
+    __tablename__ = "declared_evaluators"
+    track: Mapped[str] = mapped_column(primary_key=True)
+    version: Mapped[str]
 
 
 class MetricTotal(Base):

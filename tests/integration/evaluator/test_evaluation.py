@@ -1,10 +1,14 @@
 """Evaluations with the real environment in the real sandbox; a few episodes each."""
 
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
-from vitac.evaluator.agent.verdicts import VerdictCode
+from vitac.evaluator.agent.isolation import interpreter
+from vitac.evaluator.agent.session import PolicySession
+from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import EpisodeOutcome, result_hash
 from vitac.evaluator.episodes.replay import resimulate
@@ -230,3 +234,35 @@ def test_sensor_of_a_team_is_played_in_every_shard_with_its_own_mesh_hash(
     assert first.result_hash == again.result_hash
     assert first.manifest.mesh_hash != drifted.manifest.mesh_hash
     assert first.manifest.mesh_hash == make_environment(TASK, sensor=design_in(dome)).mesh_hash()
+
+
+@pytest.mark.usefixtures("shared_simulation")
+def test_a_package_installed_beside_the_evaluator_is_not_there_for_policies_and_changes_no_hash(
+    submission: Path, tmp_path: Path, drifted: Evaluation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the documentation's packages are, which a service installs."""
+    site = tmp_path / "site"
+    info = site / "ipython-9.18.1.dist-info"
+    info.mkdir(parents=True)
+    (site / "IPython").mkdir()
+    (site / "IPython" / "__init__.py").touch()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: ipython\nVersion: 9.18.1\n")
+    (info / "RECORD").write_text("IPython/__init__.py,,\nipython-9.18.1.dist-info/METADATA,,\n")
+    folders = interpreter._package_folders()
+    monkeypatch.setattr(interpreter, "_package_folders", lambda: (*folders, site))
+    monkeypatch.setattr(sys, "path", [*sys.path, str(site)])
+    assert find_spec("IPython") is not None
+    assert "ipython" not in interpreter.installed_packages().versions
+    with pytest.raises(PolicyFailed, match="ModuleNotFoundError"):
+        import_in_sandbox(tmp_path, "IPython")
+    import_in_sandbox(tmp_path, "numpy")
+    again = run(submission)
+    assert (again.result_hash, again.score) == (drifted.result_hash, drifted.score)
+
+
+def import_in_sandbox(parent: Path, name: str) -> None:
+    folder = parent / name
+    folder.mkdir(mode=0o755)
+    (folder / "policy.py").write_text(f"import {name}\n\nclass Policy: pass\n")
+    with PolicySession(folder):
+        pass

@@ -12,6 +12,7 @@ from vitac.server.db.models import (
     Appeal,
     AppealReplay,
     Base,
+    DeclaredEvaluator,
     EpisodeDifference,
     EpisodeResult,
     Evaluation,
@@ -73,6 +74,7 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
             JudgingConflict(team_id=team_id, judge="Ann", reason=TEXT),
             JudgingMark(submission_id=submission.id, judge="Bob", criterion="novelty", mark=7.1),
             LogCopy(evaluation_id=evaluation.id, earlier_submission_id=earlier.id, episodes=1),
+            DeclaredEvaluator(track="track_1", version="1+abc"),
             MetricTotal(name="vitac_episodes_total", labels="{}", value=0.1),
             Notice(
                 kind=NoticeKind.FINISHED, team_id=team_id, subject="evaluation:9", channel=NoticeChannel.MAIL,

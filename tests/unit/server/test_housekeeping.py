@@ -20,6 +20,7 @@ from vitac.server.errors import ServiceError
 from vitac.server.housekeeping import Housekeeping, prune
 from vitac.server.metrics.totals import SeriesKey, totals
 from vitac.server.playbacks import work
+from vitac.server.queue.declared import declare, declared_versions, versions_here
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
 from vitac.server.storage.scratch import scratch_folder
@@ -119,6 +120,32 @@ def test_only_lost_shards_are_looked_for_in_every_round(services: Services, monk
     eventually(lambda: done.count("playbacks") > 2)
     keeper.stop()
     assert [what for what in done[before:] if what != "shards"][:4] == 2 * ["versions", "playbacks"]
+
+
+def test_the_server_that_started_last_declares_its_evaluator_and_a_worker_never_does(
+    services: Services, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def declared() -> dict[str, str]:
+        with services.database.transaction() as session:
+            return declared_versions(session)
+
+    monkeypatch.setattr(housekeeping, "OTHERS_EVERY_S", 0.0)
+    rounds: list[None] = []
+    monkeypatch.setattr(work, "recover", lambda *_: rounds.append(None))
+    worker = Housekeeping(services, supersedes=False)
+    worker.start()
+    eventually(lambda: len(rounds) > 2)
+    assert declared() == {}
+    worker.stop()
+    old = Housekeeping(services)
+    old.start()
+    eventually(lambda: declared() == versions_here())
+    with services.database.transaction() as session:
+        declare(session, {"": "1+new"})
+    seen = len(rounds)
+    eventually(lambda: len(rounds) > seen + 3)
+    assert declared() == {"": "1+new"}
+    old.stop()
 
 
 def test_a_worker_never_begins_evaluations_of_other_versions_again(

@@ -9,14 +9,17 @@ from typing import Any
 import pytest
 from service_factories import make_principal, make_upload
 from sqlalchemy import select, text
+from vitac.evaluator.agent.isolation.packages import PolicyPackages
+from vitac.evaluator.package_sets import PackageSet, locked_versions
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.models import Worker
 from vitac.server.db.states import EvaluationState, ShardState, WorkerState
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.queue.declared import OWN_SOURCES, declare, versions_here
 from vitac.server.queue.workers import workers_alive
 from vitac.server.services import Services
 from vitac.server.submissions import creation
-from vitac.worker import main
+from vitac.worker import fitness, main
 from vitac.worker.isolation import IsolationReport
 from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShards, eventually
@@ -118,6 +121,58 @@ def test_worker_on_a_machine_that_leaks_takes_nothing_and_says_why(services: Ser
     assert "network refused: escaped" in rows(services)[0].message
     with services.database.transaction() as session:
         assert workers_alive(session, services.settings).alive == 0
+
+
+def test_worker_of_another_evaluator_takes_nothing_and_says_what_to_do(services: Services, archive_sha256: str) -> None:
+    with services.database.transaction() as session:
+        creation.create(session, make_principal(session), make_upload(archive_sha256=archive_sha256))
+        declare(session, versions_here() | {OWN_SOURCES: "1+another"})
+    shards = FakeShards()
+    with signalled_when(lambda: any(row.state is WorkerState.REFUSING for row in rows(services))):
+        main.work(services, shards, probe=lambda: SOUND)
+    assert shards.started == []
+    assert rows(services)[0].message == (
+        f"This worker has evaluator {evaluator_version()}, the service 1+another: it takes no shards. Install the "
+        "release of the service on this machine and start the worker again."
+    )
+
+
+def test_worker_leaves_its_shard_when_the_service_declares_another_evaluator(
+    services: Services, archive_sha256: str
+) -> None:
+    with services.database.transaction() as session:
+        submission = creation.create(session, make_principal(session), make_upload(archive_sha256=archive_sha256))[0]
+        declare(session, versions_here())
+
+    def upgrade_meanwhile(_: int) -> None:
+        with services.database.transaction() as session:
+            declare(session, versions_here() | {OWN_SOURCES: "1+another"})
+        shards.started[0].killed.wait()
+
+    shards = FakeShards(gate=upgrade_meanwhile)
+    with signalled_when(lambda: any(row.state is WorkerState.REFUSING for row in rows(services))):
+        main.work(services, shards, probe=lambda: SOUND)
+    assert len(shards.started) == 1
+    with services.database.transaction() as session:
+        states = {shard.state for shard in newest_evaluation(session, submission).shards}
+        assert workers_alive(session, services.settings).alive == 0
+    assert states == {ShardState.QUEUED}
+
+
+def test_worker_whose_policies_would_see_other_packages_takes_no_shards_of_that_track_and_says_which(
+    services: Services, archive_sha256: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with services.database.transaction() as session:
+        creation.create(session, make_principal(session), make_upload(archive_sha256=archive_sha256))
+    found = PolicyPackages(versions={**dict.fromkeys(locked_versions([PackageSet.BASE]), "0")}, binds=())
+    monkeypatch.setattr(fitness, "installed_packages", lambda _: found)
+    shards = FakeShards()
+    with signalled_when(lambda: any(row.state is WorkerState.READY for row in rows(services))):
+        main.work(services, shards, probe=lambda: SOUND)
+    (worker,) = rows(services)
+    assert shards.started == []
+    assert worker.families == []
+    assert "track_1: its policies would see other packages than it declares: annotated-doc is 0" in worker.message
 
 
 def test_worker_without_disk_space_at_its_start_waits_for_it(

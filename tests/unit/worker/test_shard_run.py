@@ -30,12 +30,13 @@ from structlog.testing import capture_logs
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FiguresPart
+from vitac.evaluator.package_sets import digest_of_packages
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcessFailed
 from vitac.evaluator.shards.result import ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.contest import sealing
-from vitac.server.db.models import EpisodeResult, Shard, Submission, SubmissionFile
+from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission, SubmissionFile
 from vitac.server.db.states import EvaluationState, Role, ShardState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.episode_store import store_episodes
@@ -132,23 +133,29 @@ def test_each_episode_is_stored_soon_after_it_is_over(
     assert ShardRun(services, stage, lease, FakeShards(gate=gate)).run() is RunEnd.FINISHED
 
 
-def test_what_the_policy_could_import_is_asked_for_once_in_a_shard_and_again_where_storing_failed(
+def test_packages_of_the_policy_are_stored_once_in_a_shard_and_again_where_storing_failed(
     services: Services, stage: SubmissionStage, lease: Lease, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked = []
+    given = []
 
-    def store(session: Session, lease: Lease, records: Sequence[EpisodeRecord], *, notes_packages: bool) -> None:
-        asked.append(notes_packages)
-        if len(asked) == 1:
+    def store(
+        session: Session, lease: Lease, records: Sequence[EpisodeRecord], *, packages: dict[str, str] | None
+    ) -> None:
+        given.append(packages)
+        if len(given) == 1:
             raise DBAPIError("INSERT", {}, DiskFull("no space left"))
-        store_episodes(session, lease, records, notes_packages=notes_packages)
+        store_episodes(session, lease, records, packages=packages)
 
     monkeypatch.setattr(record_store, "TOGETHER_S", 0.01)
     monkeypatch.setattr(shard_run, "store_episodes", store)
     shards = FakeShards(gate=lambda number: eventually(lambda: len(stored_numbers(services)) >= min(number - 1, 2)))
     assert ShardRun(services, stage, lease, shards).run() is RunEnd.FINISHED
-    assert asked[:3] == [True, True, False]
-    assert not any(asked[3:])
+    seen = {"numpy": "2.5.0"}
+    assert given[:2] == [seen, seen]
+    assert not any(given[2:])
+    with services.database.transaction() as session:
+        assert session.get_one(Evaluation, lease.evaluation_id).packages == [seen]
+        assert session.get_one(Shard, lease.shard_id).packages_digest == digest_of_packages(seen)
 
 
 @pytest.mark.parametrize(("fetched_s", "first_episode"), [(0.0, None), (1e9, 2)])

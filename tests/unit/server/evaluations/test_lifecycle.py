@@ -1,6 +1,5 @@
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from uuid import uuid4
 
 import pytest
 from service_factories import (
@@ -13,7 +12,6 @@ from service_factories import (
     make_principal,
     make_record,
     make_settings,
-    make_upload,
     play,
     play_all,
     shard_ids,
@@ -23,22 +21,21 @@ from service_factories import (
     take_away,
 )
 from sqlalchemy import select, text
-from submission_steps import make_worker
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, FailureStage, result_hash
+from vitac.evaluator.package_sets import digest_of_packages
 from vitac.evaluator.scoring.score import score
 from vitac.evaluator.shards.result import ShardEnd
-from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult
 from vitac.server.db.states import EvaluationState, ShardState
 from vitac.server.evaluations.episode_store import EpisodeKey, records_of, store_episodes
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import EpisodesMissing
+from vitac.server.evaluations.listing import show_evaluation
 from vitac.server.evaluations.scores import combine_hashes, combined_score, scores_of
-from vitac.server.logs.claims import LogClaim
 from vitac.server.queue.leases import Lease, LeaseLost, lock_held
-from vitac.server.submissions import creation, listing, runs
+from vitac.server.submissions import listing, runs
 from worker_fakes import eventually
 
 
@@ -239,80 +236,66 @@ def test_records_are_read_back_as_they_were_written(database: Database) -> None:
     assert read == [some_record(episode) for episode in range(1, 271)]
 
 
-def test_a_result_keeps_what_its_policy_could_import_on_each_kind_of_worker(database: Database) -> None:
-    """Also on those that were stopped, or killed before they said that their shard is done."""
-    kinds = [{"numpy": "2.5.0", "torch": "2.13.0+cpu"}, {"numpy": "2.5.0"}, {"numpy": "2.4.0"}, {"numpy": "2.3.0"}]
-    first, second, third, late = names = [uuid4() for _ in kinds]
+def test_a_result_keeps_which_packages_its_policy_saw_in_each_shard(database: Database) -> None:
+    """Also where a worker was stopped, or killed before it said that its shard is done."""
+    first, second, third = kinds = [{"numpy": "2.5.0", "torch": "2.13.0"}, {"numpy": "2.5.0"}, {"numpy": "2.4.0"}]
     with database.transaction() as session:
         principal = make_principal(session)
         submission = submit(session, principal)
         ids = shard_ids(session, submission)
-    for name, packages in zip(names, kinds, strict=True):
-        make_worker(database, id=name, sandbox={"python": "3.11.9", "packages": packages})
 
     def kept() -> list[dict[str, str]]:
         with database.transaction() as session:
             return newest_evaluation(session, submission).packages
 
-    lease = claim(database, ids[0], first)
+    lease = claim(database, ids[0])
     assert kept() == [], "it has stored nothing"
-    store(database, lease, map(some_record, lease.episodes[:2]))
+    store_all(database, lease, lease.episodes[:2], first)
     take_away(database, ids[0])
-    lease = claim(database, ids[0], second)
-    store_all(database, lease, lease.episodes[2:])
+    lease = claim(database, ids[0])
+    store_all(database, lease, lease.episodes[2:], second)
     finish(database, lease)
-    assert kept() == kinds[:2]
+    assert kept() == [first, second]
 
-    lease = claim(database, ids[1], third)
-    store_all(database, lease, lease.episodes)
+    lease = claim(database, ids[1])
+    store_all(database, lease, lease.episodes, third)
     take_away(database, ids[1])
     with pytest.raises(LeaseLost):
-        store(database, lease, [some_record(lease.episodes[0])])
-    lease = claim(database, ids[1], late)
-    finish(database, lease)
-    assert kept() == kinds[:3], "the last had no episode left to play"
-
-    for name, shard_id in zip((first, uuid4()), ids[2:], strict=False):
-        lease = claim(database, shard_id, name)
-        store(database, lease, [some_record(lease.episodes[0])])
+        store_all(database, lease, lease.episodes[:1], {"numpy": "2.3.0"})
+    finish(database, claim(database, ids[1]))
+    lease = claim(database, ids[2])
+    store_all(database, lease, lease.episodes, first)
+    assert kept() == kinds
     with database.transaction() as session:
-        assert listing.get(session, make_settings(), principal, submission.id).evaluation.packages == kinds[:3]
+        shown = listing.get(session, make_settings(), principal, submission.id).evaluation
+        detail = show_evaluation(session, make_settings(), shown.id)
         (listed,) = listing.list_submissions(session, make_settings(), principal).items
-        assert listed.evaluation.packages == [], "a list is short"
+    assert [seen.versions for seen in shown.packages] == kinds
+    digests = [digest_of_packages(kind) for kind in kinds]
+    assert [seen.digest for seen in shown.packages] == digests
+    saw = [shard.packages_digest for shard in detail.shards]
+    assert saw[:4] == [digests[1], digests[2], digests[0], None]
+    assert listed.evaluation.packages == [], "a list is short"
 
 
-def store_all(database: Database, lease: Lease, episodes: Iterable[int]) -> None:
+def store_all(
+    database: Database, lease: Lease, episodes: Iterable[int], packages: Mapping[str, str] | None = None
+) -> None:
     with database.transaction() as session:
-        store_episodes(session, lease, [some_record(episode) for episode in episodes])
+        store_episodes(session, lease, [some_record(episode) for episode in episodes], packages=packages)
 
 
-def test_a_log_has_no_policy_that_could_import_anything(database: Database) -> None:
-    name = uuid4()
-    make_worker(database, id=name, sandbox={"python": "3.11.9", "packages": {"numpy": "2.5.0"}})
-    claimed = LogClaim(team=None, episodes=270, successes=1, success_rate=1 / 270, mean_steps=3.0)
-    with database.transaction() as session:
-        upload = make_upload("log", kind=SubmissionKind.LOG, manifest=claimed.stored())
-        submission = creation.create(session, make_principal(session), upload)[0]
-        ids = shard_ids(session, submission)
-    store(database, claim(database, ids[0], name), [some_record(1)])
-    with database.transaction() as session:
-        assert newest_evaluation(session, submission).packages == []
-
-
-def test_a_worker_of_a_new_kind_waits_for_the_evaluation_without_holding_its_shard(database: Database) -> None:
+def test_a_worker_with_other_packages_waits_for_the_evaluation_without_holding_its_shard(database: Database) -> None:
     """Whoever ends an evaluation locks it before its shards; in another order both would wait for ever."""
     kinds = [{"numpy": "2.5.0"}, {"numpy": "2.4.0"}]
-    names = [uuid4() for _ in kinds]
     with database.transaction() as session:
         submission = submit(session, make_principal(session))
         ids = shard_ids(session, submission)
-    for name, packages in zip(names, kinds, strict=True):
-        make_worker(database, id=name, sandbox={"python": "3.11.9", "packages": packages})
-    leases = [claim(database, shard_id, name) for shard_id, name in zip(ids, names, strict=False)]
+    leases = [claim(database, shard_id) for shard_id in ids[:2]]
     with ThreadPoolExecutor(1) as threads:
         with database.transaction() as session:
-            store_episodes(session, leases[0], [some_record(1)])
-            storing = threads.submit(store_all, database, leases[1], leases[1].episodes[:1])
+            store_episodes(session, leases[0], [some_record(1)], packages=kinds[0])
+            storing = threads.submit(store_all, database, leases[1], leases[1].episodes[:1], kinds[1])
             eventually(lambda: _waits(database))
             session.execute(text("SET LOCAL lock_timeout = 2000"))
             lock_held(session, leases[1])

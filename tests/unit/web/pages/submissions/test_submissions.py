@@ -11,7 +11,7 @@ from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import TRACK_REMOVED
-from vitac.server.views.evaluations import DifferingEpisodeView, EvaluationView
+from vitac.server.views.evaluations import DifferingEpisodeView, EvaluationView, PackagesView
 from vitac.web.pages.submissions import submissions
 from vitac.web.plots.map import EpisodeMap, episode_map
 
@@ -246,14 +246,16 @@ def test_a_result_without_a_control_group_is_shown_as_isolated_more_weakly(
 
 def test_packages_of_each_kind_of_worker_are_told_short_and_in_full(browser: AsgiBrowser, data: FixedData) -> None:
     kinds = [{"msgspec": "1", "numpy": "2.5", "torch": "2.13+cpu"}, {"msgspec": "1", "numpy": "2.5"}, {"<b>": "1"}]
-    evaluation = COMPLETED.evaluation.model_copy(update={"packages": kinds})
+    packages = [PackagesView(digest=str(number) * 64, versions=kind) for number, kind in enumerate(kinds)]
+    evaluation = COMPLETED.evaluation.model_copy(update={"packages": packages})
     data.found = [COMPLETED.model_copy(update={"evaluation": evaluation})]
     sign_in(browser, "Gelbots")
     html = browser.get(f"/submissions/{COMPLETED.id}").text
     shown = html.split("<dt>Packages</dt>")[1:]
     summaries = [part.partition("<summary>")[2].partition("</summary>")[0] for part in shown]
     assert summaries == ["numpy 2.5, torch 2.13+cpu, 3 in all", "numpy 2.5, 2 in all", "1 in all"]
-    assert "msgspec 1, numpy 2.5, torch 2.13+cpu</details>" in shown[0]
+    assert "msgspec 1, numpy 2.5, torch 2.13+cpu<br>" in shown[0]
+    assert [str(number) * 64 in part for number, part in enumerate(shown)] == [True, True, True]
     assert "&lt;b&gt; 1" in shown[2]
 
 

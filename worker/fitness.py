@@ -1,0 +1,57 @@
+"""Which queues a worker takes shards from, and why it takes none of some tracks. Called by worker and heartbeat."""
+
+from collections.abc import Iterator, Mapping
+
+from vitac.envs.tasks.definition import Family
+from vitac.evaluator.agent.isolation.interpreter import installed_packages
+from vitac.evaluator.package_sets import package_differences, shown_sets
+from vitac.evaluator.tracks import Track, list_tracks, load_track
+from vitac.evaluator.tracks.versions import current_versions, version_of
+from vitac.evaluator.version import evaluator_version
+from vitac.server.queue.declared import why_other_tracks
+from vitac.server.queue.jobs import queue_name
+from vitac.server.tracks import family_of
+
+from .families import families_here
+
+
+def queues_here() -> list[str]:
+    """Return the queues that the worker takes shards from."""
+    unfit = {queue for track in tracks_with_other_packages() for queue in _queues_of(load_track(track))}
+    names = (queue_name(version, family) for version in sorted(current_versions()) for family in families_here())
+    return [name for name in names if name not in unfit]
+
+
+def fit_families() -> tuple[Family, ...]:
+    """Return the families of whose tasks it takes shards."""
+    queues = set(queues_here())
+    return tuple(family for family in families_here() if queue_name(evaluator_version(), family) in queues)
+
+
+def why_unfit(declared: Mapping[str, str]) -> str:
+    """Return why the worker takes no shards of some tracks, one sentence after the other; empty where it takes all.
+
+    Args:
+        declared: versions by track, as the service says.
+    """
+    reasons = why_other_tracks(declared) | tracks_with_other_packages()
+    return f"Takes no shards of {' '.join(reasons.values())}" if reasons else ""
+
+
+def tracks_with_other_packages() -> dict[str, str]:
+    """Return by track why its policies would not see here the packages that it declares."""
+    families, reasons = set(families_here()), {}
+    for track in map(load_track, list_tracks()):
+        if not families.intersection(family_of(track.name, task) for task in track.tasks):
+            continue
+        different = package_differences(shown_sets(track.packages), installed_packages(track.packages).versions)
+        if different:
+            reasons[track.name] = (
+                f"{track.name}: its policies would see other packages than it declares: {'; '.join(different)}. "
+                "Install the expected versions beside the worker and start it again."
+            )
+    return reasons
+
+
+def _queues_of(track: Track) -> Iterator[str]:
+    return (queue_name(version_of(track.name), family_of(track.name, task)) for task in track.tasks)
