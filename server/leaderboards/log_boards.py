@@ -31,7 +31,7 @@ from ..visibility import played_list_kind
 from .best_entries import BestEntry, Board, best_entries, takes_part
 from .changes import kept_until_change
 from .made_boards import MadeBoard, MadeBoards, revision_of
-from .standings import completed_evaluations, made_entries
+from .standings import completed_evaluations, made_entries, unranked
 
 _USUAL_RANKING = (
     "Higher success rate first; then fewer mean env steps of the successful episodes; then the earlier submission."
@@ -75,6 +75,7 @@ class _Shown:
 
     stage: str
     counted: CountedResults
+    boards: Mapping[str, Board]
     best: Mapping[str, list[BestEntry]]
     copies: Mapping[UUID, LogCopyView]
     text_logs: Sequence[UUID]
@@ -101,6 +102,7 @@ def _found(
     return _Shown(
         stage=stage.name,
         counted=counted,
+        boards=boards,
         best=best,
         copies=copies,
         text_logs=text_logs,
@@ -125,17 +127,24 @@ def _view(session: Session, track: Track, shown: _Shown, last: LogBoardsView | N
         revision=shown.revision,
         generated_at=datetime.now(UTC),
         boards=[
-            LogBoardView(
-                task=name,
-                title=task.title,
-                entries=[
-                    view.model_copy(update={"copy_of": shown.copies.get(view.evaluation_id)})
-                    for view in made_entries(session, shown.best[name], entries_before.get(name, ()), entry_of)
-                ],
+            _board(
+                shown,
+                name,
+                task.title,
+                made_entries(session, shown.best[name], entries_before.get(name, ()), entry_of),
             )
             for name, task in track.tasks.items()
         ],
         text_logs=_text_logs(session, shown, last.text_logs if last else ()),
+    )
+
+
+def _board(shown: _Shown, task: str, title: str, entries: Sequence[LogEntryView]) -> LogBoardView:
+    return LogBoardView(
+        task=task,
+        title=title,
+        unranked=unranked(entries, shown.counted, shown.boards[task]),
+        entries=[view.model_copy(update={"copy_of": shown.copies.get(view.evaluation_id)}) for view in entries],
     )
 
 

@@ -24,6 +24,7 @@ from ..visibility import played_list_kind
 from .best_entries import BestEntry, Board, best_entries
 from .changes import kept_until_change
 from .made_boards import MadeBoard, MadeBoards, revision_of
+from .outdated import why_unranked
 from .rank_ranges import rank_ranges
 
 EntryT = TypeVar("EntryT", LeaderboardEntryView, LogEntryView)
@@ -114,11 +115,20 @@ def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView |
         list_kind=shown.list_kind,
         ranking_rule=shown.rule or (track.ranking_rule if task else track.combination_rule or track.ranking_rule),
         evaluator_version=shown.board.evaluator_version,
+        unranked=unranked(entries, shown.counted, shown.board),
         revision=shown.revision,
         generated_at=datetime.now(UTC),
         teams=len(entries),
         entries=entries,
     )
+
+
+def unranked(
+    entries: Collection[LeaderboardEntryView] | Collection[LogEntryView], counted: CountedResults, board: Board
+) -> str | None:
+    """Return why some of the entries have no rank since the evaluator changed; None if none lacks it."""
+    made_by = [entry.evaluator_version for entry in entries if entry.stale]
+    return why_unranked(made_by, counted, board.track, kind=board.kind, of=len(entries))
 
 
 def _with_rank_ranges(entries: list[LeaderboardEntryView]) -> list[LeaderboardEntryView]:

@@ -20,7 +20,7 @@ class LeaderboardEntryView(View):
     rank_range: tuple[int, int] | None = Field(
         description="First and last rank that it could have by chance, as the 95 % intervals of all entries overlap."
     )
-    stale: bool
+    stale: bool = Field(description="Another evaluator version made it: it is not comparable.")
     team: str
     evaluation_id: UUID
     submission_id: UUID
@@ -55,7 +55,11 @@ class LeaderboardView(View):
     )
     list_kind: ListKind = Field(description="Who can know the episodes that submissions to it play.")
     ranking_rule: str
-    evaluator_version: str
+    evaluator_version: str = Field(description="Whose results are ranked; each entry names the one that made it.")
+    unranked: str | None = Field(
+        default=None,
+        description="Why entries have no rank since the evaluator changed, what brings it back; null: all have one.",
+    )
     revision: str = Field(description="Changes with the entries; the ETag of the answer.")
     generated_at: datetime = Field(description="When this revision was put together.")
     teams: int
@@ -89,6 +93,10 @@ class LogBoardView(View):
 
     task: str
     title: str
+    unranked: str | None = Field(
+        default=None,
+        description="Why entries have no rank since the evaluator changed, what brings it back; null: all have one.",
+    )
     entries: list[LogEntryView]
 
 

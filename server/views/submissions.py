@@ -43,6 +43,9 @@ class SubmissionView(View):
         description="All runs, newest first; of another team's, the newest."
     )
     workers: WorkersView
+    unranked: str | None = Field(
+        description="Why a scored model has no rank since the evaluator changed, and what brings it back; else null."
+    )
     rank: RankView | None = Field(description="On the leaderboard of all tasks together.")
     task_ranks: dict[str, RankView] = Field(description="On the leaderboards of single tasks.")
     log: LogView | None = Field(description="Null for a model.")

@@ -255,6 +255,7 @@ def a_submission(
         workers=WorkersView(alive=workers, last_heartbeat_at=NOW),
         log=None,
         rank=RankView(rank=2, of=4) if completed else None,
+        unranked=None,
         task_ranks={task: RankView(rank=1, of=3) for task in tasks} if completed else {},
     )
 

@@ -83,6 +83,37 @@ def test_ties_go_to_the_earlier_submission_also_when_it_is_evaluated_again_later
     assert before == {submission.name: submission.submitted_at for submission in submissions}
 
 
+def test_a_board_without_ranks_says_which_evaluator_made_its_entries_and_what_brings_the_ranks_back(
+    database: Database,
+) -> None:
+    with database.transaction() as session:
+        old = [make_principal(session, team) for team in ("Ants", "Bees")]
+        submissions = [submit_scored(session, team, "old", {TASK: make_score(80)}) for team in old]
+        outdate(session)
+    board = board_of(database)
+    (made_by,) = {entry.evaluator_version for entry in board.entries}
+    assert [found.rank for found in board.entries] == [None, None]
+    assert board.unranked == (
+        f"2 of 2 entries have no rank: evaluator {made_by} made them, and this board ranks results of "
+        f"evaluator {board.evaluator_version}, as results of two evaluators are not comparable. A rank comes back when "
+        "the submission is evaluated again: organizers do so with "
+        f"`vitac admin rejudge start --track {TRACK} --reason REASON`, then `apply`."
+    )
+    with database.transaction() as session:
+        shown = listing.get(session, make_settings(), old[0], submissions[0].id)
+        assert shown.unranked is not None
+        assert shown.unranked.startswith(f"It has no rank: evaluator {made_by} made its result")
+        complete_scored(session, runs.run_again(session, CONSOLE, submissions[0].id), {TASK: make_score(80)})
+    with database.transaction() as session:
+        assert listing.get(session, make_settings(), old[0], submissions[0].id).unranked is None
+    again = board_of(database)
+    assert again.unranked is not None
+    assert again.unranked.startswith("1 of 2 entries has no rank: evaluator ")
+    with database.transaction() as session:
+        complete_scored(session, runs.run_again(session, CONSOLE, submissions[1].id), {TASK: make_score(80)})
+    assert board_of(database).unranked is None
+
+
 def test_missing_steps_come_after_all_others_of_the_same_rate(database: Database) -> None:
     with database.transaction() as session:
         one = {TASK: make_score(80)}

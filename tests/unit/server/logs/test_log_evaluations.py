@@ -295,8 +295,10 @@ def test_log_of_an_older_evaluator_stays_visible_without_a_rank(service: Service
     log = resimulated(service, a_log())
     with service.database.transaction() as session:
         outdate(session)
-    entries = service.client.get("/api/v1/leaderboards/track_1/logs").json()["boards"][0]["entries"]
-    assert [(e["rank"], e["stale"], e["submission_id"]) for e in entries] == [(None, True, str(log.id))]
+    board = service.client.get("/api/v1/leaderboards/track_1/logs").json()["boards"][0]
+    assert [(e["rank"], e["stale"], e["submission_id"]) for e in board["entries"]] == [(None, True, str(log.id))]
+    assert board["unranked"].startswith("1 of 1 entries has no rank: evaluator ")
+    assert board["unranked"].endswith("upload a log of the present evaluator.")
 
 
 def test_text_log_is_listed_with_both_rates_and_never_ranked(service: Service) -> None:

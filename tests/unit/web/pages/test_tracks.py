@@ -51,9 +51,11 @@ def test_the_board_says_so_while_nothing_is_evaluated(browser: AsgiBrowser) -> N
 
 
 def test_entry_of_another_evaluator_version_has_no_rank(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(an_entry(None, "Old Team", a_score((84, 80, 77), 4.31)))
+    board = a_leaderboard(an_entry(None, "Old Team", a_score((84, 80, 77), 4.31)))
+    data.board = board.model_copy(update={"unranked": "1 of 1 entries has no rank: use `vitac admin rejudge`."})
     html = browser.get("/tracks/track_1").text
-    assert "evaluator 1+ba9876543210, not ranked" in html
+    assert "evaluator 1+ba9876543210, not comparable" in html
+    assert "<p>1 of 1 entries has no rank: use <code>vitac admin rejudge</code>.</p>" in html
     assert "<dt>Teams ranked</dt><dd>0</dd>" in html
 
 

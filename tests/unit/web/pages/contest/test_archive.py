@@ -9,10 +9,21 @@ from vitac.server.views.contest import DisqualifiedTeamView
 def test_the_archive_shows_winners_boards_and_how_to_cite(data: FixedData, browser: AsgiBrowser) -> None:
     assert browser.get("/competition/archive").status_code == 404
     data.cup = a_finished_cup()
-    board = a_leaderboard(an_entry(1, "<Bears>", a_score((84, 80, 77), 4.31), task=TASK), task=TASK)
-    data.board = board.model_copy(update={"stage": "final"})
+    entry = an_entry(1, "<Bears>", a_score((84, 80, 77), 4.31), task=TASK).model_copy(
+        update={"evaluator_version": "1+of_the_entry"}
+    )
+    board = a_leaderboard(entry, task=TASK)
+    data.board = board.model_copy(update={"stage": "final", "unranked": "Made by evaluator <1+old>."})
     html = browser.get("/competition/archive").text
-    for text in ("Touch, Final", "&lt;Bears&gt;", "@misc{cup}", a_receipt().link.public_key, "2031-03-01"):
+    for text in (
+        "Touch, Final",
+        "&lt;Bears&gt;",
+        "@misc{cup}",
+        a_receipt().link.public_key,
+        "2031-03-01",
+        "&lt;1+old&gt;",
+        ">1+of_the_entry<",
+    ):
         assert text in html, text
     for page in ("/competition/archive", "/competition"):
         assert '<td role="cell">Touch</td>' in browser.get(page).text, "people know the title of a track"
