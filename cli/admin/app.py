@@ -25,7 +25,7 @@ def log_beside_the_output() -> None:
 
 app.add_typer(competition.app, name="competition", help="The competition: check, apply, show, lists, reveal.")
 app.add_typer(advance.app, name="advance", help="Who takes part in a later stage: propose, confirm, list.")
-app.add_typer(results.app, name="results", help="The end: freeze, unfreeze, winners, finalize, publish.")
+app.add_typer(results.app, name="results", help="The end: freeze, unfreeze, winners, finalize, reopen, publish.")
 app.add_typer(judging.app, name="judging", help="Judges' marks: rubric, mark, conflict, show.")
 app.add_typer(receipt.app, name="receipt", help="Receipts of final results: key, export.")
 app.add_typer(

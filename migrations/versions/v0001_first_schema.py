@@ -282,6 +282,7 @@ def make_tables() -> None:
         sa.Column("finalized_at", sa.DateTime(timezone=True), nullable=True),
         sa.Column("winners", postgresql.JSONB(none_as_null=True, astext_type=sa.Text()), nullable=True),
         sa.Column("boards", postgresql.JSONB(none_as_null=True, astext_type=sa.Text()), nullable=True),
+        sa.Column("reopened", postgresql.JSONB(astext_type=sa.Text()), server_default="[]", nullable=False),
         sa.CheckConstraint("(finalized_at IS NULL) = (winners IS NULL)", name=op.f("ck_competition_final_has_winners")),
         sa.CheckConstraint(
             "boards IS NULL OR finalized_at IS NOT NULL", name=op.f("ck_competition_only_final_has_boards")

@@ -24,6 +24,7 @@ from ..visibility import changeable, sight_of
 MAX_OPEN = 3
 MAX_A_DAY = 20
 SHOWN = 200
+_NO_RULING = "The competition became final before anybody ruled on this appeal."
 _MAX_EPISODE = 1_000_000
 
 
@@ -109,6 +110,24 @@ def rule(session: Session, by: Principal, appeal_id: int, ruling: str, *, upheld
     kept = clean_text(ruling, what="A ruling")
     _end(session, by, found, AppealState.UPHELD if upheld else AppealState.REJECTED, kept)
     return found
+
+
+def open_in_competition(session: Session) -> list[Appeal]:
+    """Return the appeals against results of stages on which nobody has ruled, the first one first."""
+    query = select(Appeal).join(Appeal.evaluation).join(Evaluation.submission).options(joinedload(Appeal.team))
+    is_open = Appeal.state == AppealState.OPEN, Submission.stage != ""
+    return list(session.scalars(query.where(*is_open).order_by(Appeal.id)))
+
+
+def end_with_competition(session: Session, by: Principal) -> None:
+    """Reject the appeals on which nobody has ruled when the competition becomes final.
+
+    Raises:
+        ServiceError: not an organizer.
+    """
+    by.require_organizer()
+    for found in open_in_competition(session):
+        _end(session, by, found, AppealState.REJECTED, _NO_RULING)
 
 
 def note_replay(
@@ -240,7 +259,13 @@ def _end(session: Session, by: Principal, appeal: Appeal, state: AppealState, ru
 def _require_time(session: Session, evaluation: Evaluation) -> None:
     if evaluation.state not in TERMINAL_EVALUATION_STATES or evaluation.finished_at is None:
         raise ServiceError(ProblemCode.APPEAL_TOO_LATE, "This evaluation has not ended; wait for its result.")
-    days = Contest.read(session).definition.appeal_days
+    contest, submission = Contest.read(session), evaluation.submission
+    days, final = contest.definition.appeal_days, contest.stored_stage(submission.track, submission.stage).final_since
+    if final is not None:
+        raise ServiceError(
+            ProblemCode.APPEAL_TOO_LATE,
+            f"The results are final since {final:%F %T} UTC, and appeals ended with that; you may ask a question.",
+        )
     if days is None:
         raise ServiceError(ProblemCode.APPEAL_TOO_LATE, "This service takes no appeals; ask the organizers a question.")
     until = (_counts_since(session, evaluation) or evaluation.finished_at) + timedelta(days=days)

@@ -13,6 +13,7 @@ from ..views.contest import (
     CompetitionView,
     DisqualifiedTeamView,
     PrizeView,
+    ReopeningView,
     StageView,
     WinnerView,
     WithdrawnListView,
@@ -49,6 +50,7 @@ def competition_view(session: Session, at: datetime | None = None) -> Competitio
         freeze_at=found.freeze_at,
         frozen_at=contest.frozen_at,
         finalized_at=row.finalized_at,
+        reopened=[ReopeningView.model_validate(each) for each in row.reopened],
         winners=[WinnerView.model_validate(winner, extra="ignore") for winner in row.winners or []],
         disqualified=disqualified_since_the_end(session),
         withdrawn_lists=[

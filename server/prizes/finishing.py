@@ -1,13 +1,16 @@
 """The end of a competition: winners by the prize table, and the boards as they are then."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 
 from sqlalchemy.orm import Session
 
+from .. import names
+from ..appeals.appeals import end_with_competition
 from ..audit import newest_entries, record
+from ..confirmations import Concern, require_confirmed
 from ..contest.contest import Contest
 from ..contest.definition import Prize, TrackRules
 from ..contest.stages import Stage
@@ -16,8 +19,10 @@ from ..evaluations.readiness import require_current, require_scored
 from ..judging.judging import ranked_by_total
 from ..leaderboards.standings import leaderboard
 from ..principals import Principal
+from ..teams.teams import REASON_LENGTH
 from ..tracks import known_track
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
+from .unsettled import unsettled
 
 FINALIZE_AGAIN = "competition.finalize_again"
 """The action in the audit log; its lines keep the winners and boards that were replaced."""
@@ -48,25 +53,59 @@ class Winner:
     total: float | None = None
 
 
-def finalize(session: Session, by: Principal, *, at: datetime | None = None) -> list[Winner]:
+def finalize(
+    session: Session, by: Principal, *, at: datetime | None = None, confirmed: Collection[str] | None = ()
+) -> list[Winner]:
     """End the competition and keep winners and boards as they are now; these show all results again.
+
+    Appeals end with it: those without a ruling are rejected, and no more are taken.
 
     Args:
         session: of the transaction.
         by: an organizer.
         at: the moment; None: now.
+        confirmed: names of what is not settled (`concerns_at_end`) that the organizer confirms; None: the caller asks.
 
     Raises:
         ServiceError: not an organizer, there is no competition or it is final already, a stage or an evaluation is not
-            over, a board has results of another evaluator version, or a judged track has an entry without a total.
+            over, a board has results of another evaluator version, a judged track has an entry without a total, or
+            something is neither settled nor confirmed.
     """
     contest, now = Contest.lock_to_change(session, by), at or datetime.now(UTC)
     _require_over(session, contest, now)
     found = _winners_now(session, contest)
+    require_confirmed(unsettled(session, contest, now), confirmed)
+    end_with_competition(session, by)
     contest.row.finalized_at, contest.row.frozen_at = now, None
     _store(session, contest, found)
     record(session, by, "competition.finalize", contest.subject, {"winners": contest.row.winners})
     return found
+
+
+def concerns_at_end(session: Session, *, at: datetime | None = None) -> list[Concern]:
+    """Return what is not settled, and would be by the end alone; `at` None: now."""
+    contest = Contest.read(session)
+    contest.require_held()
+    return unsettled(session, contest, at or datetime.now(UTC))
+
+
+def reopen(session: Session, by: Principal, reason: str) -> None:
+    """Take the end of a competition back, as the remedy of what was found after it; everybody sees when and why.
+
+    Winners and boards of before stay in the audit log. Results that are made again get receipts of their own.
+
+    Raises:
+        ServiceError: not an organizer, there is no competition, it is not final, or the reason cannot be shown.
+    """
+    by.require_organizer()
+    contest = Contest.lock(session)
+    contest.require_held()
+    _require_final(contest)
+    shown, row = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH), contest.row
+    before = {"finalized_at": str(row.finalized_at), "winners": row.winners, "boards": row.boards}
+    row.reopened = [*row.reopened, {"at": datetime.now(UTC).isoformat(), "reason": shown}]
+    row.finalized_at = row.winners = row.boards = None
+    record(session, by, "competition.reopen", contest.subject, {"reason": shown}, before=before)
 
 
 def finalize_again(session: Session, by: Principal) -> list[Winner]:
@@ -83,10 +122,7 @@ def finalize_again(session: Session, by: Principal) -> list[Winner]:
     by.require_organizer()
     contest = Contest.lock(session)
     contest.require_held()
-    if contest.row.finalized_at is None:
-        raise ServiceError(
-            ProblemCode.INVALID_REQUEST, "The competition is not final yet; `vitac admin results finalize` ends it."
-        )
+    _require_final(contest)
     _require_track_files(contest)
     before = {"winners": contest.row.winners, "boards": contest.row.boards}
     found = _winners_now(session, contest)
@@ -185,6 +221,13 @@ def _left_over(name: str, track: TrackRules, found: Sequence[Winner]) -> Counter
 
 def _single_prizes(prizes: Sequence[Prize]) -> list[Prize]:
     return [prize for prize in prizes for _ in range(prize.winners)]
+
+
+def _require_final(contest: Contest) -> None:
+    if contest.row.finalized_at is None:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST, "The competition is not final yet; `vitac admin results finalize` ends it."
+        )
 
 
 def _require_over(session: Session, contest: Contest, now: datetime) -> None:

@@ -70,6 +70,13 @@ class DisqualifiedTeamView(View):
     disqualified_at: datetime
 
 
+class ReopeningView(View):
+    """An end that the organizers took back."""
+
+    at: datetime
+    reason: str
+
+
 class WithdrawnListView(View):
     """A sealed list that no stage plays, because the competition's file was changed after its commitment was public."""
 
@@ -107,6 +114,7 @@ class CompetitionView(View):
         default=[],
         description="Of winners and archived boards, since the end; without them once it is finalized again.",
     )
+    reopened: list[ReopeningView] = Field(default=[], description="When an end was taken back, and why.")
     withdrawn_lists: list[WithdrawnListView] = Field(
         default=[], description="Commitments that were published, of lists that no stage plays now."
     )

@@ -8,10 +8,11 @@ import typer
 
 from ...service.database import transaction
 from ...terminal.output import AsJson, percent, print_done, print_json, print_records, warn
-from ..consent import DryRun, Yes, change_as_shown, change_transaction
+from ..consent import Confirmed, DryRun, Yes, change_as_shown, change_transaction, confirmed_of
 
 if TYPE_CHECKING:
     from sqlalchemy.orm import Session
+    from vitac.server.confirmations import Concern
     from vitac.server.prizes.finishing import Winner
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -62,26 +63,50 @@ def finalize(
     again: Annotated[
         bool, typer.Option("--again", help="Of one that is final: without the teams that are disqualified now.")
     ] = False,
+    confirm: Confirmed = None,
     yes: Yes = False,
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
     """End the competition with the winners as they are now; with --again, decide them anew after it."""
     from vitac.server.principals import CONSOLE
+    from vitac.server.prizes.finishing import concerns_at_end, finalize_again, prizes_without_winner
     from vitac.server.prizes.finishing import finalize as finalize_results
-    from vitac.server.prizes.finishing import finalize_again, prizes_without_winner
 
-    def change(session: "Session") -> "tuple[list[Winner], list[str]]":
-        found = finalize_again(session, CONSOLE) if again else finalize_results(session, CONSOLE)
-        return found, prizes_without_winner(session, found)
+    def change(session: "Session") -> "tuple[list[Winner], list[str], list[Concern]]":
+        confirmed, concerns = confirmed_of(confirm, yes=yes and not dry_run), []
+        if again:
+            found = finalize_again(session, CONSOLE)
+        else:
+            concerns = concerns_at_end(session)
+            found = finalize_results(session, CONSOLE, confirmed=confirmed)
+        return found, prizes_without_winner(session, found), concerns
 
     change_as_shown(
         change,
-        lambda shown: _print(*shown, none="Nobody wins.", as_json=as_json),
-        "Replace the winners by these?" if again else "End the competition for good with these winners?",
+        lambda shown: _print(shown[0], shown[1], none="Nobody wins.", as_json=as_json),
+        "Replace the winners by these?" if again else "End the competition with these winners?",
+        concerns=lambda shown: shown[2],
         yes=yes,
         dry_run=dry_run,
     )
+
+
+@app.command()
+def reopen(
+    reason: Annotated[str, typer.Option(help="Why, for everybody to read.")],
+    yes: Yes = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Take the end of the competition back, for instance after an appeal; `finalize` ends it again."""
+    from vitac.server.principals import CONSOLE
+    from vitac.server.prizes.finishing import reopen as reopen_results
+
+    question = "Take the end back? The page of the competition says so, with your reason."
+    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
+        reopen_results(session, CONSOLE, reason)
+    print_done("the results are open again", {"final": False}, as_json=as_json)
 
 
 @app.command()

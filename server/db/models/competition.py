@@ -19,6 +19,7 @@ class Competition(Base):
         frozen_at: from then on boards show no new results to anybody but organizers; NULL: they do. May lie ahead.
         finalized_at: since then winners and boards change only by `finalize_again`, and where a team is erased.
         winners: as they were finalized, or finalized again.
+        reopened: each time that the end was taken back, with its reason.
         boards: as they were then (`LeaderboardView`); NULL before, and of one that was final before they were kept.
     """
 
@@ -35,6 +36,7 @@ class Competition(Base):
     finalized_at: Mapped[datetime | None]
     winners: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
     boards: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
+    reopened: Mapped[list[dict[str, str]]] = mapped_column(JSONB, default=list, server_default="[]")
 
 
 class SealedList(Base):

@@ -28,6 +28,7 @@ from vitac.server.members import members
 from vitac.server.messages import announcements, questions
 from vitac.server.notices.outbox import announce
 from vitac.server.principals import CONSOLE, Principal
+from vitac.server.prizes.finishing import finalize
 from vitac.server.teams import teams
 from vitac.server.tokens import list_tokens
 from vitac.worker import appeal_replay
@@ -83,6 +84,7 @@ CHANGES = {
     "results freeze": ([], "competition.freeze"),
     "results unfreeze": (["--yes"], "competition.unfreeze"),
     "results finalize": (["--yes"], "competition.finalize"),
+    "results reopen": (["--reason", "an appeal was upheld", "--yes"], "competition.reopen"),
     "team disqualify": (["Team A", "--reason", "two accounts", "--yes"], "team.disqualify"),
     "team reinstate": (["Team A", "--yes"], "team.reinstate"),
     "team accept": (["Waiting"], "team.accept"),
@@ -222,6 +224,8 @@ def prepare(service: CliService, command: str) -> None:
             put_in_place(session, moved(make_competition(), days=-2000))
             if command == "results unfreeze":
                 freeze(session, CONSOLE)
+            elif command == "results reopen":
+                finalize(session, CONSOLE)
 
 
 def make_team_to_change(session: Session, *, waits: bool) -> None:

@@ -4,20 +4,24 @@ from typing import Any
 
 import pytest
 from service_factories import TASK, TRACK, make_principal, make_score, make_upload, outdate, submit_scored
+from sqlalchemy import select, update
 from submission_steps import SETTINGS, refused
+from vitac.server.appeals import appeals
 from vitac.server.audit import newest_entries
 from vitac.server.contest.freezing import freeze, unfreeze
+from vitac.server.contest.view import competition_view
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Competition
-from vitac.server.db.states import Role
-from vitac.server.errors import ProblemCode
+from vitac.server.db.models import BoardResult, Competition, Rejudgement, Submission
+from vitac.server.db.states import AppealState, Role
+from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.judging.judging import give_marks
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.prizes.finishing import Winner, finalize, winners
+from vitac.server.prizes.finishing import Winner, concerns_at_end, finalize, reopen, winners
 from vitac.server.publishing.publishing import result_files
 from vitac.server.submissions import creation, listing
+from vitac.server.teams import teams
 
 from competitions import FIRST, SECOND, make_competition, moved, open_now, put_in_place, shown_stage, teams_on_board
 
@@ -200,3 +204,72 @@ def test_only_organizers_end_a_competition(played: Database, role: Role) -> None
     for change in (finalize, freeze, unfreeze):
         with refused(ProblemCode.FORBIDDEN), played.transaction() as session:
             change(session, Principal(role=role))
+
+
+def close_with_appeals(database: Database) -> None:
+    """The stage is over, the time for appeals is not, and Bees have appealed."""
+    with database.transaction() as session:
+        put_in_place(session, moved(one_stage(appeal_days=7), days=-3650))
+        bees = teams.find(session, "Bees")
+        by = Principal(role=Role.TEAM, team_id=bees.id, team_name="Bees")
+        submission = session.scalars(select(Submission).where(Submission.team_id == bees.id)).one()
+        appeals.open_appeal(session, by, submission.id, "It was in the hole.")
+
+
+def test_the_end_names_what_is_not_settled_and_waits_until_it_is_confirmed(played: Database) -> None:
+    close_with_appeals(played)
+    names = ["open_appeals", "appeal_time", "rejudgements", "boards_without_ranks"]
+    with played.transaction() as session:
+        session.add(Rejudgement(track=TRACK, stage=FIRST, reason="in doubt"))
+        session.flush()
+        found = concerns_at_end(session)
+        assert [concern.name for concern in found] == names[:3]
+        assert "appeals 1 of Bees" in found[0].sentence
+        assert f"stage {FIRST} of {TRACK}" in found[2].sentence
+        for missing in names[:3]:
+            with pytest.raises(ServiceError, match=missing) as caught:
+                finalize(session, CONSOLE, confirmed=set(names) - {missing})
+            assert caught.value.code is ProblemCode.CONFIRMATION_NEEDED
+        outdate(session)
+    with played.transaction() as session:
+        assert concerns_at_end(session)[-1].name == "boards_without_ranks"
+
+
+def test_appeals_end_with_the_competition(played: Database) -> None:
+    close_with_appeals(played)
+    with played.transaction() as session:
+        finalize(session, CONSOLE, confirmed=["open_appeals", "appeal_time"])
+        (appeal,) = appeals.visible(session, CONSOLE)
+        assert (appeal.state, appeal.ruling) == (
+            AppealState.REJECTED,
+            "The competition became final before anybody ruled on this appeal.",
+        )
+        ants = teams.find(session, "Ants")
+        by = Principal(role=Role.TEAM, team_id=ants.id, team_name="Ants")
+        submission = session.scalars(select(Submission).where(Submission.team_id == ants.id)).one()
+        with pytest.raises(ServiceError, match="appeals ended with that"):
+            appeals.open_appeal(session, by, submission.id, "Mine, too.")
+
+
+def test_an_end_is_taken_back_with_a_reason_that_everybody_reads(played: Database) -> None:
+    close(played)
+    with played.transaction() as session:
+        with refused(ProblemCode.INVALID_REQUEST):
+            reopen(session, CONSOLE, "too early")
+        before = table(finalize(session, CONSOLE))
+        with refused(ProblemCode.FORBIDDEN):
+            reopen(session, Principal(role=Role.JUDGE), "an appeal")
+        reopen(session, CONSOLE, "an appeal of Dogs was upheld")
+        view = competition_view(session)
+        assert (view.finalized_at, view.winners) == (None, [])
+        assert [end.reason for end in view.reopened] == ["an appeal of Dogs was upheld"]
+        entry = newest_entries(session)[0]
+        assert entry.before is not None
+        assert [winner["team"] for winner in entry.before["winners"]] == [team for team, _, _ in before]
+        assert len(entry.before["boards"][0]["entries"]) == len(SUCCESSES)
+        dogs = teams.find(session, "Dogs")
+        submission = session.scalars(select(Submission).where(Submission.team_id == dogs.id)).one()
+        session.execute(update(BoardResult).where(BoardResult.submission_id == submission.id).values(success_rate=1.0))
+    with played.transaction() as session:
+        assert finalize(session, CONSOLE)[0].team == "Dogs"
+        assert len(competition_view(session).reopened) == 1
