@@ -22,7 +22,6 @@ from .services import Services
 from .storage import stored_files
 from .storage.scratch import remove_leftovers
 from .submissions.files import stored_digests
-from .submissions.receipts import issue_older
 from .teams.contacts import forget_contacts
 from .uploads import partial
 
@@ -81,14 +80,7 @@ class Housekeeping:
             _tried(lambda: self._totals.write(self._services.database))
             if self._sweeps and time.monotonic() - pruned_at > PRUNE_EVERY_S and _tried(lambda: prune(self._services)):
                 pruned_at = time.monotonic()
-                _tried(self._issue_older_receipts)
             self._stopping.wait(self._services.settings.sweep_interval_s)
-
-    def _issue_older_receipts(self) -> None:
-        issued = 1
-        while issued and not self._stopping.is_set():
-            with self._services.database.transaction() as session:
-                issued = issue_older(session)
 
     def _sweep(self) -> None:
         with self._services.database.transaction() as session:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from vitac.envs.errors import VitacError
 
 from ..client.http import client_from
 from ..compare import PAGES
@@ -19,17 +18,13 @@ from ..terminal.output import AsJson, moment, percent, print_json, print_pairs
 
 if TYPE_CHECKING:
     from vitac.server.receipts.audit import Audit, SampledEpisode
-    from vitac.server.receipts.receipt import Receipt
+    from vitac.server.receipts.receipt import AnyReceipt, Content
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 Key = Annotated[
     str | None, typer.Option(help="Public key of the service, as its page /receipts shows it; keep a copy of it.")
 ]
-
-
-class NoReceipt(VitacError):
-    """The service has no receipt of that submission: it has no final result yet."""
 
 
 @app.command()
@@ -58,20 +53,12 @@ def verify(
     if as_json:
         print_json({"verified": True, "key_given": key is not None, "receipt": found.model_dump(mode="json")})
         return
-    result = found.result
     print_pairs(
         {
             "receipt": found.link.number,
-            "submission": result.submission,
-            "track": f"{result.track} {result.stage}".strip(),
-            **{
-                task.task: f"{task.successes} of {task.episodes}, {percent(task.success_rate)}, result hash "
-                f"{task.result_hash}"
-                for task in result.tasks
-            },
-            "evaluator": result.evaluator_version,
-            "list": result.commitment or "public",
-            "issued": moment(result.issued_at),
+            "of": found.link.content,
+            **_shown(found.content),
+            "issued": moment(found.link.issued_at),
             "signed by": found.link.public_key,
         }
     )
@@ -101,7 +88,10 @@ def audit(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Check a board: chain, signatures, scores against receipts, and a sample of its episodes; exit code 0 if right."""
+    """Check a board: chain, signatures, scores against receipts, and a sample of its episodes.
+
+    The exit code is 0 only if nothing is wrong and the records of at least one result agree with its receipt.
+    """
     from vitac.server.receipts.audit import audit as audit_export
     from vitac.server.receipts.export import read_receipt
 
@@ -125,8 +115,30 @@ def audit(
         print_json(asdict(found) | {"seed": seed})
     else:
         _print(found, key, seed)
-    if found.findings:
+    if not found.is_believed:
         raise typer.Exit(1)
+
+
+def _shown(content: Content) -> dict[str, object]:
+    """Return what a receipt says, by label."""
+    from vitac.server.receipts.receipt import End, OfSubmission, Result
+
+    shown: dict[str, object] = {}
+    if isinstance(content, OfSubmission):
+        shown["submission"] = content.submission
+        shown["track"] = f"{content.track} {content.stage}".strip()
+        shown["submitted"] = moment(content.submitted_at)
+    if isinstance(content, Result):
+        for task in content.tasks:
+            share = percent(task.success_rate)
+            shown[task.task] = f"{task.successes} of {task.episodes}, {share}, result hash {task.result_hash}"
+        shown["evaluator"] = content.evaluator_version
+        shown["list"] = content.commitment or "public"
+    if isinstance(content, End):
+        shown["competition"] = content.competition
+        for winner in content.winners:
+            shown[f"{winner.track}, {winner.place}"] = f"submission {winner.submission}"
+    return shown
 
 
 def _noted(text: str) -> tuple[int, str]:
@@ -137,21 +149,23 @@ def _noted(text: str) -> tuple[int, str]:
     return int(number), digest
 
 
-def _at_service(named: str, server: str | None, token_file: Path | None) -> tuple[Receipt, str]:
-    """Return the newest receipt of a submission, and the key that the service shows.
+def _at_service(named: str, server: str | None, token_file: Path | None) -> tuple[AnyReceipt, str]:
+    """Return the receipt of a submission's newest result, else of its arrival, and the key that the service shows.
 
     Raises:
-        NoReceipt: the submission has none.
         ReceiptRejected: it is not in the chain that the service shows.
     """
-    from vitac.server.receipts.receipt import Receipt, ReceiptRejected
+    from vitac.server.receipts.receipt import Receipt, ReceiptRejected, SubmissionReceipt
 
     address, _, submission_id = named.rpartition(PAGES)
     client = client_from(address.removesuffix("/api/v1") or server, token_file)
     listed = client.send("GET", f"/api/v1/submissions/{submission_id}/receipts").json()
-    if not listed:
-        raise NoReceipt(f"Submission {submission_id} has no final result, so no receipt.")
-    found = Receipt.model_validate(listed[-1])
+    found: AnyReceipt
+    if listed:
+        found = Receipt.model_validate(listed[-1])
+    else:
+        arrival = client.send("GET", f"/api/v1/submissions/{submission_id}/arrival").json()
+        found = SubmissionReceipt.model_validate(arrival)
     chain = client.send("GET", "/api/v1/receipts", params={"after": found.link.number - 1, "limit": 1}).json()
     shown = [link["digest"] for link in chain["items"]]
     if shown != [found.link.digest]:
@@ -172,14 +186,20 @@ def _print(found: Audit, key: str | None, seed: int) -> None:
             "episodes run again": len(found.resimulated),
             "seed of their choice": seed,
             "findings": len(found.findings),
+            "unusual": len(found.unusual),
+            "not checked": len(found.unchecked) + (key is None),
         }
     )
+    for finding in found.findings:
+        print(f"WRONG: {finding}")
+    for unusual in found.unusual:
+        print(f"unusual: {unusual}")
+    if not found.logs:
+        print("Nothing was verified: the records of no result could be compared with its receipt.")
     for unchecked in found.unchecked:
         print(f"not checked: {unchecked}")
     if key is None:
         print("not checked: whose key it is. Compare it with the one that you noted, or give it as --key.")
-    for finding in found.findings:
-        print(f"WRONG: {finding}")
 
 
 def _progress(sampled: SampledEpisode) -> None:

@@ -993,14 +993,26 @@ def make_tables() -> None:
     op.create_table(
         "receipts",
         sa.Column("number", sa.BigInteger(), autoincrement=False, nullable=False),
-        sa.Column("evaluation_id", sa.Uuid(), nullable=False),
+        sa.Column("submission_id", sa.Uuid(), nullable=True),
+        sa.Column("evaluation_id", sa.Uuid(), nullable=True),
         sa.Column("previous", sa.String(length=64), nullable=True),
         sa.Column("digest", sa.String(length=64), nullable=False),
-        sa.Column("result", sa.Text(), nullable=False),
-        sa.Column("result_sha256", sa.String(length=64), nullable=False),
+        sa.Column("stands_for", sa.Text(), nullable=False),
+        sa.Column("content", sa.Text(), nullable=False),
+        sa.Column("content_sha256", sa.String(length=64), nullable=False),
+        sa.Column("issued_at", sa.DateTime(timezone=True), nullable=False),
         sa.Column("public_key", sa.String(length=64), nullable=False),
         sa.Column("signature", sa.String(length=128), nullable=False),
-        sa.Column("board", sa.Text(), nullable=True),
+        sa.Column("board", sa.Text(), nullable=False),
+        sa.CheckConstraint(
+            "stands_for IN ('submission', 'result', 'end')", name=op.f("ck_receipts_stands_for_something_known")
+        ),
+        sa.CheckConstraint(
+            "(stands_for = 'submission') = (submission_id IS NOT NULL)", name=op.f("ck_receipts_arrival_has_submission")
+        ),
+        sa.CheckConstraint(
+            "(stands_for = 'result') = (evaluation_id IS NOT NULL)", name=op.f("ck_receipts_result_has_evaluation")
+        ),
         sa.CheckConstraint("digest ~ '^[0-9a-f]{64}$'", name=op.f("ck_receipts_digest_is_sha256")),
         sa.CheckConstraint(
             "(number = 1) = (previous IS NULL)", name=op.f("ck_receipts_only_the_first_has_none_before")
@@ -1010,12 +1022,16 @@ def make_tables() -> None:
             ["evaluation_id"], ["evaluations.id"], name=op.f("fk_receipts_evaluation_id"), ondelete="RESTRICT"
         ),
         sa.ForeignKeyConstraint(
+            ["submission_id"], ["submissions.id"], name=op.f("fk_receipts_submission_id"), ondelete="RESTRICT"
+        ),
+        sa.ForeignKeyConstraint(
             ["previous"], ["receipts.digest"], name=op.f("fk_receipts_previous"), ondelete="RESTRICT"
         ),
         sa.PrimaryKeyConstraint("number", name=op.f("pk_receipts")),
         sa.UniqueConstraint("digest", name=op.f("uq_receipts_digest")),
         sa.UniqueConstraint("evaluation_id", name=op.f("uq_receipts_evaluation_id")),
         sa.UniqueConstraint("previous", name=op.f("uq_receipts_previous")),
+        sa.UniqueConstraint("submission_id", name=op.f("uq_receipts_submission_id")),
     )
     op.create_index(op.f("ix_receipts_board"), "receipts", ["board"], unique=False)
     op.create_table(

@@ -5,7 +5,7 @@ from uuid import UUID
 
 from fastapi import APIRouter, Query
 
-from ..receipts.receipt import Receipt
+from ..receipts.receipt import Receipt, SubmissionReceipt
 from ..submissions import receipts
 from ..views.receipts import ChainView
 from .access import PrincipalOf, ServicesOf
@@ -33,3 +33,10 @@ def get_receipts(services: ServicesOf, principal: PrincipalOf, submission_id: UU
     """Return the receipt of each final result of a submission, the first one first."""
     with services.database.transaction() as session:
         return receipts.receipts(session, principal, submission_id)
+
+
+@router.get("/submissions/{submission_id}/arrival")
+def get_receipt_of_arrival(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionReceipt:
+    """Return the receipt that a submission got when it arrived, before anybody knew its result."""
+    with services.database.transaction() as session:
+        return receipts.receipt_of_arrival(session, principal, submission_id)

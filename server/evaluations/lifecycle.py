@@ -24,7 +24,7 @@ from ..notices.outbox import announce_evaluation
 from ..queue.jobs import enqueue_shards, queue_name, withdraw_jobs
 from ..queue.leases import Lease, end_shard, hand_back, lock_held
 from ..queue.turns import next_turn
-from ..receipts.chain import issue
+from ..receipts.chain import issue_for_result
 from ..settings import Settings
 from ..tracks import family_of
 from ..visibility import played_list_kind
@@ -243,7 +243,7 @@ def _complete(session: Session, evaluation: Evaluation, records: dict[str, list[
     if not evaluation.is_proposed:
         flag_copies(session, evaluation)
         announce_evaluation(session, NoticeKind.FINISHED, evaluation)
-        issue(session, evaluation, combined_result(evaluation))
+        issue_for_result(session, evaluation, combined_result(evaluation))
 
 
 def _fail_by_policy(

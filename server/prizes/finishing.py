@@ -16,9 +16,11 @@ from ..contest.definition import Prize, TrackRules
 from ..contest.stages import Stage
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.readiness import require_current, require_scored
-from ..judging.judging import ranked_by_total
+from ..judging.judging import judged, ranked_by_total
 from ..leaderboards.standings import leaderboard
-from ..principals import Principal
+from ..principals import CONSOLE, Principal
+from ..receipts.chain import issue, new_salt
+from ..receipts.receipt import End, JudgedEntry, WinningEntry
 from ..teams.teams import REASON_LENGTH
 from ..tracks import known_track
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
@@ -79,6 +81,7 @@ def finalize(
     contest.row.finalized_at, contest.row.frozen_at = now, None
     _store(session, contest, found)
     record(session, by, "competition.finalize", contest.subject, {"winners": contest.row.winners})
+    _issue_receipt(session, contest)
     return found
 
 
@@ -106,6 +109,7 @@ def reopen(session: Session, by: Principal, reason: str) -> None:
     row.reopened = [*row.reopened, {"at": datetime.now(UTC).isoformat(), "reason": shown}]
     row.finalized_at = row.winners = row.boards = None
     record(session, by, "competition.reopen", contest.subject, {"reason": shown}, before=before)
+    _issue_receipt(session, contest, reason=shown)
 
 
 def finalize_again(session: Session, by: Principal) -> list[Winner]:
@@ -128,6 +132,7 @@ def finalize_again(session: Session, by: Principal) -> list[Winner]:
     found = _winners_now(session, contest)
     _store(session, contest, found)
     record(session, by, FINALIZE_AGAIN, contest.subject, {"winners": contest.row.winners}, before=before)
+    _issue_receipt(session, contest)
     return found
 
 
@@ -163,6 +168,31 @@ def prizes_without_winner(session: Session, found: Sequence[Winner]) -> list[str
     ]
 
 
+def winning_entries(contest: Contest) -> tuple[WinningEntry, ...]:
+    """Return the winners of a final competition as receipts and exports name them; none before its end."""
+    names = WinningEntry.model_fields
+    return tuple(
+        WinningEntry.model_validate({name: winner[name] for name in names}) for winner in contest.row.winners or ()
+    )
+
+
+def judged_entries(session: Session, contest: Contest) -> tuple[JudgedEntry, ...]:
+    """Return what the judges think of the entries of the last stages as receipts and exports name it; once final."""
+    if contest.row.finalized_at is None:
+        return ()
+    return tuple(
+        JudgedEntry(
+            track=stage.track,
+            submission=team.submission,
+            criteria={each.criterion: each.mean for each in team.criteria},
+            total=team.total,
+        )
+        for stage in contest.last_stages
+        if stage.track_rules.judging is not None
+        for team in judged(session, CONSOLE, stage)
+    )
+
+
 def boards_of(session: Session, contest: Contest) -> list[LeaderboardView]:
     """Return the board of every stage that is held here, as organizers see it now."""
     return [leaderboard(session, stage, live=True).view for stage in contest.stages_held_here]
@@ -182,6 +212,24 @@ def _store(session: Session, contest: Contest, found: Sequence[Winner]) -> None:
     """Write winners, and the boards as they are for organizers."""
     contest.row.winners = [asdict(winner) for winner in found]
     contest.row.boards = [board.model_dump(mode="json") for board in boards_of(session, contest)]
+
+
+def _issue_receipt(session: Session, contest: Contest, *, reason: str | None = None) -> None:
+    """Sign winners and marks, so that nobody changes them later, or that the end was taken back, with its reason."""
+    finalized_at, judged_now = contest.row.finalized_at, judged_entries(session, contest)
+
+    def make(issued_at: datetime) -> End:
+        return End(
+            salt=new_salt(),
+            issued_at=issued_at,
+            competition=contest.definition.name,
+            finalized_at=finalized_at and finalized_at.astimezone(UTC),
+            reason=reason,
+            winners=winning_entries(contest),
+            judged=judged_now,
+        )
+
+    issue(session, make)
 
 
 def _winners_of(session: Session, stage: Stage, currency: str) -> list[Winner]:

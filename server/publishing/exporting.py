@@ -12,7 +12,9 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.evaluator.strict_model import StrictModel
 from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks.registry import further_track_files
 
+from ..contest.contest import Contest
 from ..contest.stages import Stage
 from ..db.among import among
 from ..db.models import BoardResult, Evaluation
@@ -21,8 +23,20 @@ from ..errors import ProblemCode, ServiceError
 from ..evaluations.episode_store import EpisodeKey, records_of
 from ..evaluations.provenance import manifest_of
 from ..leaderboards.standings import leaderboard
-from ..receipts.chain import chain_state, links, receipts_of_board
-from ..receipts.export import CHAIN_NAME, DESCRIPTION_NAME, RECEIPTS_NAME, ExportDescription, log_name, sensor_name
+from ..prizes.finishing import judged_entries, winning_entries
+from ..receipts.chain import chain_state, links, receipts_of_board, receipts_of_ends
+from ..receipts.export import (
+    CHAIN_NAME,
+    DESCRIPTION_NAME,
+    ENDS_NAME,
+    RECEIPTS_NAME,
+    SUBMISSIONS_NAME,
+    ExportDescription,
+    log_name,
+    sensor_name,
+    track_name,
+)
+from ..receipts.receipt import Receipt, SubmissionReceipt
 from ..rejudging.rejudging import set_aside
 from ..storage.blobs import BlobStore
 from ..storage.new_file import new_file
@@ -64,13 +78,15 @@ def export_receipts(
     _require_board(stage.track, task, kind)
     board = leaderboard(session, stage, task=task, kind=kind, live=True).view
     sealed, state = stage.sealed_list, chain_state(session)
-    receipts = receipts_of_board(session, stage, kind)
+    of_board, contest = receipts_of_board(session, stage, kind), Contest.read(session)
+    receipts = [receipt for receipt in of_board if isinstance(receipt, Receipt)]
     results = [receipt.result.evaluation for receipt in receipts]
     description = ExportDescription(
         made_at=datetime.now(UTC),
         public_key=state.public_key,
         ranking=tuple(key.value for key in stage.ranking),
         secret=sealed.secret if sealed and sealed.revealed_at else None,
+        commitment=stage.commitment,
         board=board,
         kind=kind,
         receipts=state.receipts,
@@ -78,13 +94,21 @@ def export_receipts(
         teams=teams_of(session, results),
         set_aside=set_aside(session, results),
         copies=_copies(session, results),
+        winners=winning_entries(contest),
+        judged=judged_entries(session, contest),
     )
     evaluations = [entry.evaluation_id for entry in board.entries]
     try:
         with new_file(path) as unfinished, zipfile.ZipFile(unfinished, "x", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr(DESCRIPTION_NAME, description.model_dump_json(indent=1))
             archive.writestr(CHAIN_NAME, _lines(links(session)))
+            archive.writestr(
+                SUBMISSIONS_NAME, _lines(receipt for receipt in of_board if isinstance(receipt, SubmissionReceipt))
+            )
             archive.writestr(RECEIPTS_NAME, _lines(receipts))
+            archive.writestr(ENDS_NAME, _lines(receipts_of_ends(session)))
+            if own_file := further_track_files().get(stage.track):
+                archive.write(own_file, track_name(stage.track))
             for evaluation_id in evaluations:
                 _write_played(session, blobs, archive, session.get_one(Evaluation, evaluation_id))
     except OSError as error:

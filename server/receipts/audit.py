@@ -4,10 +4,15 @@ Called by `vitac receipt audit`. Whoever has the database could make a whole new
 receipts that teams keep (`held`) tell of that: they are not in the new one.
 """
 
+import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from re import fullmatch
+from tempfile import TemporaryDirectory
 from types import MappingProxyType
+from typing import Any, TypeVar
 from uuid import UUID
 
 import numpy as np
@@ -21,21 +26,38 @@ from vitac.evaluator.logs.verification import check_episode
 from vitac.evaluator.scoring.score import score
 from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.evaluator.tracks import Track, load_track
+from vitac.evaluator.tracks.registry import TRACKS_FOLDER_VARIABLE
 from vitac.evaluator.tracks.sealed import commitment_of, load_played_track
 from vitac.evaluator.tracks.versions import version_of
 
 from ..views.leaderboards import LeaderboardEntryView
 from .completeness import (
+    check_arrivals,
+    check_end,
     check_entries,
     check_head,
     check_noted,
     check_opened,
+    check_order,
+    check_secret,
+    check_submissions,
     check_teams,
     place,
     reached,
 )
 from .export import ExportDescription, ExportReader
-from .receipt import Link, Receipt, ReceiptRejected, Result, TaskResult
+from .receipt import (
+    AnyReceipt,
+    Link,
+    Receipt,
+    ReceiptRejected,
+    Result,
+    SignedContent,
+    SubmissionReceipt,
+    TaskResult,
+)
+
+ReceiptT = TypeVar("ReceiptT", bound=SignedContent[Any])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +80,7 @@ class Audit:
         logs: whose records agree with the receipts.
         resimulated: episodes that were run again.
         findings: what is wrong; nothing in a board that can be believed.
+        unusual: what is not wrong, but should be explained.
         unchecked: what could not be checked, and why.
     """
 
@@ -67,7 +90,13 @@ class Audit:
     logs: int = 0
     resimulated: list[SampledEpisode] = field(default_factory=list)
     findings: list[str] = field(default_factory=list)
+    unusual: list[str] = field(default_factory=list)
     unchecked: list[str] = field(default_factory=list)
+
+    @property
+    def is_believed(self) -> bool:
+        """Whether records agree with the receipts and nothing is wrong; where nothing was verified, it is not."""
+        return self.logs > 0 and not self.findings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +114,7 @@ def audit(
     path: Path,
     *,
     public_key: str | None = None,
-    held: Collection[Receipt] = (),
+    held: Collection[AnyReceipt] = (),
     noted: Mapping[int, str] = MappingProxyType({}),
     episodes: int = 10,
     seed: int = 0,
@@ -117,11 +146,18 @@ def audit(
         for number, digest in noted.items():
             found.findings += check_noted(chain, number, digest)
         found.findings += check_head(described, chain)
-        receipts = _check_receipts(reader.receipts(), chain, found)
+        found.findings += check_order(chain.values())
+        arrivals = {one.submission.submission: one for one in _signed(reader.submissions(), chain, found)}
+        receipts = {receipt.result.evaluation: receipt for receipt in _signed(reader.receipts(), chain, found)}
+        ends = _signed(reader.ends(), chain, found)
         _check_board(described, receipts, found)
-        _check_completeness(described, chain, receipts, found)
-        logs = list(_check_logs(reader, receipts, found))
-        _resimulate(reader, logs, count=episodes, seed=seed, found=found, on_episode=on_episode)
+        found.findings += check_opened(described, chain, [*arrivals.values(), *receipts.values(), *ends])
+        found.findings += check_secret(described, [receipt.result for receipt in receipts.values()])
+        found.findings += check_end(described, ends)
+        _check_results(described, arrivals, receipts, found)
+        with _track_of(reader, found):
+            logs = list(_check_logs(reader, receipts, found))
+            _resimulate(reader, logs, count=episodes, seed=seed, found=found, on_episode=on_episode)
         return found
 
 
@@ -147,9 +183,9 @@ def _check_chain(links: Iterator[Link], public_key: str, found: Audit) -> Mappin
     return by_number
 
 
-def _check_receipts(receipts: Iterator[Receipt], chain: Mapping[int, Link], found: Audit) -> Mapping[UUID, Receipt]:
-    """Return the receipts that are whole and in the chain, by evaluation."""
-    good: dict[UUID, Receipt] = {}
+def _signed(receipts: Iterator[ReceiptT], chain: Mapping[int, Link], found: Audit) -> list[ReceiptT]:
+    """Return the receipts that are whole and in the chain; report the others."""
+    good: list[ReceiptT] = []
     for receipt in receipts:
         try:
             receipt.require_valid()
@@ -157,7 +193,7 @@ def _check_receipts(receipts: Iterator[Receipt], chain: Mapping[int, Link], foun
             found.findings.append(str(error))
             continue
         if chain.get(receipt.link.number) == receipt.link:
-            good[receipt.result.evaluation] = receipt
+            good.append(receipt)
         else:
             found.findings.append(f"Receipt {receipt.link.number} is not in the chain.")
     return good
@@ -180,18 +216,41 @@ def _check_board(described: ExportDescription, receipts: Mapping[UUID, Receipt],
         found.findings.append("The order of the board is not that of its scores.")
 
 
-def _check_completeness(
-    described: ExportDescription, chain: Mapping[int, Link], receipts: Mapping[UUID, Receipt], found: Audit
+def _check_results(
+    described: ExportDescription,
+    arrivals: Mapping[UUID, SubmissionReceipt],
+    receipts: Mapping[UUID, Receipt],
+    found: Audit,
 ) -> None:
-    """Report results of the stage that are not here, of other teams, or missing on the board."""
-    if described.format == "vitac-receipts-1":
-        found.unchecked.append("Whether results were left out, and of which teams they are: the export is an old one.")
-        return
-    found.findings += check_opened(described, chain, receipts)
-    if unnamed := sum(link.board is None for link in chain.values()):
-        found.unchecked.append(f"Of which board {unnamed} receipts are: they are of the first format.")
+    """Report results without their submission, of other teams, or missing on the board."""
+    found.findings += check_arrivals(arrivals.values())
+    for is_wrong, sentence in check_submissions(arrivals, receipts.values()):
+        (found.findings if is_wrong else found.unusual).append(sentence)
     for is_wrong, sentence in (*check_teams(described, receipts), *check_entries(described, receipts)):
         (found.findings if is_wrong else found.unchecked).append(sentence)
+
+
+@contextmanager
+def _track_of(reader: ExportReader, found: Audit) -> Iterator[None]:
+    """Know the board's track while the block runs, also where its file is in the export and not on this machine."""
+    name = reader.description.board.track
+    content = reader.track_file(name)
+    if content is None or not fullmatch(r"[\w-]+", name):
+        yield
+        return
+    before = os.environ.get(TRACKS_FOLDER_VARIABLE)
+    with TemporaryDirectory(prefix="vitac-audit-") as folder:
+        (Path(folder) / f"{name}.yaml").write_bytes(content)
+        os.environ[TRACKS_FOLDER_VARIABLE] = folder
+        try:
+            yield
+        except VitacError as error:
+            found.findings.append(f"The file of track {name} in the export cannot be used. {error}")
+        finally:
+            if before is None:
+                del os.environ[TRACKS_FOLDER_VARIABLE]
+            else:
+                os.environ[TRACKS_FOLDER_VARIABLE] = before
 
 
 def _differences(described: ExportDescription, entry: LeaderboardEntryView, result: Result) -> Iterator[str]:

@@ -1,13 +1,14 @@
 """The chain of receipts in the database: its key, one more receipt, and what is read of it."""
 
 import secrets
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Any
 from uuid import UUID
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from sqlalchemy import and_, or_, select
+from sqlalchemy import Select, and_, func, or_, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session, defer
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -15,7 +16,23 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from ..contest.stages import Stage
 from ..db.advisory_locks import AdvisoryLock, wait_for_turn
 from ..db.models import Evaluation, ReceiptKey, ReceiptRow, Submission
-from .receipt import CombinedResult, Link, Receipt, Result, TaskResult, board_name, sign, team_commitment
+from .receipt import (
+    AnyReceipt,
+    Arrival,
+    CombinedResult,
+    Content,
+    EndReceipt,
+    Link,
+    LinkContent,
+    Receipt,
+    Result,
+    SubmissionReceipt,
+    TaskResult,
+    board_name,
+    receipt_of,
+    sign,
+    team_commitment,
+)
 
 _SALT_BYTES = 16
 _TASK_FIELDS = tuple(TaskResult.model_fields)
@@ -44,34 +61,61 @@ def ensure_key(session: Session) -> ReceiptKey:
     return found
 
 
-def issue(session: Session, evaluation: Evaluation, combined: CombinedResult | None) -> Receipt:
-    """Add the receipt of a completed evaluation to the chain, in the transaction that completes it.
+def issue_for_submission(session: Session, submission: Submission) -> None:
+    """Add the receipt of a submission that has arrived to the chain, in the transaction that stores it; see `issue`."""
+    issue(session, lambda at: Arrival.model_validate(_of_submission(submission, at)), submission_id=submission.id)
 
-    From here to the end of the transaction no other receipt is issued: this is the last thing that it locks.
+
+def issue_for_result(session: Session, evaluation: Evaluation, combined: CombinedResult | None) -> None:
+    """Add the receipt of a completed evaluation to the chain, in the transaction that completes it; see `issue`.
 
     Args:
         session: of the transaction.
         evaluation: completed, with its scores.
         combined: what it reached in all tasks that count; None where there is no such number.
     """
+    issue(session, lambda at: _result(evaluation, combined, at), evaluation_id=evaluation.id)
+
+
+def issue(
+    session: Session,
+    make: Callable[[datetime], Content],
+    *,
+    submission_id: UUID | None = None,
+    evaluation_id: UUID | None = None,
+) -> None:
+    """Add a receipt to the chain.
+
+    From here to the end of the transaction no other receipt is issued: this is the last thing that it locks.
+
+    Args:
+        session: of the transaction.
+        make: returns what the receipt says, from the moment at which it is issued, which is never before the last one.
+        submission_id: of the submission that has arrived.
+        evaluation_id: of the evaluation whose result it is.
+    """
     session.flush()
     key = ensure_key(session)
     wait_for_turn(session, AdvisoryLock.RECEIPTS, "")
-    last = session.execute(select(ReceiptRow.number, ReceiptRow.digest).order_by(ReceiptRow.number.desc()).limit(1))
-    number, previous = last.one_or_none() or (0, None)
-    receipt = sign(
-        bytes.fromhex(key.private_key), number=number + 1, previous=previous, result=_result(evaluation, combined)
+    last, now = session.scalar(select(ReceiptRow).order_by(ReceiptRow.number.desc()).limit(1)), datetime.now(UTC)
+    content = make(max(now, last.issued_at.astimezone(UTC)) if last else now)
+    link = sign(
+        bytes.fromhex(key.private_key),
+        number=last.number + 1 if last else 1,
+        previous=last.digest if last else None,
+        content=content,
     )
     session.add(
         ReceiptRow(
-            **receipt.link.model_dump(),
-            digest=receipt.link.digest,
-            evaluation_id=evaluation.id,
-            result=receipt.result.model_dump_json(),
+            **link.model_dump(exclude={"content"}),
+            digest=link.digest,
+            stands_for=link.content,
+            content=content.model_dump_json(),
+            submission_id=submission_id,
+            evaluation_id=evaluation_id,
         )
     )
     session.flush()
-    return receipt
 
 
 def chain_state(session: Session) -> ChainState:
@@ -87,59 +131,82 @@ def links(session: Session, *, after: int = 0, limit: int | None = None) -> list
     rows = session.scalars(
         select(ReceiptRow)
         .where(ReceiptRow.number > after)
-        .options(defer(ReceiptRow.result))
+        .options(defer(ReceiptRow.content))
         .order_by(ReceiptRow.number)
         .limit(limit)
     )
     return [_link(row) for row in rows]
 
 
-def receipts_of(session: Session, evaluations: Collection[UUID]) -> Mapping[UUID, Receipt]:
-    """Return the receipts of some evaluations, by evaluation; those without one are left out."""
-    rows = session.scalars(select(ReceiptRow).where(ReceiptRow.evaluation_id.in_(evaluations)))
-    return {row.evaluation_id: _receipt(row) for row in rows}
-
-
-def receipts_of_board(session: Session, stage: Stage, kind: SubmissionKind) -> Sequence[Receipt]:
-    """Return the receipts of all results of a stage, on its boards or not, the first one first."""
+def receipts_of_board(session: Session, stage: Stage, kind: SubmissionKind) -> Sequence[Receipt | SubmissionReceipt]:
+    """Return the receipts of a stage's submissions and of all their results, on its boards or not, oldest first."""
     board = board_name(stage.track, stage.name, kind)
-    rows = session.scalars(
+    submission_id = func.coalesce(ReceiptRow.submission_id, Evaluation.submission_id)
+    found = _receipts(
+        session,
         select(ReceiptRow)
         .outerjoin(Evaluation, Evaluation.id == ReceiptRow.evaluation_id)
-        .outerjoin(Submission, Submission.id == Evaluation.submission_id)
-        .where(or_(and_(stage.submissions, Submission.kind == kind), ReceiptRow.board == board))
-        .order_by(ReceiptRow.number)
+        .outerjoin(Submission, Submission.id == submission_id)
+        .where(or_(and_(stage.submissions, Submission.kind == kind), ReceiptRow.board == board)),
     )
-    return [_receipt(row) for row in rows]
+    return [receipt for receipt in found if not isinstance(receipt, EndReceipt)]
 
 
 def receipts_of_submission(session: Session, submission_id: UUID) -> Sequence[Receipt]:
-    """Return the receipts of a submission's evaluations, the first one first."""
-    ids = session.scalars(select(Evaluation.id).where(Evaluation.submission_id == submission_id)).all()
-    return sorted(receipts_of(session, ids).values(), key=lambda receipt: receipt.link.number)
+    """Return the receipts of a submission's results, the first one first."""
+    of_results = ReceiptRow.evaluation_id.in_(select(Evaluation.id).where(Evaluation.submission_id == submission_id))
+    found = _receipts(session, select(ReceiptRow).where(of_results))
+    return [receipt for receipt in found if isinstance(receipt, Receipt)]
 
 
-def _receipt(row: ReceiptRow) -> Receipt:
-    return Receipt.of(_link(row), Result.model_validate_json(row.result))
+def receipt_of_arrival(session: Session, submission_id: UUID) -> SubmissionReceipt | None:
+    """Return the receipt that a submission got when it arrived; None where it got none."""
+    found = _receipts(session, select(ReceiptRow).where(ReceiptRow.submission_id == submission_id))
+    return next((receipt for receipt in found if isinstance(receipt, SubmissionReceipt)), None)
+
+
+def receipts_of_ends(session: Session) -> Sequence[EndReceipt]:
+    """Return the receipts of the competition's end, one for each time that its winners were decided."""
+    found = _receipts(session, select(ReceiptRow).where(ReceiptRow.stands_for == LinkContent.END))
+    return [receipt for receipt in found if isinstance(receipt, EndReceipt)]
+
+
+def new_salt() -> str:
+    """Return a salt for the content of a receipt."""
+    return secrets.token_hex(_SALT_BYTES)
+
+
+def _receipts(session: Session, query: Select[ReceiptRow]) -> list[AnyReceipt]:
+    return [receipt_of(_link(row), row.content) for row in session.scalars(query.order_by(ReceiptRow.number))]
 
 
 def _link(row: ReceiptRow) -> Link:
-    return Link(**{name: getattr(row, name) for name in Link.model_fields})
+    values = {name: getattr(row, name) for name in Link.model_fields}
+    return Link(**values | {"content": row.stands_for, "issued_at": row.issued_at.astimezone(UTC)})
 
 
-def _result(evaluation: Evaluation, combined: CombinedResult | None) -> Result:
-    submission, finished_at = evaluation.submission, evaluation.finished_at
-    salt = secrets.token_hex(_SALT_BYTES)
-    scores = evaluation.scores or []
+def _of_submission(submission: Submission, issued_at: datetime) -> dict[str, Any]:
+    """Return what the receipts of a submission and of its results have in common."""
+    salt = new_salt()
+    return {
+        "salt": salt,
+        "issued_at": issued_at,
+        "submission": submission.id,
+        "submission_digest": submission.digest,
+        "track": submission.track,
+        "stage": submission.stage,
+        "kind": submission.kind,
+        "submitted_at": submission.submitted_at.astimezone(UTC),
+        "team_sha256": team_commitment(salt, submission.team.name),
+    }
+
+
+def _result(evaluation: Evaluation, combined: CombinedResult | None, issued_at: datetime) -> Result:
+    finished_at, scores = evaluation.finished_at, evaluation.scores or []
     return Result.model_validate(
         {
-            "salt": salt,
+            **_of_submission(evaluation.submission, issued_at),
             "evaluation": evaluation.id,
-            "submission": submission.id,
-            "submission_digest": submission.digest,
-            "track": submission.track,
-            "stage": submission.stage,
-            "kind": submission.kind,
             "run": evaluation.run,
             "evaluator_version": evaluation.evaluator_version,
             "evaluator_hash": evaluation.evaluator_hash,
@@ -148,9 +215,6 @@ def _result(evaluation: Evaluation, combined: CombinedResult | None) -> Result:
             "tasks": tuple({name: score[name] for name in _TASK_FIELDS} for score in scores),
             "combined": combined,
             "result_hash": evaluation.result_hash,
-            "submitted_at": submission.submitted_at.astimezone(UTC),
             "finished_at": finished_at and finished_at.astimezone(UTC),
-            "issued_at": datetime.now(UTC),
-            "team_sha256": team_commitment(salt, submission.team.name),
         }
     )

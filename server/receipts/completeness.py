@@ -1,14 +1,36 @@
-"""Checks that nothing was left out of an export, and that its results are of the teams that they are shown for."""
+"""Checks that nothing was left out of an export or added to it later, and that its results are of the teams shown."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import datetime, timedelta
+from itertools import pairwise
 from math import inf
+from typing import Any, Final
 from uuid import UUID
 
 from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks.sealed import commitment_of
 
 from ..views.leaderboards import LeaderboardEntryView
 from .export import ExportDescription, ExportedTeam
-from .receipt import CombinedResult, Link, Receipt, Result, TaskResult, board_name
+from .receipt import (
+    CombinedResult,
+    EndReceipt,
+    Link,
+    LinkContent,
+    Receipt,
+    Result,
+    SignedContent,
+    SubmissionReceipt,
+    TaskResult,
+    board_name,
+)
+
+_ARRIVAL: Final = timedelta(minutes=10)
+"""How long after it has arrived a submission has its receipt at the latest; it is issued in the same transaction."""
+_CLOCKS: Final = timedelta(seconds=5)
+"""How far the clocks of the database and of a server may be apart."""
+_USUAL_WAIT: Final = timedelta(days=2)
+"""Results of a first run that take longer are noted: the submission may have been made up afterwards."""
 
 
 def check_head(described: ExportDescription, chain: Mapping[int, Link]) -> Iterator[str]:
@@ -30,14 +52,93 @@ def check_noted(chain: Mapping[int, Link], number: int, digest: str) -> Iterator
 
 
 def check_opened(
-    described: ExportDescription, chain: Mapping[int, Link], receipts: Mapping[UUID, Receipt]
+    described: ExportDescription, chain: Mapping[int, Link], receipts: Iterable[SignedContent[Any]]
 ) -> Iterator[str]:
-    """Yield a finding for each link of the board's stage without its receipt in the export."""
+    """Yield a finding for each link of the board's stage, and of an end, without its receipt in the export."""
     stage = board_name(described.board.track, described.board.stage or "", described.kind)
-    opened = {receipt.link.number for receipt in receipts.values()}
+    opened = {receipt.link.number for receipt in receipts}
     for number, link in chain.items():
-        if link.board == stage and number not in opened:
+        if (link.board == stage or link.content is LinkContent.END) and number not in opened:
             yield f"Receipt {number} is of this board, but the export does not hold it."
+
+
+def check_order(chain: Iterable[Link]) -> Iterator[str]:
+    """Yield a finding for each link that was issued before the one that it follows."""
+    for before, link in pairwise(chain):
+        if link.issued_at < before.issued_at:
+            yield (
+                f"Receipt {link.number} was issued at {_moment(link.issued_at)}, before receipt {before.number}, which "
+                f"it follows, at {_moment(before.issued_at)}."
+            )
+
+
+def check_arrivals(arrivals: Iterable[SubmissionReceipt]) -> Iterator[str]:
+    """Yield a finding for each submission whose receipt was not issued when it is said to have arrived."""
+    for receipt in arrivals:
+        arrival = receipt.submission
+        late = arrival.issued_at - arrival.submitted_at
+        if not -_CLOCKS <= late <= _ARRIVAL:
+            yield (
+                f"Receipt {receipt.link.number} of submission {arrival.submission} was issued at "
+                f"{_moment(arrival.issued_at)}, but the submission is said to have arrived at "
+                f"{_moment(arrival.submitted_at)}."
+            )
+
+
+def check_submissions(
+    arrivals: Mapping[UUID, SubmissionReceipt], receipts: Iterable[Receipt]
+) -> Iterator[tuple[bool, str]]:
+    """Yield whether it is wrong, and what, for each result that does not follow from a submission in the chain."""
+    for receipt in receipts:
+        result, number = receipt.result, receipt.link.number
+        arrival = arrivals.get(result.submission)
+        if arrival is None:
+            yield True, f"Receipt {number} is of submission {result.submission}, whose arrival has no receipt."
+            continue
+        if arrival.link.number > number:
+            yield True, f"Receipt {number} is of a submission that arrived later, with receipt {arrival.link.number}."
+        for name in ("submission_digest", "track", "stage", "kind", "submitted_at"):
+            expected, got = getattr(arrival.submission, name), getattr(result, name)
+            if got != expected:
+                what = name.replace("_", " ")
+                yield True, f"Receipt {number}: {what} is {got}, in receipt {arrival.link.number} it is {expected}."
+        waited = result.issued_at - result.submitted_at
+        if result.run == 1 and waited > _USUAL_WAIT:
+            yield False, f"Receipt {number}: its result was issued {waited.days} days after the submission; ask why."
+
+
+def check_secret(described: ExportDescription, results: Iterable[Result]) -> Iterator[str]:
+    """Yield a finding where the published secret is not the one that was committed to."""
+    if described.secret is None:
+        return
+    made = commitment_of(bytes.fromhex(described.secret))
+    if described.commitment != made:
+        yield f"The published secret has the commitment {made}, expected {described.commitment}."
+    for commitment in sorted({result.commitment for result in results if result.commitment} - {made}):
+        yield f"Results were played on a list with the commitment {commitment}, the published secret has {made}."
+
+
+def check_end(described: ExportDescription, ends: Sequence[EndReceipt]) -> Iterator[str]:
+    """Yield a finding for winners, prizes and marks that are not those of the signed end, or not those of the board."""
+    end = ends[-1].end if ends else None
+    for what, got, signed in (
+        ("winners and prizes", described.winners, end.winners if end else ()),
+        ("judges' marks", described.judged, end.judged if end else ()),
+    ):
+        if got != signed:
+            where = f"receipt {ends[-1].link.number}" if ends else "the chain, which has no end of the competition"
+            yield f"The {what} of the export are not those of {where}."
+    board = described.board
+    winners = [winner for winner in described.winners if winner.track == board.track]
+    if board.task is not None or not winners or winners[0].submission not in {e.submission_id for e in board.entries}:
+        return
+    totals = {entry.submission: entry.total for entry in described.judged if entry.track == board.track}
+    ranked = [entry for entry in board.entries if entry.rank is not None]
+    if totals:
+        ranked.sort(key=lambda entry: -(totals.get(entry.submission_id) or 0.0))
+    expected = [entry.submission_id for entry in ranked][: len(winners)]
+    if [winner.submission for winner in winners] != expected:
+        yield "The winners are not the first ones of the board."
 
 
 def check_teams(described: ExportDescription, receipts: Mapping[UUID, Receipt]) -> Iterator[tuple[bool, str]]:
@@ -47,8 +148,6 @@ def check_teams(described: ExportDescription, receipts: Mapping[UUID, Receipt]) 
         team, number = teams.get(evaluation), receipt.link.number
         if team is None:
             yield True, f"Receipt {number} is of a result that the export gives to no team."
-        elif receipt.result.team_sha256 is None:
-            yield False, f"{team.name}: receipt {number} names no team; it is of the first format."
         elif receipt.result.is_of_team(team.name):
             continue
         elif former := next((name for name in team.former_names if receipt.result.is_of_team(name)), None):
@@ -150,3 +249,7 @@ def _place(
         "submitted_at": submitted_at,
     }
     return tuple(values[key] for key in ranking)
+
+
+def _moment(at: datetime) -> str:
+    return f"{at:%F %T} UTC"

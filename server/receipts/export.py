@@ -1,17 +1,18 @@
 """A board with its receipts, the chain and the records behind it in one zip, to be audited anywhere.
 
-`export.json` says whose it is and holds the board, `chain.jsonl` all links, `receipts.jsonl` the receipts of
-all results of the board's stage, also of those that are not on it, `logs/EVALUATION/TASK.jsonl` what was played for
-entries of the board, as `vitac evaluate --log` writes it, and `sensors/EVALUATION.json` the sensor that it was played
-with, where that is a team's own.
+`export.json` says whose it is and holds the board, `chain.jsonl` all links, `submissions.jsonl` and `receipts.jsonl`
+the receipts of all submissions to the board's stage and of their results, also of those that are not on it,
+`ends.jsonl` those of the competition's end, `logs/EVALUATION/TASK.jsonl` what was played for entries of the board, as
+`vitac evaluate --log` writes it, `sensors/EVALUATION.json` the sensor that it was played with, where that is a team's
+own, and `tracks/TRACK.yaml` the file of a track that does not come with the evaluator.
 """
 
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import BinaryIO, Final, Literal, TypeVar, cast, get_args
+from typing import BinaryIO, Final, Literal, TypeVar, cast
 from uuid import UUID
 
 from pydantic import BaseModel, Field, NonNegativeInt, ValidationError
@@ -22,15 +23,26 @@ from vitac.evaluator.strict_model import StrictModel, explain
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..views.leaderboards import LeaderboardView
-from .receipt import Link, PublicKey, Receipt, Sha256
+from .receipt import (
+    AnyReceipt,
+    EndReceipt,
+    JudgedEntry,
+    Link,
+    LinkContent,
+    PublicKey,
+    Receipt,
+    Sha256,
+    SubmissionReceipt,
+    WinningEntry,
+)
 
 DESCRIPTION_NAME: Final = "export.json"
 CHAIN_NAME: Final = "chain.jsonl"
+SUBMISSIONS_NAME: Final = "submissions.jsonl"
 RECEIPTS_NAME: Final = "receipts.jsonl"
+ENDS_NAME: Final = "ends.jsonl"
 
-ExportFormat = Literal["vitac-receipts-1", "vitac-receipts-2", "vitac-receipts-3"]
-"""The first one holds only receipts of entries of the board, and tells nothing of teams; the second one holds no
-sensors and does not say which logs are copies."""
+FORMAT: Final = "vitac-receipts-1"
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
@@ -55,26 +67,38 @@ class ExportedTeam(StrictModel):
 class ExportDescription(StrictModel):
     """What an export holds."""
 
-    format: ExportFormat = "vitac-receipts-3"
+    format: Literal["vitac-receipts-1"] = FORMAT
     made_at: datetime
     public_key: PublicKey
     ranking: tuple[Literal["success_rate", "mean_steps", "submitted_at"], ...]
     """What entries are compared by, one after the other."""
     secret: Sha256 | None
     """Of the stage's sealed list, once published; null for a public list, and before."""
+    commitment: Sha256 | None
+    """Of the stage's sealed list; null for a public list."""
     board: LeaderboardView
-    kind: SubmissionKind = SubmissionKind.MODEL
+    kind: SubmissionKind
     """Of the submissions on the board."""
-    receipts: NonNegativeInt | None = None
+    receipts: NonNegativeInt
     """How many there are in the chain, as the service says."""
-    last: Sha256 | None = None
+    last: Sha256 | None
     """Digest of the last one."""
-    teams: tuple[ExportedTeam, ...] = ()
+    teams: tuple[ExportedTeam, ...]
     """With results of the stage."""
-    set_aside: tuple[UUID, ...] = ()
+    set_aside: tuple[UUID, ...]
     """Evaluations whose results a rejudgement took off the boards, as the service says."""
-    copies: tuple[UUID, ...] = ()
+    copies: tuple[UUID, ...]
     """Evaluations of logs with the states of an earlier submission of another team, as the service says: unranked."""
+    winners: tuple[WinningEntry, ...]
+    """Of the competition, once it is final."""
+    judged: tuple[JudgedEntry, ...]
+    """What the judges think of its judged tracks' entries, once it is final."""
+
+
+class _ReceiptFile(BaseModel):
+    """What every receipt says, whatever it is of."""
+
+    link: Link
 
 
 class _Format(BaseModel):
@@ -93,6 +117,11 @@ def sensor_name(evaluation: UUID) -> str:
     return f"sensors/{evaluation}.json"
 
 
+def track_name(track: str) -> str:
+    """Return the name of a track's file in an export."""
+    return f"tracks/{track}.yaml"
+
+
 class ExportReader:
     """Reads the members of an export.
 
@@ -106,10 +135,10 @@ class ExportReader:
         with self._open(DESCRIPTION_NAME) as stream:
             content = stream.read()
         named = _parsed(_Format, content, DESCRIPTION_NAME).format
-        if named not in get_args(ExportFormat):
+        if named != FORMAT:
             raise ExportRejected(
-                f"{DESCRIPTION_NAME}: expected {', '.join(get_args(ExportFormat))}, got the format {named!r}. Audit it "
-                "with the release that wrote it, or a newer one."
+                f"{DESCRIPTION_NAME}: expected {FORMAT}, got the format {named!r}. Audit it with the release that "
+                "wrote it."
             )
         self.description = _parsed(ExportDescription, content, DESCRIPTION_NAME)
 
@@ -127,9 +156,24 @@ class ExportReader:
         """Yield the chain in the order of the file."""
         return self._lines(Link, CHAIN_NAME)
 
+    def submissions(self) -> Iterator[SubmissionReceipt]:
+        """Yield the receipts of submissions."""
+        return self._lines(SubmissionReceipt, SUBMISSIONS_NAME)
+
     def receipts(self) -> Iterator[Receipt]:
-        """Yield the receipts."""
+        """Yield the receipts of results."""
         return self._lines(Receipt, RECEIPTS_NAME)
+
+    def ends(self) -> Iterator[EndReceipt]:
+        """Yield the receipts of the competition's end."""
+        return self._lines(EndReceipt, ENDS_NAME)
+
+    def track_file(self, track: str) -> bytes | None:
+        """Return the file of a track that does not come with the evaluator; None where it does."""
+        if track_name(track) not in self._names:
+            return None
+        with self._open(track_name(track)) as stream:
+            return stream.read()
 
     def has_log(self, evaluation: UUID, task: str) -> bool:
         """Return whether the records of a task are here."""
@@ -166,8 +210,8 @@ class ExportReader:
             yield cast(BinaryIO, stream)
 
 
-def read_receipt(path: Path) -> Receipt:
-    """Return the receipt in a file.
+def read_receipt(path: Path) -> AnyReceipt:
+    """Return the receipt in a file, of whatever it is.
 
     Raises:
         ExportRejected: there is none in it.
@@ -177,7 +221,13 @@ def read_receipt(path: Path) -> Receipt:
             content = file.read(1 << 20)
     except OSError as error:
         raise ExportRejected(f"{path} cannot be read: {error.strerror}.") from error
-    return _parsed(Receipt, content, str(path))
+    named = _parsed(_ReceiptFile, content, str(path)).link.content
+    models: Mapping[LinkContent, type[AnyReceipt]] = {
+        LinkContent.SUBMISSION: SubmissionReceipt,
+        LinkContent.RESULT: Receipt,
+        LinkContent.END: EndReceipt,
+    }
+    return _parsed(models[named], content, str(path))
 
 
 def _parsed(model: type[ModelT], content: bytes, origin: str) -> ModelT:

@@ -1,17 +1,19 @@
 """What a receipt says and how it is signed; read by servers, workers and whoever checks one without a server.
 
-Receipts make a chain: the link of each names the digest of the link before. A link tells nothing of the result but a
-salted hash, so that all links are public while results of sealed lists and frozen boards are not.
+There is one for a submission when it arrives, one for each final result, and one for the end of a competition. They
+make a chain: the link of each names the digest of the link before. A link shows nothing of its content but a salted
+hash, so that all links are public while results of sealed lists and frozen boards are not.
 """
 
 import hashlib
 from datetime import datetime
-from typing import Annotated, Literal, Self
+from enum import StrEnum
+from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
 from uuid import UUID
 
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
-from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
+from pydantic import Field, NonNegativeInt, PositiveInt
 from vitac.envs.errors import VitacError
 from vitac.evaluator.episodes.records import canonical_json
 from vitac.evaluator.strict_model import StrictModel, Word
@@ -22,6 +24,7 @@ _SIGNED = b"vitac-receipt-1\n"
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 PublicKey = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 """Of Ed25519 (RFC 8032): 32 bytes as hexadecimal digits."""
+ContentT = TypeVar("ContentT", bound="Content")
 Rate = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -47,18 +50,71 @@ class CombinedResult(StrictModel):
     mean_steps: float | None
 
 
-class Result(StrictModel):
-    """The final result of one evaluation."""
+class LinkContent(StrEnum):
+    """What a link of the chain stands for."""
+
+    SUBMISSION = "submission"
+    """A submission that has arrived."""
+    RESULT = "result"
+    """The final result of an evaluation."""
+    END = "end"
+    """The end of a competition: its winners."""
+
+
+class Content(StrictModel):
+    """What a receipt says."""
+
+    stands_for: ClassVar[LinkContent]
 
     salt: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
-    """Random, so that nobody finds the result by trying which one has the hash in the chain."""
-    evaluation: UUID
+    """Random, so that nobody finds the content by trying which one has the hash in the chain."""
+    issued_at: datetime
+
+    def digest(self) -> str:
+        """Return the SHA-256 [hex] by which the chain names this content."""
+        return hashlib.sha256(canonical_json(self.model_dump(mode="json"))).hexdigest()
+
+    @property
+    def board(self) -> str:
+        """Where it belongs, as the chain names it."""
+        raise NotImplementedError
+
+
+class OfSubmission(Content):
+    """What the receipts of a submission and of its results have in common."""
+
     submission: UUID
     submission_digest: Sha256
     track: Word
     stage: str
     """Of the competition; empty outside of one."""
     kind: SubmissionKind
+    submitted_at: datetime
+    team_sha256: Sha256
+    """Of the name that the team had then, with the salt (`team_commitment`)."""
+
+    @property
+    def board(self) -> str:
+        """On which board the result may be, as the chain names it."""
+        return board_name(self.track, self.stage, self.kind)
+
+    def is_of_team(self, name: str) -> bool:
+        """Return whether the team had that name when the receipt was issued."""
+        return self.team_sha256 == team_commitment(self.salt, name)
+
+
+class Arrival(OfSubmission):
+    """A submission that has arrived, before anybody knows its result."""
+
+    stands_for = LinkContent.SUBMISSION
+
+
+class Result(OfSubmission):
+    """The final result of one evaluation."""
+
+    stands_for = LinkContent.RESULT
+
+    evaluation: UUID
     run: PositiveInt
     evaluator_version: Word
     evaluator_hash: Sha256
@@ -69,25 +125,48 @@ class Result(StrictModel):
     combined: CombinedResult | None
     """Null for a log, and where no task counts."""
     result_hash: Sha256
-    submitted_at: datetime
     finished_at: datetime
-    issued_at: datetime
-    team_sha256: Sha256 | None = None
-    """Of the name that the team had then, with the salt (`team_commitment`); null in a receipt of the first format."""
 
-    def digest(self) -> str:
-        """Return the SHA-256 [hex] by which the chain names this result."""
-        without = {"team_sha256"} if self.team_sha256 is None else None
-        return hashlib.sha256(canonical_json(self.model_dump(mode="json", exclude=without))).hexdigest()
+
+class WinningEntry(StrictModel):
+    """A place of the prize table, and the submission that wins it."""
+
+    track: Word
+    place: str
+    rank: PositiveInt
+    amount: NonNegativeInt
+    currency: str
+    submission: UUID
+    result_hash: Sha256
+    total: float | None
+
+
+class JudgedEntry(StrictModel):
+    """What the judges think of a submission: the mean of their marks by criterion, and its total."""
+
+    track: Word
+    submission: UUID
+    criteria: dict[str, float]
+    total: float | None
+
+
+class End(Content):
+    """The end of a competition; signed again where its winners are decided again, or the end is taken back."""
+
+    stands_for = LinkContent.END
+
+    competition: str
+    finalized_at: datetime | None
+    """Null: the end was taken back, and there are no winners."""
+    reason: str | None
+    """Why it was taken back."""
+    winners: tuple[WinningEntry, ...]
+    judged: tuple[JudgedEntry, ...]
 
     @property
     def board(self) -> str:
-        """On which board the result may be, as the chain names it."""
-        return board_name(self.track, self.stage, self.kind)
-
-    def is_of_team(self, name: str) -> bool:
-        """Return whether the team had that name when the receipt was issued; False where the receipt names no team."""
-        return self.team_sha256 == team_commitment(self.salt, name)
+        """Which competition it ends, as the chain names it."""
+        return f"end of {self.competition}"
 
 
 def team_commitment(salt: str, name: str) -> str:
@@ -105,17 +184,19 @@ class Link(StrictModel):
 
     number: PositiveInt
     previous: Sha256 | None
-    result_sha256: Sha256
+    content: LinkContent
+    content_sha256: Sha256
+    board: Annotated[str, Field(max_length=300)]
+    """Track, stage and kind (`board_name`), so that nothing of a board can be left out of an export unseen."""
+    issued_at: datetime
+    """Never before that of the link before."""
     public_key: PublicKey
     signature: Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")]
-    board: Annotated[str, Field(max_length=300)] | None = None
-    """Track, stage and kind (`board_name`), so that nothing of a board can be left out of an export unseen; null in a
-    link of the first format."""
 
     @property
     def digest(self) -> str:
         """SHA-256 [hex] over all but the signature."""
-        return hashlib.sha256(self._signed_bytes()).hexdigest()
+        return hashlib.sha256(self.signed_bytes()).hexdigest()
 
     def require_signature(self) -> None:
         """Refuse a link that the holder of its key has not signed.
@@ -125,39 +206,27 @@ class Link(StrictModel):
         """
         try:
             key = Ed25519PublicKey.from_public_bytes(bytes.fromhex(self.public_key))
-            key.verify(bytes.fromhex(self.signature), self._signed_bytes())
+            key.verify(bytes.fromhex(self.signature), self.signed_bytes())
         except (InvalidSignature, ValueError) as error:
             raise ReceiptRejected(
                 f"Receipt {self.number} is not signed by {self.public_key}: something in it was changed."
             ) from error
 
-    def _signed_bytes(self) -> bytes:
-        return _signed_bytes(self.number, self.previous, self.result_sha256, self.public_key, self.board)
+    def signed_bytes(self) -> bytes:
+        """Return what the signature covers."""
+        return _SIGNED + canonical_json(self.model_dump(mode="json", exclude={"signature"}))
 
 
-class Receipt(StrictModel):
-    """A link of the chain with the result that it stands for."""
+class SignedContent(StrictModel, Generic[ContentT]):
+    """A link of the chain with the content that it stands for."""
 
-    format: Literal["vitac-receipt-1", "vitac-receipt-2"] = "vitac-receipt-2"
-    """The first one names neither team nor board."""
+    format: Literal["vitac-receipt-1"] = "vitac-receipt-1"
     link: Link
-    result: Result
 
-    @classmethod
-    def of(cls, link: Link, result: Result) -> Self:
-        """Return the receipt of a link and its result, in the format in which it was issued."""
-        return cls(format="vitac-receipt-1" if link.board is None else "vitac-receipt-2", link=link, result=result)
-
-    @model_validator(mode="after")
-    def _is_of_one_format(self) -> Self:
-        names_both = {
-            self.format == "vitac-receipt-2",
-            self.link.board is not None,
-            self.result.team_sha256 is not None,
-        }
-        if len(names_both) > 1:
-            raise ValueError(f"expected team and board in vitac-receipt-2 and neither before, got {self.format}")
-        return self
+    @property
+    def content(self) -> ContentT:
+        """What was signed."""
+        raise NotImplementedError
 
     def require_valid(self, public_key: str | None = None) -> None:
         """Refuse a receipt that is not whole, or not of that key.
@@ -168,15 +237,18 @@ class Receipt(StrictModel):
         Raises:
             ReceiptRejected: it says what differs.
         """
-        if self.result.digest() != self.link.result_sha256:
+        found = _link_content(self.content)
+        if found["content_sha256"] != self.link.content_sha256:
             raise ReceiptRejected(
-                f"The result of receipt {self.link.number} was changed: expected SHA-256 {self.link.result_sha256}, "
-                f"got {self.result.digest()}."
+                f"The {self.link.content} of receipt {self.link.number} was changed: expected SHA-256 "
+                f"{self.link.content_sha256}, got {found['content_sha256']}."
             )
-        if self.link.board not in {None, self.result.board}:
-            raise ReceiptRejected(
-                f"Receipt {self.link.number} is of another board: expected {self.result.board}, got {self.link.board}."
-            )
+        for name, value in found.items():
+            if value != getattr(self.link, name):
+                raise ReceiptRejected(
+                    f"Receipt {self.link.number} has another {name} than its link: expected {value}, got "
+                    f"{getattr(self.link, name)}."
+                )
         if public_key is not None and self.link.public_key != public_key:
             raise ReceiptRejected(
                 f"Receipt {self.link.number} is of another service: expected the key {public_key}, got "
@@ -185,30 +257,78 @@ class Receipt(StrictModel):
         self.link.require_signature()
 
 
-def sign(private_key: bytes, *, number: int, previous: str | None, result: Result) -> Receipt:
-    """Return the receipt of a result.
+class SubmissionReceipt(SignedContent[Arrival]):
+    """The receipt of a submission that has arrived."""
+
+    submission: Arrival
+
+    @property
+    def content(self) -> Arrival:
+        """What was signed."""
+        return self.submission
+
+
+class Receipt(SignedContent[Result]):
+    """The receipt of a final result."""
+
+    result: Result
+
+    @property
+    def content(self) -> Result:
+        """What was signed."""
+        return self.result
+
+
+class EndReceipt(SignedContent[End]):
+    """The receipt of the end of a competition."""
+
+    end: End
+
+    @property
+    def content(self) -> End:
+        """What was signed."""
+        return self.end
+
+
+AnyReceipt = SubmissionReceipt | Receipt | EndReceipt
+
+
+def receipt_of(link: Link, content: str) -> AnyReceipt:
+    """Return the receipt of a link and its content as JSON text."""
+    match link.content:
+        case LinkContent.SUBMISSION:
+            return SubmissionReceipt(link=link, submission=Arrival.model_validate_json(content))
+        case LinkContent.RESULT:
+            return Receipt(link=link, result=Result.model_validate_json(content))
+        case LinkContent.END:
+            return EndReceipt(link=link, end=End.model_validate_json(content))
+
+
+def sign(private_key: bytes, *, number: int, previous: str | None, content: Content) -> Link:
+    """Return the link of a content.
 
     Args:
         private_key: 32 bytes.
         number: of the receipt, from 1.
         previous: digest of the link before; None for the first.
-        result: what it says; one without a team makes a receipt of the first format.
+        content: what it says.
     """
     key = Ed25519PrivateKey.from_private_bytes(private_key)
-    public_key = key.public_key().public_bytes_raw().hex()
-    board = None if result.team_sha256 is None else result.board
-    content = _signed_bytes(number, previous, result.digest(), public_key, board)
-    link = Link(
+    unsigned = Link(
         number=number,
         previous=previous,
-        result_sha256=result.digest(),
-        public_key=public_key,
-        signature=key.sign(content).hex(),
-        board=board,
+        public_key=key.public_key().public_bytes_raw().hex(),
+        signature="0" * 128,
+        **_link_content(content),
     )
-    return Receipt.of(link, result)
+    return unsigned.model_copy(update={"signature": key.sign(unsigned.signed_bytes()).hex()})
 
 
-def _signed_bytes(number: int, previous: str | None, result_sha256: str, public_key: str, board: str | None) -> bytes:
-    content = {"number": number, "previous": previous, "result_sha256": result_sha256, "public_key": public_key}
-    return _SIGNED + canonical_json(content if board is None else content | {"board": board})
+def _link_content(content: Content) -> dict[str, Any]:
+    """Return what a link says of its content."""
+    return {
+        "content": content.stands_for,
+        "content_sha256": content.digest(),
+        "board": content.board,
+        "issued_at": content.issued_at,
+    }

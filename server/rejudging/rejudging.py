@@ -26,7 +26,7 @@ from ..evaluations.scores import add_to_boards, combined_result
 from ..leaderboards.best_entries import takes_part
 from ..notices.outbox import announce_evaluation
 from ..principals import Principal
-from ..receipts.chain import issue
+from ..receipts.chain import issue_for_result
 from ..tracks import load_known_track
 from .comparison import RejudgedSubmission, comparison, newest_of, revision_of
 
@@ -162,7 +162,7 @@ def apply(
     found.applied_at = now
     record(session, by, "rejudgement.apply", _subject(found), _audited(rows, "after"), before=_audited(rows, "before"))
     for evaluation in completed:  # last of all: a receipt locks out all others
-        issue(session, evaluation, combined_result(evaluation))
+        issue_for_result(session, evaluation, combined_result(evaluation))
     return rows
 
 

@@ -16,6 +16,7 @@ from ..evaluations import lifecycle
 from ..notices.outbox import announce_evaluation
 from ..principals import Principal
 from ..quotas import charge, check, check_stage
+from ..receipts.chain import issue_for_submission
 from ..settings import Quotas
 from ..teams import teams
 from ..uploads.checked_upload import CheckedUpload
@@ -64,7 +65,7 @@ def create(
     stage = Contest.read(session).open_stage(upload.track, by, at or datetime.now(UTC))
     stage.require_accepts(team_row, upload.kind)
     check_file_name(upload.file_name, team=team_row.name, stage=stage)
-    submission = _find_or_add(session, team_row, upload, stage)
+    submission, is_new = _find_or_add(session, team_row, upload, stage)
     run = next_run(session, submission, again=again)
     if run is None:
         return submission, False
@@ -75,6 +76,8 @@ def create(
     evaluation = lifecycle.start(session, submission, run, charged_at=charged_at)
     record(session, by, "submission.evaluate", f"submission:{submission.id}", {"run": run, "digest": upload.digest})
     announce_evaluation(session, NoticeKind.ACCEPTED, evaluation)
+    if is_new:
+        issue_for_submission(session, submission)
     return submission, True
 
 
@@ -111,9 +114,9 @@ def owner(session: Session, by: Principal, team: str | None) -> Team:
     return teams.find(session, team)
 
 
-def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: Stage) -> Submission:
-    """Return the row of this content, locked: two equal uploads at once go on one after the other."""
-    session.execute(
+def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: Stage) -> tuple[Submission, bool]:
+    """Return the row of this content and whether it is new; locked, so that equal uploads wait for each other."""
+    added = session.scalar(
         insert(Submission)
         .values(
             team_id=owner.id,
@@ -138,8 +141,9 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: St
             ],
             index_where=Submission.merged_from.is_(None),
         )
+        .returning(Submission.id)
     )
-    return session.scalars(
+    found = session.scalars(
         select(Submission)
         .where(
             Submission.team_id == owner.id,
@@ -150,3 +154,4 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: St
         )
         .with_for_update(key_share=True)
     ).one()
+    return found, added is not None

@@ -1,20 +1,24 @@
 """The chain of receipts as everybody sees it."""
 
+from datetime import datetime
+
 from pydantic import Field
 
 from .base import View
 
 
 class LinkView(View):
-    """One link of the chain; it tells nothing of the result that it stands for."""
+    """One link of the chain; it shows nothing of the content that it stands for."""
 
     number: int
     previous: str | None = Field(description="Digest of the link before; null for the first.")
-    result_sha256: str = Field(description="Salted SHA-256 of the result.")
+    content: str = Field(description="What it stands for: submission, result or end.")
+    content_sha256: str = Field(description="Salted SHA-256 of the content.")
+    issued_at: datetime = Field(description="Never before that of the link before.")
     public_key: str
     signature: str = Field(description="Ed25519, by that key.")
     digest: str = Field(description="SHA-256 of all but the signature.")
-    board: str | None = Field(description="Track, stage and kind of the result; null in one of the first format.")
+    board: str = Field(description="Track, stage and kind of the submission.")
 
 
 class ChainView(View):

@@ -5,7 +5,16 @@ from typing import Any
 from uuid import UUID
 
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.receipts.receipt import CombinedResult, Receipt, Result, TaskResult, sign, team_commitment
+from vitac.server.receipts.receipt import (
+    Arrival,
+    CombinedResult,
+    Receipt,
+    Result,
+    SubmissionReceipt,
+    TaskResult,
+    sign,
+    team_commitment,
+)
 
 KEY = bytes(range(32))
 WHEN = datetime(2031, 2, 1, 12, 30, 15, 250_000, tzinfo=UTC)
@@ -47,4 +56,16 @@ def a_result(number: int = 1, **changes: Any) -> Result:
 
 def a_receipt(**changes: Any) -> Receipt:
     """The first receipt of a chain."""
-    return sign(KEY, number=1, previous=None, result=a_result(**changes))
+    return receipt_for(a_result(**changes), number=1, previous=None)
+
+
+def receipt_for(result: Result, *, number: int, previous: str | None) -> Receipt:
+    """The receipt of a result."""
+    return Receipt(link=sign(KEY, number=number, previous=previous, content=result), result=result)
+
+
+def arrival_of(result: Result, *, number: int, previous: str | None, **changes: object) -> SubmissionReceipt:
+    """The receipt of the submission that a result is of."""
+    values = {name: getattr(result, name) for name in Arrival.model_fields}
+    arrival = Arrival(**(values | {"issued_at": result.submitted_at} | changes))
+    return SubmissionReceipt(link=sign(KEY, number=number, previous=previous, content=arrival), submission=arrival)

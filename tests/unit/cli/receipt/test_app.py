@@ -46,7 +46,7 @@ def test_a_receipt_is_verified_at_the_service_and_as_a_file(played: tuple[CliSer
     file.write_text(json.dumps(told["receipt"]))
     assert "Compare the key" in service.run("receipt", "verify", str(file)).stdout
     key = json.loads(service.run("admin", "receipt", "key", "--json").stdout)
-    assert key["receipts"] == 1
+    assert key["receipts"] == 2
     assert service.run("receipt", "verify", str(file), "--key", key["public_key"]).exit_code == 0
     assert "of another service" in refusal(service.run("receipt", "verify", str(file), "--key", "0" * 64))
     told["receipt"]["result"]["tasks"][0]["successes"] = 1
@@ -54,11 +54,14 @@ def test_a_receipt_is_verified_at_the_service_and_as_a_file(played: tuple[CliSer
     assert "was changed" in refusal(service.run("receipt", "verify", str(file)))
 
 
-def test_a_submission_without_a_result_has_no_receipt(service: CliService) -> None:
+def test_of_a_submission_without_a_result_the_receipt_of_its_arrival_is_verified(service: CliService) -> None:
     with service.database.transaction() as session:
         team = teams.find(session, "Team A")
         waits = submit(session, Principal(role=Role.TEAM, team_id=team.id, team_name=team.name))
-    assert "has no final result" in refusal(service.run("receipt", "verify", str(waits.id)))
+    shown = service.run("receipt", "verify", str(waits.id)).stdout
+    assert "signed by that key" in shown
+    assert str(waits.id) in shown
+    assert "result hash" not in shown
 
 
 def test_boards_are_exported_and_audited(
@@ -78,17 +81,18 @@ def test_boards_are_exported_and_audited(
     with monkeypatch.context() as patched:
         patched.setattr(exporting, "teams_of", with_a_late_result)
         assert service.run("admin", "receipt", "export", TRACK, files[LOCK], "--task", LOCK).exit_code == 0
-    assert json.loads(service.run("admin", "receipt", "key", "--json").stdout)["receipts"] == 2
+    assert json.loads(service.run("admin", "receipt", "key", "--json").stdout)["receipts"] == 4
     key = json.loads(service.run("admin", "receipt", "key", "--json").stdout)["public_key"]
     empty = service.run("receipt", "audit", files[LOCK], "--key", key)
-    assert empty.exit_code == 0, empty.stdout
-    assert "not checked" not in empty.stdout
+    assert empty.exit_code == 1, "nothing was verified"
+    assert "Nothing was verified: the records of no result" in empty.stdout
+    assert empty.stdout.index("findings") < empty.stdout.index("Nothing was verified")
     wrong = service.run("receipt", "audit", files[TASK], "--episodes", "0")
     assert wrong.exit_code == 1
     assert "WRONG: Team A, peg-insertion: the records are of no such evaluation" in wrong.stdout
     assert "not checked: whose key it is" in wrong.stdout
     told = json.loads(service.run("receipt", "audit", files[TASK], "--episodes", "0", "--json").stdout)
-    assert (told["links"], told["entries"], len(told["findings"])) == (1, 1, 1)
+    assert (told["links"], told["entries"], len(told["findings"])) == (2, 1, 1)
     other = json.loads(service.run("receipt", "audit", files[TASK], "--episodes", "0", "--json").stdout)
     assert other["seed"] != told["seed"], "nobody foresees which episodes are run again"
     given = service.run("receipt", "audit", files[TASK], "--episodes", "0", "--seed", "7", "--json").stdout

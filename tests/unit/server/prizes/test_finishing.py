@@ -1,6 +1,7 @@
 from copy import deepcopy
 from functools import partial
 from typing import Any
+from uuid import UUID
 
 import pytest
 from service_factories import TASK, TRACK, make_principal, make_score, make_upload, outdate, submit_scored
@@ -8,6 +9,7 @@ from sqlalchemy import select, update
 from submission_steps import SETTINGS, refused
 from vitac.server.appeals import appeals
 from vitac.server.audit import newest_entries
+from vitac.server.contest.contest import Contest
 from vitac.server.contest.freezing import freeze, unfreeze
 from vitac.server.contest.view import competition_view
 from vitac.server.db.engine import Database
@@ -18,8 +20,9 @@ from vitac.server.judging.judging import give_marks
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.prizes.finishing import Winner, concerns_at_end, finalize, reopen, winners
+from vitac.server.prizes.finishing import Winner, concerns_at_end, finalize, reopen, winners, winning_entries
 from vitac.server.publishing.publishing import result_files
+from vitac.server.receipts.chain import receipts_of_ends
 from vitac.server.submissions import creation, listing
 from vitac.server.teams import teams
 
@@ -112,6 +115,9 @@ def test_the_final_winners_stay_whatever_happens_to_the_boards(played: Database)
         assert (row.frozen_at, row.finalized_at is not None) == (None, True)
         entry = newest_entries(session)[0]
         assert entry.action == "competition.finalize"
+        (signed,) = receipts_of_ends(session)
+        assert signed.end.winners == winning_entries(Contest.read(session))
+        assert [winner.submission for winner in signed.end.winners] == [UUID(winner.submission) for winner in final]
         assert [winner["team"] for winner in entry.after["winners"]] == list(SUCCESSES)
     for change in (finalize, freeze, unfreeze):
         with refused(ProblemCode.COMPETITION_FINAL), played.transaction() as session:
@@ -273,3 +279,9 @@ def test_an_end_is_taken_back_with_a_reason_that_everybody_reads(played: Databas
     with played.transaction() as session:
         assert finalize(session, CONSOLE)[0].team == "Dogs"
         assert len(competition_view(session).reopened) == 1
+        ends = [receipt.end for receipt in receipts_of_ends(session)]
+        assert [(len(end.winners), end.reason) for end in ends] == [
+            (len(before), None),
+            (0, "an appeal of Dogs was upheld"),
+            (len(before), None),
+        ]

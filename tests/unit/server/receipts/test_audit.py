@@ -3,6 +3,7 @@
 import json
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +17,21 @@ from sqlalchemy import Executable, func, select, text, update
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.episode import Environment
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks.sealed import commitment_of
 from vitac.server import team_data
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, ReceiptKey, ReceiptRow, Submission, Team
 from vitac.server.db.states import EvaluationState
+from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.evaluations.scores import combined_result
 from vitac.server.principals import CONSOLE
 from vitac.server.publishing.exporting import export_receipts
 from vitac.server.publishing.publishing import ResultsNotWritten
 from vitac.server.receipts import chain
 from vitac.server.receipts.audit import Audit, audit
 from vitac.server.receipts.export import CHAIN_NAME, DESCRIPTION_NAME, ExportRejected, read_receipt
-from vitac.server.receipts.receipt import sign
+from vitac.server.receipts.receipt import Content, sign
 from vitac.server.rejudging import rejudging
 from vitac.server.storage.blobs import BlobStore
 from vitac.server.teams import merging, teams
@@ -34,8 +39,6 @@ from vitac.server.teams import merging, teams
 from competitions import shown_stage
 
 SEED = 1
-ADDED = {"kind", "receipts", "last", "teams", "set_aside", "copies"}
-"""What the second format of exports says."""
 TEAMS = ("Ants", "Bees", "Cats")
 NO_FILES = BlobStore(MemoryStore())
 
@@ -103,11 +106,11 @@ def test_an_untouched_board_is_found_right_and_a_sampled_episode_gives_the_same_
     found = audited(database, tmp_path, episodes=1, seed=SEED, public_key=key)
     assert found.findings == []
     assert found.unchecked == []
-    assert (found.links, found.entries, found.logs) == (3, 3, 3)
+    assert (found.links, found.entries, found.logs, found.is_believed) == (6, 3, 3, True)
     assert [sample.episode for sample in found.resimulated] == [sampled(SEED, len(TEAMS))[1]]
     other_key = audit(tmp_path / "board.zip", episodes=0, public_key="1" * 64).findings
     assert other_key == [f"Expected the key {'1' * 64}, got {key}."], "said once, however long the chain is"
-    secret = {"secret": "1" * 64}
+    secret = {"secret": "1" * 64, "commitment": commitment_of(bytes.fromhex("1" * 64))}
     published = changed(tmp_path, DESCRIPTION_NAME, lambda content: json.dumps(json.loads(content) | secret).encode())
     still = audit(published, episodes=1, seed=SEED).findings
     assert still == [], "results of the public list are not run again on the sealed one"
@@ -150,8 +153,8 @@ REMOVED_SUBMISSION = REMOVED_WINNER.replace("board_results", "submissions")
         ([RECORD], "Bees, peg-insertion: the records have another result hash than the receipt"),
         (["DELETE FROM episode_results WHERE episode = 9"], "the first missing one is 9"),
         (["DELETE FROM receipts WHERE number = 2"], "Expected receipt 2 in the chain, got 3"),
-        (["DELETE FROM receipts WHERE number = 3"], "Cats: there is no receipt"),
-        (["UPDATE receipts SET result = replace(result, '260', '261')"], "The result of receipt 3 was changed"),
+        (["DELETE FROM receipts WHERE number = 6"], "Cats: there is no receipt"),
+        (["UPDATE receipts SET content = replace(content, '260', '261')"], "The result of receipt 6 was changed"),
         (
             [
                 "UPDATE receipts SET number = 9 WHERE number = 2",
@@ -162,13 +165,20 @@ REMOVED_SUBMISSION = REMOVED_WINNER.replace("board_results", "submissions")
         ),
         (["UPDATE receipts SET previous = repeat('0', 64) WHERE number = 3"], "does not follow the one before it"),
         (["UPDATE receipts SET signature = repeat('0', 128) WHERE number = 2"], "Receipt 2 is not signed"),
-        ([SWAPPED_NAMES], "Ants: receipt 2 was issued to another team"),
-        ([SWAPPED_SUBMISSIONS, SWAPPED_RESULTS], "Bees: receipt 1 was issued to another team"),
-        ([REMOVED_WINNER], "Ants: receipt 1 is of this board, but the team is not on it"),
+        ([SWAPPED_NAMES], "Ants: receipt 4 was issued to another team"),
+        ([SWAPPED_SUBMISSIONS, SWAPPED_RESULTS], "Bees: receipt 2 was issued to another team"),
+        ([REMOVED_WINNER], "Ants: receipt 2 is of this board, but the team is not on it"),
         ([REMOVED_WINNER, "UPDATE submissions SET stage = 'other'"], "is not on it"),
-        ([REMOVED_WINNER, REMOVED_SUBMISSION], "Receipt 1 is of a result that the export gives to no team"),
+        ([REMOVED_WINNER, REMOVED_SUBMISSION], "Receipt 2 is of a result that the export gives to no team"),
         (["UPDATE receipts SET board = 'track_2//model' WHERE number = 1"], "Receipt 1 is not signed by"),
         (["UPDATE receipt_key SET public_key = repeat('1', 64)"], "is signed by another key"),
+        (["DELETE FROM receipts WHERE number = 1"], "Expected receipt 1 in the chain, got 2"),
+        (["UPDATE receipts SET issued_at = '2020-01-01Z' WHERE number = 4"], "Receipt 4 is not signed by"),
+        (["UPDATE receipts SET issued_at = '2020-01-01Z' WHERE number = 4"], "before receipt 3, which it follows"),
+        (
+            ["UPDATE receipts SET content = replace(content, '\"model\"', '\"log\"') WHERE number = 1"],
+            "The submission of receipt 1 was changed",
+        ),
     ],
 )
 def test_a_tampered_database_is_found(
@@ -186,17 +196,17 @@ def test_a_removed_last_receipt_is_found_by_its_digest_that_was_noted(database: 
     assert audited(database, tmp_path, noted=noted).findings == []
     (tmp_path / "board.zip").unlink()
     removed = [
-        "DELETE FROM receipts WHERE number = 3",
+        "DELETE FROM receipts WHERE number >= 5",
         "DELETE FROM board_results WHERE team_id = (SELECT id FROM teams WHERE name = 'Cats')",
     ]
     found = audited(database, tmp_path, *map(text, removed))
     assert found.findings == [], "in itself what is left is right"
     told = audit(tmp_path / "board.zip", episodes=0, noted=noted).findings
-    assert told == [f"Expected receipt 3 with the noted digest {state.last}, got none: the chain ends before."]
+    assert told == [f"Expected receipt 6 with the noted digest {state.last}, got none: the chain ends before."]
     other = audit(tmp_path / "board.zip", episodes=0, noted={2: "0" * 64}).findings
     assert "with the noted digest 000" in other[0]
     shortened = changed(tmp_path, CHAIN_NAME, lambda content: b"".join(content.splitlines(keepends=True)[:-1]))
-    assert "Expected 2 receipts in the chain" in audit(shortened, episodes=0).findings[0]
+    assert "Expected 4 receipts in the chain" in audit(shortened, episodes=0).findings[0]
 
 
 def test_what_organizers_did_with_teams_is_told_and_is_no_finding(database: Database, tmp_path: Path) -> None:
@@ -208,10 +218,10 @@ def test_what_organizers_did_with_teams_is_told_and_is_no_finding(database: Data
     found = audited(database, tmp_path, renamed)
     assert found.findings == []
     assert found.unchecked[0] == (
-        "Moths: receipt 1 was issued to 'Ants'; the service says that this team was renamed or merged."
+        "Moths: receipt 2 was issued to 'Ants'; the service says that this team was renamed or merged."
     )
     assert "the service says that the team's names were deleted" in " ".join(found.unchecked)
-    assert "Bees: receipt 2; the service leaves the team out: disqualified, two accounts." in found.unchecked
+    assert "Bees: receipt 4; the service leaves the team out: disqualified, two accounts." in found.unchecked
     assert "Cats" not in (tmp_path / "board.zip").read_bytes().decode("latin-1")
     with zipfile.ZipFile(tmp_path / "board.zip") as export:
         assert b"Cats" not in export.read(DESCRIPTION_NAME), "no name of a team that was removed"
@@ -224,7 +234,7 @@ def test_what_organizers_did_with_teams_is_told_and_is_no_finding(database: Data
     found = audited(database, tmp_path, merged)
     assert found.findings == []
     assert found.unchecked == [
-        "Ants: receipt 2 was issued to 'Bees'; the service says that this team was renamed or merged."
+        "Ants: receipt 4 was issued to 'Bees'; the service says that this team was renamed or merged."
     ]
 
 
@@ -240,37 +250,7 @@ def test_a_policy_that_failed_in_a_rejudgement_is_told_and_is_no_finding(databas
     assert found.findings == []
     assert found.entries == len(TEAMS) - 1
     why = "the service says that a rejudgement took it away."
-    assert found.unchecked == [f"Ants: receipt 1 is of this board, but the team is not on it; {why}"]
-
-
-def test_receipts_and_exports_of_the_first_format_are_still_right(database: Database, tmp_path: Path) -> None:
-    """They name neither team nor board; what cannot be checked of them is told."""
-
-    def resigned(session: Session) -> None:
-        rows = session.execute(text("SELECT evaluation_id FROM receipts ORDER BY number")).scalars().all()
-        old, previous = chain.receipts_of(session, rows), None
-        for number, row in enumerate(rows, start=1):
-            result = old[row].result.model_copy(update={"team_sha256": None})
-            made = sign(KEY, number=number, previous=previous, result=result)
-            assert made.format == "vitac-receipt-1"
-            previous = made.link.digest
-            changes = made.link.model_dump(exclude={"number"}) | {"digest": made.link.digest}
-            changes["result"] = result.model_dump_json(exclude={"team_sha256"})
-            session.execute(update(ReceiptRow).where(ReceiptRow.number == number).values(changes))
-        session.execute(update(ReceiptKey).values(public_key=made.link.public_key))
-
-    found = audited(database, tmp_path, resigned)
-    assert found.findings == []
-    assert found.unchecked[0] == "Of which board 3 receipts are: they are of the first format."
-    assert "Ants: receipt 1 names no team; it is of the first format." in found.unchecked
-
-    def in_first_format(content: bytes) -> bytes:
-        described = json.loads(content) | {"format": "vitac-receipts-1"}
-        return json.dumps({key: described[key] for key in described if key not in ADDED}).encode()
-
-    found = audit(changed(tmp_path, DESCRIPTION_NAME, in_first_format), episodes=0)
-    assert (found.findings, len(found.unchecked)) == ([], 1)
-    assert "the export is an old one" in found.unchecked[0]
+    assert found.unchecked == [f"Ants: receipt 2 is of this board, but the team is not on it; {why}"]
 
 
 def test_a_board_of_models_that_is_given_out_as_one_of_logs_is_found(database: Database, tmp_path: Path) -> None:
@@ -284,20 +264,16 @@ def test_a_board_of_models_that_is_given_out_as_one_of_logs_is_found(database: D
     assert found.findings == [f"{team}: kind is log on the board, model in the receipt." for team in TEAMS]
 
 
-def test_exports_of_each_format_are_read_and_of_a_newer_one_named(database: Database, tmp_path: Path) -> None:
+def test_exports_of_another_format_are_refused_by_name(database: Database, tmp_path: Path) -> None:
     audited(database, tmp_path)
     with zipfile.ZipFile(tmp_path / "board.zip") as export:
         described = json.loads(export.read(DESCRIPTION_NAME))
-    assert described["format"] == "vitac-receipts-3"
-    assert "copies" in described
 
     def written(content: object) -> Path:
         return changed(tmp_path, DESCRIPTION_NAME, lambda _: json.dumps(content).encode())
 
-    second = {key: described[key] for key in described if key != "copies"} | {"format": "vitac-receipts-2"}
-    assert audit(written(second), episodes=0).findings == []
-    newer = described | {"format": "vitac-receipts-4", "judges": 3}
-    with pytest.raises(ExportRejected, match=r"got the format 'vitac-receipts-4'.*release that wrote it, or a newer"):
+    newer = described | {"format": "vitac-receipts-2", "witnesses": 3}
+    with pytest.raises(ExportRejected, match=r"got the format 'vitac-receipts-2'.*release that wrote it"):
         audit(written(newer))
     for damaged in (described | {"format": 4}, [described], {"made_at": "now"}, described | {"format": "x" * 10_000}):
         with pytest.raises(ExportRejected, match=r"^export\.json: ") as refused:
@@ -311,18 +287,17 @@ def test_a_whole_new_chain_is_found_by_its_key_and_by_a_receipt_that_was_kept(
     with database.transaction() as session:
         key = chain.chain_state(session).public_key
         kept = tmp_path / "kept.json"
-        evaluation = session.scalar(text("SELECT evaluation_id FROM receipts WHERE number = 2"))
-        kept.write_text(chain.receipts_of(session, [evaluation])[evaluation].model_dump_json())
-        rows = session.execute(text("SELECT evaluation_id FROM receipts ORDER BY number")).scalars().all()
-        old = chain.receipts_of(session, rows)
+        old = chain.receipts_of_board(session, shown_stage(session, TRACK), SubmissionKind.MODEL)
+        kept.write_text(old[1].model_dump_json())
     previous: str | None = None
     statements: list[Executable] = []
-    for number, row in enumerate(rows, start=1):
-        made = sign(KEY, number=number, previous=previous, result=old[row].result)
-        previous = made.link.digest
-        changes = made.link.model_dump(exclude={"number"}) | {"digest": made.link.digest}
+    for number, receipt in enumerate(old, start=1):
+        link = sign(KEY, number=number, previous=previous, content=receipt.content)
+        previous = link.digest
+        changes = {"previous": link.previous, "public_key": link.public_key, "signature": link.signature}
+        changes["digest"] = link.digest
         statements.append(update(ReceiptRow).where(ReceiptRow.number == number).values(changes))
-    statements.append(update(ReceiptKey).values(public_key=made.link.public_key))
+    statements.append(update(ReceiptKey).values(public_key=link.public_key))
     assert audited(database, tmp_path, *statements).findings == [], "in itself the new chain is right"
     assert "Expected the key" in audit(tmp_path / "board.zip", episodes=0, public_key=key).findings[0]
     told = audit(tmp_path / "board.zip", episodes=0, held=[read_receipt(kept)]).findings
@@ -337,3 +312,70 @@ def test_what_is_no_export_is_refused(tmp_path: Path) -> None:
             audit(file)
     with pytest.raises(ExportRejected, match="cannot be read"):
         audit(tmp_path / "missing.zip")
+
+
+HOUR = timedelta(hours=1)
+ADDED_LATER = """
+    DELETE FROM receipts WHERE number >= 5;
+    UPDATE submissions SET submitted_at = submitted_at - interval '1 hour'
+    WHERE team_id = (SELECT id FROM teams WHERE name = 'Cats');
+    UPDATE board_results SET submitted_at = submitted_at - interval '1 hour'
+    WHERE team_id = (SELECT id FROM teams WHERE name = 'Cats');
+"""
+
+
+def added_later(issued_earlier: timedelta) -> Callable[[Session], None]:
+    """A submission of the Cats that is said to have come before all others; the service signs what it is asked to."""
+
+    def add(session: Session) -> None:
+        for statement in ADDED_LATER.split(";")[:3]:
+            session.execute(text(statement))
+        session.expire_all()
+        submission = session.scalars(select(Submission).join(Team).where(Team.name == "Cats")).one()
+        evaluation = newest_evaluation(session, submission)
+        real = chain.issue
+
+        def issue(session: Session, make: Callable[[datetime], Content], **of: Any) -> None:
+            real(session, lambda at: make(at - issued_earlier), **of)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(chain, "issue", issue)
+            chain.issue_for_submission(session, submission)
+            chain.issue_for_result(session, evaluation, combined_result(evaluation))
+
+    return add
+
+
+def test_a_submission_that_was_added_afterwards_is_found_whatever_time_its_receipts_have(
+    database: Database, tmp_path: Path
+) -> None:
+    backdated = audited(database, tmp_path, added_later(HOUR)).findings
+    assert len(backdated) == 1
+    assert "Receipt 5 was issued at" in backdated[0]
+    assert "before receipt 4, which it follows" in backdated[0]
+    (tmp_path / "board.zip").unlink()
+    honest = audited(database, tmp_path, added_later(timedelta())).findings
+    assert len(honest) == 1
+    assert "Receipt 5 of submission" in honest[0]
+    assert "but the submission is said to have arrived at" in honest[0]
+
+
+def test_a_board_whose_records_are_missing_is_not_believed(database: Database, tmp_path: Path) -> None:
+    found = audited(database, tmp_path, text("DELETE FROM episode_results"))
+    assert (found.findings, found.logs, found.is_believed) == ([], 0, False)
+    assert len(found.unchecked) == len(TEAMS)
+
+
+def test_a_published_secret_has_to_fit_the_commitment(database: Database, tmp_path: Path) -> None:
+    audited(database, tmp_path)
+    secret, other = "1" * 64, "2" * 64
+    fits = commitment_of(bytes.fromhex(secret))
+
+    def published(**values: str) -> list[str]:
+        path = changed(tmp_path, DESCRIPTION_NAME, lambda content: json.dumps(json.loads(content) | values).encode())
+        return audit(path, episodes=0).findings
+
+    assert published(secret=secret, commitment=fits) == []
+    assert published(secret=other, commitment=fits) == [
+        f"The published secret has the commitment {commitment_of(bytes.fromhex(other))}, expected {fits}."
+    ]

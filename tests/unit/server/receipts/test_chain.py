@@ -1,6 +1,9 @@
 import json
+import time
 from concurrent.futures import ThreadPoolExecutor
+from datetime import datetime, tzinfo
 from itertools import pairwise
+from typing import Self
 
 import psycopg
 import pytest
@@ -8,26 +11,21 @@ from service_factories import (
     LOCK,
     TASK,
     make_principal,
-    make_record,
-    make_score,
     play,
     play_all,
     shard_ids,
     submit,
-    submit_scored,
 )
 from sqlalchemy import func, select, text
 from sqlalchemy.exc import DBAPIError
-from structlog.testing import capture_logs
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Evaluation, ReceiptKey, ReceiptRow
+from vitac.server.db.models import ReceiptKey, ReceiptRow
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE
 from vitac.server.receipts import chain
-from vitac.server.receipts.chain import chain_state, ensure_key, links, receipts_of_submission
+from vitac.server.receipts.chain import chain_state, links, receipt_of_arrival, receipts_of_submission
 from vitac.server.submissions import runs
-from vitac.server.submissions.receipts import issue_older
 
 
 def test_a_final_result_gets_a_receipt_with_what_the_submission_shows(database: Database) -> None:
@@ -45,7 +43,13 @@ def test_a_final_result_gets_a_receipt_with_what_the_submission_shows(database: 
         assert result.combined is not None
         assert result.combined.success_rate == 1.0
         assert result.finished_at == evaluation.finished_at
-        stored = session.scalars(select(ReceiptRow.result)).one()
+        stored = session.scalars(select(ReceiptRow.content).where(ReceiptRow.stands_for == "result")).one()
+        arrival = receipt_of_arrival(session, submission.id)
+        assert arrival is not None
+        assert (arrival.link.number, receipt.link.number) == (1, 2)
+        assert arrival.submission.submitted_at == result.submitted_at
+        assert arrival.submission.submission_digest == result.submission_digest
+        assert links(session) == [arrival.link, receipt.link]
     assert set(json.loads(stored)) == set(type(result).model_fields)
     assert "outcome" not in stored, "nothing of single episodes"
 
@@ -76,10 +80,10 @@ def test_results_that_end_at_once_make_one_chain_without_a_gap(database: Databas
         list(pool.map(lambda ids: play(database, ids[-1]), shards.values()))
     with database.transaction() as session:
         found = links(session)
-        assert chain_state(session).receipts == teams
+        assert chain_state(session).receipts == 2 * teams
         assert session.scalar(select(func.count()).select_from(ReceiptKey)) == 1
-        assert links(session, after=2, limit=2) == found[2:]
-    assert [link.number for link in found] == list(range(1, teams + 1))
+        assert links(session, after=2, limit=2) == found[2:4]
+    assert [link.number for link in found] == list(range(1, 2 * teams + 1))
     assert found[0].previous is None
     assert all(link.previous == before.digest for before, link in pairwise(found))
 
@@ -93,19 +97,19 @@ def test_a_result_that_is_not_stored_leaves_no_gap(database: Database, monkeypat
         play(database, shard_id)
 
     def issue_and_die(*arguments: object) -> None:
-        chain.issue(*arguments)  # type: ignore[arg-type]
+        chain.issue_for_result(*arguments)  # type: ignore[arg-type]
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(lifecycle, "issue", issue_and_die)
+    monkeypatch.setattr(lifecycle, "issue_for_result", issue_and_die)
     with pytest.raises(KeyboardInterrupt):
         play(database, last)
     monkeypatch.undo()
     with database.transaction() as session:
-        assert chain_state(session).receipts == 0
+        assert chain_state(session).receipts == 1, "that of the submission"
         session.execute(text("UPDATE shards SET state = 'queued', lease_expires_at = NULL WHERE state = 'running'"))
     play(database, last)
     with database.transaction() as session:
-        assert [link.number for link in links(session)] == [1]
+        assert [link.number for link in links(session)] == [1, 2]
 
 
 def test_the_database_refuses_to_change_the_chain(database: Database) -> None:
@@ -113,69 +117,37 @@ def test_the_database_refuses_to_change_the_chain(database: Database) -> None:
         submission = submit(session, make_principal(session))
     play_all(database, submission)
     for statement in (
-        "UPDATE receipts SET result = ''",
+        "UPDATE receipts SET content = ''",
         "DELETE FROM receipts",
         "TRUNCATE receipts",
         "DELETE FROM evaluations",
     ):
         with pytest.raises(DBAPIError), database.transaction() as session:
             session.execute(text(statement))
-    copy = "INSERT INTO receipts SELECT {}, {}, {}, digest, result, result_sha256, public_key, signature FROM receipts"
+    columns = [column.name for column in ReceiptRow.__table__.columns if column.name != "number"]
+    copy = f"INSERT INTO receipts (number, {', '.join(columns)}) SELECT number + 3, {', '.join(columns)} FROM receipts"  # noqa: S608 - names of our own columns
     with pytest.raises(DBAPIError, match="does not follow") as caught, database.transaction() as session:
-        session.execute(text(copy.format("number + 2", "evaluation_id", "digest")))
+        session.execute(text(copy))
     assert isinstance(caught.value.orig, psycopg.errors.CheckViolation)
 
 
-def test_older_results_get_theirs_in_the_order_in_which_they_ended(database: Database) -> None:
+def test_a_clock_that_is_set_back_does_not_break_the_order(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Slow(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> Self:
+            return cls.fromtimestamp(time.time() - 3600, tz)
+
     with database.transaction() as session:
         team = make_principal(session)
-        older = [submit_scored(session, team, name, {TASK: make_score(50)}) for name in ("one", "two")]
-        session.execute(text("UPDATE evaluations SET platform_class = 'linux-x86_64'"))
-        ended = session.scalars(select(Evaluation.submission_id).order_by(Evaluation.finished_at)).all()
-    with database.transaction() as session:
-        ensure_key(session)
-    with database.transaction() as session:
-        assert issue_older(session) == 2
-        assert issue_older(session) == 0
-        numbers = {each.id: receipts_of_submission(session, each.id)[0].link.number for each in older}
-    assert [numbers[submission] for submission in ended] == [1, 2]
+        submit(session, team, "one")
+        monkeypatch.setattr(chain, "datetime", Slow)
+        submit(session, team, "two")
+        first, second = links(session)
+    assert first.issued_at == second.issued_at
 
 
-def test_an_older_result_that_cannot_be_read_does_not_stop_the_others(database: Database) -> None:
+def test_the_same_content_sent_twice_arrives_once(database: Database) -> None:
     with database.transaction() as session:
         team = make_principal(session)
-        names = ("of a track that is gone", "without its tasks", "without its scores' fields", "whole")
-        gone, unknown, odd, whole = [submit_scored(session, team, name, {TASK: make_score(50)}) for name in names]
-        session.execute(text("SET LOCAL session_replication_role = replica"))
-        session.execute(text("UPDATE evaluations SET platform_class = 'linux-x86_64'"))
-        for each in (gone, unknown):
-            session.execute(text("UPDATE submissions SET track = 'gone' WHERE id = :id"), {"id": each.id})
-        session.execute(
-            text("UPDATE evaluations SET counted_tasks = NULL WHERE submission_id = :id"), {"id": unknown.id}
-        )
-        session.execute(text("UPDATE evaluations SET scores = '[{}]' WHERE submission_id = :id"), {"id": odd.id})
-    with database.transaction() as session:
-        ensure_key(session)
-    with database.transaction() as session, capture_logs() as logs:
-        assert issue_older(session) == 3
-        assert issue_older(session) == 0
-        combined = receipts_of_submission(session, gone.id)[0].result.combined
-        assert combined is not None
-        assert combined.success_rate == 0.25, "half of one of the two tasks that counted"
-        assert receipts_of_submission(session, unknown.id)[0].result.combined is None
-        assert len(receipts_of_submission(session, whole.id)) == 1
-        assert receipts_of_submission(session, odd.id) == []
-    assert [line["event"] for line in logs] == 2 * ["receipt_left_out"]
-    assert logs[0]["kind"] == "KeyError"
-
-
-def test_a_receipt_that_was_taken_away_is_not_issued_again(database: Database) -> None:
-    with database.transaction() as session:
-        submission = submit(session, make_principal(session))
-    play_all(database, submission, record_of=make_record)
-    with database.transaction() as session:
-        session.execute(text("SET session_replication_role = replica"))
-        session.execute(text("DELETE FROM receipts"))
-    with database.transaction() as session:
-        assert issue_older(session) == 0
-        assert receipts_of_submission(session, submission.id) == []
+        assert submit(session, team).id == submit(session, team).id
+        assert chain_state(session).receipts == 1

@@ -5,12 +5,34 @@ from typing import Any
 from uuid import UUID
 
 import pytest
-from made_receipts import KEY, WHEN, a_result
+from made_receipts import KEY, WHEN, a_result, arrival_of, receipt_for
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
-from vitac.server.receipts.completeness import check_entries, check_head, check_noted, check_opened, check_teams
+from vitac.evaluator.tracks.sealed import commitment_of
+from vitac.server.receipts.completeness import (
+    check_arrivals,
+    check_end,
+    check_entries,
+    check_head,
+    check_noted,
+    check_opened,
+    check_order,
+    check_secret,
+    check_submissions,
+    check_teams,
+)
 from vitac.server.receipts.export import ExportDescription, ExportedTeam
-from vitac.server.receipts.receipt import Receipt, Result, sign, team_commitment
+from vitac.server.receipts.receipt import (
+    End,
+    EndReceipt,
+    JudgedEntry,
+    Receipt,
+    Result,
+    SubmissionReceipt,
+    WinningEntry,
+    sign,
+    team_commitment,
+)
 from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
 
 TASK = "peg-insertion"
@@ -29,7 +51,7 @@ def chained(*results: Result) -> list[Receipt]:
     """The receipts of results, one after the other."""
     made: list[Receipt] = []
     for number, result in enumerate(results, start=1):
-        made.append(sign(KEY, number=number, previous=made[-1].link.digest if made else None, result=result))
+        made.append(receipt_for(result, number=number, previous=made[-1].link.digest if made else None))
     return made
 
 
@@ -83,13 +105,19 @@ def exported(
         "public_key": receipts[0].link.public_key,
         "ranking": ("success_rate", "mean_steps", "submitted_at"),
         "secret": None,
+        "commitment": None,
         "board": board,
+        "kind": SubmissionKind.MODEL,
         "receipts": len(receipts),
         "last": receipts[-1].link.digest,
         "teams": tuple(
             ExportedTeam(name=name, evaluations=tuple(UUID(int=number) for number in numbers))
             for name, numbers in given.items()
         ),
+        "set_aside": (),
+        "copies": (),
+        "winners": (),
+        "judged": (),
     }
     return ExportDescription(**(values | changes))
 
@@ -210,8 +238,8 @@ def test_a_link_of_the_board_without_its_receipt_is_found() -> None:
     receipts = chained(a_named_result(1), a_named_result(2), a_named_result(3, track="track_2"))
     chain = {receipt.link.number: receipt.link for receipt in receipts}
     described = exported(receipts)
-    assert list(check_opened(described, chain, by_evaluation(receipts))) == []
-    assert list(check_opened(described, chain, by_evaluation(receipts[:1]))) == [
+    assert list(check_opened(described, chain, receipts)) == []
+    assert list(check_opened(described, chain, receipts[:1])) == [
         "Receipt 2 is of this board, but the export does not hold it."
     ], "the third one is of another track"
 
@@ -226,3 +254,140 @@ def test_the_end_of_the_chain_is_compared_with_what_was_published() -> None:
     assert list(check_noted(chain, 2, chain[2].digest)) == []
     assert "got digest" in next(check_noted(chain, 2, chain[1].digest))
     assert "the chain ends before" in next(check_noted(chain, 3, chain[1].digest))
+
+
+def arrived(result: Result, number: int = 1, **changes: Any) -> dict[UUID, SubmissionReceipt]:
+    return {result.submission: arrival_of(result, number=number, previous=None, **changes)}
+
+
+def followed(result: Result, arrivals: dict[UUID, SubmissionReceipt], number: int = 2) -> list[tuple[bool, str]]:
+    return list(check_submissions(arrivals, [receipt_for(result, number=number, previous="0" * 64)]))
+
+
+def test_a_result_follows_from_a_submission_that_arrived_before_it() -> None:
+    result = a_named_result(1)
+    assert followed(result, arrived(result)) == []
+    ((is_wrong, sentence),) = followed(result, {})
+    assert is_wrong
+    assert "whose arrival has no receipt" in sentence
+    ((is_wrong, sentence),) = followed(result, arrived(result, number=3))
+    assert is_wrong
+    assert "arrived later, with receipt 3" in sentence
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"submission_digest": "cd" * 32},
+        {"track": "track_2"},
+        {"stage": "final"},
+        {"kind": SubmissionKind.LOG},
+        {"submitted_at": WHEN - timedelta(hours=1)},
+    ],
+)
+def test_a_result_says_of_its_submission_what_was_signed_at_its_arrival(changes: dict[str, Any]) -> None:
+    result = a_named_result(1)
+    ((is_wrong, sentence),) = followed(result, arrived(result, **changes))
+    assert is_wrong
+    assert next(iter(changes)).replace("_", " ") in sentence
+
+
+def test_a_first_result_long_after_its_submission_is_unusual_and_that_of_a_later_run_is_not() -> None:
+    late = a_named_result(1, issued_at=WHEN + timedelta(days=3))
+    assert followed(late, arrived(late, issued_at=WHEN)) == [
+        (False, "Receipt 2: its result was issued 3 days after the submission; ask why.")
+    ]
+    again = late.model_copy(update={"run": 2})
+    assert followed(again, arrived(again, issued_at=WHEN)) == []
+
+
+@pytest.mark.parametrize(("minutes", "is_found"), [(0, False), (9, False), (11, True), (-1, True)])
+def test_the_receipt_of_an_arrival_is_issued_when_the_submission_arrives(minutes: int, is_found: bool) -> None:
+    receipts = arrived(a_named_result(1), issued_at=WHEN + timedelta(minutes=minutes)).values()
+    assert bool(list(check_arrivals(receipts))) is is_found
+
+
+def test_links_are_issued_one_after_the_other() -> None:
+    later = WHEN + timedelta(seconds=1)
+    in_order = chained(a_named_result(1), a_named_result(2), a_named_result(3, issued_at=later))
+    assert list(check_order(receipt.link for receipt in in_order)) == []
+    backdated = chained(a_named_result(1, issued_at=later), a_named_result(2))
+    assert len(list(check_order(receipt.link for receipt in backdated))) == 1
+
+
+def test_results_of_another_list_than_the_published_one_are_found() -> None:
+    result = a_named_result(1, commitment="1" * 64)
+    secret = "2" * 64
+    fits = commitment_of(bytes.fromhex(secret))
+    described = exported(chained(result), secret=secret, commitment=fits)
+    assert list(check_secret(described, [result])) == [
+        f"Results were played on a list with the commitment {'1' * 64}, the published secret has {fits}."
+    ]
+    assert list(check_secret(described, [a_named_result(1, commitment=fits)])) == []
+    assert list(check_secret(exported(chained(result)), [result])) == [], "not published yet"
+
+
+def an_end(winners: list[Result], marks: dict[UUID, float] | None = None) -> EndReceipt:
+    end = End(
+        salt="0" * 32,
+        issued_at=WHEN,
+        competition="vitac",
+        finalized_at=WHEN,
+        reason=None,
+        winners=tuple(
+            WinningEntry(
+                track="track_1",
+                place=f"place {rank}",
+                rank=rank,
+                amount=100 // rank,
+                currency="EUR",
+                submission=result.submission,
+                result_hash=result.result_hash,
+                total=None,
+            )
+            for rank, result in enumerate(winners, start=1)
+        ),
+        judged=tuple(
+            JudgedEntry(track="track_1", submission=submission, criteria={"idea": total}, total=total)
+            for submission, total in (marks or {}).items()
+        ),
+    )
+    return EndReceipt(link=sign(KEY, number=9, previous="0" * 64, content=end), end=end)
+
+
+def test_winners_prizes_and_marks_are_those_that_were_signed() -> None:
+    first, second = a_named_result(1, successes=200), a_named_result(2, team="Bees")
+    signed = an_end([first, second])
+    entries = [an_entry(first), an_entry(second, "Bees", rank=2)]
+
+    def found(**changes: Any) -> list[str]:
+        values = {"winners": signed.end.winners, "judged": ()} | changes
+        described = exported(chained(first, second), *entries, teams={"Ants": [1], "Bees": [2]}, **values)
+        whole = described.model_copy(update={"board": described.board.model_copy(update={"task": None})})
+        return list(check_end(whole, [signed]))
+
+    assert found() == []
+    other_prize = signed.end.winners[0].model_copy(update={"amount": 1000})
+    assert found(winners=(other_prize, signed.end.winners[1])) == [
+        "The winners and prizes of the export are not those of receipt 9."
+    ]
+    swapped = an_end([second, first]).end.winners
+    assert found(winners=swapped)[1:] == ["The winners are not the first ones of the board."]
+    marks = an_end([first], {second.submission: 10.0}).end.judged
+    assert found(judged=marks)[0] == "The judges' marks of the export are not those of receipt 9."
+
+
+def test_winners_without_a_signed_end_are_found_and_those_of_a_judged_track_follow_its_totals() -> None:
+    first, second = a_named_result(1, successes=200), a_named_result(2, team="Bees")
+    judged = an_end([second, first], {first.submission: 5.0, second.submission: 6.0})
+    board = exported(
+        chained(first, second),
+        an_entry(first),
+        an_entry(second, "Bees", rank=2),
+        teams={"Ants": [1], "Bees": [2]},
+        winners=judged.end.winners,
+        judged=judged.end.judged,
+    )
+    described = board.model_copy(update={"board": board.board.model_copy(update={"task": None})})
+    assert list(check_end(described, [judged])) == []
+    assert "which has no end of the competition" in next(check_end(described, []))

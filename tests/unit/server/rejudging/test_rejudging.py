@@ -105,7 +105,7 @@ def test_new_results_stand_beside_the_present_ones_until_they_are_applied(
     play_proposed(database, rejudgement, Cats=make_record, Ants=record_of)
     assert standings(database) == before
     with database.transaction() as session:
-        assert chain_state(session).receipts == 0
+        assert chain_state(session).receipts == 3, "those of the submissions"
         for submission in upgraded.values():
             assert newest_evaluation(session, submission).evaluator_version == "0+old"
     rows = compared(database, rejudgement)
@@ -120,7 +120,7 @@ def test_new_results_stand_beside_the_present_ones_until_they_are_applied(
     assert [row.team for row in told] == ["Cats", "Ants", "Bees"]
     assert standings(database) == [("Cats", 1, 1.0), ("Ants", 2, pytest.approx(2 / 3)), ("Bees", 3, 0.5)]
     with database.transaction() as session:
-        assert chain_state(session).receipts == 3
+        assert chain_state(session).receipts == 6
         receipt = receipts_of_submission(session, upgraded["Cats"].id)[-1]
         assert receipt.result.evaluation == newest_evaluation(session, upgraded["Cats"]).id
         entry = newest_entries(session, 1)[0]
