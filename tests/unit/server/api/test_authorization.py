@@ -112,6 +112,7 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", f"{SUBMISSION}/document"): READERS,
     ("get", f"{SUBMISSION}/log"): READERS,
     ("get", f"{SUBMISSION}/receipts"): READERS,
+    ("get", f"{SUBMISSION}/arrival"): READERS,
     ("get", f"{SUBMISSION}/events"): READERS,
     ("put", f"{SUBMISSION}/public"): CHANGERS,
     ("put", f"{SUBMISSION}/marks"): JUDGES,

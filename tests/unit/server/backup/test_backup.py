@@ -331,7 +331,7 @@ def add_unknown_key(members: Members) -> None:
         (drop_dump, "no file database.dump"),
         (alter_blob, "was altered"),
         (make_newer, "does not know"),
-        (make_another_format, "backup.json"),
+        (make_another_format, "This backup has format 2"),
         (add_unknown_key, "backup.json"),
     ],
 )
