@@ -11,6 +11,9 @@ from .sampling import samples_mm
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
+_NO_HEIGHT_MM = 1e-5
+"""Single precision, in which STL files have their coordinates, rounds those of a gel to some 1e-6 mm."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DrawnSurface:
@@ -28,13 +31,16 @@ class DrawnSurface:
     def of_corners(cls, corners_mm: FloatArray) -> "DrawnSurface":
         """Return the surface of triangles with corners of shape [f, 3, 3]; equal positions become one vertex.
 
-        Triangles two of whose corners are one vertex are left away, and vertices that no other triangle has.
+        Triangles two of whose corners are one vertex are left away, and vertices that no other triangle has. Where a
+        triangle without height closes a T-junction, as CAD kernels write it, its neighbour is divided instead, which
+        leaves the shape as it is.
         """
         vertices, index = np.unique(corners_mm.reshape(-1, 3), axis=0, return_inverse=True)
         triangles = index.reshape(-1, 3).astype(np.int64)
         a, b, c = triangles.T
         used, kept = np.unique(triangles[(a != b) & (b != c) & (c != a)], return_inverse=True)
-        return cls(vertices_mm=vertices[used], triangles=kept.reshape(-1, 3).astype(np.int64))
+        whole = kept.reshape(-1, 3).astype(np.int64)
+        return cls(vertices_mm=vertices[used], triangles=_divided_at_t_junctions(vertices[used], whole))
 
     @cached_property
     def corners_mm(self) -> FloatArray:
@@ -139,3 +145,33 @@ class DrawnSurface:
         _, inverse, count = self._edges
         upward = self._directed[:, 0] < self._directed[:, 1]
         return np.column_stack([np.bincount(inverse[way], minlength=count) for way in (upward, ~upward)])
+
+
+def _divided_at_t_junctions(vertices_mm: FloatArray, triangles: IndexArray) -> IndexArray:
+    """Return the triangles with the longest edge of each one without height flipped, until none is left that can be.
+
+    Of the triangle b, a, m with m on the edge from a to b, and its neighbour a, b, c, become a, m, c and m, b, c.
+    """
+    found = triangles.copy()
+    while True:
+        corners = vertices_mm[found]
+        lengths = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)  # of the edge from each corner on
+        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        flat = np.flatnonzero(areas <= _NO_HEIGHT_MM * lengths.max(axis=1))
+        if not len(flat):
+            return found
+        owner = {(int(t[i]), int(t[(i + 1) % 3])): n for n, t in enumerate(found) for i in range(3)}
+        without_height, changed = set(flat.tolist()), set[int]()
+        for n in flat.tolist():
+            i = int(lengths[n].argmax())
+            b, a, m = (int(found[n, (i + k) % 3]) for k in range(3))
+            neighbour = owner.get((a, b))
+            if neighbour is None or neighbour in without_height or neighbour in changed:
+                continue
+            c = next(int(corner) for corner in found[neighbour] if corner not in (a, b))
+            if c == m:
+                continue
+            found[n], found[neighbour] = (a, m, c), (m, b, c)
+            changed |= {n, neighbour}
+        if not changed:
+            return found

@@ -1,6 +1,10 @@
+from collections.abc import Callable
+from itertools import pairwise
+
 import drawn_gels
 import numpy as np
 import pytest
+from vitac.envs.sensor_design.crossings import NONE, first_crossing
 from vitac.envs.sensor_design.surface import DrawnSurface
 
 
@@ -65,3 +69,29 @@ def test_a_point_of_a_triangle_without_area_does_not_count_towards_the_extent() 
     surface = DrawnSurface.of_corners(np.concatenate([corners, stray]))
     assert surface.vertices_mm.max() == 1.0
     assert np.array_equal(surface.corners_mm, corners)
+
+
+def with_t_junctions(surface: DrawnSurface, parts: int) -> np.ndarray:
+    """The corners of a surface one of whose edges has further vertices on one side, closed as CAD kernels do it."""
+    a, b = surface.edges[0]
+    divided = next(n for n, t in enumerate(surface.triangles) if (a, b) in [(t[i], t[(i + 1) % 3]) for i in range(3)])
+    start, end = surface.vertices_mm[[a, b]]
+    third = surface.vertices_mm[next(v for v in surface.triangles[divided] if v not in (a, b))]
+    points = [start + (end - start) * part / parts for part in range(parts + 1)]
+    fan = [[p, q, third] for p, q in pairwise(points)]
+    closing = [[points[part + 1], points[part], end] for part in range(parts - 1)]
+    return np.concatenate([np.delete(surface.corners_mm, divided, axis=0), fan, closing]).astype(np.float32)
+
+
+@pytest.mark.parametrize("parts", [2, 3, 7])
+@pytest.mark.parametrize("gel", [drawn_gels.flat, drawn_gels.dome, drawn_gels.pyramids])
+def test_t_junctions_that_are_closed_by_triangles_without_height_are_divided(
+    gel: Callable[[], DrawnSurface], parts: int
+) -> None:
+    plain = gel()
+    surface = DrawnSurface.of_corners(with_t_junctions(plain, parts).astype(np.float64))
+    assert (surface.n_open_edges, surface.n_mixed_edges, surface.n_branching_edges) == (0, 0, 0)
+    assert surface.areas_mm2.min() > 1e-6
+    assert len(surface.triangles) == len(plain.triangles) + 2 * (parts - 1)
+    assert surface.volume_mm3 == pytest.approx(plain.volume_mm3, rel=1e-6)
+    assert first_crossing(surface.vertices_mm, surface.triangles, 10**6) == (NONE, NONE)
