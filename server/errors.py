@@ -54,6 +54,7 @@ class ProblemCode(StrEnum):
     STAGE_NOT_OVER = "stage_not_over"
     STORAGE_FULL = "storage_full"
     STORAGE_UNAVAILABLE = "storage_unavailable"
+    SUBMISSION_DISQUALIFIED = "submission_disqualified"
     TEAM_DISQUALIFIED = "team_disqualified"
     TEAM_EXISTS = "team_exists"
     TEAM_NOT_ACCEPTED = "team_not_accepted"
@@ -118,6 +119,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.STAGE_NOT_OVER: HTTPStatus.CONFLICT,
         ProblemCode.STORAGE_FULL: HTTPStatus.INSUFFICIENT_STORAGE,
         ProblemCode.STORAGE_UNAVAILABLE: HTTPStatus.SERVICE_UNAVAILABLE,
+        ProblemCode.SUBMISSION_DISQUALIFIED: HTTPStatus.FORBIDDEN,
         ProblemCode.TEAM_DISQUALIFIED: HTTPStatus.FORBIDDEN,
         ProblemCode.TEAM_EXISTS: HTTPStatus.CONFLICT,
         ProblemCode.TEAM_NOT_ACCEPTED: HTTPStatus.FORBIDDEN,

@@ -100,6 +100,43 @@ def cancel(
     print_done(f"cancelled {submission}", shown, as_json=as_json)
 
 
+@app.command()
+def disqualify(
+    submission: SubmissionId,
+    reason: Annotated[str, typer.Option(help="In one line, for the team to read.")],
+    yes: Yes = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Take one submission off all boards; its team takes part as before. `reinstate` takes it back."""
+    from vitac.server.principals import CONSOLE
+    from vitac.server.submissions import disqualification, listing
+
+    question = f"Take submission {submission} off all boards?"
+    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
+        disqualification.disqualify(session, CONSOLE, submission, reason)
+        shown = listing.get(session, load_settings(), CONSOLE, submission).model_dump(mode="json")
+    print_done(f"disqualified {submission}", shown, as_json=as_json)
+
+
+@app.command()
+def reinstate(
+    submission: SubmissionId,
+    yes: Yes = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Put a disqualified submission back on the boards."""
+    from vitac.server.principals import CONSOLE
+    from vitac.server.submissions import disqualification, listing
+
+    question = f"Put submission {submission} back on the boards?"
+    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
+        disqualification.reinstate(session, CONSOLE, submission)
+        shown = listing.get(session, load_settings(), CONSOLE, submission).model_dump(mode="json")
+    print_done(f"reinstated {submission}", shown, as_json=as_json)
+
+
 def _row(item: "SubmissionView") -> list[object]:
     evaluation = item.evaluation
     done = f"{evaluation.progress.episodes_done}/{evaluation.progress.episodes_total}"

@@ -97,6 +97,7 @@ def show(found: Json) -> None:
         "team": found["team"]["name"],
         "track": found["track"] if found["stage"] is None else f"{found['track']}, {found['stage']}",
         "state": evaluation["state"],
+        **({"disqualified": found["disqualified_for"]} if found.get("disqualified_for") else {}),
         "queue": evaluation["queue_position"],
         "episodes": f"{done['episodes_done']} of {done['episodes_total']}, {done['episodes_reused']} reused",
     }

@@ -535,9 +535,15 @@ def make_tables() -> None:
         sa.Column("submitted_at", sa.DateTime(timezone=True), server_default=sa.text("now()"), nullable=False),
         sa.Column("merged_from", sa.Uuid(), nullable=True),
         sa.Column("is_public", sa.Boolean(), server_default=sa.false(), nullable=False),
+        sa.Column("disqualified_at", sa.DateTime(timezone=True), nullable=True),
+        sa.Column("disqualified_for", sa.Text(), nullable=True),
         sa.CheckConstraint("archive_sha256 ~ '^[0-9a-f]{64}$'", name=op.f("ck_submissions_archive_sha256_is_sha256")),
         sa.CheckConstraint("digest ~ '^[0-9a-f]{64}$'", name=op.f("ck_submissions_digest_is_sha256")),
         sa.CheckConstraint("archive_bytes > 0", name=op.f("ck_submissions_archive_is_not_empty")),
+        sa.CheckConstraint(
+            "(disqualified_at IS NULL) = (disqualified_for IS NULL)",
+            name=op.f("ck_submissions_disqualified_for_a_reason"),
+        ),
         sa.ForeignKeyConstraint(["team_id"], ["teams.id"], name=op.f("fk_submissions_team_id"), ondelete="RESTRICT"),
         sa.CheckConstraint("kind IN ('model', 'log', 'text_log')", name=op.f("ck_submissions_kind")),
         sa.PrimaryKeyConstraint("id", name=op.f("pk_submissions")),
@@ -849,6 +855,7 @@ def make_tables() -> None:
         sa.Column("submitted_at", sa.DateTime(timezone=True), nullable=False),
         sa.Column("finished_at", sa.DateTime(timezone=True), nullable=False),
         sa.Column("is_copy", sa.Boolean(), server_default=sa.false(), nullable=False),
+        sa.Column("is_disqualified", sa.Boolean(), server_default=sa.false(), nullable=False),
         sa.CheckConstraint("mean_steps < 'Infinity'", name=op.f("ck_board_results_mean_steps_is_finite")),
         sa.CheckConstraint(
             "success_rate >= 0 AND success_rate <= 1", name=op.f("ck_board_results_success_rate_is_a_fraction")

@@ -23,8 +23,9 @@ from ..logs.export import export_log
 from ..principals import Principal
 from ..services import Services
 from ..sharing import public_pages
-from ..submissions import listing, output, runs, sensors, upload
+from ..submissions import disqualification, listing, output, runs, sensors, upload
 from ..submissions.watch import watch
+from ..teams.teams import REASON_LENGTH
 from ..views.logs import ActionMatchView
 from ..views.submissions import EpisodeView, OutputView, SensorView, SubmissionListView, SubmissionView
 from ..visibility import visible
@@ -45,6 +46,13 @@ class Publicity(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     public: bool = Field(description="Everybody; else its team, judges and organizers.")
+
+
+class Disqualification(BaseModel):
+    """Why a submission is on no board."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: str = Field(max_length=REASON_LENGTH, description="In one line, for the team.")
 
 
 @router.post(
@@ -209,6 +217,26 @@ def cancel_submission(services: ServicesOf, principal: PrincipalOf, submission_i
     """End a queued or running evaluation. Finished episodes stay stored: uploading again takes it up."""
     with services.database.transaction() as session:
         runs.cancel(session, principal, submission_id)
+    with services.database.transaction() as session:
+        return listing.get(session, services.settings, principal, submission_id)
+
+
+@router.put("/{submission_id}/disqualification")
+def put_disqualification(
+    services: ServicesOf, principal: PrincipalOf, submission_id: UUID, wanted: Disqualification
+) -> SubmissionView:
+    """Take a submission off all boards (organizers only); its team takes part as before."""
+    with services.database.transaction() as session:
+        disqualification.disqualify(session, principal, submission_id, wanted.reason)
+    with services.database.transaction() as session:
+        return listing.get(session, services.settings, principal, submission_id)
+
+
+@router.delete("/{submission_id}/disqualification")
+def delete_disqualification(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
+    """Put a disqualified submission back on the boards (organizers only)."""
+    with services.database.transaction() as session:
+        disqualification.reinstate(session, principal, submission_id)
     with services.database.transaction() as session:
         return listing.get(session, services.settings, principal, submission_id)
 

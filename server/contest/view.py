@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 
-from sqlalchemy import select
+from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from ..db.models import SealedList, Submission, Team
@@ -62,13 +62,17 @@ def competition_view(session: Session, at: datetime | None = None) -> Competitio
 
 
 def disqualified_since_the_end(session: Session) -> list[DisqualifiedTeamView]:
-    """Return the teams among the kept winners and boards that were disqualified later; none before the end."""
+    """Return the teams among the kept winners and boards that were disqualified later, or whose entry was.
+
+    There are none before the end.
+    """
     row = Contest.read(session).row
     if row.finalized_at is None:
         return []
     kept = {winner["submission"]: winner["team"] for winner in row.winners or ()}
     kept |= {entry["submission_id"]: entry["team"] for board in row.boards or () for entry in board["entries"]}
-    query = select(Submission.id, Team.disqualified_at).join(Submission.team).where(Team.disqualified_at.is_not(None))
+    since_when = func.coalesce(Team.disqualified_at, Submission.disqualified_at)
+    query = select(Submission.id, since_when).join(Submission.team).where(since_when.is_not(None))
     since = {kept[str(submission)]: at for submission, at in session.execute(query) if at and str(submission) in kept}
     return [DisqualifiedTeamView(team=team, disqualified_at=at) for team, at in sorted(since.items())]
 

@@ -57,6 +57,6 @@ def require_current(session: Session, stage: Stage) -> None:
 
 
 def _teams(stage: Stage) -> Select[str]:
-    """Return the names of the teams with a submission to a stage; disqualified ones hold nobody up."""
-    taking_part = Team.disqualified_at.is_(None)
-    return select(Team.name).join(Submission).where(stage.submissions, taking_part).distinct().order_by(Team.name)
+    """Return the names of the teams with a submission to a stage; what is disqualified holds nobody up."""
+    taking_part = Team.disqualified_at.is_(None), Submission.disqualified_at.is_(None)
+    return select(Team.name).join(Submission).where(stage.submissions, *taking_part).distinct().order_by(Team.name)

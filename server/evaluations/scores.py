@@ -111,6 +111,7 @@ def _board_result(
         mean_steps=score.mean_steps,
         submitted_at=submission.submitted_at,
         finished_at=finished_at,
+        is_disqualified=submission.disqualified_at is not None,
     )
 
 

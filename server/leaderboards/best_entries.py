@@ -189,6 +189,7 @@ def _on(result: type[BoardResult], board: ColumnElement[str]) -> tuple[ColumnEle
         result.kind == bindparam("kind"),
         result.board == board,
         result.finished_at <= bindparam("until"),
+        ~result.is_disqualified,
     )
 
 

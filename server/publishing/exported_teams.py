@@ -13,25 +13,31 @@ from ..receipts.export import ExportedTeam
 def teams_of(session: Session, evaluations: Collection[UUID]) -> tuple[ExportedTeam, ...]:
     """Return the teams of some evaluations, by name."""
     rows = session.execute(
-        select(Team, Evaluation.id)
+        select(Team, Evaluation.id, Submission.disqualified_at)
         .join(Submission, Submission.team_id == Team.id)
         .join(Evaluation, Evaluation.submission_id == Submission.id)
         .where(Evaluation.id.in_(evaluations))
         .order_by(Team.name, Evaluation.id)
     )
     found: dict[Team, list[UUID]] = {}
-    for team, evaluation in rows:
+    disqualified: set[UUID] = set()
+    for team, evaluation, disqualified_at in rows:
         found.setdefault(team, []).append(evaluation)
-    return tuple(_exported(session, team, ids) for team, ids in found.items())
+        if disqualified_at is not None:
+            disqualified.add(evaluation)
+    return tuple(_exported(session, team, ids, disqualified.intersection(ids)) for team, ids in found.items())
 
 
-def _exported(session: Session, team: Team, evaluations: Collection[UUID]) -> ExportedTeam:
+def _exported(
+    session: Session, team: Team, evaluations: Collection[UUID], disqualified: Collection[UUID]
+) -> ExportedTeam:
     is_removed = team.erased_at is not None
     return ExportedTeam(
         name=team.name,
         evaluations=tuple(evaluations),
         former_names=() if is_removed else tuple(sorted(set(_former_names(session, str(team.id))) - {team.name})),
         off_boards=f"disqualified, {team.disqualified_for}" if team.disqualified_at is not None else None,
+        disqualified=tuple(sorted(disqualified)),
         is_removed=is_removed,
     )
 

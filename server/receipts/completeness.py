@@ -186,6 +186,9 @@ def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]
         if team.off_boards:
             yield False, f"{told}; the service leaves the team out: {team.off_boards}."
             continue
+        if receipt.result.evaluation in team.disqualified:
+            yield False, f"{told}; the service leaves the result out: its submission was disqualified."
+            continue
         if receipt.result.evaluation in copies:
             if _copies_another_teams(described, receipts, receipt.result):
                 continue

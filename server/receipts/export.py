@@ -60,6 +60,8 @@ class ExportedTeam(StrictModel):
     """That it, or a team that was merged into it, had before, as the service says."""
     off_boards: str | None = None
     """Why it is on no board; null: it is."""
+    disqualified: tuple[UUID, ...] = ()
+    """Those of its evaluations that are on no board because their submission was disqualified."""
     is_removed: bool = False
     """Whether its data were deleted, with all names that it had."""
 

@@ -36,7 +36,8 @@ def readable(session: Session, by: Principal, submission_id: UUID) -> Submission
 def public_among(session: Session, submissions: Collection[UUID]) -> frozenset[UUID]:
     """Return those of some submissions that everybody may see.
 
-    Left out are those of disqualified teams, and, while boards are frozen, results that these do not show.
+    Left out are disqualified ones, those of disqualified teams, and, while boards are frozen, results that these do not
+    show.
     """
     query = (
         select(Submission.id)
@@ -45,10 +46,11 @@ def public_among(session: Session, submissions: Collection[UUID]) -> frozenset[U
             among(Submission.id, submissions),
             Submission.is_public,
             Team.disqualified_at.is_(None),
+            Submission.disqualified_at.is_(None),
             newest_state() == EvaluationState.COMPLETED,
         )
     )
-    frozen_at = Contest.read(session).row.frozen_at
+    frozen_at = Contest.read(session).frozen_at
     if frozen_at is not None:
         query = query.where(or_(Submission.stage == PRACTICE, of_newest(Evaluation.finished_at) <= frozen_at))
     return frozenset(session.scalars(query))

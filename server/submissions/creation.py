@@ -21,6 +21,7 @@ from ..settings import Quotas
 from ..teams import teams
 from ..uploads.checked_upload import CheckedUpload
 from ..uploads.file_names import check_file_name
+from .disqualification import require_qualified
 from .files import add_files
 from .runs import next_run, require_machines_hold
 
@@ -66,6 +67,7 @@ def create(
     stage.require_accepts(team_row, upload.kind)
     check_file_name(upload.file_name, team=team_row.name, stage=stage)
     submission, is_new = _find_or_add(session, team_row, upload, stage)
+    require_qualified(submission)
     run = next_run(session, submission, again=again)
     if run is None:
         return submission, False

@@ -128,6 +128,7 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
         archive_bytes=submission.archive_bytes,
         submitted_at=submission.submitted_at,
         public=submission.is_public,
+        disqualified_for=submission.disqualified_for,
         evaluation=evaluation_view(newest, shown.fleet.alive, shown.evaluations),
         evaluations=[summary_view(evaluation) for evaluation in shown_runs],
         workers=shown.workers(newest.evaluator_version, submission.track, tuple(submission.tasks)),

@@ -64,7 +64,7 @@ class WinnerView(View):
 
 
 class DisqualifiedTeamView(View):
-    """A team that was disqualified after the end, by the name that it has in winners and kept boards."""
+    """A team that was disqualified after the end, or whose entry was, by its name in winners and kept boards."""
 
     team: str
     disqualified_at: datetime

@@ -38,6 +38,7 @@ class SubmissionView(View):
     archive_bytes: int
     submitted_at: datetime
     public: bool = Field(description="Everybody may see its result, once its evaluation is complete.")
+    disqualified_for: str | None = Field(default=None, description="Why it is on no board; null: it may be.")
     evaluation: EvaluationView
     evaluations: list[EvaluationSummaryView] = Field(
         description="All runs, newest first; of another team's, the newest."

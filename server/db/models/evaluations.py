@@ -117,8 +117,9 @@ class Evaluation(Base):
 class BoardResult(Base):
     """What a completed evaluation is ranked by on one board: that of a task, or under `ALL_TASKS` that of the track.
 
-    `is_copy` is a log that is not ranked because another team reached its states before (`LogCopy`). The rest repeats
-    what the rows of its evaluation, submission and team say, so that one index finds the best of each team.
+    `is_copy` is a log that is not ranked because another team reached its states before (`LogCopy`); one that
+    `is_disqualified`, with its submission, is on no board. The rest repeats what the rows of its evaluation, submission
+    and team say, so that one index finds the best of each team.
     """
 
     __tablename__ = "board_results"
@@ -141,6 +142,7 @@ class BoardResult(Base):
     submitted_at: Mapped[datetime]
     finished_at: Mapped[datetime]
     is_copy: Mapped[bool] = mapped_column(default=False, server_default=false())
+    is_disqualified: Mapped[bool] = mapped_column(default=False, server_default=false())
     evaluation: Mapped[Evaluation] = relationship(back_populates="board_results")
 
 

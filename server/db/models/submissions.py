@@ -17,7 +17,8 @@ class Submission(Base):
     """One upload. The same content from the same team for the same stage of a track is the same submission.
 
     `stage` is empty outside a competition. `merged_from` is the team that had made it, where its present team had
-    the same content already when the two were merged. `is_public` says whether everybody may see its result.
+    the same content already when the two were merged. `is_public` says whether everybody may see its result. Results of
+    a disqualified one are on no board; `disqualified_for` says why.
     """
 
     __tablename__ = "submissions"
@@ -35,6 +36,7 @@ class Submission(Base):
         sha256_check("digest"),
         sha256_check("archive_sha256"),
         CheckConstraint("archive_bytes > 0", name="archive_is_not_empty"),
+        CheckConstraint("(disqualified_at IS NULL) = (disqualified_for IS NULL)", name="disqualified_for_a_reason"),
         Index("ix_submissions_submitted_at_id", text("submitted_at DESC"), text("id DESC")),
         Index("ix_submissions_of_team", "team_id", text("submitted_at DESC"), text("id DESC")),
     )
@@ -52,6 +54,8 @@ class Submission(Base):
     submitted_at: Mapped[datetime] = mapped_column(server_default=func.now())
     merged_from: Mapped[UUID | None]
     is_public: Mapped[bool] = mapped_column(default=False, server_default=false())
+    disqualified_at: Mapped[datetime | None]
+    disqualified_for: Mapped[str | None]
     team: Mapped[Team] = relationship()
 
 

@@ -107,6 +107,8 @@ CHANGES = {
     "quota set": (["Team A", "tokens", "7"], "team.quota"),
     "submission cancel": (["SUBMISSION", "--yes"], "submission.cancel"),
     "submission requeue": (["CANCELLED", "--yes"], "submission.requeue"),
+    "submission disqualify": (["SUBMISSION", "--reason", "trained on the list", "--yes"], "submission.disqualify"),
+    "submission reinstate": (["DISQUALIFIED", "--yes"], "submission.reinstate"),
     "evaluation cancel": (["EVALUATION", "--yes"], "submission.cancel"),
     "evaluation requeue": (["CANCELLED_EVALUATION", "--yes"], "submission.requeue"),
 }
@@ -183,6 +185,8 @@ def there_is(service: CliService, name: str, tmp_path: Path) -> str:
         with service.database.transaction() as session:
             return str(list_tokens(session, CONSOLE)[0].id)
     submission = json.loads(service.run("submit", str(submission_folder(tmp_path / "mine")), "--json").stdout)["id"]
+    if name == "DISQUALIFIED":
+        service.run("admin", "submission", "disqualify", submission, "--reason", "copied", "--yes")
     if name.startswith("CANCELLED"):
         service.run("admin", "submission", "cancel", submission, "--yes")
     if name.endswith("EVALUATION"):

@@ -138,6 +138,19 @@ def test_foreign_and_unknown_submissions_look_the_same(service: Service) -> None
     assert service.get(f"/submissions/{identity}", service.organizer_token).status_code == 200
 
 
+def test_an_organizer_disqualifies_a_submission_and_its_team_reads_why(service: Service) -> None:
+    path = f"/submissions/{service.upload(ARCHIVE).json()['id']}"
+    address, body = f"/api/v1{path}/disqualification", {"reason": "trained on the list"}
+    problem_of(service.client.put(address, json=body, headers=bearer(service.token)), 403, "forbidden")
+    organizer = bearer(service.organizer_token)
+    done = service.client.put(address, json=body, headers=organizer)
+    assert (done.status_code, done.json()["disqualified_for"]) == (200, "trained on the list")
+    assert service.get(path).json()["disqualified_for"] == "trained on the list"
+    problem_of(service.upload(ARCHIVE), 403, "submission_disqualified")
+    again = service.client.delete(address, headers=organizer)
+    assert (again.status_code, again.json()["disqualified_for"]) == (200, None)
+
+
 def test_lists_are_separate_for_teams_and_whole_for_organizers(service: Service) -> None:
     mine = service.upload(ARCHIVE).json()["id"]
     theirs = service.upload(ARCHIVE, service.other_token).json()["id"]

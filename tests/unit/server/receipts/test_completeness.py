@@ -149,6 +149,16 @@ def test_a_result_that_is_better_than_its_teams_entry_is_found(changes: dict[str
     assert found == ([expected] if is_found else [])
 
 
+def test_a_result_of_a_disqualified_submission_is_told_and_is_no_finding() -> None:
+    results = [a_named_result(1, successes=200), a_named_result(2)]
+    receipts = chained(*results)
+    teams = (ExportedTeam(name="Ants", evaluations=(UUID(int=1), UUID(int=2)), disqualified=(UUID(int=1),)),)
+    described = exported(receipts, an_entry(results[1])).model_copy(update={"teams": teams})
+    assert list(check_entries(described, by_evaluation(receipts))) == [
+        (False, "Ants: receipt 1; the service leaves the result out: its submission was disqualified.")
+    ]
+
+
 def test_what_the_service_says_a_rejudgement_took_away_is_told_and_is_no_finding() -> None:
     results = [a_named_result(1, successes=200), a_named_result(2), a_named_result(3, team="Bees")]
     receipts, teams = chained(*results), {"Ants": [1, 2], "Bees": [3]}

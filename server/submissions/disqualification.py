@@ -1,0 +1,72 @@
+"""Takes one submission off all boards, or puts it back; its team takes part as before. Called by API and command."""
+
+from datetime import UTC, datetime
+from uuid import UUID
+
+from sqlalchemy import select, update
+from sqlalchemy.orm import Session
+
+from .. import names
+from ..audit import record
+from ..db.models import BoardResult, Submission
+from ..errors import ProblemCode, ServiceError
+from ..principals import Principal
+from ..teams.teams import REASON_LENGTH
+from ..visibility import visible
+
+
+def disqualify(session: Session, by: Principal, submission_id: UUID, reason: str) -> None:
+    """Take the results of a submission off all boards, also those that it gets later; its team reads the reason.
+
+    Raises:
+        ServiceError: not an organizer, there is no such submission, the reason cannot be shown, or it is disqualified
+            already.
+    """
+    submission = _lock(session, by, submission_id)
+    shown = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH)
+    require_qualified(submission)
+    submission.disqualified_at, submission.disqualified_for = datetime.now(UTC), shown
+    _mark_results(session, submission)
+    subject = f"submission:{submission.id}"
+    record(session, by, "submission.disqualify", subject, {"reason": shown}, before={"reason": None})
+
+
+def reinstate(session: Session, by: Principal, submission_id: UUID) -> None:
+    """Put the results of a disqualified submission back on the boards; doing it again changes nothing.
+
+    Raises:
+        ServiceError: not an organizer, or there is no such submission.
+    """
+    submission = _lock(session, by, submission_id)
+    if submission.disqualified_at is not None:
+        before = {"reason": submission.disqualified_for}
+        submission.disqualified_at = submission.disqualified_for = None
+        _mark_results(session, submission)
+        record(session, by, "submission.reinstate", f"submission:{submission.id}", {"reason": None}, before=before)
+
+
+def require_qualified(submission: Submission) -> None:
+    """Refuse what is disqualified.
+
+    Raises:
+        ServiceError: submission_disqualified.
+    """
+    if submission.disqualified_at is not None:
+        raise ServiceError(
+            ProblemCode.SUBMISSION_DISQUALIFIED,
+            f"Submission {submission.id} is disqualified: {submission.disqualified_for}. Ask the organizers.",
+        )
+
+
+def _lock(session: Session, by: Principal, submission_id: UUID) -> Submission:
+    by.require_organizer()
+    submission = visible(session, by, submission_id)
+    session.execute(select(Submission.id).where(Submission.id == submission.id).with_for_update(key_share=True))
+    session.refresh(submission, ["disqualified_at", "disqualified_for"])
+    return submission
+
+
+def _mark_results(session: Session, submission: Submission) -> None:
+    of_submission = BoardResult.submission_id == submission.id
+    is_disqualified = submission.disqualified_at is not None
+    session.execute(update(BoardResult).where(of_submission).values(is_disqualified=is_disqualified))
