@@ -7,7 +7,7 @@ import numpy as np
 
 from ...errors import VitacError
 from ..model.bodies import GelBody, RigidBody
-from ..model.settings import AnyContactSettings, SolverSettings
+from ..model.settings import AnyContactSettings, CutOffSolverSettings, SolverSettings
 
 # Largest error of a rotation's entries that rounding explains.
 _ROTATION_ERROR = 1e-9
@@ -57,6 +57,8 @@ def check_settings(time_step_s: float, contact: AnyContactSettings, solver: Solv
         phase_iterations=solver.phase_iterations,
         candidate_margin_m=solver.candidate_margin_m,
     )
+    if isinstance(solver, CutOffSolverSettings):
+        _check_positive("the solver", iterations_per_step=solver.iterations_per_step)
     if not 0 <= solver.first_division_level <= solver.division_levels:
         level, levels = solver.first_division_level, solver.division_levels
         raise SceneError(f"first_division_level is {level}, expected 0 to division_levels = {levels}.")

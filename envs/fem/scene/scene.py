@@ -12,7 +12,7 @@ from ..contact.memory import ContactMemory, empty_memory, sorted_memory
 from ..contact.overlap import find_overlap
 from ..model.bodies import GelBody, RigidBody
 from ..model.points import point_positions
-from ..model.settings import AnyContactSettings, ContactSettings, SolverSettings
+from ..model.settings import AnyContactSettings, ContactSettings, CutOffSolverSettings, SolverSettings
 from ..solver.iterate import IpcStep, remember_step
 from ..solver.newton import SOLVED, UNSOLVED, UNSTABLE, Counter, Measure, Record, Tolerances, solve_step
 from ..solver.workspace import new_workspace
@@ -34,6 +34,7 @@ class StepStatus(StrEnum):
     DIVIDED = "divided"  # solved after the driven motion was divided
     ESCAPED_SADDLE = "escaped_saddle"  # solved after an unstable equilibrium was left along negative curvature
     RELAXED = "relaxed"  # solved after the forces were relaxed along their flow
+    CUT_OFF = "cut_off"  # ended after the iterations of `CutOffSolverSettings`, not solved
     NOT_CONVERGED = "not_converged"  # not solved; the state is free of intersections but is not a minimum
 
 
@@ -222,6 +223,9 @@ class Scene:
     def _solve(self, attempt: _Attempt) -> tuple[StepStatus, int]:
         """Solve at once, in more and more parts, by escaping a saddle or by relaxing; how, and in how many parts."""
         s = self._solver
+        if isinstance(s, CutOffSolverSettings):
+            is_solved = self._solve_to(attempt, attempt.target, iterations=s.iterations_per_step) == SOLVED
+            return (StepStatus.CONVERGED if is_solved else StepStatus.CUT_OFF), 1
         unstable: tuple[FloatArray, int] | None = None
         for parts in (2**level for level in range(s.first_division_level, s.division_levels + 1)):
             outcome = self._solve_in_parts(attempt, parts)
@@ -259,11 +263,18 @@ class Scene:
         return False
 
     def _solve_to(
-        self, attempt: _Attempt, waypoint: FloatArray, *, escapes_saddle: bool = False, relaxes: bool = False
+        self,
+        attempt: _Attempt,
+        waypoint: FloatArray,
+        *,
+        iterations: int | None = None,
+        escapes_saddle: bool = False,
+        relaxes: bool = False,
     ) -> int:
         s = self._solver
         step = IpcStep(attempt.start, attempt.memory, attempt.x_hat, waypoint, escapes_saddle, relaxes)
-        tolerances = Tolerances(s.step_tolerance_m, s.residual_tolerance_n, s.newton_iterations, s.phase_iterations)
+        most = s.newton_iterations if iterations is None else iterations
+        tolerances = Tolerances(s.step_tolerance_m, s.residual_tolerance_n, most, s.phase_iterations)
         return solve_step(self._model, self._x, step, tolerances, self._workspace, attempt.record)
 
     def _net_load(self, gradient: FloatArray) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from engine_probe import Probe
 from numpy.typing import NDArray
 from small_scenes import IDENTITY, Grip, driven_positions_m
 from vitac.envs.fem.model.bodies import GelBody, RigidBody
-from vitac.envs.fem.model.settings import SolverSettings
+from vitac.envs.fem.model.settings import CutOffSolverSettings, SolverSettings
 from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
 
 FloatArray = NDArray[np.float64]
@@ -79,6 +79,18 @@ def test_a_step_can_be_divided_from_the_start(plain: tuple[StepReport, FloatArra
     assert report.status is StepStatus.DIVIDED
     assert report.parts == 4
     np.testing.assert_allclose(x, plain[1], rtol=0, atol=SAME_M)
+
+
+def test_a_cut_off_step_ends_after_its_iterations_near_the_solution(plain: tuple[StepReport, FloatArray]) -> None:
+    report, x = pushed(CutOffSolverSettings(iterations_per_step=5))
+    assert (report.status, report.parts) == (StepStatus.CUT_OFF, 1)
+    assert report.newton_iterations - report.reusing_iterations == 5
+    assert report.residual_n > STANDARD.residual_tolerance_n
+    assert report.smallest_gap_m > 0
+    assert np.abs(x - plain[1]).max() > SAME_M
+    solved, same = pushed(CutOffSolverSettings(iterations_per_step=200))
+    assert solved.status is StepStatus.CONVERGED
+    np.testing.assert_allclose(same, plain[1], rtol=0, atol=SAME_M)
 
 
 def test_what_is_not_solved_is_called_so_and_stays_apart() -> None:
