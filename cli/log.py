@@ -57,8 +57,17 @@ def verify(
 ) -> None:
     """Re-simulate a log's actions; exit code 0 if it is verified, 1 if it diverges or is impossible.
 
-    A log of a part of the list is verified as far as it goes, and the output says what is missing.
+    A log of a part of the list is verified as far as it goes, and the output says what is missing. A 2025 text log
+    cannot be verified: its numbers are checked, and claimed and re-simulated rate printed; exit code 0 if it is whole
+    and its numbers agree with each other.
     """
+    from vitac.evaluator.logs.text_log_check import is_text_log_file
+
+    if is_text_log_file(log):
+        if episodes is not None:
+            raise typer.BadParameter("--episodes is for logs of `vitac evaluate`; a 2025 text log is checked whole.")
+        _check_text_log(log, json=json)
+        return
     from vitac.evaluator.episodes.episode import make_environment
     from vitac.evaluator.logs.verification import verify as verify_log
     from vitac.evaluator.tracks import find_task
@@ -97,6 +106,32 @@ def verify(
                 "a service takes whole logs only"
             )
     if not verification.records:
+        raise typer.Exit(1)
+
+
+def _check_text_log(log: Path, *, json: bool) -> None:
+    """Print what a 2025 text log can be checked for, and where its actions lead here."""
+    from vitac.evaluator.logs.text_2025 import WHY_RATES_DIFFER
+    from vitac.evaluator.logs.text_log_check import CANNOT_BE_VERIFIED, TextLogCheck
+
+    from .terminal.compiling import compiling_shown
+
+    with compiling_shown():
+        check = TextLogCheck.of(log, lambda number: _progress(f"re-simulated {number}"))
+    _progress("")
+    summary, count = check.summary, len(check.tests)
+    if json:
+        found = {"successes": check.successes, "same_ends": check.same_ends, "is_consistent": check.is_consistent}
+        print_json(check.model_dump(mode="json") | found)
+    else:
+        print(CANNOT_BE_VERIFIED)
+        print(f"{check.task} of {check.track}, team {summary.team}: {count} tests, {check.missing_tests} missing")
+        print(f"claimed:      {summary.successes} of {summary.episodes} successes, {summary.success_rate:.1%}")
+        print(f"re-simulated: {check.successes} of {count} successes, {check.successes / max(1, count):.1%}")
+        print(f"{check.same_ends} of {count} tests end here as in the log, at the same env step. {WHY_RATES_DIFFER}")
+        for problem in summary.problems:
+            print(f"problem: {problem}")
+    if not check.is_consistent:
         raise typer.Exit(1)
 
 

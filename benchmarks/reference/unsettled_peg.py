@@ -1,12 +1,12 @@
-"""How much of the logged peg episodes follows from IPC steps that are cut off: ours, solved and cut off, beside the log.
+"""How much of the logged peg episodes follows from IPC steps that are cut off: solved ones and cut-off ones beside it.
 
 Usage: python benchmarks/reference/unsettled_peg.py REFERENCE_DIR [--episodes N] [--iterations N ...]
        [--oracle-episodes N] [--json FILE]
 
 Plays the logged actions with every IPC step solved, and with every one cut off after N Newton iterations, as the 2025
-simulator's after 5 (`CutOffSolverSettings`): 20 seconds of CPU for each way. Some episodes are played by the slow oracle
-of the tests, too, whose Newton iterations are as rough as that simulator's: 50 iterations of conjugate gradients each,
-half a minute for an episode. REFERENCE_DIR holds assets/track1 and logs/track1_peg_insertion.repeat0.jsonl (90
+simulator's after 5 (`CutOffSolverSettings`): 20 seconds of CPU for each way. Some episodes are played by the slow
+oracle of the tests, too, whose Newton iterations are as rough as that simulator's: 50 iterations of conjugate gradients
+each, 15 seconds for an episode. REFERENCE_DIR holds assets/track1 and logs/track1_peg_insertion.repeat0.jsonl (90
 episodes). `docs/physics.md` says what the figures were and mean.
 """
 

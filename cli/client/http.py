@@ -103,7 +103,7 @@ class Client:
         self,
         archive: Path,
         *,
-        track: str,
+        track: str | None,
         kind: SubmissionKind = SubmissionKind.MODEL,
         team: str | None = None,
         again: bool = False,
@@ -114,7 +114,7 @@ class Client:
 
         Args:
             archive: the file.
-            track: name of the track.
+            track: name of the track; None: the one that the file is of.
             kind: what the file is.
             team: for an organizer's token: the team that submits.
             again: run all episodes, also those that were evaluated before.
@@ -124,7 +124,8 @@ class Client:
         with archive.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
         metadata = (
-            {"kind": kind.value, "track": track, "sha256": digest}
+            {"kind": kind.value, "sha256": digest}
+            | ({"track": track} if track else {})
             | ({"team": team} if team else {})
             | ({"again": "true"} if again else {})
             | ({"filename": file_name} if file_name else {})

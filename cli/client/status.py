@@ -121,6 +121,8 @@ def _log(log: Json) -> dict[str, object]:
     lines: dict[str, object] = {"kind": log["label"], "claimed": claimed}
     if log["verdict"] is not None and log["verdict"].startswith("verified"):
         lines["log"] = f"{log['verdict']}: {log['reason']}"
+    elif log["verdict"] is None and log["reason"]:
+        lines["note"] = log["reason"]
     if log["divergence"] is not None:
         lines["state in the log"] = log["divergence"]["recorded_state"]
         lines["re-simulated state"] = log["divergence"]["resimulated_state"]

@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 
     from .http import Client, Json
 
-TRACK_OF_TEXT_LOGS = "track_1"
-"""2025 text logs do not name our tracks; for another track use `--track`."""
-
 
 def command(
     submission: Annotated[
@@ -75,8 +72,11 @@ def command(
         show_when_ended(client, answer["id"], as_json=as_json)
 
 
-def _track_of(submission: Path, kind: SubmissionKind) -> str:
-    """Return the track that a submission names: a model in its manifest, a log of ours in its header."""
+def _track_of(submission: Path, kind: SubmissionKind) -> str | None:
+    """Return the track that a model's manifest or the header of one of our logs names; None of a 2025 text log.
+
+    The service knows which of its tracks a text log is of.
+    """
     from vitac.evaluator.logs.log import LogReader
     from vitac.evaluator.logs.packing import open_log
     from vitac.evaluator.submission.sources import manifest_of
@@ -84,7 +84,7 @@ def _track_of(submission: Path, kind: SubmissionKind) -> str:
     if kind is SubmissionKind.MODEL:
         return manifest_of(submission).track
     if kind is SubmissionKind.TEXT_LOG:
-        return TRACK_OF_TEXT_LOGS
+        return None
     with open_log(submission) as stream:
         return LogReader(stream).header.manifest.track
 

@@ -75,7 +75,8 @@ def replay(
     from vitac.envs.drawing.playback import record as play
     from vitac.envs.tasks.task_env import TactileTaskEnv
 
-    env = make_environment(task, sensor=sensor)
+    # Where teams bring sensors, only text logs have none.
+    env = make_environment(task.of_text_logs() if sensor is None else task, sensor=sensor)
     if not isinstance(env, TactileTaskEnv):
         raise NotPlayable(
             f"Episodes of {task.env_id} are not shown in 3D: a playback shows two gels and what they hold."

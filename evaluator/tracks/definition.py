@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from functools import cached_property
 from itertools import product
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from pydantic import Field, PositiveInt, model_validator
 from vitac.envs.errors import VitacError
@@ -19,6 +19,9 @@ from ..package_sets import PackageSet
 from ..strict_model import StrictModel, Word
 from ..submission_kinds import SubmissionKind
 from .families import environment_definition
+
+TEXT_LOG_PROFILE: Final = "challenge-2025-log"
+"""Name of the profile with the settings under which a task's 2025 text logs were made."""
 
 
 class UnknownTask(VitacError):
@@ -200,6 +203,11 @@ class Task(StrictModel):
             )
             for number, start in enumerate(listed.starts, start=1)
         )
+
+    def of_text_logs(self) -> Self:
+        """Return the task with the settings under which its 2025 text logs were made, where they are others."""
+        profile = self.profiles.get(TEXT_LOG_PROFILE)
+        return self if profile is None else self.model_copy(update={"settings": self.settings | profile.settings})
 
     def digest(self) -> str:
         """Return the SHA-256 [hex] of the whole definition.

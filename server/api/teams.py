@@ -33,7 +33,7 @@ class NewTeam(BaseModel):
     """A team that wants to take part."""
 
     model_config = ConfigDict(extra="forbid")
-    name: str = Field(min_length=2, max_length=teams.NAME_LENGTH, description="Shown on the leaderboard.")
+    name: str = Field(min_length=1, max_length=teams.NAME_LENGTH, description="Shown on the leaderboard.")
     contact: str | None = Field(
         default=None, max_length=teams.CONTACT_LENGTH, pattern=ONE_LINE, description="For the organizers."
     )

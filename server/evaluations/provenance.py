@@ -16,9 +16,10 @@ from ..queue.leases import Lease, store_packages_digest
 
 
 def known_manifest(session: Session, lease: Lease) -> Manifest | None:
-    """Return what this evaluator version plays the task with, from any shard that has said so.
+    """Return what this evaluator version plays the task with, from any shard of the same kind that has said so.
 
-    With a sensor of a team's own, from a shard of the same evaluation: another sensor has another mesh.
+    A text log may be re-simulated with other settings than models are scored with. With a sensor of a team's own, from
+    a shard of the same evaluation: another sensor has another mesh.
     """
     is_the_same = Evaluation.id == lease.evaluation_id if lease.sensor_sha256 else Submission.track == lease.track
     found = session.scalar(
@@ -27,6 +28,7 @@ def known_manifest(session: Session, lease: Lease) -> Manifest | None:
         .join(Submission)
         .where(
             is_the_same,
+            Submission.kind == lease.kind,
             Evaluation.evaluator_version == lease.evaluator_version,
             Evaluation.commitment.is_not_distinct_from(lease.commitment),
             Shard.task == lease.task,

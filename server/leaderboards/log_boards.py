@@ -12,6 +12,7 @@ from uuid import UUID
 from sqlalchemy import Select, bindparam, select
 from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session
+from vitac.evaluator.logs.text_2025 import WHY_RATES_DIFFER
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Track
 
@@ -136,6 +137,7 @@ def _view(session: Session, track: Track, shown: _Shown, last: LogBoardsView | N
             for name, task in track.tasks.items()
         ],
         text_logs=_text_logs(session, shown, last.text_logs if last else ()),
+        why_rates_differ=WHY_RATES_DIFFER,
     )
 
 

@@ -7,6 +7,8 @@ from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding, VerificationResult, why_tolerated
+from vitac.evaluator.logs.text_2025 import WHY_RATES_DIFFER
+from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..db.models import Evaluation, Shard, Submission
 from ..db.states import EvaluationState
@@ -81,6 +83,8 @@ def verification_of(claim: LogClaim, evaluation: Evaluation) -> VerificationResu
 
 
 def _reason(verdict: VerificationResult | None, claim: LogClaim, submission: Submission) -> str | None:
+    if submission.kind is SubmissionKind.TEXT_LOG:
+        return WHY_RATES_DIFFER
     if verdict is VerificationResult.VERIFIED:
         return "all states are equal"
     if verdict is VerificationResult.WITHIN_TOLERANCE and claim.manifest:

@@ -39,7 +39,7 @@ def register(
     Raises:
         ServiceError: the name is taken (or looks like one that is) or cannot be shown.
     """
-    shown = names.clean(name, what="A team's name", min_length=2, max_length=NAME_LENGTH)
+    shown = names.clean(name, what="A team's name", min_length=1, max_length=NAME_LENGTH)
     _refuse_look_alike(session, shown)
     added: Team | None = session.scalar(
         insert(Team)
@@ -68,7 +68,7 @@ def rename(session: Session, by: Principal, team: Team, name: str) -> None:
         ServiceError: not an organizer, or the name is taken, looks like one that is, or cannot be shown.
     """
     by.require_organizer()
-    shown = names.clean(name, what="A team's name", min_length=2, max_length=NAME_LENGTH)
+    shown = names.clean(name, what="A team's name", min_length=1, max_length=NAME_LENGTH)
     lock(session, team)
     _refuse_look_alike(session, shown, but=team)
     if session.scalar(select(Team.id).where(Team.name_key == name_key(shown), Team.id != team.id)) is not None:

@@ -133,6 +133,7 @@ class LogBoardsView(View):
     generated_at: datetime = Field(description="When this revision was put together.")
     boards: list[LogBoardView]
     text_logs: list[TextLogEntryView]
+    why_rates_differ: str = Field(description="Why the claimed and the re-simulated rates of text logs differ.")
 
 
 class PastResultView(View):

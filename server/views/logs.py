@@ -34,7 +34,7 @@ class LogView(View):
 
     label: str = Field(description="What a score of it is worth, in a few words.")
     verdict: VerificationResult | None = Field(description="Null before the end, and always for a 2025 text log.")
-    reason: str | None = Field(description="The verdict in a sentence.")
+    reason: str | None = Field(description="The verdict in a sentence; of a 2025 text log, why the rates differ.")
     divergence: DivergenceView | None
     claimed_episodes: int
     claimed_successes: int

@@ -5,9 +5,10 @@ from .conversion import to_json_lines
 from .messages import TextLogRejected, is_text_log
 from .reader import TextEpisode, TextLog, TextStep, read_text_log
 from .scripts import Script, script_of
-from .summary import TextLogSummary, summarize
+from .summary import WHY_RATES_DIFFER, TextLogSummary, summarize
 
 __all__ = [
+    "WHY_RATES_DIFFER",
     "Script",
     "TextEpisode",
     "TextLog",

@@ -1,10 +1,17 @@
 """Summarises a 2025 text log in a few numbers and its problems: the JSON of `vitac log import`."""
 
+from typing import Final
+
 from ...strict_model import StrictModel
 from .checks import check, hole_top
 from .messages import TextLogRejected
 from .reader import TextLog
 from .scripts import Script, script_of
+
+WHY_RATES_DIFFER: Final = (
+    "Claimed and re-simulated rate differ systematically: in the 2025 simulator the same actions lead to other states, "
+    "from the first env step on. That it stops after 5 Newton iterations explains about a quarter of it."
+)
 
 
 class TextLogSummary(StrictModel):

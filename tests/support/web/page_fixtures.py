@@ -380,6 +380,7 @@ def some_log_boards() -> LogBoardsView:
             LogBoardView(task=name, title=task.title, entries=entries if name == TASK else [])
             for name, task in track.tasks.items()
         ],
+        why_rates_differ="Because they do.",
         text_logs=[
             TextLogEntryView(
                 team="Touch",

@@ -4,10 +4,13 @@ from typing import Any
 
 import pytest
 from evaluation_fakes import FakeEnvironment, FakeSession, succeed
+from text_log_writer import text_log
 from vitac.cli import main as cli
 from vitac.evaluator.episodes import episode as episode_module
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
+from vitac.evaluator.logs import text_log_check
 from vitac.evaluator.logs.log import LogHeader, write_log
+from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.shards import policy
 from vitac.evaluator.shards.policy import run_shard
 from vitac.evaluator.tracks import find_task
@@ -207,3 +210,43 @@ def test_match_counts_the_actions_that_a_model_gives(
     assert out.splitlines()[:2] == ["the model gives 6 of 9 actions", "episode 1: 2 of 3, different from env step 2 "]
     content = json.loads(run(capsys, "match", log, model, "--json")[1])
     assert (content["reproduced"], content["actions"], content["episodes"][0]["first_mismatch"]) == (6, 9, 2)
+
+
+def a_text_log_file(path: Path, *, tests: int = 270, team: str = "1") -> Path:
+    """A log of Track 1's peg task; the fake environment ends every test at the second action, and well."""
+    script = all_scripts()[0]
+    steps = [{"n": n, "action": (n / 2, 0.0, 0.0)} for n in (1, 2)]
+    episodes = [
+        {"episode": n, "initial_offset": s.offset, "steps": steps, "result": "SUCCESS" if n <= 27 else "FAIL"}
+        for n, s in enumerate(script.starts()[:tests], start=1)
+    ]
+    totals = ("#SUCCESS_RATE: 10.00%", "#AVG_STEP: 2.00")
+    path.write_text(text_log(episodes, script.environment, script.md5[0], totals, team=team))
+    return path
+
+
+def test_verify_says_what_a_text_log_can_be_checked_for_and_shows_both_rates(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(text_log_check, "make_environment", lambda *_: FakeEnvironment())
+    log = a_text_log_file(tmp_path / "organizers.log")
+    code, told, _ = run(capsys, "verify", log)
+    assert code == 1
+    assert told.startswith("A 2025 text log holds no states")
+    assert "peg-insertion of track_1, team 1: 270 tests, 0 missing" in told
+    assert "claimed:      27 of 270 successes, 10.0%" in told
+    assert "re-simulated: 270 of 270 successes, 100.0%" in told
+    assert "27 of 270 tests end here as in the log, at the same env step. Claimed and re-simulated rate differ" in told
+    assert "problem: test 1: env step 1 lacks info" in told
+    found = json.loads(run(capsys, "verify", log, "--json")[1])
+    assert (found["successes"], found["same_ends"], found["is_consistent"]) == (270, 27, False)
+    assert (found["summary"]["claimed_success_rate"], found["tests"][0]["end_step"]) == (0.1, 2)
+
+
+def test_verify_of_a_part_of_a_text_log_says_how_many_tests_are_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(text_log_check, "make_environment", lambda *_: FakeEnvironment())
+    code, told, _ = run(capsys, "verify", a_text_log_file(tmp_path / "part.log", tests=90))
+    assert code == 1
+    assert "90 tests, 180 missing" in told

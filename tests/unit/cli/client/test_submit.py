@@ -5,9 +5,11 @@ import pytest
 from cli_service import CliService, submission_folder, zip_of
 from quick_worker import record_of
 from service_factories import TASK
+from text_log_writer import text_log
 from uploaded_logs import EPISODES, a_log, a_text_log, packed
 from vitac.cli.client.refusals import RequestRefused, ServiceUnreachable
 from vitac.cli.client.upload_kind import kind_of
+from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.submission.sources import NoSubmission, submission_digest
 
 
@@ -120,8 +122,24 @@ def test_submits_a_text_log_and_shows_both_rates(service: CliService, tmp_path: 
     with service.playing():
         done = service.run("submit", str(log), "--watch")
     assert done.exit_code == 0, done.output
-    for shown in ("2025 text log", "4.8 %, 13 of 270", "66.7 %", "problems"):
+    for shown in ("2025 text log", "4.8 %, 13 of 270", "66.7 %", "problems", "differ systematically"):
         assert shown in done.stdout
+
+
+def test_the_service_finds_the_track_of_a_text_log(service: CliService, tmp_path: Path) -> None:
+    script = next(script for script in all_scripts() if script.track == "Track_2")
+    tests = [
+        {"episode": n, "initial_offset": s.offset, "steps": [{"n": 1, "action": (0.5,) * 4}], "result": "FAIL"}
+        for n, s in enumerate(script.starts(), start=1)
+    ]
+    log = tmp_path / "vision.log"
+    totals = ("#SUCCESS_RATE: 0", "#AVG_STEP: NA")
+    log.write_text(text_log(tests, script.environment, script.md5[0], totals, team="Team A"))
+    done = service.run("submit", str(log), "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["track"] == "track_2"
+    refused = service.run("submit", str(log), "--track", "track_1")
+    assert "the log is of 'track_2'" in str(refused.exception)
 
 
 def test_a_refused_log_tells_line_and_hint(service: CliService, tmp_path: Path) -> None:

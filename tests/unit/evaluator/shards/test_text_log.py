@@ -15,13 +15,13 @@ from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.shards.log import LogShard
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.shards.text_log import resimulate_text_log
-from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks import Task, load_track
 from vitac.evaluator.tracks.cut import cut
 
 TRACK = load_track("track_1")
 SCRIPTS = {script.name: script for script in all_scripts()}
 PEG, LOCK = SCRIPTS["track 1 peg insertion"], SCRIPTS["track 1 lock opening"]
-FUSION = SCRIPTS["track 2 peg insertion"]
+FUSION, DESIGN = SCRIPTS["track 2 peg insertion"], SCRIPTS["track 3 peg insertion"]
 TASKS = {
     PEG.name: TRACK.tasks["peg-insertion"],
     LOCK.name: TRACK.tasks["lock-opening"],
@@ -91,6 +91,26 @@ def test_episode_ends_where_our_physics_ends_it(tmp_path: Path) -> None:
     assert records[0].actions.to_array().tolist() == [[0.5, 0, 0], [1, 0, 0]]
     listed = TASKS[PEG.name].episodes[28]
     assert (records[0].shape, records[0].initial_offset) == (listed.shape, listed.offset)
+
+
+def test_a_log_of_track_3_is_played_with_the_settings_under_which_it_was_made(tmp_path: Path) -> None:
+    """Those that models are scored with are the published ones of Track 1."""
+    track, asked = load_track("track_3"), []
+
+    def make_env(task: Task, *_: object) -> FakeEnvironment:
+        asked.append(task)
+        return FakeEnvironment()
+
+    task = track.tasks["sensor-design"]
+    log = written(tmp_path / "log", whole_list(DESIGN, [(0.5, 0, 0)]), DESIGN)
+    records: list[EpisodeRecord] = []
+    part = LogShard(log=log, track=track, task=task, shard=cut(task)[0], make_env=make_env)
+    assert resimulate_text_log(part, records.append).end is ShardEnd.COMPLETE
+    assert asked[0].settings == task.settings | {"gripper_z_mm": 0.0, "indentation_mm": 1.0, "z_step_mm": 0.075}
+    assert [(record.shape, record.initial_offset) for record in records] == [
+        (episode.shape, episode.offset) for episode in task.episodes[:27]
+    ]
+    assert load_track("track_1").tasks["peg-insertion"].of_text_logs() is TASKS[PEG.name], "it was scored so"
 
 
 def test_actions_that_end_before_the_episode_does_are_no_success(tmp_path: Path) -> None:

@@ -12,10 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 from service_client import Service, problem_of, running_service
-from service_factories import TRACK, make_failed_record, make_record
+from service_factories import TRACK, make_failed_record, make_principal, make_record, make_secret
 from sqlalchemy import text
+from text_log_writer import text_log
 from uploaded_logs import a_log, a_text_log, packed, some_records, upload_log
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
+from vitac.evaluator.logs.text_2025 import Script
+from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
@@ -311,3 +314,78 @@ def test_problems_of_a_text_log_are_kept_short_and_printable(service: Service) -
 def test_text_log_of_another_team_is_refused(service: Service) -> None:
     problem_of(upload_log(service, a_text_log(team="Touch"), "text_log"), 422, "log_team_mismatch")
     assert_nothing_left(service)
+
+
+# ---- the organizers' own logs ----
+
+LOGS = {
+    "track 1 peg insertion": ("track_1", "peg-insertion", "track1_peg_insertion"),
+    "track 1 lock opening": ("track_1", "lock-opening", "track1_open_lock"),
+    "track 2 peg insertion": ("track_2", "fusion-insertion", "track2_peg_insertion_v2"),
+    "track 3 peg insertion": ("track_3", "sensor-design", "track3_peg_insertion"),
+}
+
+
+@pytest.fixture
+def team_1(service: Service) -> str:
+    """The token of the team that the organizers' logs name."""
+    with service.database.transaction() as session:
+        return make_secret(session, make_principal(session, "1"))
+
+
+@pytest.mark.parametrize("script", all_scripts(), ids=lambda script: script.name)
+def test_a_log_of_each_script_goes_in_without_a_track(service: Service, team_1: str, script: Script) -> None:
+    track, task, _ = LOGS[script.name]
+    tests = [
+        {"episode": number, "steps": [{"n": 1, "action": (0.5,) * script.action_size}], "result": "FAIL"}
+        | ({"initial_offset": start.offset} if script.logs_offsets else {})
+        for number, start in enumerate(script.starts(), start=1)
+    ]
+    totals = ("#SUCCESS_RATE: 0", "#AVG_STEP: NA")
+    log = text_log(tests, script.environment, script.md5[0], totals, team="1").encode()
+    answer = upload_log(service, log, "text_log", team_1)
+    assert answer.status_code == 202, answer.text
+    found = answer.json()
+    assert (found["track"], found["tasks"], found["log"]["team_named"]) == (track, [task], "1")
+    assert "systematically" in found["log"]["reason"]
+
+
+def test_the_organizers_vision_log_goes_in_unchanged(service: Service, team_1: str, reference_dir: Path) -> None:
+    log = (reference_dir / "logs" / "track2_peg_insertion_v2.log").read_bytes()
+    found = upload_log(service, log, "text_log", team_1).json()
+    assert (found["track"], found["log"]["claimed_success_rate"], found["log"]["problems"]) == ("track_2", 0.0, [])
+
+
+@pytest.mark.parametrize(
+    ("name", "rate", "mean_steps"),
+    [
+        ("track 1 peg insertion", 0.1481, 4.5),
+        ("track 1 lock opening", 0.9062, 6.34),
+        ("track 3 peg insertion", 0.1593, 5.86),
+    ],
+)
+def test_the_organizers_other_logs_go_in_as_far_as_the_reference_holds_them(
+    service: Service, reference_dir: Path, name: str, rate: float, mean_steps: float
+) -> None:
+    """It holds one repeat of each, and header and totals: here every repeat has the actions of the first."""
+    script = next(script for script in all_scripts() if script.name == name)
+    track, task, file = LOGS[name]
+    header = json.loads((reference_dir / "logs" / f"{file}.header.json").read_text())
+    lines = (reference_dir / "logs" / f"{file}.repeat0.jsonl").read_text().splitlines()
+    first = {(line["shape"], *line["initial_offset"][:3]): line for line in map(json.loads, lines)}
+    tests = []
+    for number, start in enumerate(script.starts(), start=1):
+        logged = first[start.part, *start.offset[:3]]
+        offset = {"initial_offset": logged["initial_offset"]} if script.logs_offsets else {}
+        tests.append({"episode": number, "steps": logged["steps"], "result": logged["result"]} | offset)
+    totals = (header["success_rate_line"], header["avg_step_line"])
+    team = header["team_key"]
+    with service.database.transaction() as session:
+        token = make_secret(session, make_principal(session, team))
+    log = text_log(tests, header["env"], header["script_md5"], totals, team=team).encode()
+    answer = upload_log(service, log, "text_log", token)
+    assert answer.status_code == 202, answer.text
+    found = answer.json()
+    assert (found["track"], found["tasks"]) == (track, [task])
+    claims = found["log"]
+    assert (claims["claimed_success_rate"], claims["claimed_mean_steps"]) == (pytest.approx(rate), mean_steps)
