@@ -50,7 +50,9 @@ from .staging import SubmissionStage
 class RunningShard(RunningProcess, Protocol):
     """What a shard's process offers (`evaluator.shards.process.ShardProcess`)."""
 
-    packages: dict[str, str] | None
+    @property
+    def packages(self) -> dict[str, str] | None:
+        """Versions of the packages that the policy sees, by name; None where none runs, or before the first record."""
 
     def records(self) -> Iterator[EpisodeRecord]:
         """Yield each record as soon as its episode is over."""

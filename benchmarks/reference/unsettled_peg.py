@@ -31,10 +31,10 @@ from vitac.envs.tasks.peg_insertion.scene import PegScene
 from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
 from vitac.envs.tasks.peg_insertion.variation import PegStart
 
-sys.path += [str(Path(__file__).parents[1]), str(Path(__file__).parent)]
+sys.path.insert(0, str(Path(__file__).parents[1]))
 from physics_report.figures import outcomes
 from physics_report.replay import Episode, Reference, Replay, read_reference
-from unsettled_lock import CutOffOracle
+from reference.unsettled_lock import CutOffOracle
 
 Figures = dict[str, Any]
 FloatArray = NDArray[np.float64]
