@@ -2,8 +2,12 @@
 
 from contextlib import suppress
 from dataclasses import replace
+from datetime import datetime
 from uuid import UUID
 
+from sqlalchemy.orm import Session
+
+from ..contest.contest import Contest
 from ..db.models import PartialUpload
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
@@ -59,12 +63,25 @@ def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUI
         if locked.submission_id is not None:
             return locked.submission_id, False
         submission, is_new = creation.create(
-            session, by, checked, team=str(upload.team_id), again=upload.again, quotas=services.settings.quotas
+            session,
+            by,
+            checked,
+            team=str(upload.team_id),
+            again=upload.again,
+            quotas=services.settings.quotas,
+            at=_in_time_at(session, locked, checked.track),
         )
         partial.finish(session, locked, submission.id)
     with suppress(ServiceError):  # The submission is made; housekeeping removes the parts with the upload.
         services.blobs.delete_parts(str(upload.id))
     return submission.id, is_new
+
+
+def _in_time_at(session: Session, upload: PartialUpload, track: str) -> datetime | None:
+    """Return when an upload was complete if its track took submissions then: its bytes count, not the last request."""
+    at = upload.completed_at
+    was_open = at is not None and any(stage.is_open(at) for stage in Contest.read(session).stages_of(track))
+    return at if was_open else None
 
 
 def _made_meanwhile(services: Services, upload_id: UUID) -> UUID | None:

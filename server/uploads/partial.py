@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from uuid import UUID
 
-from sqlalchemy import delete, func, select, update
+from sqlalchemy import case, delete, func, select, update
 from sqlalchemy.orm import Session, joinedload
 from vitac.evaluator.submission_kinds import SubmissionKind
 
@@ -127,7 +127,11 @@ def add_parts(session: Session, settings: Settings, upload_id: UUID, parts: list
             PartialUpload.received_bytes == first,
             PartialUpload.submission_id.is_(None),
         )
-        .values(received_bytes=first + n_bytes, expires_at=expires_at)
+        .values(
+            received_bytes=first + n_bytes,
+            expires_at=expires_at,
+            completed_at=case((PartialUpload.total_bytes == first + n_bytes, datetime.now(UTC))),
+        )
         .returning(PartialUpload.id)
     ).one_or_none()
     if advanced is None:

@@ -75,7 +75,8 @@ class SubmissionFile(Base):
 class PartialUpload(Base):
     """A body that arrives in pieces, whose parts wait in the file store until all are there.
 
-    A finished one names the submission that it became, for a client that did not get the answer.
+    A finished one names the submission that it became, for a client that did not get the answer. `completed_at` is when
+    its last byte arrived, which decides to which stage it is in time.
     """
 
     __tablename__ = "partial_uploads"
@@ -94,6 +95,7 @@ class PartialUpload(Base):
     received_bytes: Mapped[int] = mapped_column(BigInteger, default=0)
     sha256: Mapped[str | None] = mapped_column(String(64))
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    completed_at: Mapped[datetime | None]
     expires_at: Mapped[datetime] = mapped_column(index=True)
     submission_id: Mapped[UUID | None] = mapped_column(ForeignKey("submissions.id", ondelete="CASCADE"))
     team: Mapped[Team] = relationship()

@@ -24,6 +24,8 @@ from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.uploads import partial
 from worker_fakes import eventually
 
+from competitions import FIRST, SECOND, make_competition, put_in_place
+
 TUS = {"Tus-Resumable": "1.0.0"}
 PIECE = {"Content-Type": "application/offset+octet-stream"}
 
@@ -291,6 +293,32 @@ def test_an_upload_is_no_submission_before_its_last_byte(service: Service) -> No
     assert problem["offset"] == len(archive) - 1
     send(service, place, len(archive) - 1, archive[-1:])
     assert service.post(f"{place.removeprefix(API)}/submission").status_code == 202
+
+
+def competition_that_closed(service: Service, *, before_the_bytes: timedelta) -> str:
+    """An upload whose bytes are there, to a stage that has closed meanwhile and that another one follows."""
+    archive = make_archive()
+    place = begun(service, len(archive))
+    assert send(service, place, 0, archive).status_code == 204
+    content, now = make_competition(), datetime.now(UTC)
+    first, second = content["tracks"]["track_1"]["stages"]
+    first |= {"opens": (now - timedelta(days=3)).isoformat(), "closes": (now - before_the_bytes).isoformat()}
+    second |= {"opens": now.isoformat(), "closes": (now + timedelta(days=1)).isoformat(), "qualified": None}
+    with service.database.transaction() as session:
+        put_in_place(session, content)
+        session.execute(update(PartialUpload).values(completed_at=now - timedelta(hours=1)))
+    return f"{place.removeprefix(API)}/submission"
+
+
+def test_an_upload_is_in_time_where_its_last_byte_was(service: Service) -> None:
+    in_time = competition_that_closed(service, before_the_bytes=timedelta(minutes=30))
+    answer = service.post(in_time)
+    assert (answer.status_code, answer.json()["stage"]) == (202, FIRST)
+
+
+def test_an_upload_after_a_stage_belongs_to_the_one_that_is_open(service: Service) -> None:
+    late = competition_that_closed(service, before_the_bytes=timedelta(hours=2))
+    assert service.post(late).json()["stage"] == SECOND
 
 
 def test_a_piece_beyond_the_announced_length_is_refused_whole(service: Service) -> None:
