@@ -1,6 +1,6 @@
 """Who advances to a stage: proposed by the stage's rule, decided by the organizers, recorded."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from fractions import Fraction
@@ -11,6 +11,8 @@ from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from ..audit import record
+from ..confirmations import require_base, revision_of
+from ..contest.contest import Contest
 from ..contest.definition import Advancement
 from ..contest.stages import Stage
 from ..db.models import Qualification, Submission, Team
@@ -90,7 +92,13 @@ def propose(session: Session, stage: Stage) -> Proposal:
 
 
 def confirm(
-    session: Session, by: Principal, stage: Stage, *, add: Collection[str] = (), without: Collection[str] = ()
+    session: Session,
+    by: Principal,
+    stage: Stage,
+    *,
+    add: Collection[str] = (),
+    without: Collection[str] = (),
+    base: str | None = None,
 ) -> list[str]:
     """Let the proposed teams take part in a stage, and return which; the organizers' own decisions are added.
 
@@ -102,18 +110,29 @@ def confirm(
         stage: which one.
         add: names of further teams.
         without: names of proposed teams that do not take part.
+        base: revision of the confirmed teams that the decision was made against; None: the caller compares itself.
 
     Raises:
-        ServiceError: not an organizer, the stage before is not over, scored and of today's evaluator, a team is unknown
-            or not proposed, or one that would lose its place has submitted already.
+        ServiceError: not an organizer, others were confirmed since, the stage before is not over, scored and of
+            today's evaluator, a team is unknown or not proposed, or one that would lose its place has submitted
+            already.
     """
     by.require_organizer()
+    Contest.lock(session)  # of two at once the second sees whom the first has confirmed
     proposal, (before, _) = propose(session, stage), _rule(stage)
     before.require_over()
     require_scored(session, before)
     require_current(session, before)
     chosen = _chosen(session, proposal, add, without)
     previous = _qualified(session, stage)
+    if chosen.keys() != previous.keys():
+        new, leaving = chosen.items() - previous.items(), previous.items() - chosen.items()
+        require_base(
+            f"the list of teams confirmed for {stage}",
+            base=base,
+            revision=_revision_of(previous),
+            difference=lambda: f"Yours would add {_names(new)} and take away {_names(leaving)}.",
+        )
     _refuse_loss(session, stage, previous.keys() - chosen.keys())
     session.execute(delete(Qualification).where(stage.qualifications))
     now = datetime.now(UTC)
@@ -130,6 +149,11 @@ def confirm(
     }
     record(session, by, "stage.qualify", stage.subject, after, before={"teams": sorted(previous.values())})
     return sorted(chosen.values())
+
+
+def qualified_revision(session: Session, stage: Stage) -> str:
+    """Return what a decision says that it was made against; empty where no team is confirmed."""
+    return _revision_of(_qualified(session, stage))
 
 
 def qualified_teams(session: Session, stage: Stage) -> list[str]:
@@ -209,6 +233,14 @@ def _qualified(session: Session, stage: Stage) -> dict[UUID, str]:
         select(Team.id, Team.name).join(Qualification, Qualification.team_id == Team.id).where(stage.qualifications)
     )
     return {row.id: row.name for row in rows}
+
+
+def _revision_of(qualified: Mapping[UUID, str]) -> str:
+    return revision_of(sorted(map(str, qualified)))
+
+
+def _names(teams: Iterable[tuple[UUID, str]]) -> str:
+    return ", ".join(sorted(name for _, name in teams)) or "nobody"
 
 
 def _refuse_loss(session: Session, stage: Stage, leaving: Collection[UUID]) -> None:

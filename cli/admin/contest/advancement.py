@@ -1,12 +1,13 @@
 """`vitac admin advance`: who takes part in a stage for qualified teams."""
 
+import sys
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ...service.database import transaction
 from ...terminal.output import AsJson, percent, print_json, print_table, warn
-from ..consent import DryRun, Yes, change_as_shown
+from ..consent import Base, DryRun, Yes, base_of, change_as_shown
 from .contest import StageName, TrackName
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ def confirm(
     stage: StageName,
     add: TeamNames = None,
     without: TeamNames = None,
+    base: Base = None,
     yes: Yes = False,
     dry_run: DryRun = False,
     as_json: AsJson = False,
@@ -68,7 +70,8 @@ def confirm(
 
     def change(session: "Session") -> list[str]:
         found = Contest.read(session).stage(track, stage)
-        return confirm_teams(session, CONSOLE, found, add=add or (), without=without or ())
+        made_from = base_of(base, yes=yes and not dry_run)
+        return confirm_teams(session, CONSOLE, found, add=add or (), without=without or (), base=made_from)
 
     def show(found: list[str]) -> None:
         if as_json:
@@ -90,12 +93,15 @@ def confirm(
 @app.command("list")
 def list_teams(track: TrackName, stage: StageName, as_json: AsJson = False) -> None:
     """List the teams that were confirmed for a stage."""
-    from vitac.server.advancement.advancement import qualified_teams
+    from vitac.server.advancement.advancement import qualified_revision, qualified_teams
     from vitac.server.contest.contest import Contest
 
     with transaction() as session:
-        found = qualified_teams(session, Contest.read(session).stage(track, stage))
+        wanted = Contest.read(session).stage(track, stage)
+        found, revision = qualified_teams(session, wanted), qualified_revision(session, wanted)
     if as_json:
         print_json(found)
     else:
         print("\n".join(found) or "Nobody was confirmed.")
+    if found:
+        print(f"To confirm others without a question: --yes --base {revision}", file=sys.stderr)

@@ -4,6 +4,7 @@ import pytest
 from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, outdate, submit_scored
 from vitac.cli.admin.consent import ConsentMissing
+from vitac.server.errors import ProblemCode, ServiceError
 
 from competitions import SECOND, make_competition, open_now, put_in_place
 
@@ -43,8 +44,23 @@ def test_nobody_is_confirmed_without_consent_or_in_a_dry_run(played: CliService)
 def test_the_proposal_and_the_organizers_own_choice_are_confirmed(played: CliService) -> None:
     arguments = ("admin", "advance", "confirm", TRACK, SECOND, "--yes")
     assert json.loads(played.run(*arguments, "--json").stdout)["teams"] == ["Ants"]
-    assert played.run(*arguments, "--add", "bees", "--without", "Ants").exit_code == 0
+    base = played.run("admin", "advance", "list", TRACK, SECOND).stderr.split()[-1]
+    assert played.run(*arguments, "--add", "bees", "--without", "Ants", "--base", base).exit_code == 0
     assert confirmed(played) == ["Bees"]
+
+
+def test_the_second_of_two_who_confirm_from_the_same_list_is_refused_with_the_difference(played: CliService) -> None:
+    arguments = ("admin", "advance", "confirm", TRACK, SECOND, "--yes")
+    assert played.run(*arguments).exit_code == 0
+    base = played.run("admin", "advance", "list", TRACK, SECOND).stderr.split()[-1]
+    assert played.run(*arguments, "--add", "Bees", "--base", base).exit_code == 0
+    for made_from in ((), ("--base", base)):
+        refused = played.run(*arguments, *made_from)
+        assert isinstance(refused.exception, ServiceError)
+        assert refused.exception.code is ProblemCode.CHANGED_MEANWHILE
+        assert "Yours would add nobody and take away Bees" in str(refused.exception)
+    assert confirmed(played) == ["Ants", "Bees"]
+    assert played.run(*arguments, "--add", "Bees").exit_code == 0, "it changes nothing"
 
 
 def test_results_of_another_version_are_named(played: CliService) -> None:
