@@ -4,6 +4,7 @@ from dataclasses import asdict
 
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.tracks import Task, Track, UnknownTask, UnknownTrack, list_tracks, load_track
+from vitac.evaluator.tracks.registry import further_track_files
 
 from .errors import ProblemCode, ServiceError
 from .settings import Settings
@@ -20,6 +21,19 @@ def load_known_track(name: str) -> Track:
         return load_track(name)
     except UnknownTrack as error:
         raise ServiceError(ProblemCode.UNKNOWN_TRACK, str(error), tracks=list(list_tracks())) from error
+
+
+def own_track_file(name: str) -> bytes:
+    """Return the content of a track file that does not come with the evaluator.
+
+    Raises:
+        ServiceError: there is no such track, or it comes with the evaluator.
+    """
+    load_known_track(name)
+    file = further_track_files().get(name)
+    if file is None:
+        raise ServiceError(ProblemCode.NOT_FOUND, f"The file of {name} comes with the evaluator, in evaluator/tracks.")
+    return file.read_bytes()
 
 
 def require_task(track: Track, task: str) -> None:
