@@ -10,7 +10,7 @@ from ..leaderboards.log_boards import log_boards
 from ..leaderboards.made_boards import MadeBoard
 from ..leaderboards.standings import leaderboard
 from ..publishing.archive import archive_view
-from ..tracks import load_known_track, own_track_file, track_view, track_views
+from ..tracks import load_known_track, track_file, track_view, track_views
 from ..views.archive import ArchiveView
 from ..views.contest import CompetitionView
 from ..views.leaderboards import LeaderboardView, LogBoardsView
@@ -41,8 +41,8 @@ def get_track(services: ServicesOf, track: str) -> TrackView:
 
 @router.get("/tracks/{track}/file")
 def get_track_file(track: str) -> Response:
-    """Return the file of a track of this service's own as YAML text, with which its results can be audited."""
-    return Response(own_track_file(track), media_type="application/yaml")
+    """Return the file of a track as YAML text, with which its episodes can be played and its results audited."""
+    return Response(track_file(track), media_type="application/yaml")
 
 
 @router.get("/competition")
