@@ -55,7 +55,7 @@ def test_as_many_markers_as_a_picture_holds_are_taken(tmp_path: Path) -> None:
         ("camera: &a {focal_px: [340, 325]}", "anchors"),
         ("camera: !!python/object/apply:os.system [id]", "tags"),
         ("[" * 50, "not valid YAML"),
-        ("- 1", "valid dictionary"),
+        ("- 1", "Expected a document with keys, got list"),
         (b"\xff\xfe", "not UTF-8"),
         ("a" * 17_000, "larger than 16384 bytes"),
     ],
