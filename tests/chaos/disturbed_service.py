@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import psycopg
+from vitac.server.postgres.cluster import Cluster
 
 VITAC = "import sys; from vitac.cli.main import main; main(sys.argv[1:])"
 TRACKS = Path(__file__).with_name("tracks")
@@ -110,13 +111,12 @@ class DisturbedService:
         return sorted(found, key=lambda pid: pid != first)
 
     def query(self, statement: str, *values: Any, database: str = "vitac") -> list[tuple[Any, ...]]:
-        """Ask the database directly.
+        """Ask the database directly, as the owner of its tables.
 
         Raises:
             OSError, psycopg.Error: it does not answer.
         """
-        address = (self.state_dir / "postgres/dsn").read_text().replace("/vitac?", f"/{database}?")
-        with psycopg.connect(address, autocommit=True, connect_timeout=5) as connection:
+        with psycopg.connect(Cluster(self.state_dir).dsn(database), autocommit=True, connect_timeout=5) as connection:
             cursor = connection.execute(statement, values)
             return cursor.fetchall() if cursor.description else []
 
