@@ -15,7 +15,7 @@ from ..views.archive import ArchiveView
 from ..views.contest import CompetitionView
 from ..views.leaderboards import LeaderboardView, LogBoardsView
 from ..views.tracks import TrackListView, TrackView
-from .access import ServicesOf
+from .access import ReaderOf, ServicesOf
 from .conditional import answer
 from .problems import RESPONSES
 
@@ -63,6 +63,7 @@ def get_archive(services: ServicesOf) -> ArchiveView:
 def get_leaderboard(
     request: Request,
     services: ServicesOf,
+    principal: ReaderOf,
     track: str,
     *,
     task: Annotated[str | None, Query(description="Rank by this task alone; all tasks together without it.")] = None,
@@ -70,15 +71,19 @@ def get_leaderboard(
 ) -> Response:
     """Return the standings of a track or of one of its tasks: the best completed evaluation of each team."""
     with services.database.reading() as session:
-        board = leaderboard(session, Contest.read(session).shown_stage(track, stage), task=task)
+        shown = Contest.read(session).shown_stage(track, stage)
+        board = leaderboard(session, shown, task=task, unfrozen=principal.is_organizer)
     return _answer(request, board)
 
 
 @router.get("/leaderboards/{track}/logs", response_model=LogBoardsView, responses=UNCHANGED)
-def get_log_boards(request: Request, services: ServicesOf, track: str, stage: Stage = None) -> Response:
+def get_log_boards(
+    request: Request, services: ServicesOf, principal: ReaderOf, track: str, stage: Stage = None
+) -> Response:
     """Return the verified logs of a track, ranked by task, and the 2025 text logs, which are not ranked."""
     with services.database.reading() as session:
-        board = log_boards(session, Contest.read(session).shown_stage(track, stage))
+        shown = Contest.read(session).shown_stage(track, stage)
+        board = log_boards(session, shown, unfrozen=principal.is_organizer)
     return _answer(request, board)
 
 
@@ -88,5 +93,5 @@ def _answer(request: Request, board: MadeBoard[LeaderboardView] | MadeBoard[LogB
         board.body,
         revision=board.view.revision,
         media_type="application/json",
-        headers={"Cache-Control": "no-cache"},
+        headers={"Cache-Control": "no-cache", "Vary": "Authorization"},
     )

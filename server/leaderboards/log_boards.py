@@ -48,17 +48,18 @@ MAX_TEXT_LOGS = 200
 _made_boards: MadeBoards[LogBoardsView] = MadeBoards()
 
 
-def log_boards(session: Session, stage: Stage) -> MadeBoard[LogBoardsView]:
+def log_boards(session: Session, stage: Stage, *, unfrozen: bool = False) -> MadeBoard[LogBoardsView]:
     """Return the logs of a track.
 
     Args:
         session: of the transaction.
         stage: to which they were submitted.
+        unfrozen: for organizers: with results that frozen boards do not show to others.
 
     Raises:
         ServiceError: there is no such track.
     """
-    track, counted = load_known_track(stage.track), stage.counted_results()
+    track, counted = load_known_track(stage.track), stage.counted_results(live=unfrozen)
     rule = f"{stage.track_rules.ranking_sentence or _USUAL_RANKING} {_WHAT_IS_RANKED}"
     shown_names = ShownNames.read(session, VISITOR)
     found = kept_until_change(
@@ -67,7 +68,7 @@ def log_boards(session: Session, stage: Stage) -> MadeBoard[LogBoardsView]:
         lambda: _found(session, track, stage, counted, shown_names, rule),
     )
     made = partial(_view, session, track, found)
-    return _made_boards.get((stage.track, stage.name), found.revision, made, names=found.names)
+    return _made_boards.get((stage.track, stage.name, unfrozen), found.revision, made, names=found.names)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -39,6 +39,7 @@ def leaderboard(
     task: str | None = None,
     kind: SubmissionKind = SubmissionKind.MODEL,
     live: bool = False,
+    unfrozen: bool = False,
 ) -> MadeBoard[LeaderboardView]:
     """Return the best entry of each team, ranked; then teams with results of another evaluator version only.
 
@@ -47,7 +48,8 @@ def leaderboard(
         stage: whose board.
         task: ranks the submissions that play this task by it alone; None: all tasks of the track together.
         kind: what is ranked; logs only task by task.
-        live: for organizers: as it is, also while boards are frozen or names are hidden.
+        live: for what organizers decide by it: as it is, also while boards are frozen or names are hidden.
+        unfrozen: for organizers who read it: with results that it does not show to others, under the names shown.
 
     Raises:
         ServiceError: there is no such track or task.
@@ -55,7 +57,7 @@ def leaderboard(
     track = load_known_track(stage.track)
     if task is not None:
         require_task(track, task)
-    counted = stage.counted_results(live=live)
+    counted = stage.counted_results(live=live or unfrozen)
     board = Board.of(stage, counted, kind=kind, task=task)
     best, named_at = kept_until_change(
         session,
