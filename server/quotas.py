@@ -177,7 +177,8 @@ def stage_uses(session: Session, team: Team, at: datetime | None = None) -> list
             limit=limit,
             used=_used_in_stage(session, team, stage, quota),
         )
-        for stage in Contest.read(session).stages
+        for contest in Contest.read_all(session)
+        for stage in contest.stages
         if stage.is_open(now) and stage.may_submit(team)
         for quota, limit in stage.rules.quotas
     ]

@@ -38,13 +38,12 @@ def open_services(settings: Settings, *, may_run_database: bool = True) -> Itera
     with ExitStack() as stack:
         postgres = None
         if settings.database_url is not None:
-            address, owner = settings.database_url.get_secret_value(), settings.database_owner_url
-            owner_address = owner.get_secret_value() if owner else address
+            address = settings.database_url.get_secret_value()
         else:
             postgres = EmbeddedPostgres(settings.state_dir, bin_dir=settings.postgres_bin_dir, may_run=may_run_database)
             stack.callback(postgres.stop)
-            address, owner_address = postgres.start(), postgres.cluster.dsn()
-        database = Database(address, owner_address=owner_address)
+            address = postgres.start()
+        database = Database(address)
         stack.callback(database.dispose)
         try:
             once_available(database, upgrade, patience_s=settings.database_wait_s)

@@ -1,7 +1,7 @@
 """A team's data: all of it to take away, and its removal that keeps scores."""
 
 import secrets
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
@@ -17,6 +17,7 @@ from .db.models import (
     ApiToken,
     Appeal,
     AuditEntry,
+    Competition,
     EpisodeResult,
     Evaluation,
     Invitation,
@@ -113,14 +114,19 @@ def erase(session: Session, by: Principal, team: Team) -> None:
 
 def _rename_in_final_results(session: Session, team: Team) -> None:
     """Write a team's present name into winners and boards that were kept at the end of the competition."""
-    row = Contest.lock(session).row
+    own = {str(found) for found in session.scalars(select(Submission.id).where(Submission.team_id == team.id))}
+    for name in sorted(contest.name for contest in Contest.read_all(session)):
+        _rename_in_results(Contest.lock(session, name).row, team.name, own)
+
+
+def _rename_in_results(row: Competition, name: str, own: Collection[str]) -> None:
+    """Write a name into what was kept of the submissions of a team, by their ids."""
     if not row.boards:
         return
-    own = {str(found) for found in session.scalars(select(Submission.id).where(Submission.team_id == team.id))}
     before = {entry["team"] for board in row.boards for entry in board["entries"] if entry["submission_id"] in own}
 
     def renamed(kept: Mapping[str, Any]) -> dict[str, Any]:
-        return {**kept, "team": team.name} if kept["team"] in before else dict(kept)
+        return {**kept, "team": name} if kept["team"] in before else dict(kept)
 
     row.boards = [board | {"entries": [renamed(entry) for entry in board["entries"]]} for board in row.boards]
     row.winners = [renamed(winner) for winner in row.winners or ()]

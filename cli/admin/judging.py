@@ -9,6 +9,7 @@ import typer
 from ..service.database import transaction
 from ..terminal.output import AsJson, percent, print_done, print_json, print_table, warn
 from .consent import DryRun, change_transaction
+from .contest.contest import ContestName
 
 if TYPE_CHECKING:
     from vitac.server.judging.judging import JudgedTeam
@@ -19,12 +20,17 @@ Judge = Annotated[str, typer.Option(help="Who judges.")]
 
 
 @app.command()
-def rubric(track: Annotated[str, typer.Argument(help="Name of the track.")], as_json: AsJson = False) -> None:
+def rubric(
+    track: Annotated[str, typer.Argument(help="Name of the track.")],
+    contest: ContestName = None,
+    as_json: AsJson = False,
+) -> None:
     """Show the criteria and weights of a track."""
+    from vitac.server.contest.contest import Contest
     from vitac.server.judging.judging import rubric_of
 
     with transaction() as session:
-        found = rubric_of(session, track)
+        found = rubric_of(Contest.find(session, contest, track=track), track)
     if as_json:
         print_json(found.model_dump(mode="json"))
         return
@@ -79,6 +85,7 @@ def conflict(
 def show(
     track: Annotated[str, typer.Argument(help="Name of the track.")],
     stage: Annotated[str | None, typer.Option(help="The one that opened last without it.")] = None,
+    contest: ContestName = None,
     as_json: AsJson = False,
 ) -> None:
     """Show each team's marks with their spread, its figures and its total."""
@@ -87,7 +94,7 @@ def show(
     from vitac.server.principals import CONSOLE
 
     with transaction() as session:
-        found = judged(session, CONSOLE, Contest.read(session).shown_stage(track, stage))
+        found = judged(session, CONSOLE, Contest.find(session, contest, track=track).shown_stage(track, stage))
     if as_json:
         print_json([asdict(team) | {"submission": str(team.submission)} for team in found])
         return

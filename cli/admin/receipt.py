@@ -7,6 +7,7 @@ import typer
 
 from ..service.database import load_settings, open_service, transaction
 from ..terminal.output import AsJson, print_record
+from .contest.contest import ContestName
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -29,6 +30,7 @@ def export(
     task: Annotated[str | None, typer.Option(help="The board of this task; that of all together without it.")] = None,
     stage: Annotated[str | None, typer.Option(help="Of the competition; the one that opened last without it.")] = None,
     kind: Annotated[Literal["model", "log"], typer.Option(help="Of the board; log only with a task.")] = "model",
+    contest: ContestName = None,
     as_json: AsJson = False,
 ) -> None:
     """Write a board with receipts, records and teams' sensors for `vitac receipt audit`.
@@ -41,7 +43,7 @@ def export(
 
     ranked = SubmissionKind(kind)
     with open_service(load_settings()) as services, services.database.snapshot() as session:
-        board = Contest.read(session).shown_stage(track, stage)
+        board = Contest.find(session, contest, track=track).shown_stage(track, stage)
         made = export_receipts(session, services.blobs, file, board, task=task, kind=ranked)
     content = {"file": str(file), "entries": len(made.board.entries), "public_key": made.public_key}
     print_record(content, as_json=as_json)

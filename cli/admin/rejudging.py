@@ -9,6 +9,7 @@ import typer
 from ..service.database import transaction
 from ..terminal.output import AsJson, percent, print_done, print_json, print_records, print_table
 from .consent import DryRun, Yes, change_as_shown, change_transaction
+from .contest.contest import ContestName
 
 if TYPE_CHECKING:
     from vitac.server.rejudging.comparison import RejudgedSubmission
@@ -27,6 +28,7 @@ def start(
     submission: Annotated[
         list[UUID] | None, typer.Option(help="Only this one; may be repeated. All models of the stage without it.")
     ] = None,
+    contest: ContestName = None,
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
@@ -37,7 +39,7 @@ def start(
     from vitac.server.rejudging.comparison import comparison
 
     with change_transaction(dry_run=dry_run) as session:
-        found = Contest.read(session).shown_stage(track, stage)
+        found = Contest.find(session, contest, track=track).shown_stage(track, stage)
         made = rejudging.start(session, CONSOLE, found, submissions=submission or (), reason=reason)
         count = len(comparison(session, made))
     if dry_run:

@@ -215,6 +215,7 @@ def disqualify(
     as_json: AsJson = False,
 ) -> None:
     """Take a team off all boards and refuse its submissions; `reinstate` takes it back."""
+    from vitac.server.contest.contest import Contest
     from vitac.server.contest.view import disqualified_since_the_end
     from vitac.server.principals import CONSOLE
     from vitac.server.teams import teams
@@ -224,7 +225,8 @@ def disqualify(
     def change(session: "Session", found: "Team") -> None:
         teams.disqualify(session, CONSOLE, found, reason)
         session.flush()
-        kept.extend(each.team for each in disqualified_since_the_end(session) if each.team == found.name)
+        final = (disqualified_since_the_end(contest) for contest in Contest.read_all(session))
+        kept.extend(each.team for teams in final for each in teams if each.team == found.name)
 
     _change(team, change, question=f"Disqualify {team}?", yes=yes, dry_run=dry_run, as_json=as_json)
     if kept and not dry_run:

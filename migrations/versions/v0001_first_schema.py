@@ -275,7 +275,7 @@ def make_tables() -> None:
     )
     op.create_table(
         "competition",
-        sa.Column("id", sa.Integer(), server_default=sa.text("1"), autoincrement=False, nullable=False),
+        sa.Column("name", sa.Text(), nullable=False),
         sa.Column("definition", postgresql.JSONB(astext_type=sa.Text()), nullable=False),
         sa.Column("applied_at", sa.DateTime(timezone=True), server_default=sa.text("now()"), nullable=False),
         sa.Column("frozen_at", sa.DateTime(timezone=True), nullable=True),
@@ -287,8 +287,8 @@ def make_tables() -> None:
         sa.CheckConstraint(
             "boards IS NULL OR finalized_at IS NOT NULL", name=op.f("ck_competition_only_final_has_boards")
         ),
-        sa.CheckConstraint("id = 1", name=op.f("ck_competition_is_the_only_one")),
-        sa.PrimaryKeyConstraint("id", name=op.f("pk_competition")),
+        sa.CheckConstraint("name <> ''", name=op.f("ck_competition_has_a_name")),
+        sa.PrimaryKeyConstraint("name", name=op.f("pk_competition")),
     )
     op.create_table(
         "metric_totals",
@@ -310,6 +310,7 @@ def make_tables() -> None:
     op.create_table(
         "rejudgements",
         sa.Column("id", sa.Uuid(), nullable=False),
+        sa.Column("contest", sa.Text(), server_default="", nullable=False),
         sa.Column("track", sa.Text(), nullable=False),
         sa.Column("stage", sa.Text(), nullable=False),
         sa.Column("reason", sa.Text(), nullable=False),
@@ -322,6 +323,7 @@ def make_tables() -> None:
     op.create_table(
         "sealed_lists",
         sa.Column("commitment", sa.String(length=64), nullable=False),
+        sa.Column("contest", sa.Text(), nullable=False),
         sa.Column("track", sa.Text(), nullable=False),
         sa.Column("stage", sa.Text(), nullable=False),
         sa.Column("secret", sa.String(length=64), nullable=False),
@@ -331,7 +333,7 @@ def make_tables() -> None:
         sa.CheckConstraint("commitment ~ '^[0-9a-f]{64}$'", name=op.f("ck_sealed_lists_commitment_is_sha256")),
         sa.CheckConstraint("secret ~ '^[0-9a-f]{64}$'", name=op.f("ck_sealed_lists_secret_is_hexadecimal")),
         sa.PrimaryKeyConstraint("commitment", name=op.f("pk_sealed_lists")),
-        sa.UniqueConstraint("track", "stage", name=op.f("uq_sealed_lists_track_stage")),
+        sa.UniqueConstraint("contest", "track", "stage", name=op.f("uq_sealed_lists_contest_track_stage")),
     )
     op.create_table(
         "teams",
@@ -493,12 +495,13 @@ def make_tables() -> None:
     op.create_index("ix_notices_of_team", "notices", ["team_id", "created_at"], unique=False)
     op.create_table(
         "qualifications",
+        sa.Column("contest", sa.Text(), nullable=False),
         sa.Column("track", sa.Text(), nullable=False),
         sa.Column("stage", sa.Text(), nullable=False),
         sa.Column("team_id", sa.Uuid(), nullable=False),
         sa.Column("confirmed_at", sa.DateTime(timezone=True), server_default=sa.text("now()"), nullable=False),
         sa.ForeignKeyConstraint(["team_id"], ["teams.id"], name=op.f("fk_qualifications_team_id"), ondelete="CASCADE"),
-        sa.PrimaryKeyConstraint("track", "stage", "team_id", name=op.f("pk_qualifications")),
+        sa.PrimaryKeyConstraint("contest", "track", "stage", "team_id", name=op.f("pk_qualifications")),
     )
     op.create_table(
         "questions",
@@ -524,6 +527,7 @@ def make_tables() -> None:
             sa.String(length=16),
             nullable=False,
         ),
+        sa.Column("contest", sa.Text(), server_default="", nullable=False),
         sa.Column("track", sa.Text(), nullable=False),
         sa.Column("stage", sa.Text(), server_default="", nullable=False),
         sa.Column("tasks", postgresql.ARRAY(sa.Text()), nullable=False),
@@ -563,7 +567,7 @@ def make_tables() -> None:
     op.create_index(
         "uq_submissions_content",
         "submissions",
-        ["team_id", "track", "stage", "kind", "digest"],
+        ["team_id", "contest", "track", "stage", "kind", "digest"],
         unique=True,
         postgresql_where=sa.text("merged_from IS NULL"),
     )
@@ -841,6 +845,7 @@ def make_tables() -> None:
         "board_results",
         sa.Column("evaluation_id", sa.Uuid(), nullable=False),
         sa.Column("board", sa.Text(), nullable=False),
+        sa.Column("contest", sa.Text(), server_default="", nullable=False),
         sa.Column("track", sa.Text(), nullable=False),
         sa.Column("stage", sa.Text(), server_default="", nullable=False),
         sa.Column(
@@ -875,6 +880,7 @@ def make_tables() -> None:
         "ix_board_results_of_team",
         "board_results",
         [
+            "contest",
             "track",
             "stage",
             "kind",
@@ -891,6 +897,7 @@ def make_tables() -> None:
         "ix_board_results_of_version",
         "board_results",
         [
+            "contest",
             "track",
             "stage",
             "kind",

@@ -118,7 +118,7 @@ def confirm(
             already.
     """
     by.require_organizer()
-    Contest.lock(session)  # of two at once the second sees whom the first has confirmed
+    Contest.lock(session, stage.contest)  # of two at once the second sees whom the first has confirmed
     proposal, (before, _) = propose(session, stage), _rule(stage)
     before.require_over()
     require_scored(session, before)
@@ -139,7 +139,9 @@ def confirm(
     for team_id in chosen.keys() - previous.keys():
         facts = stage_facts(stage) | {"team": chosen[team_id]}
         announce(session, NoticeKind.PROMOTED, team_id, f"{stage.subject}/{team_id}/{now.isoformat()}", facts)
-    session.add_all(Qualification(track=stage.track, stage=stage.name, team_id=team_id) for team_id in chosen)
+    session.add_all(
+        Qualification(contest=stage.contest, track=stage.track, stage=stage.name, team_id=team_id) for team_id in chosen
+    )
     session.flush()
     after = {
         "teams": sorted(chosen.values()),

@@ -62,5 +62,5 @@ def get_judged(
 ) -> list[JudgedTeamView]:
     """Return each team's marks with their spread, its figures and its total, best first (organizers only)."""
     with services.database.transaction() as session:
-        found = judging.judged(session, principal, Contest.read(session).shown_stage(track, stage))
+        found = judging.judged(session, principal, Contest.find_by_track(session, track).shown_stage(track, stage))
     return [JudgedTeamView(**asdict(team)) for team in found]

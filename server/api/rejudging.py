@@ -45,7 +45,7 @@ def get_rejudgements(services: ServicesOf, principal: PrincipalOf) -> list[Rejud
 def post_rejudgement(services: ServicesOf, principal: PrincipalOf, new: NewRejudgement) -> RejudgementDetailView:
     """Evaluate submissions again with the present evaluator; nobody but organizers sees it, no result changes."""
     with services.database.transaction() as session:
-        stage = Contest.read(session).shown_stage(new.track, new.stage)
+        stage = Contest.find_by_track(session, new.track).shown_stage(new.track, new.stage)
         made = rejudging.start(session, principal, stage, submissions=new.submissions, reason=new.reason)
         return rejudgement_detail_view(session, made)
 

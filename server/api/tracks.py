@@ -10,7 +10,7 @@ from ..leaderboards.log_boards import log_boards
 from ..leaderboards.made_boards import MadeBoard
 from ..leaderboards.standings import leaderboard
 from ..publishing.archive import archive_view
-from ..tracks import load_known_track, track_file, track_view, track_views
+from ..tracks import load_known_track, track_view, track_views
 from ..views.archive import ArchiveView
 from ..views.contest import CompetitionView
 from ..views.leaderboards import LeaderboardView, LogBoardsView
@@ -39,12 +39,6 @@ def get_track(services: ServicesOf, track: str) -> TrackView:
     return track_view(load_known_track(track), services.settings)
 
 
-@router.get("/tracks/{track}/file")
-def get_track_file(track: str) -> Response:
-    """Return the file of a track as YAML text, with which its episodes can be played and its results audited."""
-    return Response(track_file(track), media_type="application/yaml")
-
-
 @router.get("/competition")
 def get_competition(services: ServicesOf) -> CompetitionView:
     """Return the competition of this service: schedule, rules, prizes, commitments, at the end winners; else 404."""
@@ -71,7 +65,7 @@ def get_leaderboard(
 ) -> Response:
     """Return the standings of a track or of one of its tasks: the best completed evaluation of each team."""
     with services.database.reading() as session:
-        shown = Contest.read(session).shown_stage(track, stage)
+        shown = Contest.find_by_track(session, track).shown_stage(track, stage)
         board = leaderboard(session, shown, task=task, unfrozen=principal.is_organizer)
     return _answer(request, board)
 
@@ -82,7 +76,7 @@ def get_log_boards(
 ) -> Response:
     """Return the verified logs of a track, ranked by task, and the 2025 text logs, which are not ranked."""
     with services.database.reading() as session:
-        shown = Contest.read(session).shown_stage(track, stage)
+        shown = Contest.find_by_track(session, track).shown_stage(track, stage)
         board = log_boards(session, shown, unfrozen=principal.is_organizer)
     return _answer(request, board)
 

@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session, joinedload, selectinload
 from vitac.evaluator.episodes.records import EpisodeRecord
 
 from ..audit import record
-from ..contest.contest import Contest
+from ..contest.contest import Contest, stage_of
 from ..db.models import Appeal, AppealReplay, EpisodeResult, Evaluation, Rejudgement, Submission
 from ..db.states import TERMINAL_EVALUATION_STATES, AppealState
 from ..errors import ProblemCode, ServiceError, not_found
@@ -112,21 +112,21 @@ def rule(session: Session, by: Principal, appeal_id: int, ruling: str, *, upheld
     return found
 
 
-def open_in_competition(session: Session) -> list[Appeal]:
-    """Return the appeals against results of stages on which nobody has ruled, the first one first."""
+def open_in_competition(session: Session, contest: Contest) -> list[Appeal]:
+    """Return the appeals against results of a contest on which nobody has ruled, the first one first."""
     query = select(Appeal).join(Appeal.evaluation).join(Evaluation.submission).options(joinedload(Appeal.team))
-    is_open = Appeal.state == AppealState.OPEN, Submission.stage != ""
+    is_open = Appeal.state == AppealState.OPEN, contest.submissions
     return list(session.scalars(query.where(*is_open).order_by(Appeal.id)))
 
 
-def end_with_competition(session: Session, by: Principal) -> None:
+def end_with_competition(session: Session, by: Principal, contest: Contest) -> None:
     """Reject the appeals on which nobody has ruled when the competition becomes final.
 
     Raises:
         ServiceError: not an organizer.
     """
     by.require_organizer()
-    for found in open_in_competition(session):
+    for found in open_in_competition(session, contest):
         _end(session, by, found, AppealState.REJECTED, _NO_RULING)
 
 
@@ -259,8 +259,9 @@ def _end(session: Session, by: Principal, appeal: Appeal, state: AppealState, ru
 def _require_time(session: Session, evaluation: Evaluation) -> None:
     if evaluation.state not in TERMINAL_EVALUATION_STATES or evaluation.finished_at is None:
         raise ServiceError(ProblemCode.APPEAL_TOO_LATE, "This evaluation has not ended; wait for its result.")
-    contest, submission = Contest.read(session), evaluation.submission
-    days, final = contest.definition.appeal_days, contest.stored_stage(submission.track, submission.stage).final_since
+    submission = evaluation.submission
+    days = Contest.read(session, submission.contest or None).definition.appeal_days
+    final = stage_of(session, submission).final_since
     if final is not None:
         raise ServiceError(
             ProblemCode.APPEAL_TOO_LATE,

@@ -1,4 +1,4 @@
-"""Makes a competition file the competition of this service: what changes by it, and the change itself."""
+"""Makes a competition file a competition of this service: what changes by it, and the change itself."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ class Change:
 
 def concerns_by(session: Session, definition: CompetitionDefinition) -> list[Concern]:
     """Return what applying a file touches that already happened; `apply` wants each confirmed by its name."""
-    return concerns_about(Contest.read(session), definition, datetime.now(UTC))
+    return concerns_about(Contest.read(session, definition.name), definition, datetime.now(UTC))
 
 
 def changes_by(session: Session, definition: CompetitionDefinition) -> list[Change]:
@@ -58,7 +58,7 @@ def changes_by(session: Session, definition: CompetitionDefinition) -> list[Chan
         ServiceError: the competition is final, submissions were made by what it takes away, or a stage whose secret is
             published would open again.
     """
-    contest = Contest.read(session)
+    contest = Contest.read(session, definition.name)
     if contest.definition != definition:
         contest.require_not_final()
     _refuse_loss(contest, definition)
@@ -74,9 +74,9 @@ def apply(
     base: str | None = None,
     confirmed: Collection[str] | None = (),
 ) -> list[Change]:
-    """Make it the competition of this service, with a sealed list for each stage that plays one; return what changed.
+    """Make it the competition of its name, with a sealed list for each stage that plays one; return what changed.
 
-    Applying the same file again changes nothing.
+    Others stay as they are. Applying the same file again changes nothing.
 
     Args:
         session: of the transaction.
@@ -90,7 +90,7 @@ def apply(
             `changes_by`.
     """
     by.require_organizer()
-    contest = Contest.lock(session)
+    contest = Contest.lock(session, definition.name)
     before = contest.row.definition if contest.is_held else None
     found = changes_by(session, definition)
     after = definition.model_dump(mode="json")
@@ -103,18 +103,18 @@ def apply(
         )
         require_confirmed(concerns_by(session, definition), confirmed)
     if not contest.is_held:
-        session.add(Competition(definition=after, frozen_at=definition.freeze_at))
+        session.add(Competition(name=definition.name, definition=after, frozen_at=definition.freeze_at))
     elif before != after:
         if contest.definition.freeze_at != definition.freeze_at:
             contest.row.frozen_at = definition.freeze_at
         contest.row.definition, contest.row.applied_at = after, datetime.now(UTC)
     session.flush()
     if before != after:
-        record(session, by, "competition.apply", Contest.read(session).subject, after, before=before)
-    for stage in Contest.read(session).stages:
+        record(session, by, "competition.apply", Contest.read(session, definition.name).subject, after, before=before)
+    for stage in Contest.read(session, definition.name).stages:
         change = seal if stage.plays_sealed_list else withdraw
         change(session, by, stage)
-    withdraw_unplayed(session, by, Contest.read(session))
+    withdraw_unplayed(session, by, Contest.read(session, definition.name))
     return found
 
 
@@ -169,7 +169,7 @@ def _refuse_loss(contest: Contest, definition: CompetitionDefinition) -> None:
     """Refuse to take away a stage that has submissions, and to change its list."""
     lists = {(name, stage.name): stage.list for name, track in definition.tracks.items() for stage in track.stages}
     used = contest.session.execute(
-        select(Submission.track, Submission.stage).where(Submission.stage != "").distinct().order_by(Submission.track)
+        select(Submission.track, Submission.stage).where(contest.submissions).distinct().order_by(Submission.track)
     )
     for track, name in used:
         kind = lists.get((track, name))

@@ -1,31 +1,32 @@
 """The contest as an object that answers: its stages, what its file says, whether it is frozen or final.
 
-There is one in a transaction. Called by doors to look up a stage by its name, and by everything that follows its rules.
+A service may hold several; each is one object in a transaction. Called by doors to look up a stage by its name, and by
+everything that follows its rules.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
 from typing import Self
 
+from sqlalchemy import ColumnElement, and_, select
 from sqlalchemy.orm import Session
 
 from ..confirmations import revision_of
-from ..db.models import Competition
+from ..db.models import Competition, Rejudgement, Submission
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
 from ..tracks import known_track, load_known_track
 from .definition import CompetitionDefinition, StageRules, TrackRules
 from .stages import PRACTICE, PRACTICE_RULES, PRACTICE_TRACK, Stage
 
-_ONLY_ID = 1
 _NO_COMPETITION = CompetitionDefinition.model_construct(name="", title="", tracks={})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Contest:
-    """The competition of this service as a transaction sees it. Without one, all tracks are for practice.
+    """A competition of this service as a transaction sees it. Without one, all tracks are for practice.
 
     Attributes:
         session: of the transaction.
@@ -40,31 +41,96 @@ class Contest:
     is_held: bool
 
     @classmethod
-    def read(cls, session: Session) -> Self:
-        """Return the contest as far as the session has read it."""
-        return cls._of(session, session.get(Competition, _ONLY_ID))
-
-    @classmethod
-    def lock(cls, session: Session, *, shared: bool = False) -> Self:
-        """Return the contest as it is now; nobody else changes it until the end of the transaction.
+    def read(cls, session: Session, name: str | None = None) -> Self:
+        """Return a contest as far as the session has read it.
 
         Args:
             session: of the transaction.
+            name: of the contest; empty: none, for practice; None: the one that opened last.
+        """
+        if name is None:
+            return cls.read_all(session)[0]
+        return cls._of(session, session.get(Competition, name) if name else None)
+
+    @classmethod
+    def read_all(cls, session: Session) -> Sequence[Self]:
+        """Return all contests, the one that opened last first; without any a single one that is not held."""
+        rows = session.scalars(select(Competition).order_by(Competition.name)).all()
+        if not rows:
+            return [cls._of(session, None)]
+        now = datetime.now(UTC)
+        return sorted((cls._of(session, row) for row in rows), key=lambda one: _shown_first(one.opens, now))
+
+    @classmethod
+    def find(cls, session: Session, name: str | None = None, *, track: str | None = None) -> Self:
+        """Return the contest that somebody names.
+
+        Args:
+            session: of the transaction.
+            name: of the contest; None: the only one, which is not held where there is none.
+            track: without a name, only contests that hold this track are looked at.
+
+        Raises:
+            ServiceError: there is none of that name, or several and no name.
+        """
+        contests = cls.read_all(session)
+        looked_at = contests if track is None else cls.read_by_track(session, track)
+        if name is None and len(looked_at) == 1:
+            return looked_at[0]
+        names = ", ".join(sorted(one.name for one in looked_at if one.is_held)) or "none"
+        found = next((one for one in contests if one.is_held and one.name == name), None)
+        if name is None:
+            raise ServiceError(
+                ProblemCode.INVALID_REQUEST, f"This service has several competitions; name one of {names}."
+            )
+        if found is None:
+            raise ServiceError(ProblemCode.NOT_FOUND, f"There is no competition {name!r:.80}, expected one of {names}.")
+        return found
+
+    @classmethod
+    def read_by_track(cls, session: Session, track: str) -> Sequence[Self]:
+        """Return the contests that hold a track, ordered as `read_all`; without any one in which it is for practice."""
+        contests = cls.read_all(session)
+        return [one for one in contests if one.holds(track)] or contests[:1]
+
+    @classmethod
+    def find_by_track(cls, session: Session, track: str) -> Self:
+        """Return the contest whose boards a track shows: of those that hold it the one that opened last."""
+        return cls.read_by_track(session, track)[0]
+
+    @classmethod
+    def lock(cls, session: Session, name: str, *, shared: bool = False) -> Self:
+        """Return a contest as it is now; nobody else changes it until the end of the transaction.
+
+        Args:
+            session: of the transaction.
+            name: of the contest; empty: none, for practice.
             shared: whether others may lock it so at the same time.
         """
         lock = {"read": True} if shared else True
-        return cls._of(session, session.get(Competition, _ONLY_ID, with_for_update=lock, populate_existing=True))
+        found = session.get(Competition, name, with_for_update=lock, populate_existing=True) if name else None
+        return cls._of(session, found)
 
     @classmethod
-    def lock_to_change(cls, session: Session, by: Principal) -> Self:
+    def lock_held(cls, session: Session, by: Principal, name: str | None) -> Self:
+        """Return the same for an organizer; of the only contest where `name` is None.
+
+        Raises:
+            ServiceError: not an organizer, there is no competition, or `find`.
+        """
+        by.require_organizer()
+        contest = cls.lock(session, cls.find(session, name).name)
+        contest.require_held()
+        return contest
+
+    @classmethod
+    def lock_to_change(cls, session: Session, by: Principal, name: str | None = None) -> Self:
         """Return the same for an organizer who changes it.
 
         Raises:
-            ServiceError: not an organizer, or there is no competition, or it is final.
+            ServiceError: as `lock_held`, or it is final.
         """
-        by.require_organizer()
-        contest = cls.lock(session)
-        contest.require_held()
+        contest = cls.lock_held(session, by, name)
         contest.require_not_final()
         return contest
 
@@ -72,19 +138,34 @@ class Contest:
     def _of(cls, session: Session, row: Competition | None) -> Self:
         """Return the contest of a row; its content is validated again only where that was changed or read again."""
         if row is None:
-            return cls(session=session, row=Competition(), definition=_NO_COMPETITION, is_held=False)
-        known: tuple[object, Self] | None = session.info.get(cls)
+            return cls(session=session, row=Competition(name=""), definition=_NO_COMPETITION, is_held=False)
+        known: tuple[object, Self] | None = session.info.get((cls, row.name))
         if known is not None and known[0] is row.definition:
             return known[1]
         definition = CompetitionDefinition.model_validate(row.definition)
         contest = cls(session=session, row=row, definition=definition, is_held=True)
-        session.info[cls] = row.definition, contest
+        session.info[cls, row.name] = row.definition, contest
         return contest
+
+    @property
+    def name(self) -> str:
+        """By which rows say that they belong to it; empty where there is none."""
+        return self.row.name
+
+    @property
+    def opens(self) -> datetime:
+        """When its first stage opens."""
+        return min((stage.rules.opens for stage in self.stages), default=datetime.max.replace(tzinfo=UTC))
 
     @property
     def subject(self) -> str:
         """What the audit log calls it."""
         return f"competition:{self.definition.name}"
+
+    @property
+    def submissions(self) -> ColumnElement[bool]:
+        """The condition by which a query takes the submissions to all its stages."""
+        return and_(Submission.contest == self.name, Submission.stage != PRACTICE)
 
     @property
     def revision(self) -> str:
@@ -127,6 +208,10 @@ class Contest:
     def last_stages(self) -> tuple[Stage, ...]:
         """The last stage of each track that is held here: its boards decide who wins."""
         return tuple(stage for stage in self.stages_held_here if stage.rules is stage.track_rules.stages[-1])
+
+    def holds(self, track: str) -> bool:
+        """Return whether submissions to a track are taken here."""
+        return any(stage.track == track for stage in self.stages_held_here)
 
     def stages_of(self, track: str) -> tuple[Stage, ...]:
         """Return the stages of a track that are held here; outside of a competition that is one for practice."""
@@ -226,12 +311,43 @@ class Contest:
         return Stage(
             session=self.session,
             competition=self.row,
+            contest="" if name == PRACTICE else self.name,
             track=track,
             name=name,
             rules=rules,
             track_rules=track_rules,
             before=before,
         )
+
+
+def stage_of(session: Session, row: Submission | Rejudgement) -> Stage:
+    """Return the stage that a row names."""
+    return Contest.read(session, row.contest).stored_stage(row.track, row.stage)
+
+
+def open_stage(session: Session, track: str, by: Principal, at: datetime, contest: str | None = None) -> Stage:
+    """Return the stage of a track that takes submissions at a moment (`Contest.open_stage`).
+
+    Args:
+        session: of the transaction.
+        track: which one.
+        by: who submits.
+        at: the moment.
+        contest: name of the contest; None: of those that take submissions the one that opened last.
+
+    Raises:
+        ServiceError: there is no such contest, none takes submissions, or its episodes are published.
+    """
+    if contest is not None:
+        return Contest.find(session, contest).open_stage(track, by, at)
+    contests = Contest.read_by_track(session, track)
+    taking = (one for one in contests if any(stage.is_in_time(at) for stage in one.stages_of(track)))
+    return next(taking, contests[0]).open_stage(track, by, at)
+
+
+def _shown_first(opens: datetime, now: datetime) -> tuple[bool, float]:
+    """Return by what contests are ordered: the one that opened last first, then by when the others open."""
+    return opens > now, abs((now - opens).total_seconds())
 
 
 def _last_opened(stages: tuple[Stage, ...], at: datetime) -> Stage | None:

@@ -36,7 +36,7 @@ def seal(session: Session, by: Principal, stage: Stage, secret: bytes | None = N
         ServiceError: not an organizer, or another secret was committed to.
     """
     by.require_organizer()
-    found = session.scalar(select(SealedList).where(SealedList.track == stage.track, SealedList.stage == stage.name))
+    found = session.scalar(select(SealedList).where(*stage.rows_of(SealedList)))
     if found is None:
         return _make_list(session, by, stage, secret or secrets.token_bytes(SECRET_BYTES))
     if secret is not None and commitment_of(secret) != found.commitment:
@@ -72,7 +72,7 @@ def withdraw_unplayed(session: Session, by: Principal, contest: Contest) -> None
         ServiceError: an evaluation plays one of the lists.
     """
     known = {(stage.track, stage.name) for stage in contest.stages}
-    for found in sealed_lists(session):
+    for found in sealed_lists(session, contest):
         if (found.track, found.stage) not in known and found.withdrawn_at is None:
             _withdraw(session, by, contest.stored_stage(found.track, found.stage), found)
 
@@ -83,7 +83,7 @@ def refuse_reopening(contest: Contest, definition: CompetitionDefinition, at: da
     Raises:
         ServiceError: stage_in_use.
     """
-    for found in sealed_lists(contest.session):
+    for found in sealed_lists(contest.session, contest):
         track = definition.tracks.get(found.track)
         rules = next((stage for stage in track.stages if stage.name == found.stage), None) if track else None
         if found.revealed_at is not None and rules is not None and rules.closes > at:
@@ -96,7 +96,13 @@ def refuse_reopening(contest: Contest, definition: CompetitionDefinition, at: da
 
 
 def _make_list(session: Session, by: Principal, stage: Stage, secret: bytes) -> SealedList:
-    made = SealedList(commitment=commitment_of(secret), track=stage.track, stage=stage.name, secret=secret.hex())
+    made = SealedList(
+        commitment=commitment_of(secret),
+        contest=stage.contest,
+        track=stage.track,
+        stage=stage.name,
+        secret=secret.hex(),
+    )
     session.add(made)
     session.flush()
     record(session, by, "list.seal", stage.subject, {"commitment": made.commitment})
@@ -122,7 +128,7 @@ def reveal(session: Session, by: Principal, stage: Stage) -> SealedList:
         ServiceError: not an organizer, there is no such list, or an evaluation of it has not ended.
     """
     by.require_organizer()
-    of_stage = SealedList.track == stage.track, SealedList.stage == stage.name, SealedList.withdrawn_at.is_(None)
+    of_stage = *stage.rows_of(SealedList), SealedList.withdrawn_at.is_(None)
     found = session.scalar(select(SealedList).where(*of_stage).with_for_update())
     if found is None:
         raise not_found("sealed list of", f"{stage.track}/{stage.name}")
@@ -140,9 +146,10 @@ def reveal(session: Session, by: Principal, stage: Stage) -> SealedList:
     return found
 
 
-def sealed_lists(session: Session) -> list[SealedList]:
-    """Return all sealed lists, by track and stage, also withdrawn ones."""
-    return list(session.scalars(select(SealedList).order_by(SealedList.track, SealedList.stage)))
+def sealed_lists(session: Session, contest: Contest) -> list[SealedList]:
+    """Return the sealed lists of a contest, by track and stage, also withdrawn ones."""
+    of_contest = select(SealedList).where(SealedList.contest == contest.name)
+    return list(session.scalars(of_contest.order_by(SealedList.track, SealedList.stage)))
 
 
 def secret_of(session: Session, commitment: str) -> bytes:

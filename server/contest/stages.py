@@ -50,6 +50,7 @@ class Stage:
     """A stage of a track, or what stands for one where a track is for practice: always open, for all.
 
     Attributes:
+        contest: name of its competition; empty outside of one.
         track: name of its track.
         name: of the stage; `PRACTICE` outside of a competition.
         session: of the transaction.
@@ -59,6 +60,7 @@ class Stage:
         before: the stage of its track before it; None for the first.
     """
 
+    contest: str
     track: str
     name: str
     session: Session = field(compare=False, repr=False)
@@ -79,7 +81,7 @@ class Stage:
     @property
     def subject(self) -> str:
         """What the audit log calls it."""
-        return f"stage:{self.track}/{self.name}"
+        return f"stage:{self.contest}/{self.track}/{self.name}"
 
     @property
     def is_practice(self) -> bool:
@@ -102,23 +104,29 @@ class Stage:
         """Since when its results are final; None: they are not."""
         return None if self.is_practice else self.competition.finalized_at
 
+    def rows_of(
+        self, table: type[Submission] | type[Qualification] | type[SealedList]
+    ) -> tuple[ColumnElement[bool], ...]:
+        """Return the conditions by which rows of a table belong to this stage."""
+        return table.contest == self.contest, table.track == self.track, table.stage == self.name
+
     @property
     def submissions(self) -> ColumnElement[bool]:
         """The condition by which a query takes the submissions to this stage."""
-        return and_(Submission.track == self.track, Submission.stage == self.name)
+        return and_(*self.rows_of(Submission))
 
     @property
     def qualifications(self) -> ColumnElement[bool]:
         """The condition by which a query takes what the organizers confirmed for this stage."""
-        return and_(Qualification.track == self.track, Qualification.stage == self.name)
+        return and_(*self.rows_of(Qualification))
 
     @property
     def sealed_list(self) -> SealedList | None:
         """The list that only organizers know; None where the public one is played."""
         if self.is_practice:
             return None
-        of_stage = SealedList.track == self.track, SealedList.stage == self.name
-        return self.session.scalar(select(SealedList).where(*of_stage, SealedList.withdrawn_at.is_(None)))
+        of_stage = select(SealedList).where(*self.rows_of(SealedList))
+        return self.session.scalar(of_stage.where(SealedList.withdrawn_at.is_(None)))
 
     @property
     def is_sealed(self) -> bool:
@@ -156,7 +164,7 @@ class Stage:
 
     def is_qualified(self, team: Team) -> bool:
         """Return whether the organizers confirmed a team for it."""
-        return self.session.get(Qualification, (self.track, self.name, team.id)) is not None
+        return self.session.get(Qualification, (self.contest, self.track, self.name, team.id)) is not None
 
     def may_submit(self, team: Team) -> bool:
         """Return whether it is for all teams, or a team is qualified for it."""

@@ -25,6 +25,7 @@ def concerns_about(contest: Contest, new: CompetitionDefinition, at: datetime) -
 
 def _touched(contest: Contest, new: CompetitionDefinition, at: datetime) -> Iterator[tuple[str, str]]:
     if not contest.is_held:
+        yield from _of_new_contest(contest, new)
         return
     yield from _of_all_tracks(contest, new, at)
     for name, track in new.tracks.items():
@@ -37,8 +38,17 @@ def _touched(contest: Contest, new: CompetitionDefinition, at: datetime) -> Iter
         yield from _of_stage(contest, stage, new, at)
 
 
+def _of_new_contest(contest: Contest, new: CompetitionDefinition) -> Iterator[tuple[str, str]]:
+    if others := ", ".join(sorted(one.name for one in Contest.read_all(contest.session) if one.is_held)):
+        yield (
+            "name",
+            f"{new.name} becomes a further competition beside {others}, which stay as they are. To change one of "
+            "them, give the file its name.",
+        )
+
+
 def _of_all_tracks(contest: Contest, new: CompetitionDefinition, at: datetime) -> Iterator[tuple[str, str]]:
-    old, count = contest.definition, _count(contest, Submission.stage != "")
+    old, count = contest.definition, _count(contest, contest.submissions)
     if count and old.appeal_days != new.appeal_days:
         yield (
             "appeal_days",
@@ -53,12 +63,12 @@ def _of_all_tracks(contest: Contest, new: CompetitionDefinition, at: datetime) -
 
 
 def _of_new_track(contest: Contest, track: str) -> Iterator[tuple[str, str]]:
-    if count := _count(contest, Submission.track == track):
+    if count := _count(contest, Submission.track == track, Submission.contest == ""):
         yield f"tracks.{track}", f"{track} has {count} submissions for practice; they are in none of its stages."
 
 
 def _of_track(contest: Contest, name: str, old: TrackRules, new: TrackRules) -> Iterator[tuple[str, str]]:
-    count = _count(contest, Submission.track == name, Submission.stage != "")
+    count = _count(contest, contest.submissions, Submission.track == name)
     if not count:
         return
     place, submitted = f"tracks.{name}", f"{name} has {count} submissions"

@@ -25,16 +25,16 @@ from .stages import Stage
 Lists = Mapping[tuple[str, str], SealedList]
 
 
-def competition_view(session: Session, at: datetime | None = None) -> CompetitionView:
-    """Return the competition; `at` is the moment, None: now.
+def competition_view(session: Session, name: str | None = None, *, at: datetime | None = None) -> CompetitionView:
+    """Return a competition; `name` None: the one that opened last, `at` None: now.
 
     Raises:
         ServiceError: this service runs none.
     """
-    contest, now = Contest.read(session), at or datetime.now(UTC)
+    contest, now = Contest.find(session, name) if name else Contest.read(session), at or datetime.now(UTC)
     if not contest.is_held:
         raise ServiceError(ProblemCode.NOT_FOUND, "This service runs no competition; all its tracks are for practice.")
-    found, row, lists = contest.definition, contest.row, _lists(session)
+    found, row, lists = contest.definition, contest.row, _lists(contest)
     return CompetitionView(
         name=found.name,
         title=found.title,
@@ -52,40 +52,44 @@ def competition_view(session: Session, at: datetime | None = None) -> Competitio
         finalized_at=row.finalized_at,
         reopened=[ReopeningView.model_validate(each) for each in row.reopened],
         winners=[WinnerView.model_validate(winner, extra="ignore") for winner in row.winners or []],
-        disqualified=disqualified_since_the_end(session),
+        disqualified=disqualified_since_the_end(contest),
         withdrawn_lists=[
             WithdrawnListView.model_validate(each, from_attributes=True)
-            for each in sealed_lists(session)
+            for each in sealed_lists(contest.session, contest)
             if each.withdrawn_at is not None
         ],
     )
 
 
-def disqualified_since_the_end(session: Session) -> list[DisqualifiedTeamView]:
+def disqualified_since_the_end(contest: Contest) -> list[DisqualifiedTeamView]:
     """Return the teams among the kept winners and boards that were disqualified later, or whose entry was.
 
     There are none before the end.
     """
-    row = Contest.read(session).row
+    row = contest.row
     if row.finalized_at is None:
         return []
     kept = {winner["submission"]: winner["team"] for winner in row.winners or ()}
     kept |= {entry["submission_id"]: entry["team"] for board in row.boards or () for entry in board["entries"]}
     since_when = func.coalesce(Team.disqualified_at, Submission.disqualified_at)
     query = select(Submission.id, since_when).join(Submission.team).where(since_when.is_not(None))
-    since = {kept[str(submission)]: at for submission, at in session.execute(query) if at and str(submission) in kept}
+    found = contest.session.execute(query)
+    since = {kept[str(submission)]: at for submission, at in found if at and str(submission) in kept}
     return [DisqualifiedTeamView(team=team, disqualified_at=at) for team, at in sorted(since.items())]
 
 
 def track_stages(session: Session, track: str, at: datetime | None = None) -> Sequence[StageView]:
     """Return the stages of a track that is held here; empty outside of a competition. `at` None: now."""
-    stages = [stage for stage in Contest.read(session).stages_of(track) if not stage.is_practice]
-    lists, now = _lists(session) if stages else {}, at or datetime.now(UTC)
+    contest = Contest.find_by_track(session, track)
+    stages = [stage for stage in contest.stages_of(track) if not stage.is_practice]
+    lists, now = _lists(contest) if stages else {}, at or datetime.now(UTC)
     return [_stage(stage, lists, now) for stage in stages]
 
 
-def _lists(session: Session) -> Lists:
-    return {(each.track, each.stage): each for each in sealed_lists(session) if each.withdrawn_at is None}
+def _lists(contest: Contest) -> Lists:
+    return {
+        (each.track, each.stage): each for each in sealed_lists(contest.session, contest) if each.withdrawn_at is None
+    }
 
 
 def _track(name: str, contest: Contest, lists: Lists, now: datetime) -> CompetitionTrackView:

@@ -67,13 +67,14 @@ def troubles(session: Session) -> list[Trouble]:
         .limit(SHOWN)
         .options(selectinload(Evaluation.submission).selectinload(Submission.team))
     )
-    contest = Contest.read(session)
     return [
         Trouble(
             submission_id=evaluation.submission_id,
             submission=evaluation.submission.name,
             team=evaluation.submission.team.name,
-            track_title=contest.track_title(evaluation.submission.track),
+            track_title=Contest.read(session, evaluation.submission.contest or None).track_title(
+                evaluation.submission.track
+            ),
             problem=_words(by_machines=by_machines, differing=differing, copy=copy),
             at=evaluation.created_at,
         )
@@ -82,7 +83,7 @@ def troubles(session: Session) -> list[Trouble]:
 
 
 def stages(session: Session, at: datetime | None = None) -> Sequence[StageState]:
-    """Return the stages of the competition; `at` is the moment, None: now."""
+    """Return the stages of all competitions; `at` is the moment, None: now."""
     now = at or datetime.now(UTC)
     return [
         StageState(
@@ -94,7 +95,8 @@ def stages(session: Session, at: datetime | None = None) -> Sequence[StageState]
             running=count_running(session, stage),
             over=stage.is_over(now),
         )
-        for stage in Contest.read(session).stages_held_here
+        for contest in Contest.read_all(session)
+        for stage in contest.stages_held_here
     ]
 
 

@@ -16,7 +16,7 @@ from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
 from vitac.evaluator.tracks.versions import hash_of, version_of
 
-from ..contest.contest import Contest
+from ..contest.contest import stage_of
 from ..db.models import Evaluation, Shard, Submission
 from ..db.row_locks import lock_evaluation
 from ..db.states import OPEN_SHARD_STATES, EvaluationState, NoticeKind, ShardState
@@ -76,7 +76,7 @@ def start(
         evaluator_hash=hash_of(submission.track),
         state=EvaluationState.QUEUED,
         episodes_reused=0,
-        commitment=Contest.read(session).stored_stage(submission.track, submission.stage).commitment,
+        commitment=stage_of(session, submission).commitment,
         turn=next_turn(session, submission.team_id) if turn is None else turn,
         log_tail="",
         charged_at=charged_at,

@@ -101,6 +101,7 @@ def _board_result(
     submission = evaluation.submission
     return BoardResult(
         board=board,
+        contest=submission.contest,
         track=submission.track,
         stage=submission.stage,
         kind=submission.kind,

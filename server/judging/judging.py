@@ -89,8 +89,10 @@ def give_marks(
     name = _judge(session, by, judge)
     submission = visible(session, by, submission_id)
     teams.lock(session, submission.team)  # no conflict and no other marks of the team meanwhile
-    Contest.lock(session).require_not_final()  # the end, and the same judge's marks from elsewhere, wait for these
-    rubric = rubric_of(session, submission.track)
+    # The end, and the same judge's marks from elsewhere, wait for these.
+    contest = Contest.lock(session, submission.contest)
+    contest.require_not_final()
+    rubric = rubric_of(contest, submission.track)
     _require_ranked_task(session, submission)
     _require_whole(rubric, marks)
     conflict = session.get(JudgingConflict, (submission.team_id, name))
@@ -111,7 +113,7 @@ def give_marks(
 
 
 def declare_conflict(session: Session, by: Principal, team: str, reason: str, *, judge: str | None = None) -> None:
-    """Note that a judge has a conflict of interest with a team; marks that the judge gave it before are taken away.
+    """Note that a judge has a conflict of interest with a team; its marks by the judge go, but in final competitions.
 
     Args:
         session: of the transaction.
@@ -121,13 +123,18 @@ def declare_conflict(session: Session, by: Principal, team: str, reason: str, *,
         judge: for an organizer: whose conflict it is.
 
     Raises:
-        ServiceError: not a judge or organizer, no such team, or the competition is final.
+        ServiceError: not a judge or organizer, no such team, or all competitions are final.
     """
     name = _judge(session, by, judge)
     found = teams.find(session, team)
     teams.lock(session, found)  # before the competition, as for marks
-    Contest.lock(session).require_not_final()  # the end, and the same judge's marks from elsewhere, wait for these
-    mine = JudgingMark.submission_id.in_(select(Submission.id).where(Submission.team_id == found.id))
+    # The end, and the same judge's marks from elsewhere, wait for these.
+    contests = [Contest.lock(session, one) for one in sorted(one.name for one in Contest.read_all(session))]
+    final = [one for one in contests if one.row.finalized_at is not None]
+    if len(final) == len(contests):
+        final[0].require_not_final()
+    of_team = Submission.team_id == found.id, Submission.contest.not_in([one.name for one in final])
+    mine = JudgingMark.submission_id.in_(select(Submission.id).where(*of_team))
     before = _take_away(session, name, mine)
     row = session.get(JudgingConflict, (found.id, name))
     if row is None:
@@ -145,7 +152,7 @@ def judged(session: Session, by: Principal, stage: Stage) -> list[JudgedTeam]:
         ServiceError: not an organizer, or the track is not judged.
     """
     by.require_organizer()
-    rubric = rubric_of(session, stage.track)
+    rubric = rubric_of(Contest.read(session, stage.contest), stage.track)
     return _by_total(session, rubric, leaderboard(session, stage, live=True).view.entries)
 
 
@@ -157,7 +164,7 @@ def ranked_by_total(session: Session, stage: Stage) -> list[tuple[LeaderboardEnt
     """
     board = leaderboard(session, stage, live=True).view.entries
     entries = {entry.submission_id: entry for entry in board if entry.rank is not None}
-    rubric = rubric_of(session, stage.track)
+    rubric = rubric_of(Contest.read(session, stage.contest), stage.track)
     found = _by_total(session, rubric, list(entries.values()))
     if missing := [f"{team.team} ({_missing(rubric, team)})" for team in found if team.total is None]:
         raise ServiceError(
@@ -168,13 +175,13 @@ def ranked_by_total(session: Session, stage: Stage) -> list[tuple[LeaderboardEnt
     return [(entries[team.submission], team.total) for team in found if team.total is not None]
 
 
-def rubric_of(session: Session, track: str) -> Judging:
-    """Return how a track is judged.
+def rubric_of(contest: Contest, track: str) -> Judging:
+    """Return how a track of a contest is judged.
 
     Raises:
         ServiceError: it is not.
     """
-    rules = Contest.read(session).definition.tracks.get(track)
+    rules = contest.definition.tracks.get(track)
     if rules is None or rules.judging is None:
         raise ServiceError(
             ProblemCode.INVALID_REQUEST, f"{track} is not judged; give it `judging` in the competition's file."

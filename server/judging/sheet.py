@@ -64,7 +64,8 @@ def sheets(session: Session, by: Principal) -> list[Sheet]:
         raise ServiceError(ProblemCode.FORBIDDEN, "Only judges and organizers may do this; sign in with their token.")
     return [
         _sheet(session, by, stage, stage.track_rules.judging)
-        for stage in Contest.read(session).last_stages
+        for contest in Contest.read_all(session)
+        for stage in contest.last_stages
         if stage.track_rules.judging is not None
     ]
 

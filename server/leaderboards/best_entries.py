@@ -33,6 +33,7 @@ class Board:
     """What is ranked together: results of one kind in one task of a track, or with `task` None in all of them.
 
     Attributes:
+        contest: name of the competition; empty for results outside of one.
         stage: of the competition; empty for results outside of one.
         ranking: what entries are compared by.
         evaluator_version: whose results are ranked.
@@ -42,6 +43,7 @@ class Board:
     track: str
     kind: SubmissionKind = SubmissionKind.MODEL
     task: str | None = None
+    contest: str = ""
     stage: str = ""
     ranking: tuple[RankingKey, ...] = DEFAULT_RANKING
     evaluator_version: str = field(default_factory=evaluator_version)
@@ -61,6 +63,7 @@ class Board:
             track=stage.track,
             kind=kind,
             task=task,
+            contest=stage.contest,
             stage=stage.name,
             ranking=stage.ranking,
             evaluator_version=counted.evaluator_version,
@@ -123,6 +126,7 @@ def _places(ranked: Sequence[BestEntry]) -> dict[UUID, RankView]:
 def _parameters(board: Board) -> dict[str, object]:
     return {
         "track": board.track,
+        "contest": board.contest,
         "stage": board.stage,
         "kind": board.kind,
         "board": board.task or ALL_TASKS,
@@ -184,6 +188,7 @@ def _best_result(
 
 def _on(result: type[BoardResult], board: ColumnElement[str]) -> tuple[ColumnElement[bool], ...]:
     return (
+        result.contest == bindparam("contest"),
         result.track == bindparam("track"),
         result.stage == bindparam("stage"),
         result.kind == bindparam("kind"),

@@ -3,7 +3,7 @@
 from functools import cache
 from typing import Any
 
-from sqlalchemy import Select, Text, bindparam, func, select
+from sqlalchemy import Select, Text, bindparam, func, select, tuple_
 from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.orm import Session
 
@@ -39,7 +39,8 @@ def past_results(session: Session, by: Principal, shown: Evaluation) -> list[Pas
 @cache
 def _results() -> Select[*tuple[Any, ...]]:
     """Return the query of past results, put together once: each page of a submission asks it of its team."""
-    stage = select(BoardResult.stage).where(BoardResult.evaluation_id == bindparam("evaluation")).limit(1)
+    own = BoardResult.evaluation_id == bindparam("evaluation")
+    stage = select(BoardResult.contest, BoardResult.stage).where(own).limit(1)
     return (
         select(
             BoardResult.board.label("task"),
@@ -55,7 +56,7 @@ def _results() -> Select[*tuple[Any, ...]]:
             BoardResult.kind == bindparam("kind"),
             BoardResult.board == func.any(bindparam("tasks", type_=ARRAY(Text))),
             BoardResult.evaluator_version == bindparam("evaluator_version"),
-            BoardResult.stage == stage.scalar_subquery(),
+            tuple_(BoardResult.contest, BoardResult.stage) == stage.scalar_subquery(),
         )
         .order_by(BoardResult.submitted_at.desc(), BoardResult.submission_id)
         .limit(bindparam("at_most"))

@@ -64,11 +64,12 @@ def log_boards(session: Session, stage: Stage, *, unfrozen: bool = False) -> Mad
     shown_names = ShownNames.read(session, VISITOR)
     found = kept_until_change(
         session,
-        ("logs", stage.track, stage.name, stage.ranking, rule, counted, shown_names),
+        ("logs", stage.contest, stage.track, stage.name, stage.ranking, rule, counted, shown_names),
         lambda: _found(session, track, stage, counted, shown_names, rule),
     )
     made = partial(_view, session, track, found)
-    return _made_boards.get((stage.track, stage.name, unfrozen), found.revision, made, names=found.names)
+    key = (stage.contest, stage.track, stage.name, unfrozen)
+    return _made_boards.get(key, found.revision, made, names=found.names)
 
 
 @dataclass(frozen=True, kw_only=True)

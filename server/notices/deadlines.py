@@ -19,7 +19,7 @@ def announce_near(session: Session, at: datetime | None = None) -> None:
     A stage whose closing instant is moved gets another one. `at` is the moment, None: now.
     """
     now = at or datetime.now(UTC)
-    open_stages = (stage for stage in Contest.read(session).stages if stage.is_open(now))
+    open_stages = (stage for one in Contest.read_all(session) for stage in one.stages if stage.is_open(now))
     near = [stage for stage in open_stages if stage.rules.closes - now <= NEAR]
     if not near:
         return

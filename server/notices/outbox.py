@@ -70,7 +70,7 @@ def announce_evaluation(session: Session, kind: NoticeKind, evaluation: Evaluati
         "submission": str(submission.id),
         "name": submission.name,
         "track": submission.track,
-        "track_title": Contest.read(session).track_title(submission.track),
+        "track_title": Contest.read(session, submission.contest or None).track_title(submission.track),
         "stage": submission.stage or None,
         "evaluation": str(evaluation.id),
         "state": evaluation.state.value,

@@ -56,7 +56,12 @@ class Winner:
 
 
 def finalize(
-    session: Session, by: Principal, *, at: datetime | None = None, confirmed: Collection[str] | None = ()
+    session: Session,
+    by: Principal,
+    name: str | None = None,
+    *,
+    at: datetime | None = None,
+    confirmed: Collection[str] | None = (),
 ) -> list[Winner]:
     """End the competition and keep winners and boards as they are now; these show all results again.
 
@@ -65,6 +70,7 @@ def finalize(
     Args:
         session: of the transaction.
         by: an organizer.
+        name: of the competition; None: the only one.
         at: the moment; None: now.
         confirmed: names of what is not settled (`concerns_at_end`) that the organizer confirms; None: the caller asks.
 
@@ -73,11 +79,11 @@ def finalize(
             over, a board has results of another evaluator version, a judged track has an entry without a total, or
             something is neither settled nor confirmed.
     """
-    contest, now = Contest.lock_to_change(session, by), at or datetime.now(UTC)
+    contest, now = Contest.lock_to_change(session, by, name), at or datetime.now(UTC)
     _require_over(session, contest, now)
     found = _winners_now(session, contest)
-    require_confirmed(unsettled(session, contest, now), confirmed)
-    end_with_competition(session, by)
+    require_confirmed(unsettled(contest, now), confirmed)
+    end_with_competition(session, by, contest)
     contest.row.finalized_at, contest.row.frozen_at = now, None
     _store(session, contest, found)
     record(session, by, "competition.finalize", contest.subject, {"winners": contest.row.winners})
@@ -85,14 +91,14 @@ def finalize(
     return found
 
 
-def concerns_at_end(session: Session, *, at: datetime | None = None) -> list[Concern]:
+def concerns_at_end(session: Session, name: str | None = None, *, at: datetime | None = None) -> list[Concern]:
     """Return what is not settled, and would be by the end alone; `at` None: now."""
-    contest = Contest.read(session)
+    contest = Contest.find(session, name)
     contest.require_held()
-    return unsettled(session, contest, at or datetime.now(UTC))
+    return unsettled(contest, at or datetime.now(UTC))
 
 
-def reopen(session: Session, by: Principal, reason: str) -> None:
+def reopen(session: Session, by: Principal, reason: str, name: str | None = None) -> None:
     """Take the end of a competition back, as the remedy of what was found after it; everybody sees when and why.
 
     Winners and boards of before stay in the audit log. Results that are made again get receipts of their own.
@@ -100,9 +106,7 @@ def reopen(session: Session, by: Principal, reason: str) -> None:
     Raises:
         ServiceError: not an organizer, there is no competition, it is not final, or the reason cannot be shown.
     """
-    by.require_organizer()
-    contest = Contest.lock(session)
-    contest.require_held()
+    contest = Contest.lock_held(session, by, name)
     _require_final(contest)
     shown, row = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH), contest.row
     before = {"finalized_at": str(row.finalized_at), "winners": row.winners, "boards": row.boards}
@@ -112,7 +116,7 @@ def reopen(session: Session, by: Principal, reason: str) -> None:
     _issue_receipt(session, contest, reason=shown)
 
 
-def finalize_again(session: Session, by: Principal) -> list[Winner]:
+def finalize_again(session: Session, by: Principal, name: str | None = None) -> list[Winner]:
     """Decide winners and boards of a final competition again, without the teams that were disqualified since.
 
     The results stay those of its end, and so does its moment; names of teams, and what the track files say, are
@@ -123,9 +127,7 @@ def finalize_again(session: Session, by: Principal) -> list[Winner]:
             final before boards were kept and a board has results of another evaluator version, or a judged track has
             an entry without a total.
     """
-    by.require_organizer()
-    contest = Contest.lock(session)
-    contest.require_held()
+    contest = Contest.lock_held(session, by, name)
     _require_final(contest)
     _require_track_files(contest)
     before = {"winners": contest.row.winners, "boards": contest.row.boards}
@@ -142,23 +144,23 @@ def decided_again_at(session: Session, contest: Contest) -> datetime | None:
     return lines[0].at if lines else None
 
 
-def winners(session: Session) -> list[Winner]:
+def winners(session: Session, name: str | None = None) -> list[Winner]:
     """Return who wins what: as it was finalized, or by today's boards of the last stages.
 
     Raises:
         ServiceError: there is no competition, a board has results of another evaluator version, or a judged track has
             an entry without a total.
     """
-    contest = Contest.read(session)
+    contest = Contest.find(session, name)
     contest.require_held()
     if contest.row.winners is not None:
         return [Winner(**winner) for winner in contest.row.winners]
     return _winners_now(session, contest)
 
 
-def prizes_without_winner(session: Session, found: Sequence[Winner]) -> list[str]:
+def prizes_without_winner(session: Session, found: Sequence[Winner], name: str | None = None) -> list[str]:
     """Return for each track with prizes that nobody wins a sentence that names them, with how many of each."""
-    tracks = Contest.read(session).definition.tracks
+    tracks = Contest.find(session, name).definition.tracks
     left = {name: _left_over(name, track, found) for name, track in tracks.items()}
     return [
         f"{name}: nobody wins {', '.join(f'{count} x {place}' for place, count in prizes.items())}"

@@ -4,41 +4,44 @@ from collections.abc import Iterator
 from datetime import datetime, timedelta
 
 from sqlalchemy import func, select
-from sqlalchemy.orm import Session
 
 from ..appeals.appeals import open_in_competition
 from ..confirmations import Concern
 from ..contest.contest import Contest
-from ..db.models import Evaluation, Rejudgement, Submission
+from ..db.models import Evaluation, Rejudgement
 from ..leaderboards.standings import leaderboard
 
 
-def unsettled(session: Session, contest: Contest, now: datetime) -> list[Concern]:
+def unsettled(contest: Contest, now: datetime) -> list[Concern]:
     """Return what would be settled by the end alone: appeals, their time, rejudgements, boards without a rank."""
-    return [*_appeals(session), *_appeal_time(session, contest, now), *_rejudgements(session), *_boards(contest)]
+    return [*_appeals(contest), *_appeal_time(contest, now), *_rejudgements(contest), *_boards(contest)]
 
 
-def _appeals(session: Session) -> Iterator[Concern]:
-    if found := open_in_competition(session):
+def _appeals(contest: Contest) -> Iterator[Concern]:
+    if found := open_in_competition(contest.session, contest):
         listed = ", ".join(f"{one.id} of {one.team.name}" for one in found)
         yield Concern(
             name="open_appeals", sentence=f"No ruling was made on appeals {listed}; they are rejected with the end."
         )
 
 
-def _appeal_time(session: Session, contest: Contest, now: datetime) -> Iterator[Concern]:
+def _appeal_time(contest: Contest, now: datetime) -> Iterator[Concern]:
     days = contest.definition.appeal_days
-    in_stage = Submission.stage != "", Evaluation.is_proposed.is_(False)
-    last = session.scalar(select(func.max(Evaluation.finished_at)).join(Evaluation.submission).where(*in_stage))
+    in_contest = contest.submissions, Evaluation.is_proposed.is_(False)
+    query = select(func.max(Evaluation.finished_at)).join(Evaluation.submission).where(*in_contest)
+    last = contest.session.scalar(query)
     if days is not None and last is not None and (until := last + timedelta(days=days)) > now:
         yield Concern(
             name="appeal_time", sentence=f"Teams may appeal until {until:%F %T} UTC; with the end they no longer can."
         )
 
 
-def _rejudgements(session: Session) -> Iterator[Concern]:
-    waiting = Rejudgement.stage != "", Rejudgement.applied_at.is_(None), Rejudgement.discarded_at.is_(None)
-    found = session.scalars(select(Rejudgement).where(*waiting).order_by(Rejudgement.started_at)).all()
+def _rejudgements(contest: Contest) -> Iterator[Concern]:
+    waiting = Rejudgement.applied_at.is_(None), Rejudgement.discarded_at.is_(None)
+    in_contest = Rejudgement.contest == contest.name, Rejudgement.stage != ""
+    found = contest.session.scalars(
+        select(Rejudgement).where(*in_contest, *waiting).order_by(Rejudgement.started_at)
+    ).all()
     if found:
         listed = ", ".join(f"{one.id} of stage {one.stage} of {one.track}" for one in found)
         yield Concern(name="rejudgements", sentence=f"Rejudgements {listed} are neither applied nor discarded.")

@@ -11,13 +11,13 @@ from ..views.archive import ArchiveView
 from ..views.leaderboards import LeaderboardView
 
 
-def archive_view(session: Session) -> ArchiveView:
-    """Return the archive of the competition.
+def archive_view(session: Session, name: str | None = None) -> ArchiveView:
+    """Return the archive of a competition; `name` None: of the one that opened last.
 
     Raises:
         ServiceError: this service runs none, or it is not final.
     """
-    found, contest = competition_view(session), Contest.read(session)
+    found, contest = competition_view(session, name), Contest.read(session, name)
     if found.finalized_at is None:
         raise ServiceError(
             ProblemCode.NOT_FOUND, f"{found.title} goes on; its archive is here once the organizers have made it final."

@@ -78,7 +78,7 @@ def export_receipts(
     _require_board(stage.track, task, kind)
     board = leaderboard(session, stage, task=task, kind=kind, live=True).view
     sealed, state = stage.sealed_list, chain_state(session)
-    of_board, contest = receipts_of_board(session, stage, kind), Contest.read(session)
+    of_board, contest = receipts_of_board(session, stage, kind), Contest.read(session, stage.contest)
     receipts = [receipt for receipt in of_board if isinstance(receipt, Receipt)]
     results = [receipt.result.evaluation for receipt in receipts]
     description = ExportDescription(

@@ -99,14 +99,16 @@ class ResultsNotWritten(VitacError):
     """The results cannot be written where they were asked for."""
 
 
-def publish(session: Session, folder: Path) -> list[Path]:
+def publish(session: Session, folder: Path, contest: str | None = None) -> list[Path]:
     """Write results.json, results.csv, results.html and certificates.html to a new folder, and return them.
+
+    `contest` is the name of the competition; None: the only one.
 
     Raises:
         ResultsNotWritten: the folder exists or cannot be made.
         ServiceError: there is no competition, or a board has results of another evaluator version.
     """
-    files = result_files(session)
+    files = result_files(session, contest)
     try:
         folder.mkdir()
         for name, content in files.items():
@@ -116,16 +118,16 @@ def publish(session: Session, folder: Path) -> list[Path]:
     return [folder / name for name in files]
 
 
-def result_files(session: Session) -> Mapping[str, str]:
+def result_files(session: Session, name: str | None = None) -> Mapping[str, str]:
     """Return the content of each file by its name.
 
     Raises:
         ServiceError: there is no competition, a board has results of another evaluator version, or a winner was
             disqualified after the end.
     """
-    contest, found = Contest.read(session), winners(session)
+    contest, found = Contest.find(session, name), winners(session, name)
     boards, final_since = boards_of(session, contest), contest.row.finalized_at
-    _require_qualified(session, found)
+    _require_qualified(contest, found)
     final_on = None if final_since is None else f"{final_since.astimezone(UTC):%F}"
     return {
         "results.json": _json(contest.definition, boards, found, is_final=final_on is not None),
@@ -135,9 +137,9 @@ def result_files(session: Session) -> Mapping[str, str]:
     }
 
 
-def _require_qualified(session: Session, found: Sequence[Winner]) -> None:
+def _require_qualified(contest: Contest, found: Sequence[Winner]) -> None:
     """Refuse to give a certificate to a team that was disqualified after the end."""
-    out = {team.team for team in disqualified_since_the_end(session)} & {winner.team for winner in found}
+    out = {team.team for team in disqualified_since_the_end(contest)} & {winner.team for winner in found}
     if out:
         raise ServiceError(
             ProblemCode.TEAM_DISQUALIFIED,

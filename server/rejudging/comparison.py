@@ -12,7 +12,7 @@ from vitac.evaluator.episodes.records import canonical_json
 from vitac.evaluator.scoring.ranking import CombinedScore
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..contest.contest import Contest
+from ..contest.contest import stage_of
 from ..contest.definition import RankingKey
 from ..contest.stages import Stage
 from ..db.models import Evaluation, Rejudgement, Submission, Team
@@ -67,7 +67,7 @@ def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmi
     they were then, among the teams that take part now.
     """
     new, kept = newest_of(session, rejudgement), _evaluated_since(session, rejudgement)
-    stage = Contest.read(session).stored_stage(rejudgement.track, rejudgement.stage)
+    stage = stage_of(session, rejudgement)
     present, keys = _present(session, rejudgement, stage), stage.ranking
     replaced = {submission: run for submission, run in new.items() if not _keeps_result(run, kept)}
     ranks_before, ranks_after = _ranks(present, keys), _ranks({**present, **replaced}, keys)

@@ -12,8 +12,8 @@ from vitac.evaluator.tracks.versions import version_of
 
 from .. import names
 from ..audit import record
-from ..contest.contest import Contest
-from ..contest.stages import PRACTICE, Stage
+from ..contest.contest import Contest, stage_of
+from ..contest.stages import Stage
 from ..db.among import among
 from ..db.models import BoardResult, Evaluation, Rejudgement, Submission, Team
 from ..db.row_locks import lock_evaluation
@@ -51,9 +51,9 @@ def start(
     """
     by.require_organizer()
     shown_reason = names.clean(reason, what="A reason", min_length=1, max_length=REASON_LENGTH)
-    _lock_contest(session, stage.name)
+    _lock_contest(session, stage.contest)
     chosen = _chosen(session, stage, submissions)
-    made = Rejudgement(track=stage.track, stage=stage.name, reason=shown_reason)
+    made = Rejudgement(contest=stage.contest, track=stage.track, stage=stage.name, reason=shown_reason)
     session.add(made)
     session.flush()
     for submission in chosen:
@@ -125,8 +125,8 @@ def apply(
             are frozen, an evaluation waits or runs, or something has changed since it was shown.
     """
     found = _lock_open(session, by, rejudgement_id)
-    _lock_contest(session, found.stage)
-    stage = Contest.read(session).stored_stage(found.track, found.stage)
+    _lock_contest(session, found.contest)
+    stage = stage_of(session, found)
     if stage.frozen_at is not None:
         raise ServiceError(
             ProblemCode.INVALID_REQUEST,
@@ -218,10 +218,9 @@ def _lock_open(session: Session, by: Principal, rejudgement_id: UUID) -> Rejudge
     return found
 
 
-def _lock_contest(session: Session, stage: str) -> None:
-    """Refuse after the end; from here on the competition of a stage is neither ended nor frozen meanwhile."""
-    if stage != PRACTICE:
-        Contest.lock(session, shared=True).require_not_final()
+def _lock_contest(session: Session, name: str) -> None:
+    """Refuse after the end; from here on the contest is neither ended nor frozen meanwhile."""
+    Contest.lock(session, name, shared=True).require_not_final()
 
 
 def _audited(rows: Sequence[RejudgedSubmission], side: str) -> dict[str, object]:

@@ -11,7 +11,6 @@ from sqlalchemy.orm import Session, joinedload
 
 from ..audit import record
 from ..contest.contest import Contest
-from ..contest.stages import PRACTICE
 from ..db.among import among
 from ..db.models import Evaluation, Submission, Team
 from ..db.states import EvaluationState
@@ -50,9 +49,10 @@ def public_among(session: Session, submissions: Collection[UUID]) -> frozenset[U
             newest_state() == EvaluationState.COMPLETED,
         )
     )
-    frozen_at = Contest.read(session).frozen_at
-    if frozen_at is not None:
-        query = query.where(or_(Submission.stage == PRACTICE, of_newest(Evaluation.finished_at) <= frozen_at))
+    for contest in Contest.read_all(session):
+        if contest.frozen_at is not None:
+            is_shown = of_newest(Evaluation.finished_at) <= contest.frozen_at
+            query = query.where(or_(~contest.submissions, is_shown))
     return frozenset(session.scalars(query))
 
 

@@ -80,7 +80,8 @@ def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUI
 def _in_time_at(session: Session, upload: PartialUpload, track: str) -> datetime | None:
     """Return when an upload was complete if its track took submissions then: its bytes count, not the last request."""
     at = upload.completed_at
-    was_open = at is not None and any(stage.is_open(at) for stage in Contest.read(session).stages_of(track))
+    stages = [stage for contest in Contest.read_by_track(session, track) for stage in contest.stages_of(track)]
+    was_open = at is not None and any(stage.is_open(at) for stage in stages)
     return at if was_open else None
 
 

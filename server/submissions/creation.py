@@ -7,7 +7,7 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
 from ..audit import record
-from ..contest.contest import Contest
+from ..contest.contest import open_stage
 from ..contest.stages import Stage
 from ..db.models import Submission, Team
 from ..db.states import NoticeKind, Quota
@@ -36,6 +36,7 @@ def create(
     *,
     team: str | None = None,
     again: bool = False,
+    contest: str | None = None,
     quotas: Quotas = DEFAULT_QUOTAS,
     at: datetime | None = None,
 ) -> tuple[Submission, bool]:
@@ -52,6 +53,7 @@ def create(
         upload: the checked body.
         team: for an organizer: whose submission it becomes.
         again: play all episodes anew.
+        contest: name of the competition; None: of those that take it the one that opened last.
         quotas: of teams without limits of their own.
         at: when it is complete; None: now.
 
@@ -63,7 +65,7 @@ def create(
     team_row = owner(session, by, team)
     teams.lock(session, team_row)
     teams.require_taking_part(team_row)
-    stage = Contest.read(session).open_stage(upload.track, by, at or datetime.now(UTC))
+    stage = open_stage(session, upload.track, by, at or datetime.now(UTC), contest)
     stage.require_accepts(team_row, upload.kind)
     check_file_name(upload.file_name, team=team_row.name, stage=stage)
     submission, is_new = _find_or_add(session, team_row, upload, stage)
@@ -123,6 +125,7 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: St
         .values(
             team_id=owner.id,
             kind=upload.kind,
+            contest=stage.contest,
             track=upload.track,
             stage=stage.name,
             tasks=list(upload.tasks),
@@ -136,6 +139,7 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: St
         .on_conflict_do_nothing(
             index_elements=[
                 Submission.team_id,
+                Submission.contest,
                 Submission.track,
                 Submission.stage,
                 Submission.kind,

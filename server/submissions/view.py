@@ -9,9 +9,9 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..contest.contest import Contest
+from ..contest.contest import stage_of
 from ..contest.stages import Stage
-from ..db.models import Evaluation
+from ..db.models import Evaluation, Submission
 from ..db.states import EvaluationState
 from ..evaluations.copies import copies_among
 from ..evaluations.scores import counted_tasks
@@ -67,8 +67,8 @@ def submission_views(
         ),
         fleet=known_workers,
         workers=cache(partial(_workers, known_workers)),
-        contest=Contest.read(session),
         places=cache(partial(_places, session, by)),
+        stage_of=partial(stage_of, session),
     )
     return [_view(found, shown) for found in runs.values()]
 
@@ -90,8 +90,8 @@ class _Shown:
         copies: among logs, by evaluation.
         fleet: the workers known now.
         workers: who of them can run some tasks.
-        contest: whose boards they are on.
         places: on the boards of a stage.
+        stage_of: to which stage a submission was made.
     """
 
     by: Principal
@@ -101,8 +101,8 @@ class _Shown:
     copies: Mapping[UUID, LogCopyView]
     fleet: Fleet
     workers: WorkersOf
-    contest: Contest
     places: PlacesOf
+    stage_of: Callable[[Submission], Stage]
 
 
 def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
@@ -143,7 +143,7 @@ def _why_unranked(newest: Evaluation, shown: _Shown) -> str | None:
     submission = newest.submission
     if newest.state is not EvaluationState.COMPLETED or not submission.kind.form.runs_policy:
         return None
-    counted = shown.contest.stored_stage(submission.track, submission.stage).counted_results()
+    counted = shown.stage_of(submission).counted_results()
     return why_submission_unranked(newest.evaluator_version, counted, submission.track)
 
 
@@ -165,5 +165,5 @@ def _ranks(newest: Evaluation, shown: _Shown) -> dict[str | None, RankView]:
     submission = newest.submission
     if newest.state is not EvaluationState.COMPLETED or not submission.kind.form.runs_policy:
         return {}
-    boards = shown.places(shown.contest.stored_stage(submission.track, submission.stage))
+    boards = shown.places(shown.stage_of(submission))
     return {task: places[submission.id] for task, places in boards.items() if submission.id in places}

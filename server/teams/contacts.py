@@ -14,9 +14,10 @@ from ..settings import Settings
 
 
 def forget_contacts(session: Session, settings: Settings, at: datetime | None = None) -> int:
-    """Forget the addresses of people so long after the end of the competition; of how many. `at`: None is now."""
-    days, over = settings.contacts_kept_days, Contest.read(session).row.finalized_at
-    if days is None or over is None or (at or datetime.now(UTC)) < over + timedelta(days=days):
+    """Forget the addresses of people so long after the end of all competitions; of how many. `at`: None is now."""
+    days, ends = settings.contacts_kept_days, [one.row.finalized_at for one in Contest.read_all(session)]
+    over = [end for end in ends if end is not None]
+    if days is None or len(over) < len(ends) or (at or datetime.now(UTC)) < max(over) + timedelta(days=days):
         return 0
     of_members = session.scalars(
         update(Member).where(Member.email.is_not(None)).values(email=None).returning(Member.id)

@@ -70,6 +70,7 @@ def _move_submissions(session: Session, team: Team, into: Team) -> int:
     has_it_too = exists().where(
         theirs.team_id == into.id,
         theirs.merged_from.is_(None),
+        theirs.contest == Submission.contest,
         theirs.track == Submission.track,
         theirs.stage == Submission.stage,
         theirs.kind == Submission.kind,
@@ -124,7 +125,11 @@ def _move_conflicts(session: Session, team: Team, into: Team) -> None:
 def _move_qualifications(session: Session, team: Team, into: Team) -> None:
     for found in session.scalars(select(Qualification).where(Qualification.team_id == team.id)).all():
         kept = insert(Qualification).values(
-            track=found.track, stage=found.stage, team_id=into.id, confirmed_at=found.confirmed_at
+            contest=found.contest,
+            track=found.track,
+            stage=found.stage,
+            team_id=into.id,
+            confirmed_at=found.confirmed_at,
         )
         session.execute(kept.on_conflict_do_nothing())
     session.flush()

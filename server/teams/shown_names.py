@@ -17,7 +17,8 @@ class ShownNames:
 
     Attributes:
         by: who sees them.
-        hidden: whether others' names are hidden now (`Contest.hides_names`).
+        hidden: whether others' names are hidden now: by one competition (`Contest.hides_names`), so by the service,
+            because teams and their pages belong to all competitions.
     """
 
     by: Principal
@@ -26,7 +27,7 @@ class ShownNames:
     @classmethod
     def read(cls, session: Session, by: Principal = VISITOR) -> Self:
         """Return those of now."""
-        return cls(by=by, hidden=Contest.read(session).hides_names)
+        return cls(by=by, hidden=any(one.hides_names for one in Contest.read_all(session)))
 
     def hides(self, team: Team) -> bool:
         """Return whether it is not told which team it is; its members, judges and organizers always see it."""

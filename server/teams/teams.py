@@ -150,9 +150,12 @@ def require_unlocked(session: Session, by: Principal | None) -> None:
 
 
 def locked_since(session: Session) -> datetime | None:
-    """Return the competition's lock date if it is over."""
-    at = Contest.read(session).definition.teams_locked
-    return at if at is not None and at <= datetime.now(UTC) else None
+    """Return the last lock date of the competitions that are not final, if all are over; with none, of all."""
+    contests = Contest.read_all(session)
+    running = [one for one in contests if one.row.finalized_at is None] or contests
+    dates = [one.definition.teams_locked for one in running]
+    over = [at for at in dates if at is not None and at <= datetime.now(UTC)]
+    return max(over) if len(over) == len(dates) else None
 
 
 def find(session: Session, name_or_id: str) -> Team:

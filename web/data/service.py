@@ -151,7 +151,9 @@ class ServiceData:
         """Return the leaderboard of a track, or of one of its tasks; `stage` None is the stage that opened last."""
 
         def read(session: Session) -> LeaderboardView:
-            return standings.leaderboard(session, Contest.read(session).shown_stage(track, stage), task=task).view
+            return standings.leaderboard(
+                session, Contest.find_by_track(session, track).shown_stage(track, stage), task=task
+            ).view
 
         return await self.read(read)
 
@@ -170,7 +172,9 @@ class ServiceData:
     async def log_boards(self, track: str, stage: str | None = None) -> LogBoardsView:
         """Return the logs of a track."""
         return await self.read(
-            lambda session: log_boards.log_boards(session, Contest.read(session).shown_stage(track, stage)).view
+            lambda session: (
+                log_boards.log_boards(session, Contest.find_by_track(session, track).shown_stage(track, stage)).view
+            )
         )
 
     async def submission(self, visitor: Visitor | None, submission_id: UUID) -> SubmissionDetail:

@@ -35,12 +35,14 @@ async def rejudgements(request: Request) -> Response:
         found = rejudging.rejudgements(session)
         ended = [one for one in found if one.applied_at or one.discarded_at]
         open_ones = [rejudgement_detail_view(session, one) for one in found if one not in ended]
-        contest = Contest.read(session)
         return {
             "open_ones": open_ones,
             "ended": [rejudgement_view(one) for one in ended],
-            "stages": contest.stage_titles,
-            "titles": {name: contest.track_title(name) for name in {*site.tracks, *(one.track for one in found)}},
+            "stages": {key: title for one in Contest.read_all(session) for key, title in one.stage_titles.items()},
+            "titles": {
+                name: Contest.find_by_track(session, name).track_title(name)
+                for name in {*site.tracks, *(one.track for one in found)}
+            },
         }
 
     shown = await site.data.ask(read)
@@ -59,7 +61,8 @@ async def start(request: Request) -> Response:
 
     def started(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
         named = fields.get("stage", "").strip() or None
-        stage = Contest.read(session).shown_stage(fields.get("track", ""), named)
+        track = fields.get("track", "")
+        stage = Contest.find_by_track(session, track).shown_stage(track, named)
         rejudging.start(session, by, stage, reason=fields.get("reason", ""))
 
     return await act(request, started, back=ADDRESS)

@@ -8,7 +8,7 @@ import typer
 from ...service.database import transaction
 from ...terminal.output import AsJson, percent, print_json, print_table, warn
 from ..consent import Base, DryRun, Yes, base_of, change_as_shown
-from .contest import StageName, TrackName
+from .contest import ContestName, StageName, TrackName
 
 if TYPE_CHECKING:
     from sqlalchemy.orm import Session
@@ -19,7 +19,7 @@ TeamNames = Annotated[list[str] | None, typer.Option(help="Name or id of a team;
 
 
 @app.command()
-def propose(track: TrackName, stage: StageName, as_json: AsJson = False) -> None:
+def propose(track: TrackName, stage: StageName, contest: ContestName = None, as_json: AsJson = False) -> None:
     """Show who advances to a stage by its rule, and which teams chance may have put on their side of the border."""
     from dataclasses import asdict
 
@@ -27,7 +27,7 @@ def propose(track: TrackName, stage: StageName, as_json: AsJson = False) -> None
     from vitac.server.contest.contest import Contest
 
     with transaction() as session:
-        found = propose_teams(session, Contest.read(session).stage(track, stage))
+        found = propose_teams(session, Contest.find(session, contest, track=track).stage(track, stage))
     if as_json:
         print_json(asdict(found))
         return
@@ -59,6 +59,7 @@ def confirm(
     add: TeamNames = None,
     without: TeamNames = None,
     base: Base = None,
+    contest: ContestName = None,
     yes: Yes = False,
     dry_run: DryRun = False,
     as_json: AsJson = False,
@@ -69,7 +70,7 @@ def confirm(
     from vitac.server.principals import CONSOLE
 
     def change(session: "Session") -> list[str]:
-        found = Contest.read(session).stage(track, stage)
+        found = Contest.find(session, contest, track=track).stage(track, stage)
         made_from = base_of(base, yes=yes and not dry_run)
         return confirm_teams(session, CONSOLE, found, add=add or (), without=without or (), base=made_from)
 
@@ -91,13 +92,13 @@ def confirm(
 
 
 @app.command("list")
-def list_teams(track: TrackName, stage: StageName, as_json: AsJson = False) -> None:
+def list_teams(track: TrackName, stage: StageName, contest: ContestName = None, as_json: AsJson = False) -> None:
     """List the teams that were confirmed for a stage."""
     from vitac.server.advancement.advancement import qualified_revision, qualified_teams
     from vitac.server.contest.contest import Contest
 
     with transaction() as session:
-        wanted = Contest.read(session).stage(track, stage)
+        wanted = Contest.find(session, contest, track=track).stage(track, stage)
         found, revision = qualified_teams(session, wanted), qualified_revision(session, wanted)
     if as_json:
         print_json(found)

@@ -22,6 +22,9 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 CompetitionFile = Annotated[Path, typer.Argument(help="The competition's file (YAML).", exists=True, dir_okay=False)]
 TrackName = Annotated[str, typer.Argument(help="Name of the track.")]
 StageName = Annotated[str, typer.Argument(help="Name of the stage.")]
+ContestName = Annotated[
+    str | None, typer.Option("--contest", help="Name of the competition; needed where there are several.")
+]
 
 
 @app.command()
@@ -61,7 +64,7 @@ def apply(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show what a competition's file changes, and make it the competition of this service."""
+    """Show what a competition's file changes, and make it the competition of its name, beside others."""
     from vitac.server.contest.applying import apply as apply_definition
     from vitac.server.contest.applying import concerns_by, warnings_about
     from vitac.server.contest.contest import Contest
@@ -71,7 +74,7 @@ def apply(
     definition, without_question = read_competition(file), yes and not dry_run
 
     def change(session: "Session") -> "tuple[list[Change], list[Concern], str]":
-        revision, concerns = Contest.read(session).revision, concerns_by(session, definition)
+        revision, concerns = Contest.read(session, definition.name).revision, concerns_by(session, definition)
         made_from, confirmed = base_of(base, yes=without_question), confirmed_of(confirm, yes=without_question)
         found = apply_definition(session, CONSOLE, definition, base=made_from, confirmed=confirmed)
         return found, concerns, revision
@@ -95,26 +98,27 @@ def apply(
 
 
 @app.command()
-def show(as_json: AsJson = False) -> None:
-    """Show the competition of this service."""
+def show(contest: ContestName = None, as_json: AsJson = False) -> None:
+    """Show a competition of this service."""
     from vitac.server.contest.contest import Contest
 
     with transaction() as session:
-        contest = Contest.read(session)
-    found = contest.definition
+        shown = Contest.find(session, contest)
+    found = shown.definition
     if as_json:
-        print_json(found.model_dump(mode="json") if contest.is_held else None)
-    elif not contest.is_held:
+        print_json(found.model_dump(mode="json") if shown.is_held else None)
+    elif not shown.is_held:
         print("No competition; `vitac admin competition apply FILE` makes one.")
     else:
-        stages = ", ".join(f"{stage.track}/{stage.name}" for stage in contest.stages)
+        stages = ", ".join(f"{stage.track}/{stage.name}" for stage in shown.stages)
         names = {"competition": found.name, "title": found.title, "stages": stages}
-        print_pairs(names | {"revision": contest.revision})
+        print_pairs(names | {"revision": shown.revision})
 
 
 @app.command()
-def lists(as_json: AsJson = False) -> None:
+def lists(contest: ContestName = None, as_json: AsJson = False) -> None:
     """List the sealed lists of stages: commitments to publish before, secrets once they are revealed."""
+    from vitac.server.contest.contest import Contest
     from vitac.server.contest.sealing import sealed_lists
 
     with transaction() as session:
@@ -127,7 +131,7 @@ def lists(as_json: AsJson = False) -> None:
                 "revealed_at": each.revealed_at,
                 "secret": each.secret if each.revealed_at else None,
             }
-            for each in sealed_lists(session)
+            for each in sealed_lists(session, Contest.find(session, contest))
         ]
     columns = ("track", "stage", "commitment", "withdrawn_at", "revealed_at", "secret")
     print_records(found, columns, none="No stage plays a sealed list.", as_json=as_json)
@@ -135,7 +139,12 @@ def lists(as_json: AsJson = False) -> None:
 
 @app.command()
 def reveal(
-    track: TrackName, stage: StageName, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False
+    track: TrackName,
+    stage: StageName,
+    contest: ContestName = None,
+    yes: Yes = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
 ) -> None:
     """Publish the secret of a stage's sealed list, for good, after the stage has closed."""
     from vitac.server.contest.contest import Contest
@@ -143,10 +152,10 @@ def reveal(
     from vitac.server.principals import CONSOLE
 
     with transaction() as session:
-        Contest.read(session).stage(track, stage).require_over()
+        Contest.find(session, contest, track=track).stage(track, stage).require_over()
     question = f"Publish the episodes of stage {stage} of {track} for good?"
     with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
-        over = Contest.read(session).stage(track, stage)
+        over = Contest.find(session, contest, track=track).stage(track, stage)
         over.require_over()  # the stage may have been prolonged meanwhile
         found = reveal_list(session, CONSOLE, over)
         shown = {"track": track, "stage": stage, "commitment": found.commitment, "secret": found.secret}

@@ -9,6 +9,7 @@ import typer
 from ...service.database import transaction
 from ...terminal.output import AsJson, percent, print_done, print_json, print_records, warn
 from ..consent import Confirmed, DryRun, Yes, change_as_shown, change_transaction, confirmed_of
+from .contest import ContestName
 
 if TYPE_CHECKING:
     from sqlalchemy.orm import Session
@@ -21,38 +22,39 @@ COLUMNS = ("track", "place", "team", "amount", "currency", "rank", "success_rate
 
 
 @app.command()
-def freeze(dry_run: DryRun = False, as_json: AsJson = False) -> None:
+def freeze(contest: ContestName = None, dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Let the boards of all stages stand still for everybody but organizers; `unfreeze` takes it back."""
     from vitac.server.contest.freezing import freeze as freeze_boards
     from vitac.server.principals import CONSOLE
 
     with change_transaction(dry_run=dry_run) as session:
-        freeze_boards(session, CONSOLE)
+        freeze_boards(session, CONSOLE, contest)
     print_done("boards stand still", {"frozen": True}, as_json=as_json)
 
 
 @app.command()
-def unfreeze(yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
+def unfreeze(contest: ContestName = None, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Show all results again."""
     from vitac.server.contest.freezing import unfreeze as unfreeze_boards
     from vitac.server.principals import CONSOLE
 
     with change_transaction(dry_run=dry_run, question="Show all results on the boards again?", yes=yes) as session:
-        unfreeze_boards(session, CONSOLE)
+        unfreeze_boards(session, CONSOLE, contest)
     print_done("boards show all results", {"frozen": False}, as_json=as_json)
 
 
 @app.command()
-def winners(as_json: AsJson = False) -> None:
+def winners(contest: ContestName = None, as_json: AsJson = False) -> None:
     """List who wins what: final, or by today's boards of the last stages."""
+    from vitac.server.contest.contest import Contest
     from vitac.server.contest.view import disqualified_since_the_end
     from vitac.server.prizes.finishing import prizes_without_winner
     from vitac.server.prizes.finishing import winners as all_winners
 
     with transaction() as session:
-        found = all_winners(session)
-        left = prizes_without_winner(session, found)
-        out = [each.team for each in disqualified_since_the_end(session)]
+        found = all_winners(session, contest)
+        left = prizes_without_winner(session, found, contest)
+        out = [each.team for each in disqualified_since_the_end(Contest.find(session, contest))]
     _print(found, left, none="Nobody wins yet.", as_json=as_json)
     if out:
         warn(f"disqualified after the end: {', '.join(out)}. `results finalize --again` decides without them.")
@@ -63,6 +65,7 @@ def finalize(
     again: Annotated[
         bool, typer.Option("--again", help="Of one that is final: without the teams that are disqualified now.")
     ] = False,
+    contest: ContestName = None,
     confirm: Confirmed = None,
     yes: Yes = False,
     dry_run: DryRun = False,
@@ -76,11 +79,11 @@ def finalize(
     def change(session: "Session") -> "tuple[list[Winner], list[str], list[Concern]]":
         confirmed, concerns = confirmed_of(confirm, yes=yes and not dry_run), []
         if again:
-            found = finalize_again(session, CONSOLE)
+            found = finalize_again(session, CONSOLE, contest)
         else:
-            concerns = concerns_at_end(session)
-            found = finalize_results(session, CONSOLE, confirmed=confirmed)
-        return found, prizes_without_winner(session, found), concerns
+            concerns = concerns_at_end(session, contest)
+            found = finalize_results(session, CONSOLE, contest, confirmed=confirmed)
+        return found, prizes_without_winner(session, found, contest), concerns
 
     change_as_shown(
         change,
@@ -95,6 +98,7 @@ def finalize(
 @app.command()
 def reopen(
     reason: Annotated[str, typer.Option(help="Why, for everybody to read.")],
+    contest: ContestName = None,
     yes: Yes = False,
     dry_run: DryRun = False,
     as_json: AsJson = False,
@@ -105,20 +109,21 @@ def reopen(
 
     question = "Take the end back? The page of the competition says so, with your reason."
     with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
-        reopen_results(session, CONSOLE, reason)
+        reopen_results(session, CONSOLE, reason, contest)
     print_done("the results are open again", {"final": False}, as_json=as_json)
 
 
 @app.command()
 def publish(
     folder: Annotated[Path, typer.Argument(help="New folder for the files.")],
+    contest: ContestName = None,
     as_json: AsJson = False,
 ) -> None:
     """Write the results as JSON, CSV, a page to print and certificates."""
     from vitac.server.publishing.publishing import publish as publish_results
 
     with transaction() as session:
-        written = [str(path) for path in publish_results(session, folder)]
+        written = [str(path) for path in publish_results(session, folder, contest)]
     if as_json:
         print_json(written)
     else:

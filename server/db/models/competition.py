@@ -1,10 +1,10 @@
-"""The competition that a service runs: its definition, the secrets of its sealed lists, and who may take part where."""
+"""The competitions of a service: their definitions, the secrets of their sealed lists, and who may take part where."""
 
 from datetime import datetime
 from typing import Any
 from uuid import UUID, uuid4
 
-from sqlalchemy import CheckConstraint, ForeignKey, String, UniqueConstraint, func, text
+from sqlalchemy import CheckConstraint, ForeignKey, String, UniqueConstraint, func
 from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.orm import Mapped, mapped_column
 
@@ -12,9 +12,10 @@ from .base import Base, sha256_check
 
 
 class Competition(Base):
-    """The one competition of this service.
+    """A competition of this service.
 
     Attributes:
+        name: of its file; rows that belong to it say so by this name in `contest`.
         definition: what `server.contest.definition` reads.
         frozen_at: from then on boards show no new results to anybody but organizers; NULL: they do. May lie ahead.
         finalized_at: since then winners and boards change only by `finalize_again`, and where a team is erased.
@@ -25,11 +26,11 @@ class Competition(Base):
 
     __tablename__ = "competition"
     __table_args__ = (
-        CheckConstraint("id = 1", name="is_the_only_one"),
+        CheckConstraint("name <> ''", name="has_a_name"),
         CheckConstraint("(finalized_at IS NULL) = (winners IS NULL)", name="final_has_winners"),
         CheckConstraint("boards IS NULL OR finalized_at IS NOT NULL", name="only_final_has_boards"),
     )
-    id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False, default=1, server_default=text("1"))
+    name: Mapped[str] = mapped_column(primary_key=True)
     definition: Mapped[dict[str, Any]]
     applied_at: Mapped[datetime] = mapped_column(server_default=func.now())
     frozen_at: Mapped[datetime | None]
@@ -47,11 +48,12 @@ class SealedList(Base):
 
     __tablename__ = "sealed_lists"
     __table_args__ = (
-        UniqueConstraint("track", "stage"),
+        UniqueConstraint("contest", "track", "stage"),
         sha256_check("commitment"),
         CheckConstraint("secret ~ '^[0-9a-f]{64}$'", name="secret_is_hexadecimal"),
     )
     commitment: Mapped[str] = mapped_column(String(64), primary_key=True)
+    contest: Mapped[str]
     track: Mapped[str]
     stage: Mapped[str]
     secret: Mapped[str] = mapped_column(String(64))
@@ -64,6 +66,7 @@ class Rejudgement(Base):
     """Submissions that are evaluated again beside their present results, until this is applied or discarded.
 
     Attributes:
+        contest: name of the competition; empty outside of one.
         stage: of the competition; empty outside of one.
         reason: why, as the organizer says it.
     """
@@ -71,6 +74,7 @@ class Rejudgement(Base):
     __tablename__ = "rejudgements"
     __table_args__ = (CheckConstraint("applied_at IS NULL OR discarded_at IS NULL", name="ends_in_one_way"),)
     id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
+    contest: Mapped[str] = mapped_column(default="", server_default="")
     track: Mapped[str]
     stage: Mapped[str]
     reason: Mapped[str]
@@ -83,6 +87,7 @@ class Qualification(Base):
     """A team that may take part in a stage for qualified teams."""
 
     __tablename__ = "qualifications"
+    contest: Mapped[str] = mapped_column(primary_key=True)
     track: Mapped[str] = mapped_column(primary_key=True)
     stage: Mapped[str] = mapped_column(primary_key=True)
     team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), primary_key=True)

@@ -16,9 +16,9 @@ from .base import Base, closed_set, sha256_check
 class Submission(Base):
     """One upload. The same content from the same team for the same stage of a track is the same submission.
 
-    `stage` is empty outside a competition. `merged_from` is the team that had made it, where its present team had
-    the same content already when the two were merged. `is_public` says whether everybody may see its result. Results of
-    a disqualified one are on no board; `disqualified_for` says why.
+    `contest` and `stage` are empty outside a competition. `merged_from` is the team that had made it, where its present
+    team had the same content already when the two were merged. `is_public` says whether everybody may see its result.
+    Results of a disqualified one are on no board; `disqualified_for` says why.
     """
 
     __tablename__ = "submissions"
@@ -26,6 +26,7 @@ class Submission(Base):
         Index(
             "uq_submissions_content",
             "team_id",
+            "contest",
             "track",
             "stage",
             "kind",
@@ -43,6 +44,7 @@ class Submission(Base):
     id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
     team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="RESTRICT"))
     kind: Mapped[SubmissionKind] = mapped_column(closed_set(SubmissionKind, "kind"))
+    contest: Mapped[str] = mapped_column(default="", server_default="")
     track: Mapped[str]
     stage: Mapped[str] = mapped_column(default="", server_default="")
     tasks: Mapped[list[str]]

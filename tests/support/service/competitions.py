@@ -66,9 +66,9 @@ def moved(content: dict[str, Any], days: float) -> dict[str, Any]:
 def put_in_place(session: Session, content: dict[str, Any]) -> CompetitionDefinition:
     """Makes it the competition of the service, without the checks of `apply`."""
     definition = CompetitionDefinition.model_validate(content)
-    row = session.get(Competition, 1)
+    row = session.get(Competition, definition.name)
     if row is None:
-        session.add(Competition(id=1, definition=definition.model_dump(mode="json")))
+        session.add(Competition(name=definition.name, definition=definition.model_dump(mode="json")))
     else:
         row.definition = definition.model_dump(mode="json")
     session.flush()
@@ -97,7 +97,7 @@ def stored_stage(session: Session, track: str, name: str) -> Stage:
 
 def shown_stage(session: Session, track: str, name: str | None = None) -> Stage:
     """The stage whose board a track shows now."""
-    return Contest.read(session).shown_stage(track, name)
+    return Contest.find_by_track(session, track).shown_stage(track, name)
 
 
 def teams_on_board(session: Session, name: str | None = None, *, task: str | None = None) -> list[str]:
@@ -109,4 +109,4 @@ def teams_on_board(session: Session, name: str | None = None, *, task: str | Non
 def contest_of(content: dict[str, Any]) -> Contest:
     """A contest without a database."""
     definition = CompetitionDefinition.model_validate(content)
-    return Contest(session=Session(), row=Competition(), definition=definition, is_held=True)
+    return Contest(session=Session(), row=Competition(name=definition.name), definition=definition, is_held=True)

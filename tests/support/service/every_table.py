@@ -84,7 +84,7 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
                 key="4" * 64, episode_id=episode.id, evaluator_version="1", state=PlaybackState.FAILED,
                 asked_by="visitor", problem=TEXT,
             ),
-            Qualification(track=track, stage=stage, team_id=team_id),
+            Qualification(contest="cup", track=track, stage=stage, team_id=team_id),
             Question(team_id=team_id, text=TEXT, public=True),
             Rejudgement(track=track, stage=stage, reason=TEXT),
             SubmissionFile(

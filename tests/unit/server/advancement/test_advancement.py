@@ -114,7 +114,7 @@ def test_a_confirmed_team_may_submit_and_the_decision_is_recorded(database: Data
                 with refused(ProblemCode.NOT_QUALIFIED):
                     creation.create(session, principal, make_upload(name))
         entry = next(entry for entry in newest_entries(session) if entry.action == "stage.qualify")
-    assert entry.subject == f"stage:{TRACK}/{SECOND}"
+    assert entry.subject == f"stage:cup/{TRACK}/{SECOND}"
     assert entry.before == {"teams": []}
     assert entry.after["teams"] == entry.after["proposed"] == ["Ants"]
 

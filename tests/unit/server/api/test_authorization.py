@@ -66,7 +66,6 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", "/metrics"): frozenset({Who.ORGANIZER}),
     ("get", "/api/v1/tracks"): EVERYBODY,
     ("get", "/api/v1/tracks/{track}"): EVERYBODY,
-    ("get", "/api/v1/tracks/{track}/file"): EVERYBODY,
     ("get", "/api/v1/competition"): EVERYBODY,
     ("get", "/api/v1/competition/archive"): EVERYBODY,
     ("get", "/api/v1/receipts"): EVERYBODY,
@@ -364,7 +363,7 @@ def fill(service: Service) -> Setting:
         content = make_competition(appeal_days=7)
         content["tracks"] = {"mail": content["tracks"][TRACK] | {"taken_here": False}}
         put_in_place(session, content)
-        row = session.get_one(Competition, 1)
+        row = session.get_one(Competition, "cup")
         row.finalized_at, row.winners, row.boards = row.applied_at, [], []
         submission = session.get_one(Submission, UUID(submission_id))
         judge = tokens.issue(session, CONSOLE, role=Role.JUDGE, label="judge", lifetime=None).secret

@@ -44,7 +44,10 @@ def require_confirmation(database: Database, content: dict[str, Any], place: str
 def lists_of(database: Database) -> dict[str, tuple[str, bool]]:
     """Commitment of each stage, and whether it is withdrawn."""
     with database.transaction() as session:
-        return {each.stage: (each.commitment, each.withdrawn_at is not None) for each in sealed_lists(session)}
+        return {
+            each.stage: (each.commitment, each.withdrawn_at is not None)
+            for each in sealed_lists(session, Contest.read(session))
+        }
 
 
 def stages(content: dict[str, Any]) -> list[dict[str, Any]]:
@@ -58,17 +61,25 @@ def test_the_first_application_makes_the_competition_and_its_sealed_lists(databa
     assert Change(place=f"tracks.{TRACK}.stages.{SECOND}.qualified.top", before=None, after=1) in found
     with database.transaction() as session:
         assert Contest.read(session).definition.name == "cup"
-        assert [(each.track, each.stage) for each in sealed_lists(session)] == [(TRACK, SECOND)]
+        assert [(each.track, each.stage) for each in sealed_lists(session, Contest.read(session))] == [(TRACK, SECOND)]
         assert [entry.action for entry in newest_entries(session)] == ["list.seal", "competition.apply"]
 
 
 def test_applying_twice_changes_nothing(database: Database) -> None:
     applied(database, make_competition())
     with database.transaction() as session:
-        before = (session.get_one(Competition, 1).applied_at, len(newest_entries(session)), sealed_lists(session)[0])
+        before = (
+            session.get_one(Competition, "cup").applied_at,
+            len(newest_entries(session)),
+            sealed_lists(session, Contest.read(session))[0],
+        )
     assert applied(database, make_competition()) == []
     with database.transaction() as session:
-        after = (session.get_one(Competition, 1).applied_at, len(newest_entries(session)), sealed_lists(session)[0])
+        after = (
+            session.get_one(Competition, "cup").applied_at,
+            len(newest_entries(session)),
+            sealed_lists(session, Contest.read(session))[0],
+        )
         assert before[:2] == after[:2]
         assert before[2].commitment == after[2].commitment
 
@@ -95,7 +106,7 @@ def test_what_would_change_is_told_without_changing_it(database: Database) -> No
         found = changes_by(session, CompetitionDefinition.model_validate(make_competition()))
         assert len(found) > 10
         assert not Contest.read(session).is_held
-        assert sealed_lists(session) == []
+        assert sealed_lists(session, Contest.read(session)) == []
 
 
 def test_a_stage_with_submissions_is_neither_taken_away_nor_given_another_list(database: Database) -> None:
@@ -154,7 +165,7 @@ def test_a_list_that_an_evaluation_plays_is_not_withdrawn(database: Database) ->
     applied(database, make_competition())
     with database.transaction() as session:
         submission = submit_scored(session, make_principal(session), "one", {TASK: make_score(50)}, at=OPENS)
-        newest_evaluation(session, submission).commitment = sealed_lists(session)[0].commitment
+        newest_evaluation(session, submission).commitment = sealed_lists(session, Contest.read(session))[0].commitment
     public = deepcopy(make_competition())
     stages(public)[1]["list"] = "public"
     with refused(ProblemCode.STAGE_IN_USE):
@@ -176,7 +187,7 @@ def test_another_order_is_a_change(database: Database) -> None:
 def test_a_final_competition_does_not_change(database: Database) -> None:
     applied(database, make_competition())
     with database.transaction() as session:
-        row = session.get_one(Competition, 1)
+        row = session.get_one(Competition, "cup")
         row.finalized_at, row.winners = datetime.now(UTC), []
     assert applied(database, make_competition()) == []
     with refused(ProblemCode.COMPETITION_FINAL):

@@ -38,12 +38,12 @@ FROZEN = datetime(2026, 8, 1, tzinfo=UTC)
 
 def is_free(database: Database, *, shared: bool) -> bool:
     with database.transaction() as session:
-        return unless_held(session, lambda: Contest.lock(session, shared=shared)) is not None
+        return unless_held(session, lambda: Contest.lock(session, "cup", shared=shared)) is not None
 
 
 def test_a_service_without_competition_has_nothing_to_change_and_nothing_final(database: Database) -> None:
     with database.transaction() as session:
-        contest = Contest.lock(session)
+        contest = Contest.lock(session, "cup")
         assert (contest.is_held, contest.stages, contest.hides_names) == (False, (), False)
         contest.require_not_final()
         with refused(ProblemCode.NOT_FOUND):
@@ -54,11 +54,11 @@ def test_many_may_hold_it_as_it_is_and_one_alone_may_change_it(database: Databas
     with database.transaction() as session:
         put_in_place(session, make_competition())
     with database.transaction() as session:
-        assert Contest.lock(session, shared=True).row is Contest.read(session).row
+        assert Contest.lock(session, "cup", shared=True).row is Contest.read(session).row
         assert is_free(database, shared=True)
         assert not is_free(database, shared=False)
     with database.transaction() as session:
-        Contest.lock(session)
+        Contest.lock(session, "cup")
         assert not is_free(database, shared=True)
     assert is_free(database, shared=False)
 
@@ -77,7 +77,7 @@ def test_a_transaction_reads_it_once_until_it_is_changed_or_locked(database: Dat
             put_in_place(other, make_competition(title="A third"))
             other.execute(update(Competition).values(frozen_at=ENDED))
         assert (read.definition.title, read.row.frozen_at) == ("Another", None)
-        assert (Contest.lock(session).definition.title, read.row.frozen_at) == ("A third", ENDED)
+        assert (Contest.lock(session, "cup").definition.title, read.row.frozen_at) == ("A third", ENDED)
 
 
 def test_a_final_competition_is_refused_by_its_title_and_end() -> None:
@@ -121,7 +121,7 @@ def test_stages_know_their_track_the_one_before_them_and_the_last_one() -> None:
     first, second = contest.stages
     assert (first.before, second.before) == (None, first)
     assert contest.last_stages == (second,)
-    assert (str(second), second.subject) == (f"stage {SECOND} of {TRACK}", f"stage:{TRACK}/{SECOND}")
+    assert (str(second), second.subject) == (f"stage {SECOND} of {TRACK}", f"stage:cup/{TRACK}/{SECOND}")
     assert second.ranking == ("success_rate", "submitted_at")
     assert (first.plays_sealed_list, second.plays_sealed_list) == (False, True)
     assert contest.stage_titles == {(TRACK, FIRST): "Simulation", (TRACK, SECOND): "Final"}

@@ -20,6 +20,7 @@ from vitac.evaluator.tracks import ListKind, load_track
 from vitac.evaluator.tracks.sealed import commitment_of, sealed_track
 from vitac.server.audit import newest_entries
 from vitac.server.contest import sealing
+from vitac.server.contest.contest import Contest
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult, Evaluation, Submission
 from vitac.server.db.states import Role
@@ -86,7 +87,7 @@ def test_other_stages_have_other_secrets(database: Database) -> None:
         one, two, three = (stored_stage(session, TRACK, name) for name in ("one", "two", "three"))
         first, second = (sealing.seal(session, CONSOLE, stage) for stage in (one, two))
         assert first.secret != second.secret
-        assert [found.stage for found in sealing.sealed_lists(session)] == ["one", "two"]
+        assert [found.stage for found in sealing.sealed_lists(session, Contest.read(session))] == ["one", "two"]
         assert [stage.commitment for stage in (one, two, three)] == [first.commitment, second.commitment, None]
 
 

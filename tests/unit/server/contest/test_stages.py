@@ -67,7 +67,7 @@ def create(
 def qualify(database: Database, principal: Principal) -> None:
     assert principal.team_id is not None
     with database.transaction() as session:
-        session.add(Qualification(track=TRACK, stage=SECOND, team_id=principal.team_id))
+        session.add(Qualification(contest="cup", track=TRACK, stage=SECOND, team_id=principal.team_id))
 
 
 @pytest.mark.parametrize(

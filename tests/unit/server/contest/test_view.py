@@ -5,6 +5,7 @@ from service_factories import TRACK
 from submission_steps import refused
 from vitac.evaluator.tracks import ListKind
 from vitac.server.contest import sealing
+from vitac.server.contest.contest import Contest
 from vitac.server.contest.view import competition_view, track_stages
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Competition
@@ -31,8 +32,8 @@ def prepared(database: Database) -> Database:
 
 def test_everybody_sees_schedule_prizes_and_commitments_but_no_secret(prepared: Database) -> None:
     with prepared.transaction() as session:
-        found = competition_view(session, OPENS + timedelta(days=1))
-        secret = sealing.sealed_lists(session)[0].secret
+        found = competition_view(session, at=OPENS + timedelta(days=1))
+        secret = sealing.sealed_lists(session, Contest.read(session))[0].secret
     first, second = found.tracks[0].stages
     assert [(stage.name, stage.is_open) for stage in (first, second)] == [(FIRST, True), (SECOND, False)]
     assert (first.list_kind, first.commitment) == (ListKind.PUBLIC, None)
@@ -49,7 +50,7 @@ def test_everybody_sees_schedule_prizes_and_commitments_but_no_secret(prepared: 
 def test_the_stages_of_a_track_are_those_of_the_competition(prepared: Database) -> None:
     with prepared.transaction() as session:
         at = OPENS + timedelta(days=1)
-        assert track_stages(session, TRACK, at) == competition_view(session, at).tracks[0].stages
+        assert track_stages(session, TRACK, at) == competition_view(session, at=at).tracks[0].stages
         assert track_stages(session, "track_3") == []
 
 
@@ -61,7 +62,7 @@ def test_after_the_reveal_the_secret_is_published(prepared: Database) -> None:
 
 def test_winners_are_shown_once_they_are_final(prepared: Database) -> None:
     with prepared.transaction() as session:
-        row = session.get_one(Competition, 1)
+        row = session.get_one(Competition, "cup")
         row.finalized_at, row.winners = OPENS, [WINNER]
         session.flush()
         found = competition_view(session)
@@ -72,7 +73,7 @@ def test_winners_are_shown_once_they_are_final(prepared: Database) -> None:
 def test_a_track_elsewhere_is_never_open_and_has_no_list(database: Database) -> None:
     with database.transaction() as session:
         put_in_place(session, make_competition(taken_here=False))
-        (track,) = competition_view(session, OPENS).tracks
+        (track,) = competition_view(session, at=OPENS).tracks
     assert [(stage.is_open, stage.list_kind) for stage in track.stages] == [(False, None)] * 2
 
 

@@ -118,10 +118,11 @@ def test_stages_tell_how_far_they_are(session: Session) -> None:
     put_in_place(session, make_competition())
     desk = Desk(session)
     for minute in range(3):
-        desk.evaluation(minute).submission.stage = FIRST
+        submission = desk.evaluation(minute).submission
+        submission.contest, submission.stage = "cup", FIRST
     desk.evaluation(5)  # outside of the competition
-    session.add(Qualification(track=TRACK, stage=SECOND, team_id=desk.team.id))
-    session.add(Qualification(track="track_2", stage=SECOND, team_id=desk.team.id))
+    session.add(Qualification(contest="cup", track=TRACK, stage=SECOND, team_id=desk.team.id))
+    session.add(Qualification(contest="cup", track="track_2", stage=SECOND, team_id=desk.team.id))
     session.flush()
     before, at_the_end, after = CLOSES - timedelta(seconds=1), CLOSES, LATER_CLOSES
     assert [state_of(one) for one in stages(session, before)] == [

@@ -95,7 +95,7 @@ def test_stale_results_of_the_last_stage_stop_the_end(database: Database, submis
     with refused(ProblemCode.RESULTS_OUTDATED), database.transaction() as session:
         finalize(session, CONSOLE)
     with database.transaction() as session:
-        assert session.get_one(Competition, 1).finalized_at is None
+        assert session.get_one(Competition, "cup").finalized_at is None
 
 
 def test_a_disqualified_team_holds_nobody_up(database: Database, submissions: dict[str, Submission]) -> None:

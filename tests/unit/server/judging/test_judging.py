@@ -155,7 +155,7 @@ def test_what_is_no_judgement_is_refused(database: Database, stage: dict[str, Su
     with refused(ProblemCode.INVALID_REQUEST), database.transaction() as session:
         judged(session, CONSOLE, shown_stage(session, "track_2"))
     with database.transaction() as session:
-        row = session.get_one(Competition, 1)
+        row = session.get_one(Competition, "cup")
         row.finalized_at, row.winners = row.applied_at, []
     refuse(ProblemCode.COMPETITION_FINAL)
 

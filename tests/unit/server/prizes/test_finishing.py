@@ -111,7 +111,7 @@ def test_the_final_winners_stay_whatever_happens_to_the_boards(played: Database)
     with played.transaction() as session:
         outdate(session)
         assert winners(session) == final
-        row = session.get_one(Competition, 1)
+        row = session.get_one(Competition, "cup")
         assert (row.frozen_at, row.finalized_at is not None) == (None, True)
         entry = newest_entries(session)[0]
         assert entry.action == "competition.finalize"
@@ -226,7 +226,7 @@ def test_the_end_names_what_is_not_settled_and_waits_until_it_is_confirmed(playe
     close_with_appeals(played)
     names = ["open_appeals", "appeal_time", "rejudgements", "boards_without_ranks"]
     with played.transaction() as session:
-        session.add(Rejudgement(track=TRACK, stage=FIRST, reason="in doubt"))
+        session.add(Rejudgement(contest="cup", track=TRACK, stage=FIRST, reason="in doubt"))
         session.flush()
         found = concerns_at_end(session)
         assert [concern.name for concern in found] == names[:3]

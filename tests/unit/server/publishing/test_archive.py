@@ -11,6 +11,7 @@ from vitac.evaluator import version
 from vitac.evaluator.tracks import Track, UnknownTrack, versions
 from vitac.evaluator.version import evaluator_version
 from vitac.server.audit import newest_entries
+from vitac.server.contest.contest import Contest
 from vitac.server.contest.view import competition_view, disqualified_since_the_end
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Competition, Evaluation, Submission
@@ -198,7 +199,7 @@ def test_only_an_organizer_finalizes_again_and_only_what_is_final(final: Databas
         session.expire_all()
         with pytest.raises(ServiceError, match="is not final yet"):
             finalize_again(session, CONSOLE)
-        assert disqualified_since_the_end(session) == []
+        assert disqualified_since_the_end(Contest.read(session)) == []
         session.execute(delete(Competition))
         session.expire_all()
         with refused(ProblemCode.NOT_FOUND):

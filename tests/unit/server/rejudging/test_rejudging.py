@@ -246,13 +246,13 @@ def test_boards_that_stand_still_are_not_changed(database: Database) -> None:
     rejudgement = start(database, staged)
     play_proposed(database, rejudgement)
     with database.transaction() as session:
-        session.get_one(Competition, 1).frozen_at = datetime.now(UTC)
+        session.get_one(Competition, "cup").frozen_at = datetime.now(UTC)
     assert compared(database, rejudgement)["Ants"].changes, "organizers see what it would change"
     with pytest.raises(ServiceError, match="unfreeze"), database.transaction() as session:
         rejudging.apply(session, CONSOLE, rejudgement)
     with database.transaction() as session:
         assert session.scalars(select(BoardResult.success_rate).where(BoardResult.board == TASK)).all() == [0.9]
-        session.get_one(Competition, 1).frozen_at = None
+        session.get_one(Competition, "cup").frozen_at = None
     with database.transaction() as session:
         rejudging.apply(session, CONSOLE, rejudgement)
         assert session.scalars(select(BoardResult.success_rate).where(BoardResult.board == TASK)).all() == [0.5]

@@ -130,7 +130,7 @@ def test_disqualified_teams_and_results_that_frozen_boards_do_not_show_are_left_
         two.publish(submission)
     both = [two.submission.id, staged.id]
     assert public_among(two.session, both) == frozenset(both)
-    cup = two.session.get_one(Competition, 1)
+    cup = two.session.get_one(Competition, "cup")
     cup.frozen_at = datetime.now(UTC) - timedelta(hours=1)
     two.session.flush()
     assert public_among(two.session, both) == {two.submission.id}, "outside of the competition nothing stands still"

@@ -22,7 +22,7 @@ def test_addresses_are_forgotten_so_long_after_the_end(database: Database) -> No
         outbox.announce(session, NoticeKind.FINISHED, team.id, "evaluation:1", {})
         assert contacts.forget_contacts(session, settings) == 0
         put_in_place(session, make_competition())
-        row = session.get_one(Competition, 1)
+        row = session.get_one(Competition, "cup")
         row.finalized_at, row.winners = datetime(2031, 1, 1, tzinfo=UTC), []
         session.flush()
         later = row.finalized_at + timedelta(days=30)

@@ -168,13 +168,13 @@ def test_the_names_are_shown_again_once_the_competition_is_final(service: CliSer
     anybody = visitor(service)
     with service.database.transaction() as session:
         hidden_as = teams.find(session, NAME).pseudonym
-        row = session.get_one(Competition, 1)
+        row = session.get_one(Competition, "cup")
         row.finalized_at, row.winners = datetime.now(UTC), []
     assert NAME in anybody.get(f"/tracks/{TRACK}").text
     assert hidden_as not in anybody.get(f"/tracks/{TRACK}").text
     assert NAME in anybody.get(f"/tracks/{TRACK}/leaderboard.csv").text
     with service.database.transaction() as session:
-        row = session.get_one(Competition, 1)
+        row = session.get_one(Competition, "cup")
         row.finalized_at = row.winners = None
         assert Contest.read(session).hides_names
         row.definition = row.definition | {"anonymous": False}

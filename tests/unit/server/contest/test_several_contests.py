@@ -1,0 +1,118 @@
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from service_factories import TASK, TRACK, complete_scored, make_principal, make_score, submit
+from sqlalchemy.orm import Session
+from submission_steps import refused
+from vitac.server.contest.applying import apply
+from vitac.server.contest.contest import Contest, open_stage, stage_of
+from vitac.server.contest.definition import CompetitionDefinition
+from vitac.server.contest.freezing import freeze
+from vitac.server.contest.view import competition_view
+from vitac.server.db.engine import Database
+from vitac.server.errors import ProblemCode
+from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.leaderboards.standings import leaderboard
+from vitac.server.principals import CONSOLE
+from vitac.server.prizes.finishing import finalize, winners
+from vitac.server.quotas import stage_uses
+from vitac.server.teams import teams
+
+from competitions import FIRST, SECOND, make_competition, moved, open_now, put_in_place
+
+MAIN, CLASS = "cup", "class"
+
+
+@pytest.fixture
+def both(database: Database) -> Database:
+    """Two contests with stages of the same names on the same track, both open; the class opened a day later."""
+    with database.transaction() as session:
+        for name, days in ((MAIN, 0.0), (CLASS, 0.5)):
+            content = moved(open_now(make_competition(name=name, title=f"The {name}")), days=days)
+            stage = content["tracks"][TRACK]["stages"][0]
+            stage |= {"list": "sealed", "accepts": ["model"], "quotas": {"scored_runs": 1}}
+            apply(session, CONSOLE, CompetitionDefinition.model_validate(content), confirmed=None)
+    return database
+
+
+def teams_of_board(session: Session, contest: str) -> list[str]:
+    stage = Contest.find(session, contest).stage(TRACK, FIRST)
+    return [entry.team for entry in leaderboard(session, stage).view.entries]
+
+
+def test_each_contest_has_its_own_boards_quotas_and_sealed_lists(both: Database) -> None:
+    with both.transaction() as session:
+        ants, bees = make_principal(session, "Ants"), make_principal(session, "Bees")
+        # The same content is a submission of its own in each contest, and uses the quota of each once.
+        made = {name: submit(session, ants, contest=name) for name in (MAIN, CLASS)}
+        assert made[MAIN].id != made[CLASS].id
+        with refused(ProblemCode.QUOTA_EXCEEDED), session.begin_nested():
+            submit(session, ants, "more", contest=MAIN)
+        other = submit(session, bees, "bees", contest=CLASS)
+        assert [(use.limit, use.used) for use in stage_uses(session, teams.own(session, bees)) if use.limit] == [
+            (1, 1),
+            (1, 0),
+        ]
+        commitments = {name: newest_evaluation(session, made[name]).commitment for name in made}
+        assert len(set(commitments.values())) == 2
+        for name, commitment in commitments.items():
+            (track,) = competition_view(session, name).tracks
+            assert track.stages[0].commitment == commitment
+        for submission, successes in ((made[MAIN], 50), (made[CLASS], 50), (other, 90)):
+            complete_scored(session, submission, {TASK: make_score(successes)})
+        assert teams_of_board(session, MAIN) == ["Ants"]
+        assert teams_of_board(session, CLASS) == ["Bees", "Ants"]
+
+
+def test_a_track_shows_and_takes_for_the_contest_that_opened_last(both: Database) -> None:
+    with both.transaction() as session:
+        ants = make_principal(session, "Ants")
+        assert Contest.find_by_track(session, TRACK).shown_stage(TRACK).contest == CLASS
+        assert submit(session, ants, contest=None).contest == CLASS
+        assert competition_view(session).name == CLASS
+        # The class ends first: from then on the track takes submissions for the contest that is still open.
+        row = Contest.find(session, CLASS).row
+        content = moved(CompetitionDefinition.model_validate(row.definition).model_dump(mode="json"), days=-31)
+        put_in_place(session, content)
+        assert open_stage(session, TRACK, ants, datetime.now(UTC)).contest == MAIN
+        assert open_stage(session, TRACK, ants, datetime.now(UTC) - timedelta(days=30), CLASS).name == FIRST
+        with refused(ProblemCode.STAGE_CLOSED):
+            open_stage(session, TRACK, ants, datetime.now(UTC), CLASS)
+
+
+def test_one_contest_is_frozen_and_ended_while_the_other_continues(both: Database) -> None:
+    with both.transaction() as session:
+        ants = make_principal(session, "Ants")
+        freeze(session, CONSOLE, CLASS)
+        submission = submit(session, ants, contest=CLASS)
+        assert stage_of(session, submission).frozen_at is not None
+        assert Contest.find(session, MAIN).frozen_at is None
+        complete_scored(session, submission, {TASK: make_score(80)})
+        finalize(session, CONSOLE, CLASS, at=datetime.now(UTC) + timedelta(days=70), confirmed=None)
+        assert Contest.find(session, MAIN).row.finalized_at is None
+        assert winners(session, MAIN) == []
+        assert submit(session, ants, contest=MAIN).contest == MAIN
+
+
+def test_whoever_changes_one_of_several_names_it(both: Database) -> None:
+    with both.transaction() as session:
+        for change in (freeze, finalize):
+            with pytest.raises(Exception, match="several competitions; name one of class, cup"):
+                change(session, CONSOLE)
+        with refused(ProblemCode.NOT_FOUND):
+            freeze(session, CONSOLE, "elsewhere")
+        assert Contest.find(session, track="track_3").stages_of("track_3")[0].is_practice
+
+
+def test_a_file_with_another_name_makes_a_further_competition_only_where_that_is_confirmed(database: Database) -> None:
+    first, other = (
+        CompetitionDefinition.model_validate(make_competition(name=name, title=name)) for name in (MAIN, "cpu")
+    )
+    with database.transaction() as session:
+        apply(session, CONSOLE, first)
+    with refused(ProblemCode.CONFIRMATION_NEEDED), database.transaction() as session:
+        apply(session, CONSOLE, other)
+    with database.transaction() as session:
+        apply(session, CONSOLE, other, confirmed=["name"])
+        assert {one.name for one in Contest.read_all(session)} == {MAIN, "cpu"}
+        assert Contest.find(session, MAIN).stage(TRACK, SECOND).is_sealed
