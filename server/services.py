@@ -38,12 +38,13 @@ def open_services(settings: Settings, *, may_run_database: bool = True) -> Itera
     with ExitStack() as stack:
         postgres = None
         if settings.database_url is not None:
-            address = settings.database_url.get_secret_value()
+            address, owner = settings.database_url.get_secret_value(), settings.database_owner_url
+            owner_address = owner.get_secret_value() if owner else address
         else:
             postgres = EmbeddedPostgres(settings.state_dir, bin_dir=settings.postgres_bin_dir, may_run=may_run_database)
             stack.callback(postgres.stop)
-            address = postgres.start()
-        database = Database(address)
+            address, owner_address = postgres.start(), postgres.cluster.dsn()
+        database = Database(address, owner_address=owner_address)
         stack.callback(database.dispose)
         try:
             once_available(database, upgrade, patience_s=settings.database_wait_s)

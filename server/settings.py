@@ -73,6 +73,10 @@ class Settings(BaseSettings):
         default=None,
         description="PostgreSQL to use (postgresql://...). Not set: an embedded one in the state directory.",
     )
+    database_owner_url: SecretStr | None = Field(
+        default=None,
+        description="The same database as VITAC_DATABASE_URL for the role that owns its tables; migrates and restores.",
+    )
     database_wait_s: PositiveFloat = Field(
         default=30.0,
         description="At the start, a database that does not answer at all is waited for so long; one that recovers or "

@@ -1,9 +1,11 @@
 """Tracks by their names, and as the API and the pages show them, with the limits that submissions have to keep."""
 
 from dataclasses import asdict
+from pathlib import Path
 
 from vitac.envs.tasks.definition import Family
-from vitac.evaluator.tracks import Task, Track, UnknownTask, UnknownTrack, list_tracks, load_track
+from vitac.evaluator.tracks import Task, Track, UnknownTask, UnknownTrack, list_tracks, load_track, registry
+from vitac.evaluator.tracks.registry import further_track_files
 
 from .errors import ProblemCode, ServiceError
 from .settings import Settings
@@ -20,6 +22,16 @@ def load_known_track(name: str) -> Track:
         return load_track(name)
     except UnknownTrack as error:
         raise ServiceError(ProblemCode.UNKNOWN_TRACK, str(error), tracks=list(list_tracks())) from error
+
+
+def track_file(name: str) -> bytes:
+    """Return the content of a track's file.
+
+    Raises:
+        ServiceError: there is no such track.
+    """
+    known = load_known_track(name).name
+    return further_track_files().get(known, Path(registry.__file__).with_name(f"{known}.yaml")).read_bytes()
 
 
 def require_task(track: Track, task: str) -> None:

@@ -90,7 +90,7 @@ def audit(
 ) -> None:
     """Check a board: chain, signatures, scores against receipts, and a sample of its episodes.
 
-    The exit code is 0 only if nothing is wrong and the records of at least one result agree with its receipt.
+    The exit code is 0 only if nothing is wrong and the records of every rank agree with their receipts.
     """
     from vitac.server.receipts.audit import audit as audit_export
     from vitac.server.receipts.export import read_receipt
@@ -196,6 +196,8 @@ def _print(found: Audit, key: str | None, seed: int) -> None:
         print(f"unusual: {unusual}")
     if not found.logs:
         print("Nothing was verified: the records of no result could be compared with its receipt.")
+    elif found.unverified:
+        print(f"Not verified: the records of {', '.join(found.unverified)}, so the order of the board is not either.")
     for unchecked in found.unchecked:
         print(f"not checked: {unchecked}")
     if key is None:

@@ -10,7 +10,7 @@ from ..leaderboards.log_boards import log_boards
 from ..leaderboards.made_boards import MadeBoard
 from ..leaderboards.standings import leaderboard
 from ..publishing.archive import archive_view
-from ..tracks import load_known_track, track_view, track_views
+from ..tracks import load_known_track, track_file, track_view, track_views
 from ..views.archive import ArchiveView
 from ..views.contest import CompetitionView
 from ..views.leaderboards import LeaderboardView, LogBoardsView
@@ -37,6 +37,12 @@ def list_tracks(services: ServicesOf) -> TrackListView:
 def get_track(services: ServicesOf, track: str) -> TrackView:
     """Return one track."""
     return track_view(load_known_track(track), services.settings)
+
+
+@router.get("/tracks/{track}/file")
+def get_track_file(track: str) -> Response:
+    """Return the file of a track as YAML text, with which its episodes can be played and its results audited."""
+    return Response(track_file(track), media_type="application/yaml")
 
 
 @router.get("/competition")

@@ -3,12 +3,13 @@
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from sqlalchemy import func, select, text
+from sqlalchemy import NullPool, create_engine, func, select, text
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 
 from ..audit import record
 from ..db.advisory_locks import AdvisoryLock, wait_for_lock
+from ..db.engine import sqlalchemy_url
 from ..db.models import ApiToken, Submission, Team, Worker
 from ..db.schema import knows_revision, upgrade
 from ..postgres import tools
@@ -103,14 +104,14 @@ def _require_empty(session: Session, settings: Settings) -> None:
 
 def _restore_database(services: Services, dump: Path) -> None:
     """Replace the empty schema by the dump's; a process that starts meanwhile waits before it would migrate."""
-    with services.database.engine.connect() as connection:
-        connection.detach()  # closed after use instead of pooled: the advisory lock lasts as long as the connection
+    owner = create_engine(sqlalchemy_url(services.database.owner_address), poolclass=NullPool)
+    with owner.connect() as connection:  # closed after use: the advisory lock lasts as long as the connection
         wait_for_lock(connection, AdvisoryLock.SCHEMA_UPGRADE)
         connection.commit()
         with Session(connection) as session, session.begin():
             _drop_empty_schema(session, services.settings)
         services.database.dispose()
-        tools.restore(services.database.address, dump, bin_dir=services.settings.postgres_bin_dir)
+        tools.restore(services.database.owner_address, dump, bin_dir=services.settings.postgres_bin_dir)
     upgrade(services.database)
 
 

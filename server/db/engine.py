@@ -41,10 +41,17 @@ RETRY_PAUSES_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 
 
 class Database:
-    """Engine and sessions of one PostgreSQL database."""
+    """Engine and sessions of one PostgreSQL database.
 
-    def __init__(self, address: str, *, pool_size: int = 10) -> None:
+    Args:
+        address: with which the service works.
+        owner_address: of the role that owns the tables, to migrate and restore; None: that of the service.
+        pool_size: of connections that are kept.
+    """
+
+    def __init__(self, address: str, *, owner_address: str | None = None, pool_size: int = 10) -> None:
         self.address = address
+        self.owner_address = owner_address or address
         self.engine: Engine = create_engine(
             sqlalchemy_url(address),
             pool_size=pool_size,

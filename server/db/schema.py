@@ -18,6 +18,7 @@ from vitac.envs.errors import VitacError
 
 from .advisory_locks import AdvisoryLock, wait_for_lock
 from .engine import ENCODING, Database, sqlalchemy_url
+from .roles import let_service_work, require_owner, service_role
 
 if TYPE_CHECKING:
     from alembic.config import Config
@@ -41,18 +42,25 @@ def upgrade(
 ) -> None:
     """Run all migrations that are missing, each in a transaction of its own; do nothing on a current database.
 
+    The owner of the tables runs them and lets the service's role work with what they made.
+
     Raises:
         WrongEncoding: the database does not hold text as UTF-8.
+        NotTheOwner: something is to be migrated, and this process does not have the owner's address.
         sqlalchemy.exc.OperationalError: another transaction held a table for longer than `lock_timeout_s`, or a
             statement took longer than `statement_timeout_s`.
     """
     with _migrating(database, lock_timeout_s, statement_timeout_s) as connection:
         _require_utf8(connection)
-        if installed_revision(connection) != newest_revision():
+        is_old = installed_revision(connection) != newest_revision()
+        if is_old:
             from alembic import command
 
+            require_owner(connection)
             connection.rollback()
             command.upgrade(_configuration(connection), "head")
+        if database.owner_address != database.address:
+            let_service_work(connection, service_role(database.address), tables_are_new=is_old)
 
 
 def _require_utf8(connection: Connection) -> None:
@@ -67,7 +75,7 @@ def _require_utf8(connection: Connection) -> None:
 @contextmanager
 def _migrating(database: Database, lock_timeout_s: float, statement_timeout_s: float) -> Iterator[Connection]:
     """Return a connection of its own, closed afterwards, that alone may change the schema."""
-    engine = create_engine(sqlalchemy_url(database.address), poolclass=NullPool, connect_args=ENCODING)
+    engine = create_engine(sqlalchemy_url(database.owner_address), poolclass=NullPool, connect_args=ENCODING)
     with engine.connect() as connection:
         # For the session, not for a transaction: the migrations have one each. The limits hold from here on only, for
         # waiting for another process that migrates is no fault.

@@ -2,7 +2,7 @@
 
 Layout of the folder `postgres` in the state directory:
 
-    password, dsn, lock      0600, ours
+    password, service-password, dsn, lock      0600, ours
     server.log               what PostgreSQL says
     binaries/                copies, only where the database's user cannot reach the installed ones
     cluster/data, /socket    0700, of the database's user (`nobody` when we are root)
@@ -26,6 +26,7 @@ from urllib.parse import quote
 
 import psycopg
 import structlog
+from psycopg import sql
 from vitac.envs.errors import VitacError
 
 from ..state_directory import others_can_enter
@@ -36,6 +37,8 @@ logger = structlog.get_logger(__name__)
 
 DATABASE = "vitac"
 SUPERUSER = "vitac"
+"""Owns the tables and migrates them; the service runs as the other role, which can change no table's rules."""
+SERVICE_ROLE = "vitac_service"
 SOCKET_PATH_LIMIT = 107  # bytes in sockaddr_un.sun_path, less the closing zero
 STOP_LIMIT_S = 20.0
 LOG_LIMIT_BYTES = 8 << 20
@@ -101,7 +104,7 @@ class Cluster:
 
     @property
     def dsn_file(self) -> Path:
-        """File with the address and password, for other processes of the same user."""
+        """File with the address and password of the service's role, for other processes of the same user."""
         return self.folder / "dsn"
 
     @property
@@ -184,18 +187,37 @@ class Cluster:
             return
 
     def make_database(self) -> None:
-        """Create our database in a fresh cluster and write the address file."""
+        """Create our database and the service's role in a fresh cluster and write the address file."""
+        password_file = self._service_password_file
+        if not password_file.exists():
+            _write_private(password_file, secrets.token_urlsafe(32))
         with psycopg.connect(self.dsn("postgres"), autocommit=True) as connection:
             known = connection.execute("SELECT 1 FROM pg_database WHERE datname = %s", [DATABASE]).fetchone()
             if known is None:
                 connection.execute(f"CREATE DATABASE {DATABASE}")
-        if not self.dsn_file.exists() or self.dsn_file.read_text() != self.dsn():  # the disk may be full by now
-            _write_private(self.dsn_file, self.dsn())
+            role, password = sql.Identifier(SERVICE_ROLE), sql.Literal(password_file.read_text())
+            made = connection.execute("SELECT 1 FROM pg_roles WHERE rolname = %s", [SERVICE_ROLE]).fetchone()
+            change = "ALTER" if made else "CREATE"
+            connection.execute(sql.SQL(f"{change} ROLE {{}} LOGIN NOSUPERUSER PASSWORD {{}}").format(role, password))
+        address = self.service_dsn()
+        if not self.dsn_file.exists() or self.dsn_file.read_text() != address:  # the disk may be full by now
+            _write_private(self.dsn_file, address)
 
     def dsn(self, database: str = DATABASE) -> str:
-        """Return the address of a database of this cluster, with the password."""
-        password = (self.folder / "password").read_text()
-        return f"postgresql://{SUPERUSER}:{password}@/{database}?host={quote(str(self.socket_dir), safe='')}"
+        """Return the address of a database of this cluster for the owner of the tables, with the password."""
+        return self._address(SUPERUSER, self.folder / "password", database)
+
+    def service_dsn(self, database: str = DATABASE) -> str:
+        """Return the address of a database of this cluster for the service, with the password."""
+        return self._address(SERVICE_ROLE, self._service_password_file, database)
+
+    @property
+    def _service_password_file(self) -> Path:
+        return self.folder / "service-password"
+
+    def _address(self, role: str, password: Path, database: str) -> str:
+        host = quote(str(self.socket_dir), safe="")
+        return f"postgresql://{role}:{password.read_text()}@/{database}?host={host}"
 
     def _binaries(self) -> PostgresBinaries:
         version_file = self.data_dir / "PG_VERSION"

@@ -39,9 +39,11 @@ from .completeness import (
     check_noted,
     check_opened,
     check_order,
+    check_repeated_end,
     check_secret,
     check_submissions,
     check_teams,
+    check_winners,
     place,
     reached,
 )
@@ -79,6 +81,7 @@ class Audit:
         entries: of the board.
         logs: whose records agree with the receipts.
         resimulated: episodes that were run again.
+        unverified: teams with a rank whose records could not be compared with the receipt.
         findings: what is wrong; nothing in a board that can be believed.
         unusual: what is not wrong, but should be explained.
         unchecked: what could not be checked, and why.
@@ -89,14 +92,15 @@ class Audit:
     entries: int = 0
     logs: int = 0
     resimulated: list[SampledEpisode] = field(default_factory=list)
+    unverified: list[str] = field(default_factory=list)
     findings: list[str] = field(default_factory=list)
     unusual: list[str] = field(default_factory=list)
     unchecked: list[str] = field(default_factory=list)
 
     @property
     def is_believed(self) -> bool:
-        """Whether records agree with the receipts and nothing is wrong; where nothing was verified, it is not."""
-        return self.logs > 0 and not self.findings
+        """Whether nothing is wrong, and the records of each rank, of one at least, agree with the receipts."""
+        return self.logs > 0 and not self.findings and not self.unverified
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,6 +158,9 @@ def audit(
         found.findings += check_opened(described, chain, [*arrivals.values(), *receipts.values(), *ends])
         found.findings += check_secret(described, [receipt.result for receipt in receipts.values()])
         found.findings += check_end(described, ends)
+        for is_wrong, sentence in check_winners(described, receipts.values()):
+            (found.findings if is_wrong else found.unchecked).append(sentence)
+        found.unusual += check_repeated_end(ends)
         _check_results(described, arrivals, receipts, found)
         with _track_of(reader, found):
             logs = list(_check_logs(reader, receipts, found))
@@ -283,6 +290,7 @@ def _check_logs(reader: ExportReader, receipts: Mapping[UUID, Receipt], found: A
     described = reader.description
     for entry in described.board.entries:
         receipt = receipts.get(entry.evaluation_id)
+        verified = 0
         for task in receipt.result.tasks if receipt else ():
             if receipt is None or not reader.has_log(entry.evaluation_id, task.task):
                 found.unchecked.append(f"{entry.team}, {task.task}: the records are not in the export.")
@@ -295,7 +303,10 @@ def _check_logs(reader: ExportReader, receipts: Mapping[UUID, Receipt], found: A
                 log = _checked_log(reader, receipt.result, task, entry.team, found)
                 if log is not None:
                     found.logs += 1
+                    verified += 1
                     yield log
+        if entry.rank is not None and (receipt is None or verified < len(receipt.result.tasks)):
+            found.unverified.append(entry.team)
 
 
 def _checked_log(reader: ExportReader, result: Result, task: TaskResult, team: str, found: Audit) -> _Log | None:

@@ -30,7 +30,7 @@ _ARRIVAL: Final = timedelta(minutes=10)
 _CLOCKS: Final = timedelta(seconds=5)
 """How far the clocks of the database and of a server may be apart."""
 _USUAL_WAIT: Final = timedelta(days=2)
-"""Results of a first run that take longer are noted: the submission may have been made up afterwards."""
+"""First results of a submission that take longer are noted: the submission may have been made up afterwards."""
 
 
 def check_head(described: ExportDescription, chain: Mapping[int, Link]) -> Iterator[str]:
@@ -89,8 +89,11 @@ def check_submissions(
     arrivals: Mapping[UUID, SubmissionReceipt], receipts: Iterable[Receipt]
 ) -> Iterator[tuple[bool, str]]:
     """Yield whether it is wrong, and what, for each result that does not follow from a submission in the chain."""
+    seen: set[UUID] = set()
     for receipt in receipts:
         result, number = receipt.result, receipt.link.number
+        is_first = result.submission not in seen
+        seen.add(result.submission)
         arrival = arrivals.get(result.submission)
         if arrival is None:
             yield True, f"Receipt {number} is of submission {result.submission}, whose arrival has no receipt."
@@ -103,7 +106,7 @@ def check_submissions(
                 what = name.replace("_", " ")
                 yield True, f"Receipt {number}: {what} is {got}, in receipt {arrival.link.number} it is {expected}."
         waited = result.issued_at - result.submitted_at
-        if result.run == 1 and waited > _USUAL_WAIT:
+        if is_first and waited > _USUAL_WAIT:
             yield False, f"Receipt {number}: its result was issued {waited.days} days after the submission; ask why."
 
 
@@ -119,7 +122,7 @@ def check_secret(described: ExportDescription, results: Iterable[Result]) -> Ite
 
 
 def check_end(described: ExportDescription, ends: Sequence[EndReceipt]) -> Iterator[str]:
-    """Yield a finding for winners, prizes and marks that are not those of the signed end, or not those of the board."""
+    """Yield a finding for winners, prizes and marks that are not those of the signed end."""
     end = ends[-1].end if ends else None
     for what, got, signed in (
         ("winners and prizes", described.winners, end.winners if end else ()),
@@ -128,17 +131,45 @@ def check_end(described: ExportDescription, ends: Sequence[EndReceipt]) -> Itera
         if got != signed:
             where = f"receipt {ends[-1].link.number}" if ends else "the chain, which has no end of the competition"
             yield f"The {what} of the export are not those of {where}."
+
+
+def check_repeated_end(ends: Sequence[EndReceipt]) -> Iterator[str]:
+    """Yield each time that an end was signed again: only the last one counts, and the holder of the key can sign it."""
+    for receipt in ends[1:]:
+        reason = f": {receipt.end.reason}" if receipt.end.reason else ""
+        yield f"Receipt {receipt.link.number}: the end of {receipt.end.competition} was signed again{reason}; ask why."
+
+
+def check_winners(described: ExportDescription, receipts: Iterable[Receipt]) -> Iterator[tuple[bool, str]]:
+    """Yield whether it is wrong, and what, where the winners of the board's track are not the first ones of the board.
+
+    A team that was disqualified after the end has left the board, while its place stays until the end is decided again.
+    """
     board = described.board
     winners = [winner for winner in described.winners if winner.track == board.track]
-    if board.task is not None or not winners or winners[0].submission not in {e.submission_id for e in board.entries}:
+    if board.task is not None or described.kind is not SubmissionKind.MODEL or not winners:
         return
+    teams = teams_by_evaluation(described)
+    of_stage = {receipt.result.submission: teams.get(receipt.result.evaluation) for receipt in receipts}
+    if of_stage.keys().isdisjoint(winner.submission for winner in winners):
+        yield False, f"The winners of {board.track} have no result in this stage; audit the board of its last stage."
+        return
+    left = []
+    for winner in winners:
+        team = of_stage.get(winner.submission)
+        if team is not None and team.off_boards:
+            yield False, f"{team.name}: wins {winner.place}; the service leaves the team out: {team.off_boards}."
+        else:
+            left.append(winner)
     totals = {entry.submission: entry.total for entry in described.judged if entry.track == board.track}
     ranked = [entry for entry in board.entries if entry.rank is not None]
     if totals:
         ranked.sort(key=lambda entry: -(totals.get(entry.submission_id) or 0.0))
-    expected = [entry.submission_id for entry in ranked][: len(winners)]
-    if [winner.submission for winner in winners] != expected:
-        yield "The winners are not the first ones of the board."
+    expected = [(entry.submission_id, entry.result_hash) for entry in ranked][: len(left)]
+    if [(winner.submission, winner.result_hash) for winner in left] != expected:
+        yield True, "The winners are not the first ones of the board."
+    if [winner.rank for winner in winners] != list(range(1, len(winners) + 1)):
+        yield True, "The ranks of the winners do not count from 1."
 
 
 def check_teams(described: ExportDescription, receipts: Mapping[UUID, Receipt]) -> Iterator[tuple[bool, str]]:

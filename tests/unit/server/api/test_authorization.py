@@ -66,6 +66,7 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", "/metrics"): frozenset({Who.ORGANIZER}),
     ("get", "/api/v1/tracks"): EVERYBODY,
     ("get", "/api/v1/tracks/{track}"): EVERYBODY,
+    ("get", "/api/v1/tracks/{track}/file"): EVERYBODY,
     ("get", "/api/v1/competition"): EVERYBODY,
     ("get", "/api/v1/competition/archive"): EVERYBODY,
     ("get", "/api/v1/receipts"): EVERYBODY,

@@ -1,6 +1,10 @@
+from pathlib import Path
+
+import pytest
 from service_client import Service, make_archive, problem_of
 from service_factories import LOCK, TASK, TRACK, RecordOf, make_record, outdate, play_all
 from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.evaluator.tracks import registry
 from vitac.server.contest.freezing import freeze
 from vitac.server.db.models import Submission
 from vitac.server.principals import CONSOLE
@@ -27,6 +31,17 @@ def test_tracks_tell_tasks_and_limits_to_everybody(service: Service) -> None:
     assert next(task["episodes"] for task in track["tasks"] if task["name"] == TASK) == 270
     assert track["limits"]["archive_packed_bytes"] == service.settings.limits.archive_packed_bytes
     problem_of(service.client.get("/api/v1/tracks/none"), 404, "unknown_track")
+
+
+def test_the_file_of_a_track_is_for_everybody(
+    service: Service, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    own = (Path(registry.__file__).parent / f"{TRACK}.yaml").read_text().replace(f"name: {TRACK}", "name: own", 1)
+    (tmp_path / "own.yaml").write_text(own)
+    monkeypatch.setenv("VITAC_TRACKS_DIR", str(tmp_path))
+    assert service.client.get("/api/v1/tracks/own/file").text == own
+    assert f"name: {TRACK}" in service.client.get(f"/api/v1/tracks/{TRACK}/file").text
+    problem_of(service.client.get("/api/v1/tracks/none/file"), 404, "unknown_track")
 
 
 def test_empty_leaderboard_has_no_entries_and_unknown_one_is_refused(service: Service) -> None:

@@ -31,6 +31,8 @@ from uploaded_logs import a_log, a_text_log, log_manifest, some_records, upload_
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord, SampledPicture
 from vitac.evaluator.logs.findings import Divergence, Impossibility, ImpossibleReason, LogFinding, OtherPicture
 from vitac.evaluator.logs.log import LogReader
+from vitac.evaluator.logs.text_2025 import WHY_RATES_DIFFER
+from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.version import evaluator_version
 from vitac.server.contest import sealing
@@ -252,7 +254,7 @@ def test_finding_belongs_to_a_failed_shard(database: Database) -> None:
 
 
 def worse(episode: int, *, task: str = TASK) -> EpisodeRecord:
-    return make_record(episode, EpisodeOutcome.TACTILE if episode % 2 else EpisodeOutcome.SUCCESS)
+    return make_record(episode, EpisodeOutcome.TACTILE if episode % 2 else EpisodeOutcome.SUCCESS, task)
 
 
 def test_verified_logs_rank_apart_from_models_and_the_best_of_each_team_counts(service: Service) -> None:
@@ -311,6 +313,25 @@ def test_text_log_is_listed_with_both_rates_and_never_ranked(service: Service) -
     assert (entry["claimed_success_rate"], entry["success_rate"]) == (0.0481, 0.5)
     assert entry["problems"] > 0
     assert shown(service, log)["log"]["verdict"] is None
+    assert boards["why_rates_differ"] == shown(service, log)["log"]["reason"] == WHY_RATES_DIFFER
+
+
+def test_text_log_of_the_track_in_which_teams_bring_sensors_is_listed_there(service: Service) -> None:
+    script = next(script for script in all_scripts() if script.track == "Track_3")
+    content = a_text_log(
+        episodes=[
+            {"episode": n, "initial_offset": start.offset, "steps": [{"n": 1, "action": (0.5,) * 3}], "result": "FAIL"}
+            for n, start in enumerate(script.starts(), start=1)
+        ],
+        environment=script.environment,
+        totals=("#SUCCESS_RATE: 0", "#AVG_STEP: NA"),
+    )
+    log = uploaded(service, content, "text_log")
+    play_all(service.database, log, worse)
+    (entry,) = service.client.get("/api/v1/leaderboards/track_3/logs").json()["text_logs"]
+    assert (entry["task"], entry["claimed_success_rate"], entry["success_rate"]) == ("sensor-design", 0.0, 0.5)
+    found = shown(service, log)
+    assert (found["rank"], found["missing_tasks"], found["evaluation"]["success_rate"]) == (None, [], 0.5)
 
 
 def test_text_logs_of_a_disqualified_team_are_not_listed(service: Service) -> None:

@@ -194,7 +194,7 @@ def test_password_is_needed_and_private_and_nothing_listens_on_the_network(folde
         wrong = postgres.cluster.dsn().replace((postgres.cluster.folder / "password").read_text(), "guess")
         with pytest.raises(psycopg.OperationalError, match="password authentication failed"):
             psycopg.connect(wrong)
-        for name in ("password", "dsn", "lock"):
+        for name in ("password", "service-password", "dsn", "lock"):
             assert stat.S_IMODE((postgres.cluster.folder / name).stat().st_mode) == 0o600
         assert stat.S_IMODE(postgres.cluster.data_dir.stat().st_mode) == 0o700
         assert not postgres.cluster.data_dir.with_name("password").exists()

@@ -364,6 +364,12 @@ def test_a_board_whose_records_are_missing_is_not_believed(database: Database, t
     found = audited(database, tmp_path, text("DELETE FROM episode_results"))
     assert (found.findings, found.logs, found.is_believed) == ([], 0, False)
     assert len(found.unchecked) == len(TEAMS)
+    (tmp_path / "board.zip").unlink()
+    of_winner = "DELETE FROM episode_results e USING evaluations v, submissions s, teams t WHERE {}"
+    joined = "e.submission_digest = s.digest AND v.submission_id = s.id AND s.team_id = t.id AND t.name = 'Ants'"
+    found = audited(database, tmp_path, text(of_winner.format(joined)))
+    assert (found.findings, found.logs, found.unverified) == ([], 2, ["Ants"])
+    assert not found.is_believed, "the first rank may be anybody's"
 
 
 def test_a_published_secret_has_to_fit_the_commitment(database: Database, tmp_path: Path) -> None:

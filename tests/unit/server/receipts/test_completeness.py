@@ -17,9 +17,11 @@ from vitac.server.receipts.completeness import (
     check_noted,
     check_opened,
     check_order,
+    check_repeated_end,
     check_secret,
     check_submissions,
     check_teams,
+    check_winners,
 )
 from vitac.server.receipts.export import ExportDescription, ExportedTeam
 from vitac.server.receipts.receipt import (
@@ -308,7 +310,11 @@ def test_a_first_result_long_after_its_submission_is_unusual_and_that_of_a_later
         (False, "Receipt 2: its result was issued 3 days after the submission; ask why.")
     ]
     again = late.model_copy(update={"run": 2})
-    assert followed(again, arrived(again, issued_at=WHEN)) == []
+    noted = followed(again, arrived(again, issued_at=WHEN))
+    assert len(noted) == 1, "its number of runs is what the service says"
+    first = a_named_result(2, submission=late.submission)
+    both = [receipt_for(first, number=2, previous="0" * 64), receipt_for(again, number=3, previous="0" * 64)]
+    assert list(check_submissions(arrived(first, issued_at=WHEN), both)) == []
 
 
 @pytest.mark.parametrize(("minutes", "is_found"), [(0, False), (9, False), (11, True), (-1, True)])
@@ -374,7 +380,8 @@ def test_winners_prizes_and_marks_are_those_that_were_signed() -> None:
         values = {"winners": signed.end.winners, "judged": ()} | changes
         described = exported(chained(first, second), *entries, teams={"Ants": [1], "Bees": [2]}, **values)
         whole = described.model_copy(update={"board": described.board.model_copy(update={"task": None})})
-        return list(check_end(whole, [signed]))
+        wrong = [sentence for is_wrong, sentence in check_winners(whole, chained(first, second)) if is_wrong]
+        return [*check_end(whole, [signed]), *wrong]
 
     assert found() == []
     other_prize = signed.end.winners[0].model_copy(update={"amount": 1000})
@@ -400,4 +407,43 @@ def test_winners_without_a_signed_end_are_found_and_those_of_a_judged_track_foll
     )
     described = board.model_copy(update={"board": board.board.model_copy(update={"task": None})})
     assert list(check_end(described, [judged])) == []
+    assert list(check_winners(described, chained(first, second))) == []
     assert "which has no end of the competition" in next(check_end(described, []))
+
+
+def test_an_end_that_the_holder_of_the_key_signs_again_is_unusual_and_other_winners_in_it_are_found() -> None:
+    first, second = a_named_result(1, successes=200), a_named_result(2, team="Bees")
+    elsewhere = a_named_result(3, team="Cats")
+    right = an_end([first, second])
+    assert list(check_repeated_end([right])) == []
+    assert list(check_repeated_end([right, right])) == ["Receipt 9: the end of vitac was signed again; ask why."]
+
+    def of_board(*winners: Result, left_out: str | None = None) -> list[tuple[bool, str]]:
+        described = exported(
+            chained(first, second),
+            an_entry(second, "Bees") if left_out else an_entry(first),
+            *(() if left_out else (an_entry(second, "Bees", rank=2),)),
+            teams={"Ants": [1], "Bees": [2]},
+            winners=an_end(list(winners)).end.winners,
+        )
+        ants, bees = described.teams
+        described = described.model_copy(
+            update={
+                "board": described.board.model_copy(update={"task": None}),
+                "teams": (ants.model_copy(update={"off_boards": left_out}), bees),
+            }
+        )
+        return list(check_winners(described, chained(first, second)))
+
+    wrong = [(True, "The winners are not the first ones of the board.")]
+    assert of_board(first, second) == []
+    assert of_board(second) == wrong
+    assert of_board(elsewhere, second) == wrong, "also where the first winner is not on the board"
+    other_hash = second.model_copy(update={"result_hash": "0" * 64})
+    assert of_board(first, other_hash) == wrong
+    ((is_wrong, sentence),) = of_board(elsewhere)
+    assert not is_wrong
+    assert "audit the board of its last stage" in sentence
+    ((is_wrong, sentence),) = of_board(first, second, left_out="disqualified, two accounts")
+    assert not is_wrong
+    assert sentence == "Ants: wins place 1; the service leaves the team out: disqualified, two accounts."
