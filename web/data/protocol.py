@@ -182,8 +182,17 @@ class PageData(Protocol):
     async def register(self, *, name: str, contact: str, invite: str, address: str) -> RegisteredTeam:
         """Register a team from a client's address; what cannot be accepted raises the service's refusal."""
 
-    async def leaderboard(self, track: str, task: str | None, stage: str | None = None) -> LeaderboardView:
-        """Return the leaderboard of a track, or of one of its tasks; `stage` None is the stage that opened last."""
+    async def leaderboard(
+        self, track: str, task: str | None, stage: str | None = None, *, unfrozen: bool = False
+    ) -> LeaderboardView:
+        """Return the leaderboard of a track, or of one of its tasks; `stage` None is the stage that opened last.
+
+        Args:
+            track: name.
+            task: name; None: all tasks together.
+            stage: name.
+            unfrozen: with all results also while boards are frozen, for organizers.
+        """
 
     async def competition(self) -> CompetitionView:
         """Return the competition of this service; where there is none, the service's refusal is raised."""
@@ -194,8 +203,8 @@ class PageData(Protocol):
     async def archive(self) -> ArchiveView:
         """Return the archive of a competition that is final; else the service's refusal is raised."""
 
-    async def log_boards(self, track: str, stage: str | None = None) -> LogBoardsView:
-        """Return the verified logs and the 2025 text logs of a track; `stage` as for `leaderboard`."""
+    async def log_boards(self, track: str, stage: str | None = None, *, unfrozen: bool = False) -> LogBoardsView:
+        """Return the verified logs and the 2025 text logs of a track; `stage`, `unfrozen` as for `leaderboard`."""
 
     async def submission(self, visitor: Visitor | None, submission_id: UUID) -> SubmissionDetail:
         """Return one submission with its episodes; for None only a public one, else a token is asked for."""

@@ -147,13 +147,14 @@ class ServiceData:
         """Count a try to register or to join a team."""
         await asyncio.to_thread(self.registrations.note, address, "registrations from one address")
 
-    async def leaderboard(self, track: str, task: str | None, stage: str | None = None) -> LeaderboardView:
+    async def leaderboard(
+        self, track: str, task: str | None, stage: str | None = None, *, unfrozen: bool = False
+    ) -> LeaderboardView:
         """Return the leaderboard of a track, or of one of its tasks; `stage` None is the stage that opened last."""
 
         def read(session: Session) -> LeaderboardView:
-            return standings.leaderboard(
-                session, Contest.find_by_track(session, track).shown_stage(track, stage), task=task
-            ).view
+            shown = Contest.find_by_track(session, track).shown_stage(track, stage)
+            return standings.leaderboard(session, shown, task=task, unfrozen=unfrozen).view
 
         return await self.read(read)
 
@@ -169,13 +170,14 @@ class ServiceData:
         """Return the archive of the competition."""
         return await self.ask(archive_view)
 
-    async def log_boards(self, track: str, stage: str | None = None) -> LogBoardsView:
+    async def log_boards(self, track: str, stage: str | None = None, *, unfrozen: bool = False) -> LogBoardsView:
         """Return the logs of a track."""
-        return await self.read(
-            lambda session: (
-                log_boards.log_boards(session, Contest.find_by_track(session, track).shown_stage(track, stage)).view
-            )
-        )
+
+        def read(session: Session) -> LogBoardsView:
+            shown = Contest.find_by_track(session, track).shown_stage(track, stage)
+            return log_boards.log_boards(session, shown, unfrozen=unfrozen).view
+
+        return await self.read(read)
 
     async def submission(self, visitor: Visitor | None, submission_id: UUID) -> SubmissionDetail:
         """Return one submission with its episodes."""

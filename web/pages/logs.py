@@ -22,7 +22,7 @@ async def logs(request: Request) -> Response:
     track = known_track(request.path_params["track"])
     site, viewer = site_of(request), await viewer_of(request)
     stage = request.query_params.get("stage")
-    found = await site.data.log_boards(track.name, stage)
+    found = await site.data.log_boards(track.name, stage, unfrozen=viewer is not None and viewer.is_organizer)
     paged = partial(
         board_page,
         request,

@@ -183,8 +183,8 @@ async def _leaderboard(request: Request, name: str) -> Response:
     track = known_track(name)
     site, asked = site_of(request), request.query_params
     task, stage = asked.get("task"), asked.get("stage")
-    board = await site.data.leaderboard(name, task, stage)
     viewer = await viewer_of(request)
+    board = await site.data.leaderboard(name, task, stage, unfrozen=viewer is not None and viewer.is_organizer)
     query = board_query(task, stage)
     shown = board_page(request, f"/tracks/{name}{query}", board.entries, viewer.own_names if viewer else ())
     public = await site.data.public_among([entry.submission_id for entry in shown.entries])

@@ -535,6 +535,7 @@ class FixedData(FixedPlaybacks):
 
     visitors: list[Visitor] = field(default_factory=list)
     board: LeaderboardView = field(default_factory=a_leaderboard)
+    unfrozen_board: LeaderboardView | None = None
     task_boards: dict[str, LeaderboardView] = field(default_factory=dict)
     found: list[SubmissionView] = field(default_factory=list)
     next_before: UUID | None = None
@@ -593,10 +594,14 @@ class FixedData(FixedPlaybacks):
         visitor = self.visitors[0]
         return RegisteredTeam(team=name, token="vitac_made", token_id=visitor.token_id)  # noqa: S106 - made up
 
-    async def leaderboard(self, track: str, task: str | None, stage: str | None = None) -> LeaderboardView:
+    async def leaderboard(
+        self, track: str, task: str | None, stage: str | None = None, *, unfrozen: bool = False
+    ) -> LeaderboardView:
         if task is not None and task not in TASKS:
             raise ServiceError(ProblemCode.UNKNOWN_TASK, f"There is no task {task!r}.")
         board = self.board if task is None else self.task_boards.get(task, a_leaderboard(task=task))
+        if unfrozen and self.unfrozen_board is not None:
+            board = self.unfrozen_board
         return board.model_copy(update={"stage": stage})
 
     async def competition(self) -> CompetitionView:
@@ -619,7 +624,7 @@ class FixedData(FixedPlaybacks):
             citation="@misc{cup}",
         )
 
-    async def log_boards(self, track: str, stage: str | None = None) -> LogBoardsView:
+    async def log_boards(self, track: str, stage: str | None = None, *, unfrozen: bool = False) -> LogBoardsView:
         return self.logs.model_copy(update={"stage": stage})
 
     async def public_among(self, submissions: Collection[UUID]) -> frozenset[UUID]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ...site import site_of
+from ...site import site_of, viewer_of
 from .formats import csv_file
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ async def leaderboard(request: Request) -> Response:
     """Return a board with a row for each entry."""
     track, asked = request.path_params["track"], request.query_params
     task, stage = asked.get("task"), asked.get("stage")
-    board = await site_of(request).data.leaderboard(track, task, stage)
+    board = await site_of(request).data.leaderboard(track, task, stage, unfrozen=await _is_organizer(request))
     rows = (_ranked(entry) for entry in board.entries)
     return csv_file(_name(track, stage, task or "all"), BOARD_COLUMNS, rows)
 
@@ -35,7 +35,7 @@ async def leaderboard(request: Request) -> Response:
 async def logs(request: Request) -> Response:
     """Return the verified logs of a track, a row for each, by task and rank."""
     track, stage = request.path_params["track"], request.query_params.get("stage")
-    found = await site_of(request).data.log_boards(track, stage)
+    found = await site_of(request).data.log_boards(track, stage, unfrozen=await _is_organizer(request))
     rows = (
         (
             board.task,
@@ -53,7 +53,7 @@ async def logs(request: Request) -> Response:
 async def text_logs(request: Request) -> Response:
     """Return the 2025 text logs of a track beside their claims, newest first."""
     track, stage = request.path_params["track"], request.query_params.get("stage")
-    found = await site_of(request).data.log_boards(track, stage)
+    found = await site_of(request).data.log_boards(track, stage, unfrozen=await _is_organizer(request))
     rows = (
         (
             log.team,
@@ -70,6 +70,11 @@ async def text_logs(request: Request) -> Response:
         for log in found.text_logs
     )
     return csv_file(_name(track, stage, "text-logs"), TEXT_LOG_COLUMNS, rows)
+
+
+async def _is_organizer(request: Request) -> bool:
+    viewer = await viewer_of(request)
+    return viewer is not None and viewer.is_organizer
 
 
 def _ranked(entry: LeaderboardEntryView | LogEntryView) -> tuple[object, ...]:

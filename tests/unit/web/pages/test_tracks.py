@@ -95,6 +95,18 @@ def test_submission_is_linked_for_its_own_team_only(data: FixedData, browser: As
     assert link in browser.get("/tracks/track_1").text
 
 
+@pytest.mark.parametrize("address", ["/tracks/track_1", "/tracks/track_1/leaderboard.csv"])
+def test_organizers_see_results_that_frozen_boards_do_not_show_to_others(
+    data: FixedData, browser: AsgiBrowser, address: str
+) -> None:
+    data.board = a_leaderboard(an_entry(1, "Bears", a_score((84, 80, 77), 4.31)))
+    data.unfrozen_board = a_leaderboard(an_entry(1, "Newcomers", a_score((90, 90, 90), 3.0)))
+    for who, sees_all in ((None, False), ("Bears", False), ("organizers", True)):
+        if who is not None:
+            sign_in(browser, who)
+        assert ("Newcomers" in browser.get(address).text) is sees_all
+
+
 def test_rules_show_the_track_file_and_the_limits(browser: AsgiBrowser) -> None:
     html = browser.get("/tracks/track_1/rules").text
     for shown in (
