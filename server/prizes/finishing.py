@@ -224,7 +224,7 @@ def _issue_receipt(session: Session, contest: Contest, *, reason: str | None = N
         return End(
             salt=new_salt(),
             issued_at=issued_at,
-            competition=contest.definition.name,
+            contest=contest.definition.name,
             finalized_at=finalized_at and finalized_at.astimezone(UTC),
             reason=reason,
             winners=winning_entries(contest),

@@ -87,6 +87,7 @@ def export_receipts(
         ranking=tuple(key.value for key in stage.ranking),
         secret=sealed.secret if sealed and sealed.revealed_at else None,
         commitment=stage.commitment,
+        contest=stage.contest,
         board=board,
         kind=kind,
         receipts=state.receipts,

@@ -153,9 +153,10 @@ def audit(
         found.findings += check_order(chain.values())
         arrivals = {one.submission.submission: one for one in _signed(reader.submissions(), chain, found)}
         receipts = {receipt.result.evaluation: receipt for receipt in _signed(reader.receipts(), chain, found)}
-        ends = _signed(reader.ends(), chain, found)
+        all_ends = _signed(reader.ends(), chain, found)
+        ends = [receipt for receipt in all_ends if receipt.end.contest == described.contest]
         _check_board(described, receipts, found)
-        found.findings += check_opened(described, chain, [*arrivals.values(), *receipts.values(), *ends])
+        found.findings += check_opened(described, chain, [*arrivals.values(), *receipts.values(), *all_ends])
         found.findings += check_secret(described, [receipt.result for receipt in receipts.values()])
         found.findings += check_end(described, ends)
         for is_wrong, sentence in check_winners(described, receipts.values()):
@@ -265,6 +266,7 @@ def _differences(described: ExportDescription, entry: LeaderboardEntryView, resu
     tasks = {task.task: task for task in result.tasks}
     ranked_by = reached(board.task, result)
     pairs: list[tuple[str, object, object]] = [
+        ("competition", described.contest, result.contest),
         ("track", board.track, result.track),
         ("stage", board.stage or "", result.stage),
         ("kind", described.kind, result.kind),

@@ -140,7 +140,7 @@ def links(session: Session, *, after: int = 0, limit: int | None = None) -> list
 
 def receipts_of_board(session: Session, stage: Stage, kind: SubmissionKind) -> Sequence[Receipt | SubmissionReceipt]:
     """Return the receipts of a stage's submissions and of all their results, on its boards or not, oldest first."""
-    board = board_name(stage.track, stage.name, kind)
+    board = board_name(stage.contest, stage.track, stage.name, kind)
     submission_id = func.coalesce(ReceiptRow.submission_id, Evaluation.submission_id)
     found = _receipts(
         session,
@@ -193,6 +193,7 @@ def _of_submission(submission: Submission, issued_at: datetime) -> dict[str, Any
         "issued_at": issued_at,
         "submission": submission.id,
         "submission_digest": submission.digest,
+        "contest": submission.contest,
         "track": submission.track,
         "stage": submission.stage,
         "kind": submission.kind,

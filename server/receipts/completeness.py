@@ -55,7 +55,7 @@ def check_opened(
     described: ExportDescription, chain: Mapping[int, Link], receipts: Iterable[SignedContent[Any]]
 ) -> Iterator[str]:
     """Yield a finding for each link of the board's stage, and of an end, without its receipt in the export."""
-    stage = board_name(described.board.track, described.board.stage or "", described.kind)
+    stage = board_name(described.contest, described.board.track, described.board.stage or "", described.kind)
     opened = {receipt.link.number for receipt in receipts}
     for number, link in chain.items():
         if (link.board == stage or link.content is LinkContent.END) and number not in opened:
@@ -100,7 +100,7 @@ def check_submissions(
             continue
         if arrival.link.number > number:
             yield True, f"Receipt {number} is of a submission that arrived later, with receipt {arrival.link.number}."
-        for name in ("submission_digest", "track", "stage", "kind", "submitted_at"):
+        for name in ("submission_digest", "contest", "track", "stage", "kind", "submitted_at"):
             expected, got = getattr(arrival.submission, name), getattr(result, name)
             if got != expected:
                 what = name.replace("_", " ")
@@ -137,7 +137,7 @@ def check_repeated_end(ends: Sequence[EndReceipt]) -> Iterator[str]:
     """Yield each time that an end was signed again: only the last one counts, and the holder of the key can sign it."""
     for receipt in ends[1:]:
         reason = f": {receipt.end.reason}" if receipt.end.reason else ""
-        yield f"Receipt {receipt.link.number}: the end of {receipt.end.competition} was signed again{reason}; ask why."
+        yield f"Receipt {receipt.link.number}: the end of {receipt.end.contest} was signed again{reason}; ask why."
 
 
 def check_winners(described: ExportDescription, receipts: Iterable[Receipt]) -> Iterator[tuple[bool, str]]:

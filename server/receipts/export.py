@@ -78,6 +78,8 @@ class ExportDescription(StrictModel):
     """Of the stage's sealed list, once published; null for a public list, and before."""
     commitment: Sha256 | None
     """Of the stage's sealed list; null for a public list."""
+    contest: str
+    """Name of the board's competition; empty outside of one."""
     board: LeaderboardView
     kind: SubmissionKind
     """Of the submissions on the board."""

@@ -85,6 +85,8 @@ class OfSubmission(Content):
 
     submission: UUID
     submission_digest: Sha256
+    contest: str
+    """Name of the competition; empty outside of one."""
     track: Word
     stage: str
     """Of the competition; empty outside of one."""
@@ -96,7 +98,7 @@ class OfSubmission(Content):
     @property
     def board(self) -> str:
         """On which board the result may be, as the chain names it."""
-        return board_name(self.track, self.stage, self.kind)
+        return board_name(self.contest, self.track, self.stage, self.kind)
 
     def is_of_team(self, name: str) -> bool:
         """Return whether the team had that name when the receipt was issued."""
@@ -155,7 +157,8 @@ class End(Content):
 
     stands_for = LinkContent.END
 
-    competition: str
+    contest: str
+    """Name of the competition."""
     finalized_at: datetime | None
     """Null: the end was taken back, and there are no winners."""
     reason: str | None
@@ -166,7 +169,7 @@ class End(Content):
     @property
     def board(self) -> str:
         """Which competition it ends, as the chain names it."""
-        return f"end of {self.competition}"
+        return f"end of {self.contest}"
 
 
 def team_commitment(salt: str, name: str) -> str:
@@ -174,9 +177,9 @@ def team_commitment(salt: str, name: str) -> str:
     return hashlib.sha256(canonical_json({"salt": salt, "team": name})).hexdigest()
 
 
-def board_name(track: str, stage: str, kind: SubmissionKind) -> str:
+def board_name(contest: str, track: str, stage: str, kind: SubmissionKind) -> str:
     """Return how the chain names the boards of a stage: those of all tasks together and of each one."""
-    return f"{track}/{stage}/{kind}"
+    return f"{contest}/{track}/{stage}/{kind}"
 
 
 class Link(StrictModel):
@@ -187,7 +190,7 @@ class Link(StrictModel):
     content: LinkContent
     content_sha256: Sha256
     board: Annotated[str, Field(max_length=300)]
-    """Track, stage and kind (`board_name`), so that nothing of a board can be left out of an export unseen."""
+    """Competition, track, stage and kind (`board_name`), so that nothing of a board can be left out of an export."""
     issued_at: datetime
     """Never before that of the link before."""
     public_key: PublicKey

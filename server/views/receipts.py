@@ -18,7 +18,7 @@ class LinkView(View):
     public_key: str
     signature: str = Field(description="Ed25519, by that key.")
     digest: str = Field(description="SHA-256 of all but the signature.")
-    board: str = Field(description="Track, stage and kind of the submission.")
+    board: str = Field(description="Competition, track, stage and kind of the submission.")
 
 
 class ChainView(View):

@@ -4,6 +4,7 @@ import pytest
 from service_factories import TASK, TRACK, complete_scored, make_principal, make_score, submit
 from sqlalchemy.orm import Session
 from submission_steps import refused
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.contest.applying import apply
 from vitac.server.contest.contest import Contest, open_stage, stage_of
 from vitac.server.contest.definition import CompetitionDefinition
@@ -16,6 +17,7 @@ from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE
 from vitac.server.prizes.finishing import finalize, winners
 from vitac.server.quotas import stage_uses
+from vitac.server.receipts.chain import receipts_of_board
 from vitac.server.teams import teams
 
 from competitions import FIRST, SECOND, make_competition, moved, open_now, put_in_place
@@ -62,6 +64,13 @@ def test_each_contest_has_its_own_boards_quotas_and_sealed_lists(both: Database)
             complete_scored(session, submission, {TASK: make_score(successes)})
         assert teams_of_board(session, MAIN) == ["Ants"]
         assert teams_of_board(session, CLASS) == ["Bees", "Ants"]
+        signed = {
+            name: receipts_of_board(session, Contest.find(session, name).stage(TRACK, FIRST), SubmissionKind.MODEL)
+            for name in made
+        }
+        assert [receipt.content.submission for receipt in signed[MAIN]] == [made[MAIN].id]
+        assert [receipt.content.submission for receipt in signed[CLASS]] == [made[CLASS].id, other.id]
+        assert signed[MAIN][0].link.board != signed[CLASS][0].link.board
 
 
 def test_a_track_shows_and_takes_for_the_contest_that_opened_last(both: Database) -> None:
