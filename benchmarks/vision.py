@@ -102,8 +102,10 @@ def stereo_quality(name: str, depth_of: Callable[[SeenScene, View, int], np.ndar
         error = np.concatenate(found)
         print(
             f"{name}, {label.name.lower()}: {len(error) / pixels[label]:.1%} valid, "
-            f"median {np.median(np.abs(error)):.2f} mm, "
-            f"p95 {np.quantile(np.abs(error), 0.95):.2f} mm, bias {np.median(error):+.2f} mm"
+            f"error {np.median(np.abs(error)):.2f} mm, "
+            f"p95 {np.quantile(np.abs(error), 0.95):.2f} mm, p99 {np.quantile(np.abs(error), 0.99):.0f} mm, "
+            f"median {np.median(error):+.2f} mm, mean {error.mean():+.2f} mm, {(error < -20).mean():.1%} more than "
+            "20 mm too near"
         )
 
 

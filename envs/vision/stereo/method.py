@@ -23,6 +23,7 @@ class StereoMethod:
         uniqueness_percent: how much more every other match must cost.
         largest_left_right_difference_px: between the matches of a pixel and of its partner.
         median_width_px: of the filter after matching.
+        largest_gap_difference_m: between the depths on both sides of a gap that is filled.
     """
 
     pattern_seed: int = 415
@@ -40,6 +41,7 @@ class StereoMethod:
     uniqueness_percent: int = 15
     largest_left_right_difference_px: int = 1
     median_width_px: int = 3
+    largest_gap_difference_m: float = 0.01
 
 
 # Disparities of the official scene are 62.7 to 82.8 px (challenge-facts 15); 48 to 95 reach from 0.345 to 0.683 m.

@@ -3,15 +3,19 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ...compilation import large_kernel
+from ...compilation import kernel, large_kernel
 from ..optics import COLOUR_INTRINSICS, INFRARED_INTRINSICS
 from ..rasterizer import NO_TRIANGLE
 from ..rig import BASELINE_M, LEFT_INFRARED_X_M
 from .matching import NO_DISPARITY, PARTS
+from .method import METHOD
 
 FloatArray = NDArray[np.float64]
 DisparityMap = NDArray[np.int32]
 
+# Ways to a neighbour whose opposite is one, too: in the row, the column, and both diagonals.
+_OPPOSITE = ((0, 1), (1, 0), (1, 1), (1, -1))
+_ONE_SURFACE_M = METHOD.largest_gap_difference_m
 _DEPTH_TIMES_DISPARITY = INFRARED_INTRINSICS.focal_u_px * BASELINE_M * PARTS
 
 
@@ -20,8 +24,9 @@ def registered_depth_m(
 ) -> NDArray[np.float32]:
     """Return the depth along the optical axis in the colour picture [m], 0 where unknown, shape of `shown`.
 
-    Of several points in one pixel the nearest counts. A pixel that got none takes the nearest of its eight neighbours
-    (the two cameras' pixels differ in size). A pixel that shows the white background has no depth.
+    Of several points in one pixel the nearest counts. A pixel that got none takes the nearer of two opposite neighbours
+    that lie on one surface (the two cameras' pixels differ in size); beside an edge it has no depth, or near surfaces
+    would grow. A pixel that shows the white background has no depth.
 
     Args:
         found: disparities in parts of a pixel, 0 for none, shape [h, w].
@@ -32,7 +37,7 @@ def registered_depth_m(
     hit_m = np.zeros(shown.shape)
     _move_points(found, first_row, first_column, hit_m)
     depth_m = np.zeros(shown.shape, np.float32)
-    _dilate(hit_m, shown, depth_m)
+    _fill_gaps(hit_m, shown, depth_m)
     return depth_m
 
 
@@ -56,17 +61,22 @@ def _move_points(found: DisparityMap, first_row: int, first_column: int, hit_m: 
 
 
 @large_kernel
-def _dilate(hit_m: FloatArray, shown: NDArray[np.int32], depth_m: NDArray[np.float32]) -> None:
+def _fill_gaps(hit_m: FloatArray, shown: NDArray[np.int32], depth_m: NDArray[np.float32]) -> None:
     height, width = shown.shape
     for j in range(height):
         for i in range(width):
             if shown[j, i] == NO_TRIANGLE:
                 continue
-            nearest = hit_m[j, i]
-            if nearest == 0.0:
-                for row in range(max(0, j - 1), min(height, j + 2)):
-                    for column in range(max(0, i - 1), min(width, i + 2)):
-                        z = hit_m[row, column]
-                        if z > 0.0 and not 0.0 < nearest <= z:
-                            nearest = z
-            depth_m[j, i] = nearest
+            z = hit_m[j, i]
+            if 0 < i < width - 1 and 0 < j < height - 1:
+                for down, right in _OPPOSITE:
+                    if z == 0.0:
+                        z = _between(hit_m[j - down, i - right], hit_m[j + down, i + right])
+            depth_m[j, i] = z
+
+
+@kernel
+def _between(before_m: float, after_m: float) -> float:
+    """Return the nearer of two depths on one surface; 0 where one is unknown or they are on different ones."""
+    known = before_m > 0.0 and after_m > 0.0
+    return min(before_m, after_m) if known and abs(before_m - after_m) < _ONE_SURFACE_M else 0.0

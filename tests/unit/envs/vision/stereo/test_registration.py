@@ -24,9 +24,7 @@ def test_a_point_lands_where_the_colour_camera_sees_it() -> None:
     column = int(COLOUR_INTRINSICS.focal_u_px * x / z + COLOUR_INTRINSICS.centre_u_px)
     row = int(COLOUR_INTRINSICS.focal_v_px * y / z + COLOUR_INTRINSICS.centre_v_px)
     assert depth_m[row, column] == pytest.approx(z, abs=1e-7)
-    # Its eight neighbours got nothing of their own.
-    rows, columns = np.nonzero(depth_m)
-    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (row - 1, row + 1, column - 1, column + 1)
+    assert np.argwhere(depth_m).tolist() == [[row, column]]
 
 
 def test_a_plane_is_covered_without_gaps() -> None:
@@ -41,15 +39,23 @@ def test_a_plane_is_covered_without_gaps() -> None:
 
 def test_of_two_points_in_a_pixel_the_nearer_counts() -> None:
     """In a row of rising disparities, columns fold over each other."""
-    found = np.array([[60 * PARTS, 95 * PARTS]], np.int32)
-    depth_m = registered_depth_m(found, 250, 320, SHOWN)
-    swapped = registered_depth_m(found[:, ::-1].copy(), 250, 320, SHOWN)
-    assert depth_m.max() == pytest.approx(PER_DISPARITY_M / 60, abs=1e-6)
-    both = (depth_m > 0) & (swapped > 0)
-    assert both.any()
     wall = registered_depth_m(np.array([[60 * PARTS] * 30 + [95 * PARTS] * 30], np.int32), 250, 300, SHOWN)
     near = one_point(250, 330, 95)
     assert (wall[near > 0] == near[near > 0]).all()
+
+
+def test_gaps_are_filled_within_a_surface_and_not_beside_an_edge() -> None:
+    """Columns without a match: on one plane, and where the background of a near plane is hidden."""
+
+    def columns_filled(left: int, right: int) -> int:
+        found = np.array([[left * PARTS] * 40 + [0] + [right * PARTS] * 40] * 20, np.int32)
+        depth_m = registered_depth_m(found, 200, 300, SHOWN)
+        row = depth_m[np.nonzero(depth_m)[0].mean().astype(int)]
+        first, *_, last = np.flatnonzero(row)
+        return int((row[first : last + 1] == 0).sum())
+
+    assert columns_filled(70, 70) == 0
+    assert columns_filled(60, 80) > 0
 
 
 def test_the_background_has_no_depth() -> None:
