@@ -155,8 +155,9 @@ def _divided_at_t_junctions(vertices_mm: FloatArray, triangles: IndexArray) -> I
     found = triangles.copy()
     while True:
         corners = vertices_mm[found]
-        lengths = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)  # of the edge from each corner on
-        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        edges = np.roll(corners, -1, axis=1) - corners  # from each corner on
+        lengths = np.sqrt((edges**2).sum(axis=2))
+        areas = np.sqrt((np.cross(edges[:, 0], edges[:, 1]) ** 2).sum(axis=1))
         flat = np.flatnonzero(areas <= _NO_HEIGHT_MM * lengths.max(axis=1))
         if not len(flat):
             return found
