@@ -108,7 +108,9 @@ def test_a_crash_is_a_page_that_tells_nothing_of_the_inside(data: FixedData, bro
 
 
 def test_database_that_is_away_is_a_page_that_says_when_to_come_back(data: FixedData, browser: AsgiBrowser) -> None:
-    async def away(track: str, task: str | None, stage: str | None = None) -> LeaderboardView:
+    async def away(
+        track: str, task: str | None, stage: str | None = None, *, unfrozen: bool = False
+    ) -> LeaderboardView:
         raise OperationalError("SELECT 1", {}, psycopg.OperationalError("connection refused"))
 
     data.leaderboard = away  # type: ignore[method-assign]
@@ -125,7 +127,9 @@ def test_database_that_is_away_is_a_page_that_says_when_to_come_back(data: Fixed
     [OSError(errno.ENOSPC, "No space left on device"), OperationalError("INSERT", {}, psycopg.errors.DiskFull())],
 )
 def test_full_disk_is_a_page_that_says_so(data: FixedData, browser: AsgiBrowser, error: Exception) -> None:
-    async def full(track: str, task: str | None, stage: str | None = None) -> LeaderboardView:
+    async def full(
+        track: str, task: str | None, stage: str | None = None, *, unfrozen: bool = False
+    ) -> LeaderboardView:
         raise error
 
     data.leaderboard = full  # type: ignore[method-assign]
