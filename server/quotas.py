@@ -71,6 +71,7 @@ class QuotaUse:
 class StageQuotaUse:
     """How much of a quota of an open stage a team has used; `limit` None: any number."""
 
+    contest: str
     track: str
     stage: str
     closes: datetime
@@ -170,6 +171,7 @@ def stage_uses(session: Session, team: Team, at: datetime | None = None) -> list
     now = at or datetime.now(UTC)
     return [
         StageQuotaUse(
+            contest=contest.name,
             track=stage.track,
             stage=stage.name,
             closes=stage.rules.closes,

@@ -31,6 +31,9 @@ def command(
     track: Annotated[
         str | None, typer.Option(help="Track to submit to; by default the one named in the submission.")
     ] = None,
+    contest: Annotated[
+        str | None, typer.Option(help="Name of the competition; needed where several take submissions to the track.")
+    ] = None,
     server: Server = None,
     token_file: TokenFile = None,
     kind: Annotated[
@@ -56,6 +59,7 @@ def command(
         answer = client.upload(
             archive,
             track=track,
+            contest=contest,
             kind=kind,
             team=team,
             again=again,

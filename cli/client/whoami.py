@@ -38,8 +38,10 @@ def command(
         print_records(me["quotas"], ("quota", "limit", "used", "opens_at"), none="", as_json=False)
     if me.get("stage_quotas"):
         print()
+        has_several = len({use["contest"] for use in me["stage_quotas"]}) > 1
         columns = ("track", "stage", "quota", "limit", "used", "closes")
-        print_records(me["stage_quotas"], columns, none="", as_json=False)
+        shown = ("contest", *columns) if has_several else columns
+        print_records(me["stage_quotas"], shown, none="", as_json=False)
 
 
 def owner_of(me: Json) -> str:

@@ -764,6 +764,7 @@ def make_tables() -> None:
             nullable=False,
         ),
         sa.Column("track", sa.Text(), nullable=True),
+        sa.Column("contest", sa.Text(), nullable=True),
         sa.Column("again", sa.Boolean(), nullable=False),
         sa.Column("file_name", sa.Text(), nullable=True),
         sa.Column("total_bytes", sa.BigInteger(), nullable=False),

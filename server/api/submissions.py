@@ -70,6 +70,9 @@ async def post_submission(
     principal: PrincipalOf,
     *,
     track: Annotated[str | None, Query(description="Must agree with submission.yaml or the log's header.")] = None,
+    contest: Annotated[
+        str | None, Query(description="Name of the competition; needed where several take submissions to the track.")
+    ] = None,
     kind: Annotated[SubmissionKind, Query(description="What the body is.")] = SubmissionKind.MODEL,
     team: Annotated[str | None, Query(description="For organizers: whose submission this is.")] = None,
     file_name: Annotated[
@@ -92,6 +95,7 @@ async def post_submission(
     announced = upload.AnnouncedUpload(
         kind=kind,
         track=track,
+        contest=contest,
         team=team,
         again=again,
         n_bytes=_announced_bytes(request),

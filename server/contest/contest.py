@@ -213,6 +213,10 @@ class Contest:
         """Return whether submissions to a track are taken here."""
         return any(stage.track == track for stage in self.stages_held_here)
 
+    def takes_submissions(self, track: str, at: datetime) -> bool:
+        """Return whether a moment lies in the time of a stage of a track."""
+        return any(stage.is_in_time(at) for stage in self.stages_of(track))
+
     def stages_of(self, track: str) -> tuple[Stage, ...]:
         """Return the stages of a track that are held here; outside of a competition that is one for practice."""
         found = tuple(stage for stage in self.stages_held_here if stage.track == track)
@@ -282,6 +286,19 @@ class Contest:
         named = rules if rules and rules.taken_here else known_track(track)
         return named.title if named else track
 
+    def require_holds(self, track: str) -> None:
+        """Refuse a track of which it takes no submissions.
+
+        Raises:
+            ServiceError: it is no track of this competition, or not held here.
+        """
+        if not self.holds(track):
+            held = ", ".join(dict.fromkeys(stage.track for stage in self.stages_held_here)) or "none"
+            raise ServiceError(
+                ProblemCode.INVALID_REQUEST,
+                f"The competition {self.name} takes no submissions to {track!r:.80}, expected one of {held}.",
+            )
+
     def require_held(self) -> None:
         """Refuse what needs a competition.
 
@@ -325,24 +342,45 @@ def stage_of(session: Session, row: Submission | Rejudgement) -> Stage:
     return Contest.read(session, row.contest).stored_stage(row.track, row.stage)
 
 
-def open_stage(session: Session, track: str, by: Principal, at: datetime, contest: str | None = None) -> Stage:
-    """Return the stage of a track that takes submissions at a moment (`Contest.open_stage`).
+def contest_to_submit_to(session: Session, track: str, at: datetime, name: str | None = None) -> Contest:
+    """Return the contest to which a submission to a track belongs.
 
     Args:
         session: of the transaction.
         track: which one.
-        by: who submits.
-        at: the moment.
-        contest: name of the contest; None: of those that take submissions the one that opened last.
+        at: when it is submitted.
+        name: of the contest; None: the one that takes submissions to the track; where none does, the one that opened
+            last.
 
     Raises:
-        ServiceError: there is no such contest, none takes submissions, or its episodes are published.
+        ServiceError: there is no such contest, it does not hold the track, or several take submissions and no name.
     """
-    if contest is not None:
-        return Contest.find(session, contest).open_stage(track, by, at)
+    if name is not None:
+        contest = Contest.find(session, name)
+        contest.require_holds(track)
+        return contest
     contests = Contest.read_by_track(session, track)
-    taking = (one for one in contests if any(stage.is_in_time(at) for stage in one.stages_of(track)))
-    return next(taking, contests[0]).open_stage(track, by, at)
+    taking = [one for one in contests if one.takes_submissions(track, at)]
+    if len(taking) > 1:
+        names = sorted(one.name for one in taking)
+        raise ServiceError(
+            ProblemCode.CONTEST_REQUIRED,
+            f"Several competitions take submissions to {track} now: {', '.join(names)}. Name one of them with "
+            "`--contest`, in requests with `contest`.",
+            contests=names,
+        )
+    return (taking or contests)[0]
+
+
+def contests_to_choose_from(session: Session, at: datetime) -> Sequence[Contest]:
+    """Return the contests that take submissions to a track to which another one takes them too; else none."""
+    contests = Contest.read_all(session)
+    taking = {
+        track: {one.name for one in contests if one.holds(track) and one.takes_submissions(track, at)}
+        for track in {stage.track for one in contests for stage in one.stages_held_here}
+    }
+    names = {name for found in taking.values() if len(found) > 1 for name in found}
+    return [one for one in contests if one.name in names]
 
 
 def _shown_first(opens: datetime, now: datetime) -> tuple[bool, float]:

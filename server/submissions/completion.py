@@ -67,6 +67,7 @@ def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUI
             by,
             checked,
             team=str(upload.team_id),
+            contest=upload.contest,
             again=upload.again,
             quotas=services.settings.quotas,
             at=_in_time_at(session, locked, checked.track),
@@ -80,7 +81,9 @@ def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUI
 def _in_time_at(session: Session, upload: PartialUpload, track: str) -> datetime | None:
     """Return when an upload was complete if its track took submissions then: its bytes count, not the last request."""
     at = upload.completed_at
-    stages = [stage for contest in Contest.read_by_track(session, track) for stage in contest.stages_of(track)]
+    named = upload.contest
+    contests = Contest.read_by_track(session, track) if named is None else [Contest.find(session, named)]
+    stages = [stage for contest in contests for stage in contest.stages_of(track)]
     was_open = at is not None and any(stage.is_open(at) for stage in stages)
     return at if was_open else None
 

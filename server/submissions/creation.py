@@ -7,7 +7,7 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
 from ..audit import record
-from ..contest.contest import open_stage
+from ..contest.contest import Contest, contest_to_submit_to
 from ..contest.stages import Stage
 from ..db.models import Submission, Team
 from ..db.states import NoticeKind, Quota
@@ -53,19 +53,20 @@ def create(
         upload: the checked body.
         team: for an organizer: whose submission it becomes.
         again: play all episodes anew.
-        contest: name of the competition; None: of those that take it the one that opened last.
+        contest: name of the competition; None: the one that takes submissions to the track.
         quotas: of teams without limits of their own.
         at: when it is complete; None: now.
 
     Raises:
-        ServiceError: an organizer named no team, the stage takes nothing (more) of the team, the file is named for
-            another team, track or stage, the team has used one of its quotas, or machines have failed at the submission
-            too often.
+        ServiceError: an organizer named no team, several competitions take the submission and none is named, the stage
+            takes nothing (more) of the team, the file is named for another team, track or stage, the team has used one
+            of its quotas, or machines have failed at the submission too often.
     """
     team_row = owner(session, by, team)
     teams.lock(session, team_row)
     teams.require_taking_part(team_row)
-    stage = open_stage(session, upload.track, by, at or datetime.now(UTC), contest)
+    now = at or datetime.now(UTC)
+    stage = contest_to_submit_to(session, upload.track, now, contest).open_stage(upload.track, by, now)
     stage.require_accepts(team_row, upload.kind)
     check_file_name(upload.file_name, team=team_row.name, stage=stage)
     submission, is_new = _find_or_add(session, team_row, upload, stage)
@@ -85,7 +86,16 @@ def create(
     return submission, True
 
 
-def expect_upload(session: Session, quotas: Quotas, by: Principal, team: str | None, sha256: str | None) -> Team:
+def expect_upload(
+    session: Session,
+    quotas: Quotas,
+    by: Principal,
+    *,
+    team: str | None,
+    sha256: str | None,
+    track: str | None = None,
+    contest: str | None = None,
+) -> Team:
     """Return the team whose submission an upload becomes, before any of it is sent.
 
     Args:
@@ -94,11 +104,18 @@ def expect_upload(session: Session, quotas: Quotas, by: Principal, team: str | N
         by: who asks.
         team: for an organizer: whose submission it becomes.
         sha256: digest of the body, hex, where the client says it: what the team has submitted before may cost nothing.
+        track: that the body must name; None: whatever it names.
+        contest: name of the competition, where the client says it.
 
     Raises:
-        ServiceError: an organizer named no team, or none that exists, or the team has used one of its quotas.
+        ServiceError: an organizer named no team, or none that exists, several competitions take submissions to the
+            track and none is named, or the team has used one of its quotas.
     """
     found = owner(session, by, team)
+    if track is not None:
+        contest_to_submit_to(session, track, datetime.now(UTC), contest)
+    elif contest is not None:
+        Contest.find(session, contest)
     known = select(Submission.id).where(Submission.team_id == found.id, Submission.archive_sha256 == sha256).limit(1)
     if sha256 is None or session.scalar(known) is None:
         check(session, quotas, by, found, *EVALUATION_QUOTAS)

@@ -26,6 +26,7 @@ class AnnouncedUpload:
     Attributes:
         kind: what the body is.
         track: that the body must name; None: whatever it names.
+        contest: name of the competition; None: the one that takes submissions to the track.
         team: for an organizer: whose submission it becomes.
         again: play all episodes anew although results are stored.
         n_bytes: length of the body; None: not told.
@@ -35,6 +36,7 @@ class AnnouncedUpload:
 
     kind: SubmissionKind
     track: str | None = None
+    contest: str | None = None
     team: str | None = None
     again: bool = False
     n_bytes: int | None = None
@@ -86,7 +88,15 @@ async def receive(
 
 def _owner(services: Services, by: Principal, upload: AnnouncedUpload) -> str:
     with services.database.transaction() as session:
-        owner = creation.expect_upload(session, services.settings.quotas, by, upload.team, upload.sha256)
+        owner = creation.expect_upload(
+            session,
+            services.settings.quotas,
+            by,
+            team=upload.team,
+            sha256=upload.sha256,
+            track=upload.track,
+            contest=upload.contest,
+        )
         check_file_name(upload.file_name, team=owner.name)
         return owner.name
 
@@ -96,7 +106,13 @@ def _create(
 ) -> tuple[SubmissionView, bool]:
     with services.database.transaction() as session:
         submission, is_new = creation.create(
-            session, by, checked, team=upload.team, again=upload.again, quotas=services.settings.quotas
+            session,
+            by,
+            checked,
+            team=upload.team,
+            contest=upload.contest,
+            again=upload.again,
+            quotas=services.settings.quotas,
         )
     with services.database.transaction() as session:
         return listing.get(session, services.settings, by, submission.id), is_new

@@ -118,6 +118,7 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
         id=submission.id,
         team=team_view(submission.team, shown.names),
         kind=submission.kind,
+        contest=submission.contest or None,
         track=submission.track,
         stage=submission.stage or None,
         tasks=submission.tasks,

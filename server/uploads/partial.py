@@ -36,6 +36,7 @@ class UploadPlan:
     Attributes:
         kind: what the body is.
         track: that the body must name; None: whatever it names.
+        contest: name of the competition; None: the one that takes submissions to the track.
         again: whether all episodes are to be played anew.
         file_name: as the client names it; None: not told.
         total_bytes: length of the body.
@@ -44,6 +45,7 @@ class UploadPlan:
 
     kind: SubmissionKind
     track: str | None
+    contest: str | None
     again: bool
     file_name: str | None
     total_bytes: int

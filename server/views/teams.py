@@ -103,6 +103,7 @@ class QuotaView(View):
 class StageQuotaView(View):
     """How much of a quota of an open stage a team has used."""
 
+    contest: str = Field(description="Name of the competition.")
     track: str
     stage: str
     closes: datetime

@@ -37,7 +37,9 @@ Length = Annotated[str | None, Header(description="Length of the whole body in b
 Offset = Annotated[str | None, Header(description="First byte of the piece; how far the upload is, as HEAD says.")]
 Metadata = Annotated[
     str | None,
-    Header(description="`kind`, `track`, `team`, `again` as for a submission; `sha256`, `filename`; each in base64."),
+    Header(
+        description="`kind`, `track`, `contest`, `team`, `again` as for a submission; `sha256`, `filename`; in base64."
+    ),
 ]
 PieceChecksum = Annotated[str | None, Header(description="`sha256` or `sha1` and the piece's digest in base64.")]
 
@@ -73,7 +75,15 @@ def post_upload(
     metadata = protocol.read_metadata(request)
     plan = _plan(metadata, protocol.read_number(request, "Upload-Length"))
     with services.database.transaction() as session:
-        owner = creation.expect_upload(session, services.settings.quotas, principal, metadata.get("team"), plan.sha256)
+        owner = creation.expect_upload(
+            session,
+            services.settings.quotas,
+            principal,
+            team=metadata.get("team"),
+            sha256=plan.sha256,
+            track=plan.track,
+            contest=plan.contest,
+        )
         check_file_name(plan.file_name, team=owner.name)
         upload = partial.begin(session, services.settings, owner, plan)
     response.headers["Location"] = f"{request.url.path.rstrip('/')}/{upload.id}"
@@ -186,6 +196,7 @@ def _plan(metadata: dict[str, str], total_bytes: int) -> UploadPlan:
     return UploadPlan(
         kind=kind,
         track=track,
+        contest=metadata.get("contest"),
         again=again,
         file_name=metadata.get("filename"),
         total_bytes=total_bytes,

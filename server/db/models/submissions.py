@@ -91,6 +91,7 @@ class PartialUpload(Base):
     team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), index=True)
     kind: Mapped[SubmissionKind] = mapped_column(closed_set(SubmissionKind, "kind"))
     track: Mapped[str | None]
+    contest: Mapped[str | None]
     again: Mapped[bool]
     file_name: Mapped[str | None]
     total_bytes: Mapped[int] = mapped_column(BigInteger)

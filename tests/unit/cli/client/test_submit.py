@@ -1,16 +1,21 @@
 import json
+import re
 from pathlib import Path
 
 import pytest
 from cli_service import CliService, submission_folder, zip_of
 from quick_worker import record_of
 from service_factories import TASK
+from sqlalchemy import func, select
 from text_log_writer import text_log
 from uploaded_logs import EPISODES, a_log, a_text_log, packed
 from vitac.cli.client.refusals import RequestRefused, ServiceUnreachable
 from vitac.cli.client.upload_kind import kind_of
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.submission.sources import NoSubmission, submission_digest
+from vitac.server.db.models import PartialUpload
+
+from competitions import make_competition, open_now, put_in_place
 
 
 def test_submits_a_folder_and_prints_id_and_page(service: CliService, tmp_path: Path) -> None:
@@ -166,3 +171,19 @@ def test_the_name_of_the_folder_is_sent_along(service: CliService, tmp_path: Pat
     assert "file_name_mismatch" in str(refused.exception)
     mine = folder.rename(tmp_path / "Team_A-Track_1-stage1-result")
     assert service.run("submit", str(mine)).exit_code == 0
+
+
+def test_a_submission_says_its_competition_where_two_take_it(service: CliService, tmp_path: Path) -> None:
+    with service.database.transaction() as session:
+        for name in ("cup", "class"):
+            put_in_place(session, open_now(make_competition(name=name, title=f"The {name}")))
+    folder = str(submission_folder(tmp_path / "mine"))
+    refused = service.run("submit", folder)
+    assert "contest_required" in str(refused.exception)
+    assert "Several competitions take submissions to track_1 now: class, cup." in str(refused.exception)
+    with service.database.transaction() as session:
+        assert session.scalar(select(func.count()).select_from(PartialUpload)) == 0
+    assert "expected one of class, cup" in str(service.run("submit", folder, "--contest", "cap").exception)
+    made = [json.loads(service.run("submit", folder, "--contest", name, "--json").stdout) for name in ("cup", "class")]
+    assert [answer["contest"] for answer in made] == ["cup", "class"]
+    assert re.search(r"class +track_1 +stage1 +attempts", service.run("whoami").stdout)

@@ -6,12 +6,12 @@ from sqlalchemy.orm import Session
 from submission_steps import refused
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.contest.applying import apply
-from vitac.server.contest.contest import Contest, open_stage, stage_of
+from vitac.server.contest.contest import Contest, contest_to_submit_to, contests_to_choose_from, stage_of
 from vitac.server.contest.definition import CompetitionDefinition
 from vitac.server.contest.freezing import freeze
 from vitac.server.contest.view import competition_view
 from vitac.server.db.engine import Database
-from vitac.server.errors import ProblemCode
+from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE
@@ -51,10 +51,9 @@ def test_each_contest_has_its_own_boards_quotas_and_sealed_lists(both: Database)
         with refused(ProblemCode.QUOTA_EXCEEDED), session.begin_nested():
             submit(session, ants, "more", contest=MAIN)
         other = submit(session, bees, "bees", contest=CLASS)
-        assert [(use.limit, use.used) for use in stage_uses(session, teams.own(session, bees)) if use.limit] == [
-            (1, 1),
-            (1, 0),
-        ]
+        assert [
+            (use.contest, use.limit, use.used) for use in stage_uses(session, teams.own(session, bees)) if use.limit
+        ] == [(CLASS, 1, 1), (MAIN, 1, 0)]
         commitments = {name: newest_evaluation(session, made[name]).commitment for name in made}
         assert len(set(commitments.values())) == 2
         for name, commitment in commitments.items():
@@ -73,20 +72,32 @@ def test_each_contest_has_its_own_boards_quotas_and_sealed_lists(both: Database)
         assert signed[MAIN][0].link.board != signed[CLASS][0].link.board
 
 
-def test_a_track_shows_and_takes_for_the_contest_that_opened_last(both: Database) -> None:
+def test_a_track_shows_the_contest_that_opened_last(both: Database) -> None:
     with both.transaction() as session:
-        ants = make_principal(session, "Ants")
         assert Contest.find_by_track(session, TRACK).shown_stage(TRACK).contest == CLASS
-        assert submit(session, ants, contest=None).contest == CLASS
         assert competition_view(session).name == CLASS
+
+
+def test_a_submission_names_its_contest_only_while_several_take_it(both: Database) -> None:
+    with both.transaction() as session:
+        ants, now = make_principal(session, "Ants"), datetime.now(UTC)
+        with pytest.raises(
+            ServiceError, match="Several competitions take submissions to track_1 now: class, cup"
+        ) as no:
+            submit(session, ants)
+        assert (no.value.code, no.value.extras["contests"]) == (ProblemCode.CONTEST_REQUIRED, [CLASS, MAIN])
+        with pytest.raises(ServiceError, match="cup takes no submissions to 'track_3', expected one of track_1"):
+            contest_to_submit_to(session, "track_3", now, MAIN)
+        assert [one.name for one in contests_to_choose_from(session, now)] == [CLASS, MAIN]
         # The class ends first: from then on the track takes submissions for the contest that is still open.
         row = Contest.find(session, CLASS).row
         content = moved(CompetitionDefinition.model_validate(row.definition).model_dump(mode="json"), days=-31)
         put_in_place(session, content)
-        assert open_stage(session, TRACK, ants, datetime.now(UTC)).contest == MAIN
-        assert open_stage(session, TRACK, ants, datetime.now(UTC) - timedelta(days=30), CLASS).name == FIRST
+        assert contests_to_choose_from(session, now) == []
+        assert submit(session, ants).contest == MAIN
+        assert submit(session, ants, contest=CLASS, at=now - timedelta(days=30)).contest == CLASS
         with refused(ProblemCode.STAGE_CLOSED):
-            open_stage(session, TRACK, ants, datetime.now(UTC), CLASS)
+            submit(session, ants, contest=CLASS)
 
 
 def test_one_contest_is_frozen_and_ended_while_the_other_continues(both: Database) -> None:
