@@ -21,6 +21,7 @@ class Principal:
         member_name: name of that member.
         leads_team: whether members may be invited and removed.
         judge_name: of a judge's token: under which marks and conflicts of interest are kept.
+        contest: of an organizer of one competition: its name; None: of the whole service.
     """
 
     role: Role | None
@@ -32,16 +33,22 @@ class Principal:
     member_name: str | None = None
     leads_team: bool = False
     judge_name: str | None = None
+    contest: str | None = None
 
     @property
     def is_organizer(self) -> bool:
-        """Whether all teams' things may be seen and changed."""
+        """Whether all things of the whole service may be seen and changed."""
+        return self.role is Role.ORGANIZER and self.contest is None
+
+    @property
+    def organizes_something(self) -> bool:
+        """Whether all things of one competition, or of the whole service, may be seen and changed."""
         return self.role is Role.ORGANIZER
 
     @property
     def reads_all_teams(self) -> bool:
         """Whether all teams' submissions may be read."""
-        return self.role in {Role.ORGANIZER, Role.JUDGE}
+        return self.is_organizer or self.role is Role.JUDGE
 
     @property
     def actor(self) -> str:
@@ -53,13 +60,19 @@ class Principal:
         """For whom uploads and event streams are counted: the members of a team share its limits."""
         return f"{self.role}:{self.team_name or self.judge_name or self.token_id or 'console'}"
 
-    def may_see(self, team_id: UUID) -> bool:
-        """Return whether a thing of that team exists for this principal."""
-        return self.reads_all_teams or self.team_id == team_id
+    def organizes(self, contest: str) -> bool:
+        """Return whether all things of a competition may be seen and changed; of practice where it has no name."""
+        return self.role is Role.ORGANIZER and self.contest in {None, contest}
 
-    def may_change(self, team_id: UUID) -> bool:
-        """Return whether this principal may change a thing of that team."""
-        return self.is_organizer or self.team_id == team_id
+    def may_see(self, team_id: UUID, contest: str | None = None) -> bool:
+        """Return whether a thing of that team exists for this principal; `contest`: to which the thing belongs."""
+        organizes = contest is not None and self.organizes(contest)
+        return self.reads_all_teams or self.team_id == team_id or organizes
+
+    def may_change(self, team_id: UUID, contest: str | None = None) -> bool:
+        """Return whether this principal may change a thing of that team; `contest`: to which the thing belongs."""
+        organizes = contest is not None and self.organizes(contest)
+        return self.is_organizer or self.team_id == team_id or organizes
 
     def require_leader(self, team_id: UUID) -> None:
         """Refuse everybody but the captain of that team and organizers.
@@ -72,14 +85,21 @@ class Principal:
         if not (self.is_organizer or self.leads_team):
             raise ServiceError(ProblemCode.FORBIDDEN, "Only the team's captain and organizers may do this.")
 
-    def require_organizer(self) -> None:
-        """Refuse everybody else.
+    def require_organizer(self, contest: str | None = None) -> None:
+        """Refuse everybody else; `contest`: to which the thing belongs, None: to the whole service.
 
         Raises:
             ServiceError: forbidden.
         """
-        if not self.is_organizer:
+        if self.is_organizer or (contest is not None and self.organizes(contest)):
+            return
+        if not self.organizes_something:
             raise ServiceError(ProblemCode.FORBIDDEN, "Only organizers may do this; use an organizer's token.")
+        raise ServiceError(
+            ProblemCode.FORBIDDEN,
+            f"Your token organizes the competition {self.contest}, and this concerns "
+            f"{contest or 'the whole service'}; ask an organizer of the whole service.",
+        )
 
 
 VISITOR = Principal(role=None)

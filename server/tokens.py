@@ -15,6 +15,7 @@ from sqlalchemy.orm import Session, aliased, joinedload
 
 from . import names
 from .audit import record
+from .contest.contest import Contest
 from .db.models import ApiToken, Member, Team
 from .db.states import MemberRole, Role
 from .errors import ProblemCode, ServiceError, not_found
@@ -43,15 +44,17 @@ def issue(
     role: Role,
     label: str,
     team: Team | None = None,
+    contest: str | None = None,
     lifetime: timedelta | None,
 ) -> IssuedToken:
     """Make a token that a team shares, or for an organizer or judge (no team).
 
     The label of a judge's token is the judge's name: a new token after the old one has ended is the same judge's.
+    `contest` is the only competition that an organizer's token is for.
 
     Raises:
-        ServiceError: the principal may not give such a token, the label cannot be shown, or there is a good token of
-            that judge.
+        ServiceError: the principal may not give such a token, the label cannot be shown, there is a good token of that
+            judge, or no such competition.
     """
     label = names.clean(label, what="A token's label", min_length=1, max_length=LABEL_LENGTH)
     if not by.is_organizer and (role is not Role.TEAM or team is None or by.team_id != team.id):
@@ -61,7 +64,9 @@ def issue(
     if role is Role.JUDGE:
         label = judge_named(session, label)
         _refuse_second_judge(session, label)
-    return _add(session, by, ApiToken(role=role, team=team, label=label), lifetime)
+    if contest is not None:
+        Contest.find(session, contest)
+    return _add(session, by, ApiToken(role=role, team=team, label=label, contest=contest), lifetime)
 
 
 def judge_named(session: Session, name: str) -> str:
@@ -139,7 +144,8 @@ def _add(session: Session, by: Principal, token: ApiToken, lifetime: timedelta |
     token.expires_at = token.created_at + lifetime if lifetime is not None else None
     session.add(token)
     session.flush()
-    record(session, by, "token.issue", f"token:{token.id}", {"role": token.role.value, "label": token.label})
+    after = {"role": token.role.value, "label": token.label} | ({"contest": token.contest} if token.contest else {})
+    record(session, by, "token.issue", f"token:{token.id}", after)
     return IssuedToken(token=token, secret=secret)
 
 
@@ -213,6 +219,7 @@ def token_view(token: ApiToken) -> TokenView:
         role=token.role,
         team=token.team.name if token.team is not None else None,
         member=token.member.name if token.member is not None else None,
+        contest=token.contest,
         is_session=token.is_session,
         created_at=token.created_at,
         expires_at=token.expires_at,
@@ -251,6 +258,7 @@ def _holders() -> Select[*tuple[Any, ...]]:
             ApiToken.id,
             ApiToken.role,
             ApiToken.label,
+            ApiToken.contest,
             ApiToken.revoked_at,
             ApiToken.expires_at,
             ApiToken.last_used_at,
@@ -293,4 +301,5 @@ def _principal(session: Session, token: Row[*tuple[Any, ...]] | None) -> Princip
         member_name=token.member_name,
         leads_team=token.leads_team,
         judge_name=token.label if token.role is Role.JUDGE else None,
+        contest=token.contest,
     )

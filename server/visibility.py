@@ -22,7 +22,7 @@ def visible(session: Session, by: Principal, submission_id: UUID) -> Submission:
         ServiceError: there is none that the principal may see.
     """
     submission = session.get(Submission, submission_id, options=[joinedload(Submission.team)])
-    if submission is None or not by.may_see(submission.team_id):
+    if submission is None or not by.may_see(submission.team_id, submission.contest):
         raise not_found("submission", submission_id)
     return submission
 
@@ -47,8 +47,8 @@ def sight_of(by: Principal, evaluation: Evaluation) -> Sight:
     what it observes. A log ran no policy here: the output that it names could be anything.
     """
     submission = evaluation.submission
-    is_own = by.may_see(submission.team_id)
-    episodes = by.is_organizer or ((is_own or submission.is_public) and not is_sealed(evaluation))
+    is_own = by.may_see(submission.team_id, submission.contest)
+    episodes = by.organizes(submission.contest) or ((is_own or submission.is_public) and not is_sealed(evaluation))
     return Sight(episodes=episodes, output=episodes and is_own and submission.kind.form.runs_policy)
 
 
@@ -126,6 +126,6 @@ def changeable(session: Session, by: Principal, submission_id: UUID) -> Submissi
         ServiceError: there is none that the principal may see, or it may only be read.
     """
     submission = visible(session, by, submission_id)
-    if not by.may_change(submission.team_id):
+    if not by.may_change(submission.team_id, submission.contest):
         raise ServiceError(ProblemCode.FORBIDDEN, "A judge reads submissions only; ask an organizer.")
     return submission

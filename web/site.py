@@ -102,9 +102,14 @@ class Viewer:
         """Whether all teams' submissions are shown."""
         return self.visitor.is_organizer
 
-    def may_see(self, team: str) -> bool:
-        """Return whether the submissions of a team are shown."""
-        return self.visitor.may_see(team)
+    @property
+    def organizes_something(self) -> bool:
+        """Whether all teams' submissions to one competition, or to all, are shown."""
+        return self.visitor.principal.organizes_something
+
+    def may_see(self, team: str, contest: str | None = None) -> bool:
+        """Return whether the submissions of a team are shown; `contest`: those to a competition."""
+        return self.visitor.may_see(team) or self.visitor.principal.organizes(contest or "")
 
     def may_change(self, team: str) -> bool:
         """Return whether the submissions of a team may be changed."""
@@ -240,8 +245,10 @@ def navigation(site: Site, viewer: Viewer | None) -> tuple[tuple[str, str], ...]
         links.append(("/submissions", "Submissions"))
         if viewer.visitor.has_team:
             links.append(("/team", "Team"))
-        if viewer.visitor.principal.reads_all_teams:
+        if viewer.visitor.principal.reads_all_teams or viewer.organizes_something:
             links.append(("/judging", "Judging"))
         if viewer.is_organizer:
             links += [("/desk", "Desk"), ("/operations", "Operations")]
+        elif viewer.organizes_something:
+            links += [("/appeals", "Appeals"), ("/rejudging", "Rejudging")]
     return tuple(links)

@@ -52,6 +52,7 @@ def start(
 @app.command("list")
 def list_rejudgements(as_json: AsJson = False) -> None:
     """List all rejudgements, newest first."""
+    from vitac.server.principals import CONSOLE
     from vitac.server.rejudging.rejudging import rejudgements
 
     with transaction() as session:
@@ -65,7 +66,7 @@ def list_rejudgements(as_json: AsJson = False) -> None:
                 "applied_at": each.applied_at,
                 "discarded_at": each.discarded_at,
             }
-            for each in rejudgements(session)
+            for each in rejudgements(session, CONSOLE)
         ]
     print_records(found, tuple(found[0]) if found else (), none="There is none.", as_json=as_json)
 
@@ -73,11 +74,12 @@ def list_rejudgements(as_json: AsJson = False) -> None:
 @app.command()
 def show(rejudgement: RejudgementId, as_json: AsJson = False) -> None:
     """Show which scores and ranks would change."""
+    from vitac.server.principals import CONSOLE
     from vitac.server.rejudging import rejudging
     from vitac.server.rejudging.comparison import comparison
 
     with transaction() as session:
-        found = comparison(session, rejudging.find(session, rejudgement))
+        found = comparison(session, rejudging.find(session, CONSOLE, rejudgement))
     _print(found, as_json=as_json)
 
 

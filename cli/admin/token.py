@@ -18,10 +18,18 @@ def add(
     team: Annotated[
         str | None, typer.Argument(help="Name or id of the team; none with --organizer or --judge.")
     ] = None,
-    organizer: Annotated[bool, typer.Option("--organizer", help="A token that may do everything.")] = False,
+    organizer: Annotated[
+        bool,
+        typer.Option(
+            "--organizer", help="A token that may do everything, or with --contest everything in one competition."
+        ),
+    ] = False,
     judge: Annotated[
         bool, typer.Option("--judge", help="A token that reads all teams' submissions and gives marks.")
     ] = False,
+    contest: Annotated[
+        str | None, typer.Option("--contest", help="With --organizer: the only competition that the token is for.")
+    ] = None,
     label: Annotated[str | None, typer.Option(help="What the token is for; of a judge's: the judge's name.")] = None,
     days: Annotated[
         int | None, typer.Option(min=1, help="Days until it expires; default: VITAC_TOKEN_LIFETIME_DAYS.")
@@ -29,7 +37,10 @@ def add(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Add a token and print it, which happens only now."""
+    """Add a token and print it, which happens only now.
+
+    `--organizer --contest NAME` is for somebody who organizes one of several competitions and sees no other.
+    """
     from vitac.server import tokens
     from vitac.server.db.states import Role
     from vitac.server.principals import CONSOLE
@@ -39,6 +50,8 @@ def add(
         raise typer.BadParameter("give one of TEAM, --organizer and --judge")
     if judge and label is None:
         raise typer.BadParameter("name the judge with --label: marks and conflicts of interest are kept under it")
+    if contest is not None and not organizer:
+        raise typer.BadParameter("--contest is for --organizer: only an organizer's token is for one competition")
     role = Role.ORGANIZER if organizer else Role.JUDGE if judge else Role.TEAM
     with change_transaction(dry_run=dry_run) as session:
         issued = tokens.issue(
@@ -47,6 +60,7 @@ def add(
             role=role,
             label=label or "added by an organizer",
             team=None if team is None else teams.find(session, team),
+            contest=contest,
             lifetime=timedelta(days=days or load_settings().token_lifetime_days),
         )
         shown = tokens.new_token_view(issued).model_dump() | ({"id": None, "secret": None} if dry_run else {})
@@ -66,7 +80,7 @@ def list_tokens(as_json: AsJson = False) -> None:
 
     with transaction() as session:
         found = [tokens.token_view(token).model_dump() for token in tokens.list_tokens(session, CONSOLE)]
-    columns = ("id", "role", "team", "label", "expires_at", "revoked_at", "last_used_at")
+    columns = ("id", "role", "team", "contest", "label", "expires_at", "revoked_at", "last_used_at")
     print_records(found, columns, none="No token yet.", as_json=as_json)
 
 

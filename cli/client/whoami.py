@@ -46,4 +46,7 @@ def command(
 
 def owner_of(me: Json) -> str:
     """Return the team's name, or that it is an organizer."""
-    return str(me["team"]["name"]) if me["team"] is not None else "organizer"
+    if me["team"] is not None:
+        return str(me["team"]["name"])
+    contest = (me["token"] or {}).get("contest")
+    return f"organizer of {contest}" if contest else "organizer"

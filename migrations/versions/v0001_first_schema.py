@@ -608,6 +608,7 @@ def make_tables() -> None:
             sa.String(length=16),
             nullable=False,
         ),
+        sa.Column("contest", sa.Text(), nullable=True),
         sa.Column("team_id", sa.Uuid(), nullable=True),
         sa.Column("member_id", sa.Uuid(), nullable=True),
         sa.Column("is_session", sa.Boolean(), server_default=sa.false(), nullable=False),
@@ -617,6 +618,9 @@ def make_tables() -> None:
         sa.Column("expires_at", sa.DateTime(timezone=True), nullable=True),
         sa.Column("revoked_at", sa.DateTime(timezone=True), nullable=True),
         sa.Column("last_used_at", sa.DateTime(timezone=True), nullable=True),
+        sa.CheckConstraint(
+            "contest IS NULL OR role = 'organizer'", name=op.f("ck_api_tokens_a_contest_has_organizers")
+        ),
         sa.CheckConstraint(
             "(role = 'team') = (team_id IS NOT NULL)", name=op.f("ck_api_tokens_team_tokens_have_a_team")
         ),

@@ -117,7 +117,7 @@ def confirm(
             today's evaluator, a team is unknown or not proposed, or one that would lose its place has submitted
             already.
     """
-    by.require_organizer()
+    by.require_organizer(stage.contest)
     Contest.lock(session, stage.contest)  # of two at once the second sees whom the first has confirmed
     proposal, (before, _) = propose(session, stage), _rule(stage)
     before.require_over()

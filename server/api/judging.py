@@ -58,9 +58,12 @@ def get_judged(
     services: ServicesOf,
     principal: PrincipalOf,
     track: str,
+    *,
+    contest: Annotated[str | None, Query(description="Its name; the one that opened last without it.")] = None,
     stage: Annotated[str | None, Query(description="Of the competition; the one that opened last without it.")] = None,
 ) -> list[JudgedTeamView]:
     """Return each team's marks with their spread, its figures and its total, best first (organizers only)."""
     with services.database.transaction() as session:
-        found = judging.judged(session, principal, Contest.find_by_track(session, track).shown_stage(track, stage))
+        wanted = Contest.find_by_track(session, track, contest or principal.contest).shown_stage(track, stage)
+        found = judging.judged(session, principal, wanted)
     return [JudgedTeamView(**asdict(team)) for team in found]

@@ -21,6 +21,9 @@ class NewRejudgement(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     track: str = Field(max_length=100)
+    contest: str | None = Field(
+        default=None, max_length=100, description="Name of the competition; the one that opened last without it."
+    )
     stage: str | None = Field(default=None, max_length=100, description="The one that opened last without it.")
     submissions: list[UUID] = Field(default=[], max_length=10_000, description="Empty: all models of the stage.")
     reason: str = Field(max_length=rejudging.REASON_LENGTH, description="In one line, for the audit log.")
@@ -36,16 +39,16 @@ class Application(BaseModel):
 @router.get("")
 def get_rejudgements(services: ServicesOf, principal: PrincipalOf) -> list[RejudgementView]:
     """Return all rejudgements, newest first."""
-    principal.require_organizer()
     with services.database.transaction() as session:
-        return [rejudgement_view(one) for one in rejudging.rejudgements(session)]
+        return [rejudgement_view(one) for one in rejudging.rejudgements(session, principal)]
 
 
 @router.post("", status_code=HTTPStatus.CREATED)
 def post_rejudgement(services: ServicesOf, principal: PrincipalOf, new: NewRejudgement) -> RejudgementDetailView:
     """Evaluate submissions again with the present evaluator; nobody but organizers sees it, no result changes."""
     with services.database.transaction() as session:
-        stage = Contest.find_by_track(session, new.track).shown_stage(new.track, new.stage)
+        contest = Contest.find_by_track(session, new.track, new.contest or principal.contest)
+        stage = contest.shown_stage(new.track, new.stage)
         made = rejudging.start(session, principal, stage, submissions=new.submissions, reason=new.reason)
         return rejudgement_detail_view(session, made)
 
@@ -53,9 +56,8 @@ def post_rejudgement(services: ServicesOf, principal: PrincipalOf, new: NewRejud
 @router.get("/{rejudgement_id}")
 def get_rejudgement(services: ServicesOf, principal: PrincipalOf, rejudgement_id: UUID) -> RejudgementDetailView:
     """Return which scores and ranks would change."""
-    principal.require_organizer()
     with services.database.transaction() as session:
-        return rejudgement_detail_view(session, rejudging.find(session, rejudgement_id))
+        return rejudgement_detail_view(session, rejudging.find(session, principal, rejudgement_id))
 
 
 @router.post("/{rejudgement_id}/apply")
@@ -65,7 +67,7 @@ def apply_rejudgement(
     """Make the new results those of their submissions; refused if they are no longer those that were looked at."""
     with services.database.transaction() as session:
         rows = rejudging.apply(session, principal, rejudgement_id, shown=application.shown)
-        return rejudgement_detail_view(session, rejudging.find(session, rejudgement_id), rows)
+        return rejudgement_detail_view(session, rejudging.find(session, principal, rejudgement_id), rows)
 
 
 @router.post("/{rejudgement_id}/discard", status_code=HTTPStatus.NO_CONTENT, response_class=Response)

@@ -72,7 +72,7 @@ def get_leaderboard(
     """Return the standings of a track or of one of its tasks: the best completed evaluation of each team."""
     with services.database.reading() as session:
         shown = Contest.find_by_track(session, track).shown_stage(track, stage)
-        board = leaderboard(session, shown, task=task, unfrozen=principal.is_organizer)
+        board = leaderboard(session, shown, task=task, unfrozen=principal.organizes(shown.contest))
     return _answer(request, board)
 
 
@@ -83,7 +83,7 @@ def get_log_boards(
     """Return the verified logs of a track, ranked by task, and the 2025 text logs, which are not ranked."""
     with services.database.reading() as session:
         shown = Contest.find_by_track(session, track).shown_stage(track, stage)
-        board = log_boards(session, shown, unfrozen=principal.is_organizer)
+        board = log_boards(session, shown, unfrozen=principal.organizes(shown.contest))
     return _answer(request, board)
 
 

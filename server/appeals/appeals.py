@@ -94,7 +94,7 @@ def withdraw(session: Session, by: Principal, appeal_id: int) -> None:
         ServiceError: there is no such appeal, or it is ruled on.
     """
     found = find(session, by, appeal_id)
-    if not by.may_change(found.team_id):
+    if not by.may_change(found.team_id, found.evaluation.submission.contest):
         raise ServiceError(ProblemCode.FORBIDDEN, "A judge reads appeals only; ask an organizer.")
     _end(session, by, found, AppealState.WITHDRAWN, None)
 
@@ -105,7 +105,7 @@ def rule(session: Session, by: Principal, appeal_id: int, ruling: str, *, upheld
     Raises:
         ServiceError: not an organizer, there is no such appeal, it is decided already, or the text cannot be shown.
     """
-    by.require_organizer()
+    by.require_organizer(by.contest)
     found = find(session, by, appeal_id)
     kept = clean_text(ruling, what="A ruling")
     _end(session, by, found, AppealState.UPHELD if upheld else AppealState.REJECTED, kept)
@@ -125,7 +125,7 @@ def end_with_competition(session: Session, by: Principal, contest: Contest) -> N
     Raises:
         ServiceError: not an organizer.
     """
-    by.require_organizer()
+    by.require_organizer(contest.name)
     for found in open_in_competition(session, contest):
         _end(session, by, found, AppealState.REJECTED, _NO_RULING)
 
@@ -146,7 +146,7 @@ def note_replay(
     Raises:
         ServiceError: not an organizer, there is no such appeal, or its evaluation has no such episode.
     """
-    by.require_organizer()
+    by.require_organizer(by.contest)
     found = find(session, by, appeal_id)
     old = require_episode(session, found.evaluation, played.task, played.episode)
     stored = EpisodeRecord.model_validate(old.record)
@@ -203,7 +203,7 @@ def find(session: Session, by: Principal, appeal_id: int) -> Appeal:
         ServiceError: there is none that the principal may see.
     """
     found = session.get(Appeal, appeal_id, with_for_update={"of": Appeal}, populate_existing=True)
-    if found is None or not by.may_see(found.team_id):
+    if found is None or not by.may_see(found.team_id, found.evaluation.submission.contest):
         raise not_found("appeal", appeal_id)
     return found
 
@@ -218,7 +218,10 @@ def visible(session: Session, by: Principal, *, open_only: bool = False) -> list
         selectinload(Appeal.replays),
     )
     query = select(Appeal).options(*needed).order_by(Appeal.id.desc()).limit(SHOWN)
-    if not by.reads_all_teams:
+    if by.contest is not None:
+        of_contest = Evaluation.submission.has(Submission.contest == by.contest)
+        query = query.where(Appeal.evaluation.has(of_contest))
+    elif not by.reads_all_teams:
         query = query.where(Appeal.team_id == by.team_id)
     if open_only:
         query = query.where(Appeal.state == AppealState.OPEN)

@@ -89,7 +89,7 @@ def apply(
         ServiceError: not an organizer, the competition is at another revision, a concern is not confirmed, or as
             `changes_by`.
     """
-    by.require_organizer()
+    by.require_organizer(definition.name)
     contest = Contest.lock(session, definition.name)
     before = contest.row.definition if contest.is_held else None
     found = changes_by(session, definition)

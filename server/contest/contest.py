@@ -94,9 +94,22 @@ class Contest:
         return [one for one in contests if one.holds(track)] or contests[:1]
 
     @classmethod
-    def find_by_track(cls, session: Session, track: str) -> Self:
-        """Return the contest whose boards a track shows: of those that hold it the one that opened last."""
-        return cls.read_by_track(session, track)[0]
+    def find_by_track(cls, session: Session, track: str, name: str | None = None) -> Self:
+        """Return the contest whose boards a track shows.
+
+        Args:
+            session: of the transaction.
+            track: which one.
+            name: of the contest; None: of those that hold the track the one that opened last.
+
+        Raises:
+            ServiceError: there is none of that name, or it does not hold the track.
+        """
+        if name is None:
+            return cls.read_by_track(session, track)[0]
+        contest = cls.find(session, name)
+        contest.require_holds(track)
+        return contest
 
     @classmethod
     def lock(cls, session: Session, name: str, *, shared: bool = False) -> Self:
@@ -118,8 +131,9 @@ class Contest:
         Raises:
             ServiceError: not an organizer, there is no competition, or `find`.
         """
-        by.require_organizer()
-        contest = cls.lock(session, cls.find(session, name).name)
+        wanted = name or by.contest
+        by.require_organizer(wanted)
+        contest = cls.lock(session, cls.find(session, wanted).name)
         contest.require_held()
         return contest
 
@@ -356,9 +370,7 @@ def contest_to_submit_to(session: Session, track: str, at: datetime, name: str |
         ServiceError: there is no such contest, it does not hold the track, or several take submissions and no name.
     """
     if name is not None:
-        contest = Contest.find(session, name)
-        contest.require_holds(track)
-        return contest
+        return Contest.find_by_track(session, track, name)
     contests = Contest.read_by_track(session, track)
     taking = [one for one in contests if one.takes_submissions(track, at)]
     if len(taking) > 1:

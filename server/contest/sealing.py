@@ -35,7 +35,7 @@ def seal(session: Session, by: Principal, stage: Stage, secret: bytes | None = N
     Raises:
         ServiceError: not an organizer, or another secret was committed to.
     """
-    by.require_organizer()
+    by.require_organizer(stage.contest)
     found = session.scalar(select(SealedList).where(*stage.rows_of(SealedList)))
     if found is None:
         return _make_list(session, by, stage, secret or secrets.token_bytes(SECRET_BYTES))
@@ -60,7 +60,7 @@ def withdraw(session: Session, by: Principal, stage: Stage) -> None:
     Raises:
         ServiceError: not an organizer, or an evaluation plays the list.
     """
-    by.require_organizer()
+    by.require_organizer(stage.contest)
     if stage.sealed_list is not None:
         _withdraw(session, by, stage, stage.sealed_list)
 
@@ -127,7 +127,7 @@ def reveal(session: Session, by: Principal, stage: Stage) -> SealedList:
     Raises:
         ServiceError: not an organizer, there is no such list, or an evaluation of it has not ended.
     """
-    by.require_organizer()
+    by.require_organizer(stage.contest)
     of_stage = *stage.rows_of(SealedList), SealedList.withdrawn_at.is_(None)
     found = session.scalar(select(SealedList).where(*of_stage).with_for_update())
     if found is None:

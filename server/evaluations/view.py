@@ -101,7 +101,7 @@ class EvaluationRows:
         return cls(
             kept=kept,
             isolation=isolation_levels(session, [found for found in evaluations if found.id not in kept]),
-            differing=differing_episodes(session, evaluations) if by.is_organizer else None,
+            differing=differing_episodes(session, evaluations) if by.organizes_something else None,
             output={
                 found.id: _output(session, found) for found in evaluations if with_output and sights[found.id].output
             },

@@ -86,8 +86,8 @@ def give_marks(
             it plays no task of the ranking that a total is made for, a mark is missing or out of range, or the judge
             has a conflict of interest with the team.
     """
-    name = _judge(session, by, judge)
     submission = visible(session, by, submission_id)
+    name = _judge(session, by, judge, submission.contest)
     teams.lock(session, submission.team)  # no conflict and no other marks of the team meanwhile
     # The end, and the same judge's marks from elsewhere, wait for these.
     contest = Contest.lock(session, submission.contest)
@@ -151,7 +151,7 @@ def judged(session: Session, by: Principal, stage: Stage) -> list[JudgedTeam]:
     Raises:
         ServiceError: not an organizer, or the track is not judged.
     """
-    by.require_organizer()
+    by.require_organizer(stage.contest)
     rubric = rubric_of(Contest.read(session, stage.contest), stage.track)
     return _by_total(session, rubric, leaderboard(session, stage, live=True).view.entries)
 
@@ -287,11 +287,11 @@ def _total(rubric: Judging, success_rate: float, mark: float | None, figures: fl
     return round(measured + weights.judges * (mark or 0.0) / BEST_MARK, 9)
 
 
-def _judge(session: Session, by: Principal, named: str | None) -> str:
+def _judge(session: Session, by: Principal, named: str | None, contest: str | None = None) -> str:
     """Return the name under which marks are kept: that of the judge's token, or whom the organizer names."""
     if by.judge_name is not None:
         return by.judge_name
-    by.require_organizer()
+    by.require_organizer(contest)
     if not named:
         raise ServiceError(ProblemCode.INVALID_REQUEST, "Name the judge who gave the marks.")
     return tokens.judge_named(session, named)

@@ -60,13 +60,13 @@ def sheets(session: Session, by: Principal) -> list[Sheet]:
     Raises:
         ServiceError: neither a judge nor an organizer.
     """
-    if not by.reads_all_teams:
+    if not (by.reads_all_teams or by.organizes_something):
         raise ServiceError(ProblemCode.FORBIDDEN, "Only judges and organizers may do this; sign in with their token.")
     return [
         _sheet(session, by, stage, stage.track_rules.judging)
         for contest in Contest.read_all(session)
         for stage in contest.last_stages
-        if stage.track_rules.judging is not None
+        if stage.track_rules.judging is not None and (by.reads_all_teams or by.organizes(contest.name))
     ]
 
 
@@ -78,7 +78,7 @@ def _sheet(session: Session, by: Principal, stage: Stage, rubric: Judging) -> Sh
         rubric=rubric,
         has_sensors=load_track(stage.track).has_sensor,
         entries=[_entry(session, by, entry) for entry in board],
-        judged=judged(session, by, stage) if by.is_organizer else (),
+        judged=judged(session, by, stage) if by.organizes(stage.contest) else (),
     )
 
 

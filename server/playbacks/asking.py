@@ -79,7 +79,7 @@ def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeRes
     if found is not None and not _may_be_tried_again(found):
         return found
     _require_somebody_who_draws(session, settings, episode)
-    if not by.is_organizer:
+    if not by.organizes_something:
         _refuse_one_more(session, settings, asked_by)
     if found is not None:
         session.delete(found)

@@ -49,7 +49,7 @@ def start(
         ServiceError: not an organizer, the reason cannot be shown, the competition is final, nothing is to be
             evaluated, a submission is none of the stage's models, or is being evaluated.
     """
-    by.require_organizer()
+    by.require_organizer(stage.contest)
     shown_reason = names.clean(reason, what="A reason", min_length=1, max_length=REASON_LENGTH)
     _lock_contest(session, stage.contest)
     chosen = _chosen(session, stage, submissions)
@@ -76,21 +76,28 @@ def start(
     return made
 
 
-def find(session: Session, rejudgement_id: UUID) -> Rejudgement:
+def find(session: Session, by: Principal, rejudgement_id: UUID) -> Rejudgement:
     """Return a rejudgement.
 
     Raises:
-        ServiceError: there is none of that id.
+        ServiceError: not an organizer, or there is none of that id that the principal may see.
     """
+    by.require_organizer(by.contest)
     found = session.get(Rejudgement, rejudgement_id)
-    if found is None:
+    if found is None or not by.organizes(found.contest):
         raise not_found("rejudgement", rejudgement_id)
     return found
 
 
-def rejudgements(session: Session) -> Sequence[Rejudgement]:
-    """Return all rejudgements, newest first."""
-    return session.scalars(select(Rejudgement).order_by(Rejudgement.started_at.desc(), Rejudgement.id)).all()
+def rejudgements(session: Session, by: Principal) -> Sequence[Rejudgement]:
+    """Return all rejudgements that an organizer may see, newest first.
+
+    Raises:
+        ServiceError: not an organizer.
+    """
+    by.require_organizer(by.contest)
+    query = select(Rejudgement).order_by(Rejudgement.started_at.desc(), Rejudgement.id)
+    return session.scalars(query if by.contest is None else query.where(Rejudgement.contest == by.contest)).all()
 
 
 def set_aside(session: Session, evaluations: Collection[UUID]) -> tuple[UUID, ...]:
@@ -208,9 +215,9 @@ def _chosen(session: Session, stage: Stage, ids: Collection[UUID]) -> Sequence[S
 
 
 def _lock_open(session: Session, by: Principal, rejudgement_id: UUID) -> Rejudgement:
-    by.require_organizer()
+    by.require_organizer(by.contest)
     found = session.get(Rejudgement, rejudgement_id, with_for_update=True, populate_existing=True)
-    if found is None:
+    if found is None or not by.organizes(found.contest):
         raise not_found("rejudgement", rejudgement_id)
     if found.applied_at or found.discarded_at:
         how = "applied" if found.applied_at else "discarded"

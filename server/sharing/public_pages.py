@@ -27,8 +27,10 @@ def readable(session: Session, by: Principal, submission_id: UUID) -> Submission
         ServiceError: there is none that the principal may see; visitors are asked for a token, whatever there is.
     """
     submission = session.get(Submission, submission_id, options=[joinedload(Submission.team)])
-    if submission is not None and (by.may_see(submission.team_id) or public_among(session, [submission.id])):
-        return submission
+    if submission is not None:
+        may_see = by.may_see(submission.team_id, submission.contest)
+        if may_see or public_among(session, [submission.id]):
+            return submission
     raise token_missing() if by == VISITOR else not_found("submission", submission_id)
 
 

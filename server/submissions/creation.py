@@ -128,7 +128,9 @@ def owner(session: Session, by: Principal, team: str | None) -> Team:
     Raises:
         ServiceError: an organizer named no team, or none that exists.
     """
-    if not by.is_organizer:
+    if by.organizes_something:
+        by.require_organizer()
+    else:
         return teams.own(session, by)
     if team is None:
         raise ServiceError(ProblemCode.TEAM_REQUIRED, "An organizer's token belongs to no team; name one with `team`.")

@@ -50,9 +50,11 @@ def list_submissions(
         ServiceError: `before` or `team` names nothing that the principal may see.
     """
     query = select(Submission).options(joinedload(Submission.team))
-    if not by.reads_all_teams:
+    if by.contest is not None:
+        query = query.where(Submission.contest == by.contest)
+    elif not by.reads_all_teams:
         query = query.where(Submission.team_id == by.team_id)
-    elif team is not None:
+    if (by.reads_all_teams or by.contest is not None) and team is not None:
         query = query.where(Submission.team_id == teams.find(session, team).id)
     if track is not None:
         query = query.where(Submission.track == track)

@@ -75,7 +75,7 @@ def submission_views(
 
 def _places(session: Session, by: Principal, stage: Stage) -> PlacesOfBoards:
     """Return all places as the boards show them, which may be frozen for all but organizers."""
-    return places(session, Board.of(stage, stage.counted_results(live=by.is_organizer)))
+    return places(session, Board.of(stage, stage.counted_results(live=by.organizes(stage.contest))))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +113,7 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
     log = log_view(submission, newest, finding, copy) if log_view else None
     if log is not None and shown.names.hides(submission.team):
         log = log.model_copy(update={"team_named": None})
-    shown_runs = runs if shown.by.may_see(submission.team_id) else runs[:1]
+    shown_runs = runs if shown.by.may_see(submission.team_id, submission.contest) else runs[:1]
     return SubmissionView(
         id=submission.id,
         team=team_view(submission.team, shown.names),

@@ -19,19 +19,22 @@ class ShownNames:
         by: who sees them.
         hidden: whether others' names are hidden now: by one competition (`Contest.hides_names`), so by the service,
             because teams and their pages belong to all competitions.
+        to_organizer: whether who sees them organizes all competitions that hide names.
     """
 
     by: Principal
     hidden: bool
+    to_organizer: bool = False
 
     @classmethod
     def read(cls, session: Session, by: Principal = VISITOR) -> Self:
         """Return those of now."""
-        return cls(by=by, hidden=any(one.hides_names for one in Contest.read_all(session)))
+        hiding = [one.name for one in Contest.read_all(session) if one.hides_names]
+        return cls(by=by, hidden=bool(hiding), to_organizer=all(by.organizes(name) for name in hiding))
 
     def hides(self, team: Team) -> bool:
         """Return whether it is not told which team it is; its members, judges and organizers always see it."""
-        return self.hidden and not self.by.may_see(team.id)
+        return self.hidden and not (self.to_organizer or self.by.may_see(team.id))
 
     def name_of(self, team: Team) -> str:
         """Return the name that is shown."""

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from sqlalchemy.orm import Session
     from starlette.requests import Request
     from starlette.responses import Response
+    from vitac.server.db.models import Rejudgement
     from vitac.server.principals import Principal
 
 ADDRESS = "/rejudging"
@@ -31,18 +32,16 @@ async def rejudgements(request: Request) -> Response:
     viewer, site = await require_viewer(request), site_of(request)
 
     def read(session: Session) -> dict[str, Any]:
-        viewer.visitor.principal.require_organizer()
-        found = rejudging.rejudgements(session)
+        found = rejudging.rejudgements(session, viewer.visitor.principal)
+        contests = [one for one in Contest.read_all(session) if viewer.visitor.principal.organizes(one.name)]
         ended = [one for one in found if one.applied_at or one.discarded_at]
         open_ones = [rejudgement_detail_view(session, one) for one in found if one not in ended]
         return {
             "open_ones": open_ones,
             "ended": [rejudgement_view(one) for one in ended],
-            "stages": {key: title for one in Contest.read_all(session) for key, title in one.stage_titles.items()},
-            "titles": {
-                name: Contest.find_by_track(session, name).track_title(name)
-                for name in {*site.tracks, *(one.track for one in found)}
-            },
+            "places": {one.id: _place(session, one) for one in found},
+            "titles": {name: Contest.find_by_track(session, name).track_title(name) for name in site.tracks},
+            "contests": contests if len(contests) > 1 else [],
         }
 
     shown = await site.data.ask(read)
@@ -56,13 +55,27 @@ async def rejudgements(request: Request) -> Response:
     )
 
 
+def _place(session: Session, found: Rejudgement) -> str:
+    """Return in words which stage is evaluated again, with its competition where there are several."""
+    contests = Contest.read_all(session)
+    contest = next((one for one in contests if one.name == found.contest), None)
+    titled = contest or Contest.find_by_track(session, found.track)
+    words = [titled.track_title(found.track)]
+    if contest is not None and len(contests) > 1:
+        words.insert(0, contest.definition.title)
+    if found.stage:
+        words.append(titled.stage_titles.get((found.track, found.stage), found.stage))
+    return ", ".join(words)
+
+
 async def start(request: Request) -> Response:
     """Evaluate the models of a stage again."""
 
     def started(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
         named = fields.get("stage", "").strip() or None
         track = fields.get("track", "")
-        stage = Contest.find_by_track(session, track).shown_stage(track, named)
+        contest = fields.get("contest") or by.contest
+        stage = Contest.find_by_track(session, track, contest).shown_stage(track, named)
         rejudging.start(session, by, stage, reason=fields.get("reason", ""))
 
     return await act(request, started, back=ADDRESS)

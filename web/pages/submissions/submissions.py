@@ -57,7 +57,7 @@ async def submissions(request: Request) -> Response:
         "submissions.html",
         viewer=viewer,
         section="/submissions",
-        rows=_rows(request, found.items, with_team=viewer.is_organizer),
+        rows=_rows(request, found.items, with_team=viewer.organizes_something),
         older=found.next_before,
     )
 
@@ -115,7 +115,7 @@ async def _kept_score(request: Request, viewer: Viewer | None) -> Response:
     """Show what is known of a submission whose track was removed."""
     submission_id = as_id(request.path_params["submission_id"])
     found = (await site_of(request).data.submission(visitor_of(viewer), submission_id)).submission
-    is_own = viewer is not None and viewer.may_see(found.team.name)
+    is_own = viewer is not None and viewer.may_see(found.team.name, found.contest)
     section = "/submissions" if is_own else ""
     active = found.evaluation.state not in TERMINAL_EVALUATION_STATES
     shown: dict[str, Any] = {"submission": found, "is_own": is_own, "active": active, "sentence": TRACK_REMOVED}
@@ -182,7 +182,7 @@ async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
     track = load_track(found.track)
     titles = {name: title_of_task(track, name) for name in (*found.tasks, *found.evaluation.counted_tasks)}
     return {
-        "is_own": viewer is not None and viewer.may_see(found.team.name),
+        "is_own": viewer is not None and viewer.may_see(found.team.name, found.contest),
         "shared": await shared(request, viewer, found, track.title),
         "submission": found,
         "track": track,

@@ -18,7 +18,7 @@ from vitac.server.errors import ServiceError
 from vitac.server.evaluations import scores
 from vitac.server.leaderboards.standings import leaderboard
 
-from competitions import shown_stage
+from competitions import make_competition, open_now, put_in_place, shown_stage
 
 
 def admin(service: CliService, *arguments: str) -> Result:
@@ -259,3 +259,19 @@ def test_lists_and_shows_workers(service: CliService) -> None:
     assert isinstance(shown, dict)
     assert (shown["host"], shown["state"]) == ("box", "refusing")
     assert isinstance(admin(service, "worker", "show", "00000000-0000-4000-8000-000000000000").exception, ServiceError)
+
+
+def test_an_organizer_of_one_competition_signs_in_and_sees_only_that(service: CliService, tmp_path: Path) -> None:
+    with service.database.transaction() as session:
+        for name in ("cup", "class"):
+            put_in_place(session, open_now(make_competition(name=name, title=f"The {name}")))
+    for contest in ("cup", "class"):
+        made = service.run("submit", str(submission_folder(tmp_path / contest)), "--contest", contest)
+        assert made.exit_code == 0, made.output
+    added = service.run("admin", "token", "add", "--organizer", "--contest", "class", "--json")
+    token = tmp_path / "token"
+    token.write_text(json.loads(added.stdout)["secret"])
+    assert "organizer of class" in service.run("whoami", "--token-file", str(token)).stdout
+    listed = json.loads(service.run("status", "--json", "--token-file", str(token)).stdout)
+    assert [one["contest"] for one in listed] == ["class"]
+    assert service.run("admin", "token", "add", "Team A", "--contest", "class").exit_code == 2

@@ -44,6 +44,7 @@ class Who(StrEnum):
     OTHER = "other"  # another team
     JUDGE = "judge"
     ORGANIZER = "organizer"
+    OUTSIDER = "outsider"  # an organizer of a competition to which none of these things belongs
 
 
 EVERYBODY = frozenset(Who)
@@ -52,6 +53,7 @@ READERS = frozenset({Who.OWNER, Who.MEMBER, Who.JUDGE, Who.ORGANIZER})
 CHANGERS = frozenset({Who.OWNER, Who.MEMBER, Who.ORGANIZER})
 LEADERS = CHANGERS - {Who.MEMBER}
 JUDGES = frozenset({Who.JUDGE, Who.ORGANIZER})
+ORGANIZERS = frozenset({Who.ORGANIZER, Who.OUTSIDER})  # each of the own competition
 TEAMS = frozenset({Who.OWNER, Who.MEMBER, Who.OTHER})
 
 SUBMISSION = "/api/v1/submissions/{submission_id}"
@@ -120,12 +122,12 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("delete", f"{SUBMISSION}/disqualification"): frozenset({Who.ORGANIZER}),
     ("put", f"{SUBMISSION}/marks"): JUDGES,
     ("post", "/api/v1/judging/conflicts"): JUDGES,
-    ("get", "/api/v1/rejudgements"): frozenset({Who.ORGANIZER}),
-    ("post", "/api/v1/rejudgements"): frozenset({Who.ORGANIZER}),
+    ("get", "/api/v1/rejudgements"): ORGANIZERS,
+    ("post", "/api/v1/rejudgements"): ORGANIZERS,
     ("get", REJUDGEMENT): frozenset({Who.ORGANIZER}),
     ("post", f"{REJUDGEMENT}/apply"): frozenset({Who.ORGANIZER}),
     ("post", f"{REJUDGEMENT}/discard"): frozenset({Who.ORGANIZER}),
-    ("get", "/api/v1/judging/{track}"): frozenset({Who.ORGANIZER}),
+    ("get", "/api/v1/judging/{track}"): ORGANIZERS,
     ("post", f"{SUBMISSION}/cancel"): CHANGERS,
     ("post", f"{SUBMISSION}/requeue"): frozenset({Who.ORGANIZER}),
     ("options", "/api/v1/uploads"): EVERYBODY,
@@ -368,6 +370,9 @@ def fill(service: Service) -> Setting:
         row.finalized_at, row.winners, row.boards = row.applied_at, [], []
         submission = session.get_one(Submission, UUID(submission_id))
         judge = tokens.issue(session, CONSOLE, role=Role.JUDGE, label="judge", lifetime=None).secret
+        outsider = tokens.issue(
+            session, CONSOLE, role=Role.ORGANIZER, label="outsider", contest="cup", lifetime=None
+        ).secret
     play_all(service.services.database, submission)
     with service.services.database.transaction() as session:
         team = session.get_one(Team, service.principal.team_id)
@@ -383,6 +388,7 @@ def fill(service: Service) -> Setting:
             Who.OTHER: service.other_token,
             Who.JUDGE: judge,
             Who.ORGANIZER: service.organizer_token,
+            Who.OUTSIDER: outsider,
         },
     )
 

@@ -5,20 +5,31 @@ from service_factories import TASK, TRACK, complete_scored, make_principal, make
 from sqlalchemy.orm import Session
 from submission_steps import refused
 from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.server import tokens
+from vitac.server.appeals import appeals
 from vitac.server.contest.applying import apply
 from vitac.server.contest.contest import Contest, contest_to_submit_to, contests_to_choose_from, stage_of
 from vitac.server.contest.definition import CompetitionDefinition
 from vitac.server.contest.freezing import freeze
+from vitac.server.contest.sealing import reveal
 from vitac.server.contest.view import competition_view
 from vitac.server.db.engine import Database
+from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.standings import leaderboard
-from vitac.server.principals import CONSOLE
+from vitac.server.messages import announcements
+from vitac.server.principals import CONSOLE, Principal
 from vitac.server.prizes.finishing import finalize, winners
 from vitac.server.quotas import stage_uses
 from vitac.server.receipts.chain import receipts_of_board
+from vitac.server.rejudging import rejudging
+from vitac.server.settings import Settings
+from vitac.server.submissions import creation, listing
+from vitac.server.submissions.disqualification import disqualify, reinstate
+from vitac.server.submissions.runs import run_again
 from vitac.server.teams import teams
+from vitac.server.visibility import sight_of, visible
 
 from competitions import FIRST, SECOND, make_competition, moved, open_now, put_in_place
 
@@ -30,7 +41,7 @@ def both(database: Database) -> Database:
     """Two contests with stages of the same names on the same track, both open; the class opened a day later."""
     with database.transaction() as session:
         for name, days in ((MAIN, 0.0), (CLASS, 0.5)):
-            content = moved(open_now(make_competition(name=name, title=f"The {name}")), days=days)
+            content = moved(open_now(make_competition(name=name, title=f"The {name}", appeal_days=7)), days=days)
             stage = content["tracks"][TRACK]["stages"][0]
             stage |= {"list": "sealed", "accepts": ["model"], "quotas": {"scored_runs": 1}}
             apply(session, CONSOLE, CompetitionDefinition.model_validate(content), confirmed=None)
@@ -136,3 +147,82 @@ def test_a_file_with_another_name_makes_a_further_competition_only_where_that_is
         apply(session, CONSOLE, other, confirmed=["name"])
         assert {one.name for one in Contest.read_all(session)} == {MAIN, "cpu"}
         assert Contest.find(session, MAIN).stage(TRACK, SECOND).is_sealed
+
+
+def class_organizer(session: Session) -> Principal:
+    issued = tokens.issue(session, CONSOLE, role=Role.ORGANIZER, label="school", contest=CLASS, lifetime=None)
+    assert tokens.token_view(issued.token).contest == CLASS
+    return tokens.authenticate(session, issued.secret)
+
+
+def test_an_organizer_of_one_contest_sees_only_what_belongs_to_it(both: Database) -> None:
+    with both.transaction() as session:
+        by, ants = class_organizer(session), make_principal(session, "Ants")
+        made = {name: submit(session, ants, contest=name) for name in (MAIN, CLASS)}
+        for submission in made.values():
+            complete_scored(session, submission, {TASK: make_score(50)})
+            appeals.open_appeal(session, ants, submission.id, "Look again.")
+        listed = listing.list_submissions(session, Settings(), by, team="Ants").items
+        assert [one.id for one in listed] == [made[CLASS].id]
+        assert [one.submission_id for one in appeals.visible(session, by)] == [made[CLASS].id]
+        seen = {name: sight_of(by, newest_evaluation(session, made[name])).episodes for name in made}
+        assert seen == {MAIN: False, CLASS: True}
+        for stage in (Contest.find(session, name).stage(TRACK, FIRST) for name in made):
+            rejudging.start(session, CONSOLE, stage, reason="Look again.")
+        assert [one.contest for one in rejudging.rejudgements(session, by)] == [CLASS]
+        (other,) = (one for one in rejudging.rejudgements(session, CONSOLE) if one.contest == MAIN)
+        with refused(ProblemCode.NOT_FOUND):
+            rejudging.find(session, by, other.id)
+        with refused(ProblemCode.NOT_FOUND):
+            visible(session, by, made[MAIN].id)
+
+
+def test_an_organizer_of_one_contest_changes_only_what_belongs_to_it(both: Database) -> None:
+    with both.transaction() as session:
+        by, ants = class_organizer(session), make_principal(session, "Ants")
+        made = {name: submit(session, ants, contest=name) for name in (MAIN, CLASS)}
+        for submission in made.values():
+            complete_scored(session, submission, {TASK: make_score(50)})
+        appeal = {
+            name: appeals.open_appeal(session, ants, submission.id, "Look again.").id
+            for name, submission in made.items()
+        }
+        stages = {name: Contest.find(session, name).stage(TRACK, FIRST) for name in made}
+
+        appeals.rule(session, by, appeal[CLASS], "No.", upheld=False)
+        disqualify(session, by, made[CLASS].id, "copied")
+        reinstate(session, by, made[CLASS].id)
+        rejudging.discard(session, by, rejudging.start(session, by, stages[CLASS], reason="Look again.").id)
+        reveal(session, by, stages[CLASS])
+        freeze(session, by)
+        assert Contest.find(session, CLASS).frozen_at is not None
+
+        for not_found in (
+            lambda: appeals.rule(session, by, appeal[MAIN], "No.", upheld=False),
+            lambda: disqualify(session, by, made[MAIN].id, "copied"),
+            lambda: run_again(session, by, made[MAIN].id),
+        ):
+            with refused(ProblemCode.NOT_FOUND):
+                not_found()
+        for of_the_cup in (
+            lambda: rejudging.start(session, by, stages[MAIN], reason="Look again."),
+            lambda: reveal(session, by, stages[MAIN]),
+            lambda: freeze(session, by, MAIN),
+            lambda: finalize(session, by, MAIN),
+        ):
+            with pytest.raises(ServiceError, match="organizes the competition class, and this concerns cup; ask an"):
+                of_the_cup()
+        for of_the_service in (
+            lambda: teams.disqualify(session, by, teams.own(session, ants), "late"),
+            lambda: creation.owner(session, by, "Ants"),
+            lambda: announcements.publish(session, by, title="News", text="Text", notify=False),
+        ):
+            with pytest.raises(ServiceError, match="and this concerns the whole service"):
+                of_the_service()
+        with refused(ProblemCode.FORBIDDEN):
+            tokens.issue(session, by, role=Role.ORGANIZER, label="more", lifetime=None)
+
+
+def test_an_organizers_token_is_for_a_competition_that_exists(both: Database) -> None:
+    with both.transaction() as session, pytest.raises(ServiceError, match="expected one of class, cup"):
+        tokens.issue(session, CONSOLE, role=Role.ORGANIZER, label="school", contest="clash", lifetime=None)

@@ -91,7 +91,7 @@ def play_proposed(database: Database, rejudgement: UUID, **plays: RecordOf) -> N
 
 def compared(database: Database, rejudgement: UUID) -> dict[str, RejudgedSubmission]:
     with database.transaction() as session:
-        rows = comparison(session, rejudging.find(session, rejudgement))
+        rows = comparison(session, rejudging.find(session, CONSOLE, rejudgement))
     return {row.team: row for row in rows}
 
 
