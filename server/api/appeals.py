@@ -13,7 +13,7 @@ from .access import PrincipalOf, RowNumber, ServicesOf
 from .problems import RESPONSES
 from .teams import ONE_LINE
 
-router = APIRouter(prefix="/appeals", tags=["appeals"], responses=RESPONSES)
+router = APIRouter(tags=["appeals"], responses=RESPONSES)
 
 
 class NewAppeal(BaseModel):
@@ -34,14 +34,15 @@ class Ruling(BaseModel):
     text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Why, as plain text.")
 
 
-@router.get("")
-def list_appeals(services: ServicesOf, principal: PrincipalOf) -> AppealListView:
+@router.get("/competitions/{contest}/appeals")
+@router.get("/appeals")
+def list_appeals(services: ServicesOf, principal: PrincipalOf, contest: str | None = None) -> AppealListView:
     """Return the own team's appeals, all for organizers and judges, newest first."""
     with services.database.transaction() as session:
-        return AppealListView(items=appeals.visible(session, principal))
+        return AppealListView(items=appeals.visible(session, principal, contest))
 
 
-@router.post("", status_code=HTTPStatus.CREATED)
+@router.post("/appeals", status_code=HTTPStatus.CREATED)
 def post_appeal(services: ServicesOf, principal: PrincipalOf, new: NewAppeal) -> AppealView:
     """Appeal against the newest evaluation of an own submission."""
     with services.database.transaction() as session:
@@ -49,14 +50,14 @@ def post_appeal(services: ServicesOf, principal: PrincipalOf, new: NewAppeal) ->
         return appeals.appeal_view(made, principal)
 
 
-@router.get("/{appeal_id}")
+@router.get("/appeals/{appeal_id}")
 def get_appeal(services: ServicesOf, principal: PrincipalOf, appeal_id: RowNumber) -> AppealView:
     """Return an appeal with the episodes that were played again for it."""
     with services.database.transaction() as session:
         return appeals.appeal_view(appeals.find(session, principal, appeal_id), principal)
 
 
-@router.post("/{appeal_id}/withdraw")
+@router.post("/appeals/{appeal_id}/withdraw")
 def withdraw_appeal(services: ServicesOf, principal: PrincipalOf, appeal_id: RowNumber) -> AppealView:
     """Take an own appeal back."""
     with services.database.transaction() as session:
@@ -64,7 +65,7 @@ def withdraw_appeal(services: ServicesOf, principal: PrincipalOf, appeal_id: Row
         return appeals.appeal_view(appeals.find(session, principal, appeal_id), principal)
 
 
-@router.put("/{appeal_id}/ruling")
+@router.put("/appeals/{appeal_id}/ruling")
 def put_ruling(services: ServicesOf, principal: PrincipalOf, appeal_id: RowNumber, ruling: Ruling) -> AppealView:
     """Decide an appeal; for organizers. No result changes by it."""
     with services.database.transaction() as session:

@@ -115,6 +115,7 @@ def list_submissions(
     services: ServicesOf,
     principal: PrincipalOf,
     *,
+    contest: Annotated[str | None, Query(description="Those to a competition, by its name.")] = None,
     track: str | None = None,
     state: EvaluationState | None = None,
     team: Annotated[str | None, Query(description="For organizers.")] = None,
@@ -124,7 +125,15 @@ def list_submissions(
     """Return the team's submissions, newest first; all teams' for an organizer."""
     with services.database.reading() as session:
         return listing.list_submissions(
-            session, services.settings, principal, track=track, state=state, team=team, before=before, limit=limit
+            session,
+            services.settings,
+            principal,
+            contest=contest,
+            track=track,
+            state=state,
+            team=team,
+            before=before,
+            limit=limit,
         )
 
 

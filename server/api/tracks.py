@@ -5,14 +5,14 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request, Response
 
 from ..contest.contest import Contest
-from ..contest.view import competition_view
+from ..contest.view import competition_list_view, competition_view
 from ..leaderboards.log_boards import log_boards
 from ..leaderboards.made_boards import MadeBoard
 from ..leaderboards.standings import leaderboard
 from ..publishing.archive import archive_view
 from ..tracks import load_known_track, track_file, track_view, track_views
 from ..views.archive import ArchiveView
-from ..views.contest import CompetitionView
+from ..views.contest import CompetitionListView, CompetitionView
 from ..views.leaderboards import LeaderboardView, LogBoardsView
 from ..views.tracks import TrackListView, TrackView
 from .access import ReaderOf, ServicesOf
@@ -45,20 +45,30 @@ def get_track_file(track: str) -> Response:
     return Response(track_file(track), media_type="application/yaml")
 
 
+@router.get("/competitions")
+def list_competitions(services: ServicesOf) -> CompetitionListView:
+    """Return the competitions of this service, the one that opened last first."""
+    with services.database.reading() as session:
+        return competition_list_view(session)
+
+
+@router.get("/competitions/{contest}")
 @router.get("/competition")
-def get_competition(services: ServicesOf) -> CompetitionView:
-    """Return the competition of this service: schedule, rules, prizes, commitments, at the end winners; else 404."""
+def get_competition(services: ServicesOf, contest: str | None = None) -> CompetitionView:
+    """Return a competition: schedule, rules, prizes, commitments, at the end winners; without a name the last one."""
     with services.database.reading() as session:
-        return competition_view(session)
+        return competition_view(session, contest)
 
 
+@router.get("/competitions/{contest}/archive")
 @router.get("/competition/archive")
-def get_archive(services: ServicesOf) -> ArchiveView:
-    """Return winners and boards as they were when the competition was finalized, and how to cite; before that 404."""
+def get_archive(services: ServicesOf, contest: str | None = None) -> ArchiveView:
+    """Return winners and boards as they were when a competition was finalized, and how to cite; before that 404."""
     with services.database.reading() as session:
-        return archive_view(session)
+        return archive_view(session, contest)
 
 
+@router.get("/competitions/{contest}/leaderboards/{track}", response_model=LeaderboardView, responses=UNCHANGED)
 @router.get("/leaderboards/{track}", response_model=LeaderboardView, responses=UNCHANGED)
 def get_leaderboard(
     request: Request,
@@ -66,23 +76,31 @@ def get_leaderboard(
     principal: ReaderOf,
     track: str,
     *,
+    contest: str | None = None,
     task: Annotated[str | None, Query(description="Rank by this task alone; all tasks together without it.")] = None,
     stage: Stage = None,
 ) -> Response:
     """Return the standings of a track or of one of its tasks: the best completed evaluation of each team."""
     with services.database.reading() as session:
-        shown = Contest.find_by_track(session, track).shown_stage(track, stage)
+        shown = Contest.find_by_track(session, track, contest).shown_stage(track, stage)
         board = leaderboard(session, shown, task=task, unfrozen=principal.organizes(shown.contest))
     return _answer(request, board)
 
 
+@router.get("/competitions/{contest}/leaderboards/{track}/logs", response_model=LogBoardsView, responses=UNCHANGED)
 @router.get("/leaderboards/{track}/logs", response_model=LogBoardsView, responses=UNCHANGED)
 def get_log_boards(
-    request: Request, services: ServicesOf, principal: ReaderOf, track: str, stage: Stage = None
+    request: Request,
+    services: ServicesOf,
+    principal: ReaderOf,
+    track: str,
+    *,
+    contest: str | None = None,
+    stage: Stage = None,
 ) -> Response:
     """Return the verified logs of a track, ranked by task, and the 2025 text logs, which are not ranked."""
     with services.database.reading() as session:
-        shown = Contest.find_by_track(session, track).shown_stage(track, stage)
+        shown = Contest.find_by_track(session, track, contest).shown_stage(track, stage)
         board = log_boards(session, shown, unfrozen=principal.organizes(shown.contest))
     return _answer(request, board)
 

@@ -208,8 +208,20 @@ def find(session: Session, by: Principal, appeal_id: int) -> Appeal:
     return found
 
 
-def visible(session: Session, by: Principal, *, open_only: bool = False) -> list[AppealView]:
-    """Return the newest appeals that somebody may see, newest first: those of the own team, or of all."""
+def visible(
+    session: Session, by: Principal, contest: str | None = None, *, open_only: bool = False
+) -> list[AppealView]:
+    """Return the newest appeals that somebody may see, newest first: those of the own team, or of all.
+
+    Args:
+        session: of the transaction.
+        by: who asks.
+        contest: name of the competition against whose results they are; None: all.
+        open_only: leave out those that are decided or withdrawn.
+
+    Raises:
+        ServiceError: there is no competition of that name.
+    """
     evaluation = joinedload(Appeal.evaluation)
     needed = (
         joinedload(Appeal.team),
@@ -218,10 +230,10 @@ def visible(session: Session, by: Principal, *, open_only: bool = False) -> list
         selectinload(Appeal.replays),
     )
     query = select(Appeal).options(*needed).order_by(Appeal.id.desc()).limit(SHOWN)
-    if by.contest is not None:
-        of_contest = Evaluation.submission.has(Submission.contest == by.contest)
-        query = query.where(Appeal.evaluation.has(of_contest))
-    elif not by.reads_all_teams:
+    asked = None if contest is None else Contest.find(session, contest).name
+    for wanted in {by.contest, asked} - {None}:
+        query = query.where(Appeal.evaluation.has(Evaluation.submission.has(Submission.contest == wanted)))
+    if by.contest is None and not by.reads_all_teams:
         query = query.where(Appeal.team_id == by.team_id)
     if open_only:
         query = query.where(Appeal.state == AppealState.OPEN)

@@ -172,6 +172,11 @@ class Contest:
         return min((stage.rules.opens for stage in self.stages), default=datetime.max.replace(tzinfo=UTC))
 
     @property
+    def closes(self) -> datetime:
+        """When its last stage closes."""
+        return max((stage.rules.closes for stage in self.stages), default=datetime.max.replace(tzinfo=UTC))
+
+    @property
     def subject(self) -> str:
         """What the audit log calls it."""
         return f"competition:{self.definition.name}"

@@ -9,8 +9,11 @@ from sqlalchemy.orm import Session
 from ..db.models import SealedList, Submission, Team
 from ..errors import ProblemCode, ServiceError
 from ..views.contest import (
+    CompetitionListView,
+    CompetitionSummaryView,
     CompetitionTrackView,
     CompetitionView,
+    ContestState,
     DisqualifiedTeamView,
     PrizeView,
     ReopeningView,
@@ -23,6 +26,26 @@ from .sealing import sealed_lists
 from .stages import Stage
 
 Lists = Mapping[tuple[str, str], SealedList]
+
+
+def competition_list_view(session: Session, *, at: datetime | None = None) -> CompetitionListView:
+    """Return all competitions, the one that opened last first; `at` None: as they are now."""
+    now = at or datetime.now(UTC)
+    return CompetitionListView(
+        items=[
+            CompetitionSummaryView(
+                name=contest.name,
+                title=contest.definition.title,
+                summary=contest.definition.summary,
+                opens=contest.opens,
+                closes=contest.closes,
+                state=_state(contest, now),
+                tracks=list(dict.fromkeys(stage.track for stage in contest.stages_held_here)),
+            )
+            for contest in Contest.read_all(session)
+            if contest.is_held
+        ]
+    )
 
 
 def competition_view(session: Session, name: str | None = None, *, at: datetime | None = None) -> CompetitionView:
@@ -78,12 +101,32 @@ def disqualified_since_the_end(contest: Contest) -> list[DisqualifiedTeamView]:
     return [DisqualifiedTeamView(team=team, disqualified_at=at) for team, at in sorted(since.items())]
 
 
-def track_stages(session: Session, track: str, at: datetime | None = None) -> Sequence[StageView]:
-    """Return the stages of a track that is held here; empty outside of a competition. `at` None: now."""
-    contest = Contest.find_by_track(session, track)
+def track_stages(
+    session: Session, track: str, name: str | None = None, *, at: datetime | None = None
+) -> Sequence[StageView]:
+    """Return the stages of a track that is held here; empty outside of a competition.
+
+    Args:
+        session: of the transaction.
+        track: which one.
+        name: of the competition; None: the one whose boards the track shows.
+        at: the moment; None: now.
+
+    Raises:
+        ServiceError: there is no such competition, or it does not hold the track.
+    """
+    contest = Contest.find_by_track(session, track, name)
     stages = [stage for stage in contest.stages_of(track) if not stage.is_practice]
     lists, now = _lists(contest) if stages else {}, at or datetime.now(UTC)
     return [_stage(stage, lists, now) for stage in stages]
+
+
+def _state(contest: Contest, now: datetime) -> ContestState:
+    if contest.row.finalized_at is not None:
+        return ContestState.FINAL
+    if now < contest.opens:
+        return ContestState.PLANNED
+    return ContestState.OPEN if now < contest.closes else ContestState.CLOSED
 
 
 def _lists(contest: Contest) -> Lists:

@@ -60,7 +60,7 @@ class EvaluationRows:
     Attributes:
         kept: completed evaluations that were shown before.
         isolation: how policies were isolated, of the others.
-        differing: episodes that were run again with another record; None where only organizers may see them.
+        differing: episodes that were run again with another record, of evaluations where who asks may see them.
         output: the end of what policies printed; nothing where many are shown.
         packages: what policies could import; nothing where many are shown.
         counts: stored episodes of those without scores.
@@ -72,7 +72,7 @@ class EvaluationRows:
 
     kept: Mapping[UUID, EvaluationView]
     isolation: Mapping[UUID, list[str]]
-    differing: Mapping[UUID, list[DifferingEpisodeView]] | None
+    differing: Mapping[UUID, list[DifferingEpisodeView]]
     output: Mapping[UUID, str]
     packages: Mapping[UUID, list[PackagesView]]
     counts: Mapping[UUID, EpisodeCounts]
@@ -92,6 +92,7 @@ class EvaluationRows:
             with_output: with what the policies printed and could import, which `histories` then reads with the rest.
         """
         sights = {found.id: sight_of(by, found) for found in evaluations}
+        organized = [found for found in evaluations if by.organizes(found.submission.contest)]
         hidden = frozenset(found for found, sight in sights.items() if not sight.episodes)
         kept = {
             found.id: view
@@ -101,7 +102,7 @@ class EvaluationRows:
         return cls(
             kept=kept,
             isolation=isolation_levels(session, [found for found in evaluations if found.id not in kept]),
-            differing=differing_episodes(session, evaluations) if by.organizes_something else None,
+            differing=differing_episodes(session, organized) if organized else {},
             output={
                 found.id: _output(session, found) for found in evaluations if with_output and sights[found.id].output
             },
@@ -132,7 +133,7 @@ def evaluation_view(
     more: dict[str, object] = {}
     if evaluation.id in rows.packages:
         more |= {"log_tail": rows.output.get(evaluation.id, ""), "packages": rows.packages[evaluation.id]}
-    if rows.differing is not None:
+    if evaluation.id in rows.differing:
         more["differing_episodes"] = rows.differing[evaluation.id]
     return view.model_copy(update=more) if more else view
 

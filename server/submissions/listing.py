@@ -6,6 +6,7 @@ from uuid import UUID
 from sqlalchemy import select, tuple_
 from sqlalchemy.orm import Session, joinedload
 
+from ..contest.contest import Contest
 from ..db.models import EpisodeResult, Evaluation, Submission
 from ..db.states import EvaluationState
 from ..evaluations.episode_store import EpisodeKey
@@ -38,6 +39,7 @@ def list_submissions(
     settings: Settings,
     by: Principal,
     *,
+    contest: str | None = None,
     track: str | None = None,
     state: EvaluationState | None = None,
     team: str | None = None,
@@ -47,7 +49,7 @@ def list_submissions(
     """Return a page of the team's submissions, or of all teams' for organizers and judges; newest first.
 
     Raises:
-        ServiceError: `before` or `team` names nothing that the principal may see.
+        ServiceError: `contest`, `before` or `team` names nothing that the principal may see.
     """
     query = select(Submission).options(joinedload(Submission.team))
     if by.contest is not None:
@@ -56,6 +58,8 @@ def list_submissions(
         query = query.where(Submission.team_id == by.team_id)
     if (by.reads_all_teams or by.contest is not None) and team is not None:
         query = query.where(Submission.team_id == teams.find(session, team).id)
+    if contest is not None:
+        query = query.where(Submission.contest == Contest.find(session, contest).name)
     if track is not None:
         query = query.where(Submission.track == track)
     if state is not None:

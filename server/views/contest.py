@@ -1,12 +1,44 @@
 """The competition as everybody sees it: schedule, rules, prizes, commitments, and at the end its winners."""
 
 from datetime import datetime
+from enum import StrEnum
 
 from pydantic import Field
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 
 from .base import View
+
+
+class ContestState(StrEnum):
+    """How far a competition is."""
+
+    PLANNED = "planned"
+    """No stage has opened."""
+    OPEN = "open"
+    """A stage takes submissions, or a later one will."""
+    CLOSED = "closed"
+    """All stages have closed, and the results are not final."""
+    FINAL = "final"
+    """Winners and boards are stored and do not change."""
+
+
+class CompetitionSummaryView(View):
+    """One of the competitions of a service."""
+
+    name: str = Field(description="In addresses, `/competitions/NAME`, and where a submission says its competition.")
+    title: str
+    summary: str
+    opens: datetime = Field(description="When its first stage opens.")
+    closes: datetime = Field(description="When its last stage closes.")
+    state: ContestState
+    tracks: list[str] = Field(description="Names of the tracks whose submissions this service takes.")
+
+
+class CompetitionListView(View):
+    """The competitions of a service, the one that opened last first."""
+
+    items: list[CompetitionSummaryView]
 
 
 class StageView(View):

@@ -56,6 +56,7 @@ JUDGES = frozenset({Who.JUDGE, Who.ORGANIZER})
 ORGANIZERS = frozenset({Who.ORGANIZER, Who.OUTSIDER})  # each of the own competition
 TEAMS = frozenset({Who.OWNER, Who.MEMBER, Who.OTHER})
 
+COMPETITION = "/api/v1/competitions/{contest}"
 SUBMISSION = "/api/v1/submissions/{submission_id}"
 UPLOAD = "/api/v1/uploads/{upload_id}"
 TEAM = "/api/v1/teams/{team_id}"
@@ -71,6 +72,12 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", "/api/v1/tracks/{track}/file"): EVERYBODY,
     ("get", "/api/v1/competition"): EVERYBODY,
     ("get", "/api/v1/competition/archive"): EVERYBODY,
+    ("get", "/api/v1/competitions"): EVERYBODY,
+    ("get", f"{COMPETITION}"): EVERYBODY,
+    ("get", f"{COMPETITION}/archive"): EVERYBODY,
+    ("get", f"{COMPETITION}/leaderboards/{{track}}"): EVERYBODY,
+    ("get", f"{COMPETITION}/leaderboards/{{track}}/logs"): EVERYBODY,
+    ("get", f"{COMPETITION}/appeals"): SIGNED_IN,
     ("get", "/api/v1/receipts"): EVERYBODY,
     ("get", "/api/v1/leaderboards/{track}"): EVERYBODY,
     ("get", "/api/v1/leaderboards/{track}/logs"): EVERYBODY,
@@ -170,7 +177,13 @@ class Setting:
             headers |= bearer(token)
         options = BODIES[method, path](self, who) if (method, path) in BODIES else {}
         headers |= options.pop("headers", {})
-        ids = {"submission_id": self.submission_id, "upload_id": "", "token_id": "", "track": "track_1"}
+        ids = {
+            "submission_id": self.submission_id,
+            "upload_id": "",
+            "token_id": "",
+            "track": "track_1",
+            "contest": "cup",
+        }
         if "{announcement_id}" in path:
             ids["announcement_id"] = self.new_announcement()
         if "{question_id}" in path:

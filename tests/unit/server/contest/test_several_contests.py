@@ -1,6 +1,9 @@
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
 
 import pytest
+from service_client import bearer, running_service
 from service_factories import TASK, TRACK, complete_scored, make_principal, make_score, submit
 from sqlalchemy.orm import Session
 from submission_steps import refused
@@ -226,3 +229,42 @@ def test_an_organizer_of_one_contest_changes_only_what_belongs_to_it(both: Datab
 def test_an_organizers_token_is_for_a_competition_that_exists(both: Database) -> None:
     with both.transaction() as session, pytest.raises(ServiceError, match="expected one of class, cup"):
         tokens.issue(session, CONSOLE, role=Role.ORGANIZER, label="school", contest="clash", lifetime=None)
+
+
+def test_every_contest_has_its_own_addresses(both: Database, tmp_path: Path) -> None:
+    with both.transaction() as session:
+        ants = make_principal(session, "Ants")
+        secret = tokens.issue(session, CONSOLE, role=Role.ORGANIZER, label="x", contest=CLASS, lifetime=None).secret
+        for name in (MAIN, CLASS):
+            freeze(session, CONSOLE, name)
+            made = submit(session, ants, contest=name)
+            complete_scored(session, made, {TASK: make_score(50)})
+            appeals.open_appeal(session, ants, made.id, name)
+        finalize(session, CONSOLE, CLASS, at=datetime.now(UTC) + timedelta(days=70), confirmed=None)
+    with running_service(both, tmp_path) as service:
+
+        def get(path: str, token: str | None = None) -> Any:
+            return service.client.get(f"/api/v1{path}", headers=bearer(token) if token else {}).json()
+
+        listed = get("/competitions")["items"]
+        assert [(one["name"], one["title"], one["state"]) for one in listed] == [
+            (CLASS, "The class", "final"),
+            (MAIN, "The cup", "open"),
+        ]
+        assert get("/competition") == get(f"/competitions/{CLASS}")
+        assert get(f"/competitions/{MAIN}")["title"] == "The cup"
+        assert get("/competitions/cap")["detail"].startswith("There is no competition 'cap', expected one of class")
+        assert get(f"/competitions/{CLASS}/archive")["competition"]["name"] == CLASS
+        assert get(f"/competitions/{MAIN}/archive")["code"] == "not_found"
+        # Frozen boards show nothing new to visitors, and nothing of the other competition to its organizers.
+        of_main, of_class = (f"/competitions/{name}/leaderboards/{TRACK}" for name in (MAIN, CLASS))
+        assert [len(get(of_main, token)["entries"]) for token in (None, secret, service.organizer_token)] == [0, 0, 1]
+        assert get(of_class) == get(f"/leaderboards/{TRACK}")
+        assert get(f"/competitions/{MAIN}/leaderboards/track_3")["code"] == "invalid_request"
+        assert get(f"/competitions/{MAIN}/leaderboards/{TRACK}/logs")["track"] == TRACK
+        for name in (MAIN, CLASS):
+            of_contest = get(f"/competitions/{name}/appeals", service.organizer_token)["items"]
+            assert [one["text"] for one in of_contest] == [name]
+            found = get(f"/submissions?contest={name}", service.organizer_token)["items"]
+            assert [one["contest"] for one in found] == [name]
+        assert get(f"/competitions/{MAIN}/appeals", secret)["items"] == []

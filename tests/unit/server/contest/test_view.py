@@ -50,7 +50,7 @@ def test_everybody_sees_schedule_prizes_and_commitments_but_no_secret(prepared: 
 def test_the_stages_of_a_track_are_those_of_the_competition(prepared: Database) -> None:
     with prepared.transaction() as session:
         at = OPENS + timedelta(days=1)
-        assert track_stages(session, TRACK, at) == competition_view(session, at=at).tracks[0].stages
+        assert track_stages(session, TRACK, at=at) == competition_view(session, at=at).tracks[0].stages
         assert track_stages(session, "track_3") == []
 
 
