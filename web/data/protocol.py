@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from vitac.server.settings import Registration
     from vitac.server.submissions.upload import AnnouncedUpload
     from vitac.server.views.archive import ArchiveView
-    from vitac.server.views.contest import CompetitionView, StageView
+    from vitac.server.views.contest import CompetitionSummaryView, CompetitionView, StageView
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
     from vitac.server.views.logs import ActionMatchView
     from vitac.server.views.messages import AnnouncementView
@@ -183,7 +183,13 @@ class PageData(Protocol):
         """Register a team from a client's address; what cannot be accepted raises the service's refusal."""
 
     async def leaderboard(
-        self, track: str, task: str | None, stage: str | None = None, *, unfrozen: bool = False
+        self,
+        track: str,
+        task: str | None,
+        stage: str | None = None,
+        *,
+        contest: str | None = None,
+        visitor: Visitor | None = None,
     ) -> LeaderboardView:
         """Return the leaderboard of a track, or of one of its tasks; `stage` None is the stage that opened last.
 
@@ -191,20 +197,29 @@ class PageData(Protocol):
             track: name.
             task: name; None: all tasks together.
             stage: name.
-            unfrozen: with all results also while boards are frozen, for organizers.
+            contest: name of the competition; None: the one that opened last.
+            visitor: who sees it: organizers all results also while boards are frozen.
         """
 
-    async def competition(self) -> CompetitionView:
+    async def competitions(self) -> Sequence[CompetitionSummaryView]:
+        """Return the competitions of this service, the one that opened last first."""
+
+    async def competitions_to_choose_from(self) -> Sequence[CompetitionSummaryView]:
+        """Return the competitions between which an upload has to choose; empty where no track has several now."""
+
+    async def competition(self, name: str | None = None) -> CompetitionView:
         """Return the competition of this service; where there is none, the service's refusal is raised."""
 
-    async def stages(self, track: str) -> Sequence[StageView]:
+    async def stages(self, track: str, contest: str | None = None) -> Sequence[StageView]:
         """Return the stages of a track; empty where it is in no competition."""
 
-    async def archive(self) -> ArchiveView:
+    async def archive(self, name: str | None = None) -> ArchiveView:
         """Return the archive of a competition that is final; else the service's refusal is raised."""
 
-    async def log_boards(self, track: str, stage: str | None = None, *, unfrozen: bool = False) -> LogBoardsView:
-        """Return the verified logs and the 2025 text logs of a track; `stage`, `unfrozen` as for `leaderboard`."""
+    async def log_boards(
+        self, track: str, stage: str | None = None, *, contest: str | None = None, visitor: Visitor | None = None
+    ) -> LogBoardsView:
+        """Return the verified logs and the 2025 text logs of a track; the arguments are those of `leaderboard`."""
 
     async def submission(self, visitor: Visitor | None, submission_id: UUID) -> SubmissionDetail:
         """Return one submission with its episodes; for None only a public one, else a token is asked for."""

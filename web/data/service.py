@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, TypeVar
 
 from pydantic import ValidationError
@@ -14,8 +15,8 @@ from vitac.evaluator.sensors.appearance import appearance
 from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.server import tokens
 from vitac.server.api.teams import NewTeam
-from vitac.server.contest.contest import Contest
-from vitac.server.contest.view import competition_view, track_stages
+from vitac.server.contest.contest import Contest, contests_to_choose_from
+from vitac.server.contest.view import competition_list_view, competition_view, track_stages
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import histories
 from vitac.server.leaderboards import history, log_boards, standings
@@ -44,7 +45,6 @@ from .protocol import RegisteredTeam, ShownSensor, SubmissionDetail, Visitor
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Sequence
     from contextlib import AbstractAsyncContextManager, AbstractContextManager
-    from datetime import datetime
     from uuid import UUID
 
     from sqlalchemy.orm import Session
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     from vitac.server.storage.blobs import BlobStore
     from vitac.server.submissions.upload import AnnouncedUpload
     from vitac.server.views.archive import ArchiveView
-    from vitac.server.views.contest import CompetitionView, StageView
+    from vitac.server.views.contest import CompetitionSummaryView, CompetitionView, StageView
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
     from vitac.server.views.messages import AnnouncementView
     from vitac.server.views.operations import OperationsView
@@ -148,33 +148,56 @@ class ServiceData:
         await asyncio.to_thread(self.registrations.note, address, "registrations from one address")
 
     async def leaderboard(
-        self, track: str, task: str | None, stage: str | None = None, *, unfrozen: bool = False
+        self,
+        track: str,
+        task: str | None,
+        stage: str | None = None,
+        *,
+        contest: str | None = None,
+        visitor: Visitor | None = None,
     ) -> LeaderboardView:
         """Return the leaderboard of a track, or of one of its tasks; `stage` None is the stage that opened last."""
 
         def read(session: Session) -> LeaderboardView:
-            shown = Contest.find_by_track(session, track).shown_stage(track, stage)
+            shown = Contest.find_by_track(session, track, contest).shown_stage(track, stage)
+            unfrozen = _principal(visitor).organizes(shown.contest)
             return standings.leaderboard(session, shown, task=task, unfrozen=unfrozen).view
 
         return await self.read(read)
 
-    async def competition(self) -> CompetitionView:
-        """Return the competition of this service."""
-        return await self.read(competition_view)
+    async def competitions(self) -> Sequence[CompetitionSummaryView]:
+        """Return the competitions of this service."""
+        return (await self.read(competition_list_view)).items
 
-    async def stages(self, track: str) -> Sequence[StageView]:
+    async def competitions_to_choose_from(self) -> Sequence[CompetitionSummaryView]:
+        """Return the competitions between which an upload has to choose."""
+
+        def choices(session: Session) -> Sequence[CompetitionSummaryView]:
+            names = {one.name for one in contests_to_choose_from(session, datetime.now(UTC))}
+            return [one for one in competition_list_view(session).items if one.name in names]
+
+        return await self.read(choices)
+
+    async def competition(self, name: str | None = None) -> CompetitionView:
+        """Return a competition of this service."""
+        return await self.read(lambda session: competition_view(session, name))
+
+    async def stages(self, track: str, contest: str | None = None) -> Sequence[StageView]:
         """Return the stages of a track."""
-        return await self.read(lambda session: track_stages(session, track))
+        return await self.read(lambda session: track_stages(session, track, contest))
 
-    async def archive(self) -> ArchiveView:
-        """Return the archive of the competition."""
-        return await self.ask(archive_view)
+    async def archive(self, name: str | None = None) -> ArchiveView:
+        """Return the archive of a competition."""
+        return await self.ask(lambda session: archive_view(session, name))
 
-    async def log_boards(self, track: str, stage: str | None = None, *, unfrozen: bool = False) -> LogBoardsView:
+    async def log_boards(
+        self, track: str, stage: str | None = None, *, contest: str | None = None, visitor: Visitor | None = None
+    ) -> LogBoardsView:
         """Return the logs of a track."""
 
         def read(session: Session) -> LogBoardsView:
-            shown = Contest.find_by_track(session, track).shown_stage(track, stage)
+            shown = Contest.find_by_track(session, track, contest).shown_stage(track, stage)
+            unfrozen = _principal(visitor).organizes(shown.contest)
             return log_boards.log_boards(session, shown, unfrozen=unfrozen).view
 
         return await self.read(read)
@@ -186,7 +209,7 @@ class ServiceData:
         def detail(session: Session) -> SubmissionDetail:
             found = readable(session, by, submission_id)
             evaluations = histories(session, [found], with_output=True)
-            shown, is_own = evaluations[submission_id][0], by.may_see(found.team_id)
+            shown, is_own = evaluations[submission_id][0], by.may_see(found.team_id, found.contest)
             return SubmissionDetail(
                 submission=submission_views(session, self.settings, evaluations, by, with_output=True)[0],
                 episodes=listing.episodes_of(session, by, shown),

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
 from uuid import UUID
 
 from vitac.server.errors import not_found
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
 
 
 def as_id(text: str) -> UUID:
@@ -20,3 +24,24 @@ def as_id(text: str) -> UUID:
     if str(found) != text.lower():  # UUID also reads braces and digits of other scripts
         raise not_found("submission", text)
     return found
+
+
+def contest_in(request: Request) -> str | None:
+    """Return the name of the competition in an address below `/competitions`; None in others."""
+    name: str | None = request.path_params.get("contest")
+    return name
+
+
+def competition_address(contest: str | None) -> str:
+    """Return the address of a competition's page; `contest` None: of the one that opened last."""
+    return "/competition" if contest is None else f"/competitions/{contest}"
+
+
+def board_address(contest: str | None, track: str) -> str:
+    """Return the address of a track's boards; `contest` None: in the competition that opened last."""
+    return f"/tracks/{track}" if contest is None else f"/competitions/{contest}/tracks/{track}"
+
+
+def board_data_address(contest: str | None, track: str) -> str:
+    """Return where the API answers with a track's board; `contest` None: in the competition that opened last."""
+    return f"/api/v1{'' if contest is None else competition_address(contest)}/leaderboards/{track}"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from vitac.server.appeals import appeals
 
 from ..site import page, require_viewer, site_of
+from .addresses import contest_in
 from .forms import act, id_in, number_in
 
 if TYPE_CHECKING:
@@ -24,7 +25,8 @@ async def list_appeals(request: Request) -> Response:
     """Show the appeals of the team, all to organizers and judges."""
     viewer = await require_viewer(request)
     by = viewer.visitor.principal
-    found = await site_of(request).data.ask(lambda session: appeals.visible(session, by))
+    contest = contest_in(request)
+    found = await site_of(request).data.ask(lambda session: appeals.visible(session, by, contest))
     given = request.query_params.get("submission", "")
     return page(request, "appeals.html", viewer=viewer, section=ADDRESS, found=found, submission=given)
 

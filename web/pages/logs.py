@@ -5,10 +5,11 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from ..site import page, site_of, viewer_of
+from ..site import page, site_of, viewer_of, visitor_of
+from .addresses import board_address, board_data_address, competition_address, contest_in
 from .contest.stages import stage_tabs, title_of
 from .paging import PAGE_ENTRIES, board_page
-from .tracks import accepts_logs, board_query, entry_rows, known_track, tabs, track_tabs
+from .tracks import accepts_logs, board_query, contest_tabs, entry_rows, known_track, tabs, track_tabs
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -21,19 +22,20 @@ async def logs(request: Request) -> Response:
     """Show the logs of a track, with `?stage=` of a stage, with `?q=` those of teams with that in their name."""
     track = known_track(request.path_params["track"])
     site, viewer = site_of(request), await viewer_of(request)
-    stage = request.query_params.get("stage")
-    found = await site.data.log_boards(track.name, stage, unfrozen=viewer is not None and viewer.is_organizer)
+    stage, contest = request.query_params.get("stage"), contest_in(request)
+    address = f"{board_address(contest, track.name)}/logs"
+    found = await site.data.log_boards(track.name, stage, contest=contest, visitor=visitor_of(viewer))
     paged = partial(
         board_page,
         request,
-        f"/tracks/{track.name}/logs{board_query(None, stage)}",
+        f"{address}{board_query(None, stage)}",
         own_names=viewer.own_names if viewer else (),
     )
     shown = {board.task: paged(board.entries, section=f"logs-{board.task}") for board in found.boards}
     text_logs = paged(found.text_logs, section=TEXT_LOGS)
     listed = [entry.submission_id for board in shown.values() for entry in board.entries]
     public = await site.data.public_among([*listed, *(entry.submission_id for entry in text_logs.entries)])
-    stages = await site.data.stages(track.name)
+    stages = await site.data.stages(track.name, contest)
     rows = partial(entry_rows, request, viewer, public)
     return page(
         request,
@@ -41,14 +43,17 @@ async def logs(request: Request) -> Response:
         viewer=viewer,
         section=f"/tracks/{track.name}",
         track=track,
-        track_tabs=track_tabs(site, track, "/logs", has_page=accepts_logs),
-        tabs=tabs(track, None, logs=True, stage=stage),
+        logs_address=address,
+        competition=competition_address(contest),
+        board_address=board_address(contest, track.name),
+        board_data=board_data_address(contest, track.name),
+        contest_tabs=await contest_tabs(site, contest, track.name, "/logs"),
+        track_tabs=track_tabs(site, track, "/logs", has_page=accepts_logs) if contest is None else (),
+        tabs=tabs(track, None, logs=True, stage=stage, contest=contest),
         found=found,
         stage=stage,
         stage_title=title_of(stages, found.stage),
-        stage_tabs=stage_tabs(
-            stages, found.stage, lambda other: f"/tracks/{track.name}/logs{board_query(None, other)}"
-        ),
+        stage_tabs=stage_tabs(stages, found.stage, lambda other: f"{address}{board_query(None, other)}"),
         query=board_query(None, stage),
         search=text_logs.search,
         searchable=max(text_logs.total, *(board.total for board in shown.values())) > PAGE_ENTRIES,

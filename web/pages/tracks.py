@@ -15,7 +15,8 @@ from vitac.evaluator.tracks import UnknownTrack, load_track
 
 from ..plots.dates import DatedRate, rates_by_date
 from ..rendering import STATIC, render, steps, words
-from ..site import Tab, page, site_of, viewer_of
+from ..site import Tab, page, site_of, viewer_of, visitor_of
+from .addresses import board_address, board_data_address, competition_address, contest_in
 from .contest.stages import stage_tabs, title_of
 from .paging import EntryT, board_page
 
@@ -122,9 +123,23 @@ def track_tabs(
     )
 
 
-def tabs(track: Track, task: str | None, *, logs: bool = False, stage: str | None = None) -> tuple[Tab, ...]:
+async def contest_tabs(site: Site, shown: str | None, track: str, page_of_track: str = "") -> tuple[Tab, ...]:
+    """Return the same boards of every competition that holds a track; empty if there is only one."""
+    found = [one for one in await site.data.competitions() if track in one.tracks]
+    if len(found) < 2:
+        return ()
+    current = shown or found[0].name
+    return tuple(
+        Tab(title=one.title, target=board_address(one.name, track) + page_of_track, current=one.name == current)
+        for one in found
+    )
+
+
+def tabs(
+    track: Track, task: str | None, *, logs: bool = False, stage: str | None = None, contest: str | None = None
+) -> tuple[Tab, ...]:
     """Return the leaderboards of a track: all tasks, each task, and the logs; empty if there is only one."""
-    address = f"/tracks/{track.name}"
+    address = board_address(contest, track.name)
     whole = Tab(title="All tasks", target=address + board_query(None, stage), current=task is None and not logs)
     by_task = (
         Tab(title=definition.title, target=address + board_query(name, stage), current=name == task)
@@ -180,15 +195,16 @@ def _is_combined(track: Track, task: str | None) -> bool:
 
 
 async def _leaderboard(request: Request, name: str) -> Response:
-    track = known_track(name)
+    track, contest = known_track(name), contest_in(request)
+    address = board_address(contest, name)
     site, asked = site_of(request), request.query_params
     task, stage = asked.get("task"), asked.get("stage")
     viewer = await viewer_of(request)
-    board = await site.data.leaderboard(name, task, stage, unfrozen=viewer is not None and viewer.is_organizer)
+    board = await site.data.leaderboard(name, task, stage, contest=contest, visitor=visitor_of(viewer))
     query = board_query(task, stage)
-    shown = board_page(request, f"/tracks/{name}{query}", board.entries, viewer.own_names if viewer else ())
+    shown = board_page(request, f"{address}{query}", board.entries, viewer.own_names if viewer else ())
     public = await site.data.public_among([entry.submission_id for entry in shown.entries])
-    stages = await site.data.stages(name)
+    stages = await site.data.stages(name, contest)
     counted = list(track.tasks.values()) if task is None else [track.tasks[task]]
     return page(
         request,
@@ -197,15 +213,19 @@ async def _leaderboard(request: Request, name: str) -> Response:
         section=f"/tracks/{name}",
         board=board,
         query=query,
+        board_address=address,
+        competition=competition_address(contest),
+        board_data=board_data_address(contest, name),
+        contest_tabs=await contest_tabs(site, contest, name),
         stage=stage,
         stage_title=title_of(stages, board.stage),
         shown=shown,
         table=_table(request, board, viewer, public, shown.entries),
         dates=_dates(request, board, viewer),
         track=track,
-        tabs=tabs(track, task, stage=stage),
-        stage_tabs=stage_tabs(stages, board.stage, lambda other: f"/tracks/{name}{board_query(task, other)}"),
-        track_tabs=track_tabs(site, track),
+        tabs=tabs(track, task, stage=stage, contest=contest),
+        stage_tabs=stage_tabs(stages, board.stage, lambda other: f"{address}{board_query(task, other)}"),
+        track_tabs=track_tabs(site, track) if contest is None else (),
         list_kind=board.list_kind.value,
         ranked=sum(entry.rank is not None for entry in board.entries),
         episodes=sum(len(definition.episodes) for definition in counted),

@@ -30,7 +30,14 @@ from vitac.server.receipts.receipt import Receipt
 from vitac.server.settings import Registration, load_settings
 from vitac.server.submissions.upload import AnnouncedUpload
 from vitac.server.views.archive import ArchiveView
-from vitac.server.views.contest import CompetitionTrackView, CompetitionView, PrizeView, StageView, WinnerView
+from vitac.server.views.contest import (
+    CompetitionSummaryView,
+    CompetitionTrackView,
+    CompetitionView,
+    PrizeView,
+    StageView,
+    WinnerView,
+)
 from vitac.server.views.evaluations import (
     EvaluationSummaryView,
     EvaluationView,
@@ -595,25 +602,37 @@ class FixedData(FixedPlaybacks):
         return RegisteredTeam(team=name, token="vitac_made", token_id=visitor.token_id)  # noqa: S106 - made up
 
     async def leaderboard(
-        self, track: str, task: str | None, stage: str | None = None, *, unfrozen: bool = False
+        self,
+        track: str,
+        task: str | None,
+        stage: str | None = None,
+        *,
+        contest: str | None = None,
+        visitor: Visitor | None = None,
     ) -> LeaderboardView:
         if task is not None and task not in TASKS:
             raise ServiceError(ProblemCode.UNKNOWN_TASK, f"There is no task {task!r}.")
         board = self.board if task is None else self.task_boards.get(task, a_leaderboard(task=task))
-        if unfrozen and self.unfrozen_board is not None:
+        if visitor is not None and visitor.is_organizer and self.unfrozen_board is not None:
             board = self.unfrozen_board
         return board.model_copy(update={"stage": stage})
 
-    async def competition(self) -> CompetitionView:
+    async def competitions(self) -> Sequence[CompetitionSummaryView]:
+        return ()
+
+    async def competitions_to_choose_from(self) -> Sequence[CompetitionSummaryView]:
+        return ()
+
+    async def competition(self, name: str | None = None) -> CompetitionView:
         if self.cup is None:
             raise ServiceError(ProblemCode.NOT_FOUND, "This service runs no competition.")
         return self.cup
 
-    async def stages(self, track: str) -> Sequence[StageView]:
+    async def stages(self, track: str, contest: str | None = None) -> Sequence[StageView]:
         tracks = self.cup.tracks if self.cup else ()
         return next((found.stages for found in tracks if found.name == track), ())
 
-    async def archive(self) -> ArchiveView:
+    async def archive(self, name: str | None = None) -> ArchiveView:
         found = await self.competition()
         key = a_receipt().link.public_key
         return ArchiveView(
@@ -624,7 +643,9 @@ class FixedData(FixedPlaybacks):
             citation="@misc{cup}",
         )
 
-    async def log_boards(self, track: str, stage: str | None = None, *, unfrozen: bool = False) -> LogBoardsView:
+    async def log_boards(
+        self, track: str, stage: str | None = None, *, contest: str | None = None, visitor: Visitor | None = None
+    ) -> LogBoardsView:
         return self.logs.model_copy(update={"stage": stage})
 
     async def public_among(self, submissions: Collection[UUID]) -> frozenset[UUID]:

@@ -32,11 +32,11 @@ class PageVisitor:
     def post(self, path: str, **options: Any) -> Response:
         return self._request("POST", path, **options)
 
-    def send(self, page: str, target: str, **fields: str) -> Response:
-        """Sends a form of a page."""
+    def send(self, page: str, target: str, files: Any = None, **fields: str) -> Response:
+        """Sends a form of a page, with files where there are any."""
         found = FORM_TOKEN.search(self.get(page).text)
         assert found is not None, f"{page} has no form of a session"
-        return self.post(target, data={"form_token": found[1], **fields})
+        return self.post(target, data={"form_token": found[1], **fields}, files=files)
 
     def _request(self, method: str, path: str, **options: Any) -> Response:
         headers = {"accept": "text/html"} | options.pop("headers", {})

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ...site import page, site_of, viewer_of
+from ..addresses import competition_address, contest_in
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -12,18 +13,20 @@ if TYPE_CHECKING:
 
 
 async def archive(request: Request) -> Response:
-    """Show the archive to everybody.
+    """Show the archive of a competition to everybody.
 
     Raises:
-        ServiceError: there is no competition that is final.
+        ServiceError: there is no such competition that is final.
     """
-    found = await site_of(request).data.archive()
+    contest = contest_in(request)
+    found = await site_of(request).data.archive(contest)
     return page(
         request,
         "archive.html",
         viewer=await viewer_of(request),
         section="/competition",
         found=found.competition,
+        competition=competition_address(contest),
         boards=found.boards,
         public_key=found.public_key,
         decided_again_at=found.decided_again_at,

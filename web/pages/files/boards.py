@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ...site import site_of, viewer_of
+from ...site import site_of, viewer_of, visitor_of
+from ..addresses import contest_in
 from .formats import csv_file
 
 if TYPE_CHECKING:
@@ -27,15 +28,19 @@ async def leaderboard(request: Request) -> Response:
     """Return a board with a row for each entry."""
     track, asked = request.path_params["track"], request.query_params
     task, stage = asked.get("task"), asked.get("stage")
-    board = await site_of(request).data.leaderboard(track, task, stage, unfrozen=await _is_organizer(request))
+    board = await site_of(request).data.leaderboard(
+        track, task, stage, contest=contest_in(request), visitor=visitor_of(await viewer_of(request))
+    )
     rows = (_ranked(entry) for entry in board.entries)
-    return csv_file(_name(track, stage, task or "all"), BOARD_COLUMNS, rows)
+    return csv_file(_name(contest_in(request), track, stage, task or "all"), BOARD_COLUMNS, rows)
 
 
 async def logs(request: Request) -> Response:
     """Return the verified logs of a track, a row for each, by task and rank."""
     track, stage = request.path_params["track"], request.query_params.get("stage")
-    found = await site_of(request).data.log_boards(track, stage, unfrozen=await _is_organizer(request))
+    found = await site_of(request).data.log_boards(
+        track, stage, contest=contest_in(request), visitor=visitor_of(await viewer_of(request))
+    )
     rows = (
         (
             board.task,
@@ -47,13 +52,15 @@ async def logs(request: Request) -> Response:
         for board in found.boards
         for entry in board.entries
     )
-    return csv_file(_name(track, stage, "logs"), LOG_COLUMNS, rows)
+    return csv_file(_name(contest_in(request), track, stage, "logs"), LOG_COLUMNS, rows)
 
 
 async def text_logs(request: Request) -> Response:
     """Return the 2025 text logs of a track beside their claims, newest first."""
     track, stage = request.path_params["track"], request.query_params.get("stage")
-    found = await site_of(request).data.log_boards(track, stage, unfrozen=await _is_organizer(request))
+    found = await site_of(request).data.log_boards(
+        track, stage, contest=contest_in(request), visitor=visitor_of(await viewer_of(request))
+    )
     rows = (
         (
             log.team,
@@ -69,12 +76,7 @@ async def text_logs(request: Request) -> Response:
         )
         for log in found.text_logs
     )
-    return csv_file(_name(track, stage, "text-logs"), TEXT_LOG_COLUMNS, rows)
-
-
-async def _is_organizer(request: Request) -> bool:
-    viewer = await viewer_of(request)
-    return viewer is not None and viewer.is_organizer
+    return csv_file(_name(contest_in(request), track, stage, "text-logs"), TEXT_LOG_COLUMNS, rows)
 
 
 def _ranked(entry: LeaderboardEntryView | LogEntryView) -> tuple[object, ...]:
@@ -93,5 +95,5 @@ def _ranked(entry: LeaderboardEntryView | LogEntryView) -> tuple[object, ...]:
     )
 
 
-def _name(track: str, stage: str | None, of: str) -> str:
-    return "-".join(filter(None, (track, stage, of)))
+def _name(*parts: str | None) -> str:
+    return "-".join(filter(None, parts))

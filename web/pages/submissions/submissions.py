@@ -17,7 +17,7 @@ from vitac.server.errors import TRACK_REMOVED
 from ...plots.map import episode_map, title_of_task
 from ...rendering import render
 from ...site import open_to_all, page, require_viewer, signed_in_form, site_of, viewer_of, visitor_of
-from ..addresses import as_id
+from ..addresses import as_id, board_address
 from ..contest.stages import title_of
 from ..tracks import board_query
 from .figures import episode_figures, history_figures
@@ -180,13 +180,16 @@ async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
     detail = await site_of(request).data.submission(visitor_of(viewer), submission_id)
     found = detail.submission
     track = load_track(found.track)
+    listed = await site_of(request).data.competitions()
     titles = {name: title_of_task(track, name) for name in (*found.tasks, *found.evaluation.counted_tasks)}
     return {
         "is_own": viewer is not None and viewer.may_see(found.team.name, found.contest),
         "shared": await shared(request, viewer, found, track.title),
         "submission": found,
         "track": track,
+        "board": board_address(found.contest if len(listed) > 1 else None, found.track),
         "board_query": board_query,
+        "competition": next((one for one in listed if one.name == found.contest and len(listed) > 1), None),
         "episodes": detail.episodes,
         "past": detail.past,
         "active": found.evaluation.state not in TERMINAL_EVALUATION_STATES,

@@ -25,7 +25,7 @@ NO_FILE = "Choose a file first."
 
 async def upload_form(request: Request) -> Response:
     """Show the form."""
-    return _form(request, await require_viewer(request))
+    return await _form(request, await require_viewer(request))
 
 
 async def upload(request: Request) -> Response:
@@ -34,9 +34,10 @@ async def upload(request: Request) -> Response:
     form = await read_file_form(request)
     require_form_token(request, form.fields, viewer)
     if not form.file_name:
-        return _form(request, viewer, wrong=NO_FILE, status=422)
+        return await _form(request, viewer, wrong=NO_FILE, status=422)
     announced = AnnouncedUpload(
         kind=kind_of_file(form.file_name),
+        contest=form.fields.get("contest") or None,
         team=form.fields.get("team", "").strip() or None,
         again="again" in form.fields,
         file_name=form.file_name,
@@ -47,11 +48,11 @@ async def upload(request: Request) -> Response:
         await form.discard()
         if not wants_page(request):
             raise
-        return _form(request, viewer, wrong=error.detail, status=error.status)
+        return await _form(request, viewer, wrong=error.detail, status=error.status)
     return RedirectResponse(f"/submissions/{submission_id}", status_code=303)
 
 
-def _form(request: Request, viewer: Viewer, *, wrong: str | None = None, status: int = 200) -> Response:
+async def _form(request: Request, viewer: Viewer, *, wrong: str | None = None, status: int = 200) -> Response:
     data = site_of(request).data
     return page(
         request,
@@ -60,6 +61,7 @@ def _form(request: Request, viewer: Viewer, *, wrong: str | None = None, status:
         section="/submissions",
         status=status,
         wrong=wrong,
+        contests=await data.competitions_to_choose_from(),
         archive_size=data.archive_size(),
         log_size=data.log_size(),
     )

@@ -109,7 +109,7 @@ def test_a_crash_is_a_page_that_tells_nothing_of_the_inside(data: FixedData, bro
 
 def test_database_that_is_away_is_a_page_that_says_when_to_come_back(data: FixedData, browser: AsgiBrowser) -> None:
     async def away(
-        track: str, task: str | None, stage: str | None = None, *, unfrozen: bool = False
+        track: str, task: str | None, stage: str | None = None, *, contest: str | None = None, visitor: object = None
     ) -> LeaderboardView:
         raise OperationalError("SELECT 1", {}, psycopg.OperationalError("connection refused"))
 
@@ -128,7 +128,7 @@ def test_database_that_is_away_is_a_page_that_says_when_to_come_back(data: Fixed
 )
 def test_full_disk_is_a_page_that_says_so(data: FixedData, browser: AsgiBrowser, error: Exception) -> None:
     async def full(
-        track: str, task: str | None, stage: str | None = None, *, unfrozen: bool = False
+        track: str, task: str | None, stage: str | None = None, *, contest: str | None = None, visitor: object = None
     ) -> LeaderboardView:
         raise error
 
