@@ -3,12 +3,16 @@
 import asyncio
 from types import SimpleNamespace
 from typing import Any, cast
+from uuid import UUID
 
 import pytest
 from starlette.requests import Request
 from starlette.responses import Response
+from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.principals import Principal
 from vitac.web import site
+from vitac.web.data.protocol import Visitor
 from vitac.web.site import (
     SignInNeeded,
     Site,
@@ -23,15 +27,11 @@ from vitac.web.site import (
 SITE = cast(Site, SimpleNamespace(tracks=("track_1", "track_2")))
 
 
-def viewer(name: str = "Team A", *, organizer: bool = False, judge: bool = False) -> Viewer:
-    visitor = SimpleNamespace(
-        name=name,
-        is_organizer=organizer,
-        has_team=not (organizer or judge),
-        principal=SimpleNamespace(reads_all_teams=organizer or judge),
-        may_see=lambda team: organizer or judge or team == name,
-    )
-    return Viewer(visitor=cast(Any, visitor), form_token="token")  # noqa: S106
+def viewer(name: str = "Team A", *, organizer: bool = False, judge: bool = False, contest: str | None = None) -> Viewer:
+    role = Role.ORGANIZER if organizer else Role.JUDGE if judge else Role.TEAM
+    team = {"team_id": UUID(int=1), "team_name": name, "team_pseudonym": name} if role is Role.TEAM else {}
+    principal = Principal(role=role, contest=contest, **cast(Any, team))
+    return Viewer(visitor=Visitor(principal=principal, token_id=UUID(int=2)), form_token="token")  # noqa: S106
 
 
 def request(path: str = "/submissions/1", query: str = "") -> Request:
@@ -50,6 +50,9 @@ def test_navigation_has_what_a_visitor_can_open() -> None:
     assert targets(viewer("Desk", organizer=True)) == [
         *everybody, "/submissions", "/judging", "/desk", "/operations",
     ]  # fmt: skip
+    assert targets(viewer("School", organizer=True, contest="class")) == [
+        *everybody, "/submissions", "/judging", "/appeals", "/rejudging",
+    ]  # fmt: skip
     labels = [label for _, label in navigation(SITE, viewer("Desk", organizer=True))]
     assert len(set(labels)) == len(labels)
 
@@ -58,6 +61,8 @@ def test_a_team_changes_its_own_an_organizer_everything_a_judge_nothing() -> Non
     assert viewer().may_change("Team A")
     assert not viewer().may_change("Team B")
     assert viewer("Desk", organizer=True).may_change("Team B")
+    school = viewer("School", organizer=True, contest="class")
+    assert [school.may_see("Team B", contest) for contest in ("class", "cup", None)] == [True, False, False]
     judge = viewer("Judge", judge=True)
     assert judge.may_see("Team B")
     assert not judge.may_change("Team B")
