@@ -40,12 +40,16 @@ class StageState:
     """How far a stage is.
 
     Attributes:
+        contest: name of the competition; None where there is a single one.
+        contest_title: of the competition.
         qualified: number of teams that were confirmed; None: it is for all.
         submissions: made to it.
         running: evaluations that wait or run.
         over: whether it has closed.
     """
 
+    contest: str | None
+    contest_title: str
     track: str
     track_title: str
     stage: StageRules
@@ -84,9 +88,11 @@ def troubles(session: Session) -> list[Trouble]:
 
 def stages(session: Session, at: datetime | None = None) -> Sequence[StageState]:
     """Return the stages of all competitions; `at` is the moment, None: now."""
-    now = at or datetime.now(UTC)
+    now, contests = at or datetime.now(UTC), Contest.read_all(session)
     return [
         StageState(
+            contest=contest.name if len(contests) > 1 else None,
+            contest_title=contest.definition.title,
             track=stage.track,
             track_title=stage.track_rules.title,
             stage=stage.rules,
@@ -95,7 +101,7 @@ def stages(session: Session, at: datetime | None = None) -> Sequence[StageState]
             running=count_running(session, stage),
             over=stage.is_over(now),
         )
-        for contest in Contest.read_all(session)
+        for contest in contests
         for stage in contest.stages_held_here
     ]
 

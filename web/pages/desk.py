@@ -16,6 +16,7 @@ from vitac.server.messages import announcements, questions
 from vitac.server.teams import teams
 
 from ..site import page, require_viewer, site_of
+from .addresses import board_address
 from .forms import act, id_in, number_in
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ async def desk(request: Request) -> Response:
         )
 
     found = await site_of(request).data.ask(read)
-    return page(request, "desk.html", viewer=viewer, section=ADDRESS, found=found)
+    return page(request, "desk.html", viewer=viewer, section=ADDRESS, found=found, board_address=board_address)
 
 
 async def change(request: Request) -> Response:

@@ -101,6 +101,13 @@ def test_an_organizer_of_one_competition_is_led_to_what_belongs_to_it(
     assert class_organizer.get(f"/competitions/{CLASS}/appeals").status_code == 200
 
 
+def test_the_desk_names_the_competition_of_each_stage(service: CliService) -> None:
+    desk = visitor_of_role(service, Role.ORGANIZER).get("/desk").text
+    for name in (MAIN, CLASS):
+        assert f'<a href="{BOARDS[name]}?stage=stage1">The &lt;{name}&gt;, Touch, Simulation</a>' in desk
+        assert f"vitac admin advance propose {TRACK} stage2 --contest {name}<" in desk
+
+
 def test_the_form_of_rejudging_names_the_competition(service: CliService, class_organizer: PageVisitor) -> None:
     organizer = visitor_of_role(service, Role.ORGANIZER)
     organizer.send("/rejudging", "/rejudging/start", track=TRACK, contest=MAIN, reason="look again")
@@ -140,6 +147,7 @@ def test_a_single_competition_looks_as_if_there_could_be_no_other(tmp_path_facto
             f"/submissions/{made.id}",
             "/submissions/upload",
             "/rejudging",
+            "/desk",
         ):
             shown = organizer.get(page)
             assert shown.status_code == 200, page
