@@ -104,7 +104,7 @@ def composed(repository: Path, *files: str, **environment: str) -> Iterator[Comp
         project=f"vitac-trial-{os.getpid()}",
         address=f"http://{bind}",
         files=("docker-compose.yml", *files),
-        environment={"VITAC_POSTGRES_PASSWORD": "trial", "VITAC_BIND": bind, **environment},
+        environment={"VITAC_POSTGRES_PASSWORD": "trial", "VITAC_POSTGRES_OWNER_PASSWORD": "owner", "VITAC_BIND": bind, **environment},
     )
     require_base_images(service)
     try:

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import yaml
+from vitac.server.db.roles import service_role
 from vitac.server.settings import Settings
 
 SERVICE_KEYS = {
@@ -54,7 +55,8 @@ def test_declares_every_volume_and_network_it_uses(
     compose: dict[str, Any], services: dict[str, dict[str, Any]]
 ) -> None:
     mounts = [mount.split(":")[0] for service in services.values() for mount in service.get("volumes", [])]
-    volumes = {mount for mount in mounts if not mount.startswith("/")}  # one without a name is the container's own
+    # One without a name is the container's own, "." begins a file of the repository.
+    volumes = {mount for mount in mounts if not mount.startswith(("/", "."))}
     networks = {network for service in services.values() for network in service["networks"]}
     assert volumes == set(compose["volumes"])
     assert networks == set(compose["networks"])
@@ -91,8 +93,27 @@ def test_sets_only_settings_that_exist(services: dict[str, dict[str, Any]], dock
 
 
 def test_has_no_secret_of_its_own(repository: Path, services: dict[str, dict[str, Any]]) -> None:
-    assert services["postgres"]["environment"]["POSTGRES_PASSWORD"].startswith("${VITAC_POSTGRES_PASSWORD:?")
+    assert services["postgres"]["environment"]["POSTGRES_PASSWORD"].startswith("${VITAC_POSTGRES_OWNER_PASSWORD:?")
     assert "VITAC_POSTGRES_PASSWORD:?" in services["server"]["environment"]["VITAC_DATABASE_URL"]
+
+
+def test_the_service_works_as_a_role_that_owns_no_table(repository: Path, services: dict[str, dict[str, Any]]) -> None:
+    """Only the server also has the address of the owner; the other role is made with the database."""
+    owner = services["postgres"]["environment"]["POSTGRES_USER"]
+    script = (repository / "docker" / "service_role.sh").read_text()
+    made = re.findall(r"^CREATE ROLE (\w+) LOGIN PASSWORD :'password';$", script, re.MULTILINE)
+    for name in ("server", "worker"):
+        assert [service_role(_filled(services[name]["environment"]["VITAC_DATABASE_URL"]))] == made
+        assert owner not in made
+    assert service_role(_filled(services["server"]["environment"]["VITAC_DATABASE_OWNER_URL"])) == owner
+    assert "VITAC_DATABASE_OWNER_URL" not in services["worker"]["environment"]
+    mounts = [mount.split(":") for mount in services["postgres"]["volumes"]]
+    assert ["./docker/service_role.sh", "/docker-entrypoint-initdb.d/service_role.sh", "ro"] in mounts
+
+
+def _filled(address: str) -> str:
+    """The address with a password."""
+    return VARIABLE.sub("password", address)
 
 
 def test_whoever_runs_it_says_who_may_register_and_with_which_code(services: dict[str, dict[str, Any]]) -> None:
