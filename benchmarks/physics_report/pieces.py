@@ -82,7 +82,7 @@ def call_times_ms(scene: Scene, x: FloatArray, x_end: FloatArray) -> dict[str, f
     still, motion = np.zeros_like(reach_m), np.empty_like(reach_m)
     relative_motion(model.surfaces, y_move, np.empty((len(model.surfaces.point_start) - 1, 4)), motion)
     points, move = PointState(y, y, still, empty_memory()), PointMove(y, y_move, still, motion)
-    assemble(model, near, State(x, y, still), StepStart(x, y, empty_memory()), w, EXACT_MATRIX)
+    assemble(model, near, State(x, y, still), StepStart(x, y, empty_memory(), np.zeros_like(x)), w, EXACT_MATRIX)
     calls: dict[str, Callable[[], object]] = {
         "factorise": lambda: factorise(model.system, w.system.entries, w.factor, False),
         "substitute": lambda: substitute(model.system, w.factor, w.system.right_hand_side.copy()),

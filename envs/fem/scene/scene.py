@@ -14,7 +14,17 @@ from ..model.bodies import GelBody, RigidBody
 from ..model.points import point_positions
 from ..model.settings import AnyContactSettings, ContactSettings, CutOffSolverSettings, SolverSettings
 from ..solver.iterate import IpcStep, remember_step
-from ..solver.newton import SOLVED, UNSOLVED, UNSTABLE, Counter, Measure, Record, Tolerances, solve_step
+from ..solver.newton import (
+    SOLVED,
+    UNSOLVED,
+    UNSTABLE,
+    Counter,
+    Measure,
+    Record,
+    Tolerances,
+    forces_at,
+    solve_step,
+)
 from ..solver.workspace import new_workspace
 from .builder import build_model
 from .checks import SceneError, check_bodies, check_settings
@@ -25,6 +35,10 @@ IndexArray = NDArray[np.int64]
 
 # Coordinates that follow x, y and z, and those that follow these: of a vector product, without numpy's slow one.
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
+# Parts of the way from an IPC step's start to its end, where balances are followed along it.
+_FIRST_STRIDE, _SHORTEST_STRIDE, _MOST_STRIDES = 1 / 8, 1 / 1024, 100
+# Of the forces held there: what rounding leaves of a balance of kilonewtons over a gap of nanometres.
+_UNBALANCED_PART = 1e-8
 
 
 class StepStatus(StrEnum):
@@ -34,6 +48,7 @@ class StepStatus(StrEnum):
     DIVIDED = "divided"  # solved after the driven motion was divided
     ESCAPED_SADDLE = "escaped_saddle"  # solved after an unstable equilibrium was left along negative curvature
     RELAXED = "relaxed"  # solved after the forces were relaxed along their flow
+    CONTINUED = "continued"  # solved by following balances from the start, while held forces were let go
     CUT_OFF = "cut_off"  # ended after the iterations of `CutOffSolverSettings`, not solved
     NOT_CONVERGED = "not_converged"  # not solved; the state is free of intersections but is not a minimum
 
@@ -75,16 +90,25 @@ class StepReport:
 
 @dataclass(kw_only=True, eq=False)
 class _Attempt:
-    """What an IPC step starts from and goes to, node positions [m] of shape [n, 3], and what was counted so far."""
+    """What an IPC step starts from and goes to, node positions [m] of shape [n, 3], and what was counted so far.
+
+    Attributes:
+        held: forces [N] of shape [n, 3] that are taken away from the step's own; zero but on the way to its end.
+    """
 
     start: FloatArray
     memory: ContactMemory
     x_hat: FloatArray
     target: FloatArray
+    held: FloatArray
     saddle_escapes: int = 0
     record: Record = field(
         default_factory=lambda: Record(np.zeros(len(Counter), dtype=np.int64), np.zeros(len(Measure)))
     )
+
+    def towards(self, waypoint: FloatArray, *, escapes_saddle: bool = False, relaxes: bool = False) -> IpcStep:
+        """Return the step with other targets of the prescribed nodes."""
+        return IpcStep(self.start, self.memory, self.x_hat, waypoint, escapes_saddle, relaxes, self.held)
 
 
 class SceneState(NamedTuple):
@@ -139,7 +163,7 @@ class Scene:
         """
         start, time_step_s = self._x.copy(), self._model.parameters.time_step_s
         x_hat, target = start + time_step_s * self._velocity, self._target(driven_targets_m)
-        attempt = _Attempt(start=start, memory=self._memory, x_hat=x_hat, target=target)
+        attempt = _Attempt(start=start, memory=self._memory, x_hat=x_hat, target=target, held=np.zeros_like(start))
         status, parts = self._solve(attempt)
         self._velocity = (self._x - start) / time_step_s
         if self._model.parameters.remembers_slip:
@@ -221,7 +245,7 @@ class Scene:
         return target
 
     def _solve(self, attempt: _Attempt) -> tuple[StepStatus, int]:
-        """Solve at once, in more and more parts, by escaping a saddle or by relaxing; how, and in how many parts."""
+        """Solve in one or more parts, by escaping a saddle, relaxing or continuing; how, and in how many parts."""
         s = self._solver
         if isinstance(s, CutOffSolverSettings):
             is_solved = self._solve_to(attempt, attempt.target, iterations=s.iterations_per_step) == SOLVED
@@ -238,8 +262,9 @@ class Scene:
             if self._escape_saddles(attempt):
                 return StepStatus.ESCAPED_SADDLE, parts
         self._x[:] = attempt.start
-        relaxed = self._solve_to(attempt, attempt.target, relaxes=True) == SOLVED
-        return (StepStatus.RELAXED if relaxed else StepStatus.NOT_CONVERGED), 1
+        if self._solve_to(attempt, attempt.target, relaxes=True) == SOLVED:
+            return StepStatus.RELAXED, 1
+        return (StepStatus.CONTINUED if self._continue_from_start(attempt) else StepStatus.NOT_CONVERGED), 1
 
     def _solve_in_parts(self, attempt: _Attempt, parts: int) -> int:
         """Solve along intermediate driven positions, each from the solution of the one before; how the last one ended.
@@ -262,6 +287,30 @@ class Scene:
                 return outcome == SOLVED
         return False
 
+    def _continue_from_start(self, attempt: _Attempt) -> bool:
+        """Follow balances along the step: at its start forces are held that make this one, at its end none.
+
+        The strides halve where one leads to no stable balance; the shortest ones jump to the next by relaxing.
+        """
+        self._x[:] = attempt.start
+        unbalanced = forces_at(self._model, self._x, attempt.towards(attempt.start), self._workspace)
+        residual_n = max(self._solver.residual_tolerance_n, _UNBALANCED_PART * float(np.abs(unbalanced).max()))
+        part, stride, solved_before = 0.0, _FIRST_STRIDE, False
+        for _ in range(_MOST_STRIDES):
+            before, following = self._x.copy(), min(1.0, part + stride)
+            waypoint = attempt.start + following * (attempt.target - attempt.start)
+            attempt.held, shortest = (1.0 - following) * unbalanced, stride <= _SHORTEST_STRIDE
+            if self._solve_to(attempt, waypoint, relaxes=shortest, residual_n=residual_n) == SOLVED:
+                part, stride, solved_before = following, 2.0 * stride if solved_before else stride, True
+            elif shortest:
+                break
+            else:
+                self._x[:], stride, solved_before = before, 0.5 * stride, False
+            if part == 1.0:
+                return True
+        attempt.held = np.zeros_like(unbalanced)
+        return self._solve_to(attempt, attempt.target) == SOLVED
+
     def _solve_to(
         self,
         attempt: _Attempt,
@@ -270,11 +319,13 @@ class Scene:
         iterations: int | None = None,
         escapes_saddle: bool = False,
         relaxes: bool = False,
+        residual_n: float | None = None,
     ) -> int:
         s = self._solver
-        step = IpcStep(attempt.start, attempt.memory, attempt.x_hat, waypoint, escapes_saddle, relaxes)
+        step = attempt.towards(waypoint, escapes_saddle=escapes_saddle, relaxes=relaxes)
         most = s.newton_iterations if iterations is None else iterations
-        tolerances = Tolerances(s.step_tolerance_m, s.residual_tolerance_n, most, s.phase_iterations)
+        residual_n = s.residual_tolerance_n if residual_n is None else residual_n
+        tolerances = Tolerances(s.step_tolerance_m, residual_n, most, s.phase_iterations)
         return solve_step(self._model, self._x, step, tolerances, self._workspace, attempt.record)
 
     def _net_load(self, gradient: FloatArray) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...compilation import kernel, large_kernel
 from ..affine.orthogonality import add_orthogonality
-from ..algebra.rows import any_nonzero
+from ..algebra.rows import add_rows, any_nonzero
 from ..contact.assembly import PointState, add_contacts
 from ..contact.broad_phase import Candidates
 from ..contact.memory import ContactMemory
@@ -43,6 +43,7 @@ class StepStart(NamedTuple):
     x_hat: FloatArray  # [n, 3] nodes at the end of the step without forces [m]
     y_start: FloatArray  # [p, 3] points at its start [m]
     memory: ContactMemory  # of contacts at its start
+    held: FloatArray  # [n, 3] forces that are taken away from those of the potential [N]
 
 
 @large_kernel
@@ -65,6 +66,7 @@ def assemble(
     points = PointState(state.y, start.y_start, state.motion, start.memory)
     gap, active = add_contacts(model, candidates, points, workspace.stencil, system, matrix)
     workspace.smallest[0], workspace.active[0] = gap, active
+    add_rows(system.gradient, -1.0, start.held, system.gradient)
     if matrix != NO_MATRIX:
         _write_right_hand_side(model, system)
 

@@ -30,6 +30,7 @@ class IpcStep(NamedTuple):
     x_target: FloatArray  # of prescribed nodes
     escapes_saddle: bool  # whether the state at hand is an unstable equilibrium, to be left first
     relaxes: bool  # whether forces are relaxed before the first turn
+    held: FloatArray  # forces [N], shape [n, 3], that are taken away from the step's own
 
 
 class NewtonStep(NamedTuple):
@@ -67,7 +68,7 @@ def new_solve(model: Model, x: FloatArray, step: IpcStep) -> Solve:
     solve = Solve(
         State(x, np.empty((points, 3)), np.zeros(pairs)),
         State(np.empty((nodes, 3)), np.empty((points, 3)), np.zeros(pairs)),
-        StepStart(step.x_hat, np.empty((points, 3)), step.memory),
+        StepStart(step.x_hat, np.empty((points, 3)), step.memory, step.held),
         NewtonStep(
             np.empty(3 * len(model.unknowns.node)),
             np.zeros((nodes, 3)),

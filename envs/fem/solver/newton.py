@@ -17,6 +17,10 @@ caller looks for another by dividing the driven motion. Where that leads to none
 negative curvature; iterations after that step are cautious ones. Where these crawl and use up their number, as many
 more may follow in turns of both sorts. Where nothing else helps the caller asks for the forces to be relaxed before the
 first turn (see `relaxation`), which leaves little to Newton's method.
+
+The caller may hold forces: they are taken away from the step's own. With those that the step leaves unbalanced at its
+start, the start is a solution; let go little by little, they lead from there to the step's end along balances (Newton
+homotopy; Allgower & Georg, Introduction to Numerical Continuation Methods, 1990).
 """
 
 from enum import IntEnum
@@ -28,6 +32,7 @@ from numpy.typing import NDArray
 from ...compilation import allocating_kernel, kernel
 from ..model.model import Model
 from ..model.newton_system import EXACT_MATRIX, NO_MATRIX
+from .assembly import assemble
 from .direction import find_direction, reuse_factors
 from .forces import largest_residual
 from .iterate import (
@@ -150,6 +155,14 @@ def solve_step(
         reusable = whole and matrix == EXACT_MATRIX and not cautious and size <= _REUSING_STEP_M
         escaping = False
     return UNSOLVED
+
+
+@allocating_kernel
+def forces_at(model: Model, x: FloatArray, step: IpcStep, workspace: Workspace) -> FloatArray:
+    """Return the forces of a step at nodes x [m], gradient of its potential [N]; shapes [n, 3]."""
+    s = new_solve(model, x, step)
+    assemble(model, list_candidates(model, s), s.iterate, s.start, workspace, NO_MATRIX)
+    return workspace.system.gradient.copy()
 
 
 @kernel

@@ -81,7 +81,8 @@ class Probe:
         matrix = PROJECTED_MATRIX if projected else EXACT_MATRIX
         w = self._workspace
         w.system.prescribed_move[:] = move
-        assemble(self.model, near, State(x_m, y, motion), StepStart(self.x_hat_m, y_start, self.memory), w, matrix)
+        start = StepStart(self.x_hat_m, y_start, self.memory, np.zeros_like(x_m))
+        assemble(self.model, near, State(x_m, y, motion), start, w, matrix)
         return Assembled(
             forces_n=w.system.gradient[self.unknown_nodes].ravel().copy(),
             all_forces_n=w.system.gradient.copy(),
