@@ -86,7 +86,8 @@ def issue(
 ) -> None:
     """Add a receipt to the chain.
 
-    From here to the end of the transaction no other receipt is issued: this is the last thing that it locks.
+    From here to the end of the transaction no other receipt is issued: this is the last thing that it locks. The clock
+    is the database's, which has also dated the submission.
 
     Args:
         session: of the transaction.
@@ -97,7 +98,8 @@ def issue(
     session.flush()
     key = ensure_key(session)
     wait_for_turn(session, AdvisoryLock.RECEIPTS, "")
-    last, now = session.scalar(select(ReceiptRow).order_by(ReceiptRow.number.desc()).limit(1)), datetime.now(UTC)
+    last = session.scalar(select(ReceiptRow).order_by(ReceiptRow.number.desc()).limit(1))
+    now = session.scalars(select(func.clock_timestamp())).one().astimezone(UTC)
     content = make(max(now, last.issued_at.astimezone(UTC)) if last else now)
     link = sign(
         bytes.fromhex(key.private_key),

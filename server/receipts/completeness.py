@@ -27,8 +27,6 @@ from .receipt import (
 
 _ARRIVAL: Final = timedelta(minutes=10)
 """How long after it has arrived a submission has its receipt at the latest; it is issued in the same transaction."""
-_CLOCKS: Final = timedelta(seconds=5)
-"""How far the clocks of the database and of a server may be apart."""
 _USUAL_WAIT: Final = timedelta(days=2)
 """First results of a submission that take longer are noted: the submission may have been made up afterwards."""
 
@@ -77,7 +75,7 @@ def check_arrivals(arrivals: Iterable[SubmissionReceipt]) -> Iterator[str]:
     for receipt in arrivals:
         arrival = receipt.submission
         late = arrival.issued_at - arrival.submitted_at
-        if not -_CLOCKS <= late <= _ARRIVAL:
+        if not timedelta() <= late <= _ARRIVAL:
             yield (
                 f"Receipt {receipt.link.number} of submission {arrival.submission} was issued at "
                 f"{_moment(arrival.issued_at)}, but the submission is said to have arrived at "
