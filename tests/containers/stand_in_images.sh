@@ -31,6 +31,9 @@ if [ ! -s "$data/PG_VERSION" ]; then
   rm /tmp/password
   echo "host all all all scram-sha-256" >>"$data/pg_hba.conf"
   echo "CREATE DATABASE \"$POSTGRES_DB\"" | as_postgres "$programs/postgres" --single -D "$data" postgres
+  as_postgres "$programs/pg_ctl" -D "$data" -w -o "-c listen_addresses=" start
+  for script in /docker-entrypoint-initdb.d/*.sh; do as_postgres sh "$script"; done
+  as_postgres "$programs/pg_ctl" -D "$data" -w stop
 fi
 exec setpriv --reuid postgres --regid postgres --clear-groups "$programs/postgres" -D "$data" -c listen_addresses='*'
 END

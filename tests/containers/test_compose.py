@@ -25,6 +25,7 @@ from s3_server import BUCKET, CREDENTIALS, s3_server
 CLIENT = shlex.split(os.environ.get("VITAC_TEST_COMPOSE", ""))
 BASE_IMAGES = ("docker.io/library/python:3.11-slim-bookworm", "docker.io/library/postgres:17-bookworm")
 FIND_IMAGE = (("image", "inspect"), ("pull", "--quiet"))
+PASSWORDS = {"VITAC_POSTGRES_PASSWORD": "trial", "VITAC_POSTGRES_OWNER_PASSWORD": "owner"}
 EXAMPLE = Path("examples/peg_insertion_heuristic/Track_1")
 START_LIMIT_S = 300.0
 EVALUATION_LIMIT_S = 1200.0
@@ -104,7 +105,7 @@ def composed(repository: Path, *files: str, **environment: str) -> Iterator[Comp
         project=f"vitac-trial-{os.getpid()}",
         address=f"http://{bind}",
         files=("docker-compose.yml", *files),
-        environment={"VITAC_POSTGRES_PASSWORD": "trial", "VITAC_POSTGRES_OWNER_PASSWORD": "owner", "VITAC_BIND": bind, **environment},
+        environment={**PASSWORDS, "VITAC_BIND": bind, **environment},
     )
     require_base_images(service)
     try:
