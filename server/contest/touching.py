@@ -42,8 +42,8 @@ def _of_new_contest(contest: Contest, new: CompetitionDefinition) -> Iterator[tu
     if others := ", ".join(sorted(one.name for one in Contest.read_all(contest.session) if one.is_held)):
         yield (
             "name",
-            f"{new.name} becomes a further competition beside {others}, which stay as they are. To change one of "
-            "them, give the file its name.",
+            f"{new.name} becomes a further competition beside {others}. To change an existing one, give the file its "
+            "name.",
         )
 
 

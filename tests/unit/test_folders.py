@@ -61,9 +61,9 @@ def test_families_are_seen(names: list[str], words: list[str]) -> None:
     assert sorted(families(names)) == words
 
 
-def rows_of_the_architecture(repository: Path) -> dict[str, list[str]]:
+def rows_of_the_page(repository: Path) -> dict[str, list[str]]:
     """Return what the page says of each folder's inside: groups of folders, from top to bottom."""
-    page = (repository / "docs" / "architecture.md").read_text()
+    page = (repository / "docs" / "folders.md").read_text()
     table = page.partition("## Inside each folder")[2].partition("\n\nTests stand")[0]
     rows = re.findall(r"^\| `([a-z_/]+)/` \| (.+) \|$", table, re.MULTILINE)
     return {folder: row.split(" · ") for folder, row in rows}
@@ -73,16 +73,16 @@ def names_in(group: str) -> set[str]:
     return {name.partition("/")[0] for name in re.findall(r"`([a-z_0-9/]+)", group)}
 
 
-def test_the_architecture_names_every_folder(repository: Path) -> None:
-    rows = rows_of_the_architecture(repository)
+def test_the_page_of_folders_names_every_folder(repository: Path) -> None:
+    rows = rows_of_the_page(repository)
     assert set(rows) >= {*PRODUCT, "envs/fem", "evaluator/agent"} - {"worker"}
     for folder, groups in rows.items():
         inner = {path.parent.name for path in (repository / folder).glob("*/*.py")}
         assert inner - set().union(*map(names_in, groups)) == set(), f"name them in the row of {folder}/"
 
 
-def test_the_architecture_has_the_order_of_the_contracts(repository: Path) -> None:
-    rows = rows_of_the_architecture(repository)
+def test_the_page_of_folders_has_the_order_of_the_contracts(repository: Path) -> None:
+    rows = rows_of_the_page(repository)
     settings = tomllib.loads((repository / "pyproject.toml").read_text())
     compared = []
     for contract in settings["tool"]["importlinter"]["contracts"]:
