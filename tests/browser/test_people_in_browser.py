@@ -6,7 +6,7 @@ from zoneinfo import ZoneInfo
 
 import pytest
 from browser_checks import DESK, ZOOMED, Complaints, violations
-from checked_pages import BOARD, PAGES_OF_ROLES
+from checked_pages import BOARD, COMPETITION, PAGES_OF_ROLES
 from cli_service import CliService, cli_service
 from playwright.sync_api import Page, expect
 from service_factories import make_principal, make_secret, play_all, submit
@@ -34,6 +34,10 @@ SEES = {
     "/team": "Ann",
     "/judging": "The structure",
     "/competition": "All is well.",
+    "/competitions": "The cup",
+    COMPETITION: "Simulation",
+    f"{COMPETITION}/appeals": "The peg was in the hole.",
+    f"{COMPETITION}/tracks/track_1": "Simulation",
     "/rejudging": "Simulation: The worker was wrong.",
     "/operations": "Operations",
 }

@@ -6,11 +6,16 @@ from starlette.routing import Route
 from vitac.web.pages.routes import EPISODE, pages
 
 BOARD = "/tracks/track_1?stage=stage1"
+COMPETITION = "/competitions/cup"
 PAGES_OF_ROLES = {
-    "visitor": ("/announcements", "/competition", "/join", "/sign-in", BOARD, "PUBLIC", "SUBMISSION"),
+    "visitor": (
+        *("/announcements", "/competition", "/join", "/sign-in", BOARD, "PUBLIC", "SUBMISSION"),
+        *("/competitions", COMPETITION),
+        *(f"{COMPETITION}/tracks/track_1", f"{COMPETITION}/tracks/track_1/logs"),
+    ),
     "other": ("/appeals", "PUBLIC", "SUBMISSION"),
     "judge": ("/appeals", "/judging", BOARD, "SUBMISSION"),
-    "participant": ("/team", "/announcements", "/appeals", BOARD, "SUBMISSION"),
+    "participant": ("/team", "/announcements", "/appeals", f"{COMPETITION}/appeals", BOARD, "SUBMISSION"),
     "organizer": ("/desk", "/appeals", "/judging", "/rejudging", "/operations", BOARD, "SUBMISSION"),
 }
 """What each role looks at in a service (`test_people_in_browser`).

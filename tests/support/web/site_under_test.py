@@ -30,6 +30,7 @@ class SiteUnderTest:
             "/receipts",
             "/competition",
             "/competition/archive",
+            "/competitions/cup/archive",
             "/register",
             "/sign-in",
             "/submissions",
