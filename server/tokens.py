@@ -124,9 +124,11 @@ def begin_session(session: Session, member: Member, lifetime: timedelta) -> ApiT
     return _add(session, by, made, lifetime).token
 
 
-def is_session(session: Session, token_id: UUID) -> bool:
-    """Return whether it stands for a browser that signed in with a password."""
-    return session.get_one(ApiToken, token_id).is_session
+def end_session(session: Session, by: Principal) -> None:
+    """End the session of a browser that signed in with a password; a token that signed in stays valid."""
+    token = session.get_one(ApiToken, by.token_id)
+    if token.is_session:
+        revoke(session, by, token.id)
 
 
 def end_tokens_of(session: Session, by: Principal, member: Member, *, sessions_only: bool = False) -> None:

@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING
 
 from vitac.evaluator.tracks import list_tracks
 from vitac.server.api.app import create_app
-from vitac.server.api.streams import OpenStreams
 from vitac.server.limiter import WindowLimiter
 
-from .data.service import ServiceData
 from .pages import routes
 from .session.signer import SessionSigner, load_key
 from .sharing.preview import checked_font
@@ -33,19 +31,10 @@ def create(services: Services, *, sweeps: bool = True) -> FastAPI:
     """
     settings = services.settings
     app = create_app(settings, services=services, uploads_at=routes.UPLOADS, sweeps=sweeps)
-    streams = OpenStreams(services=services, limiter=app.state.stream_limiter)
     site = Site(
-        data=ServiceData(
-            database=services.database,
-            settings=settings,
-            blobs=services.blobs,
-            streams=streams,
-            registrations=app.state.registration_limiter,
-            sign_ins=app.state.sign_in_limiters,
-            playbacks=WindowLimiter(
-                settings.state_dir / "limits" / "playbacks", limit=settings.playbacks_per_address, window_s=3600.0
-            ),
-            uploads=app.state.upload_limiter,
+        services=services,
+        playbacks=WindowLimiter(
+            settings.state_dir / "limits" / "playbacks", limit=settings.playbacks_per_address, window_s=3600.0
         ),
         signer=SessionSigner(key=signing_key(settings)),
         version=version("vitac-arena"),

@@ -15,7 +15,7 @@ from jinja2 import DictLoader, Environment, StrictUndefined, select_autoescape
 from markupsafe import Markup
 from vitac.evaluator.episodes.records import EpisodeOutcome, counted_env_steps
 
-from .data.limits import size
+from .limits import size
 
 if TYPE_CHECKING:
     from starlette.requests import Request

@@ -1,21 +1,24 @@
-"""What all pages share: data, signer, the visitor of a request, and answers made from templates."""
+"""What all pages share: the service, the signer, the visitor of a request, and answers made from templates."""
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import wraps
 from hashlib import sha256
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 from urllib.parse import quote
 
 from starlette.exceptions import HTTPException
 from starlette.responses import HTMLResponse, RedirectResponse
 from vitac.envs.errors import VitacError
+from vitac.server import tokens
 from vitac.server.api.conditional import answer
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.kept import Kept
+from vitac.server.principals import VISITOR
 
 from .fragments import Fragments, Recent
 from .rendering import render
@@ -24,18 +27,23 @@ from .session.signer import COOKIE
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Hashable, Mapping
+    from contextlib import AbstractContextManager
     from pathlib import Path
 
+    from sqlalchemy.orm import Session
     from starlette.requests import Request
     from starlette.responses import Response
+    from vitac.server.limiter import WindowLimiter
+    from vitac.server.principals import Principal
+    from vitac.server.services import Services
 
-    from .data.front import Front
-    from .data.protocol import PageData, Visitor
+    from .front import Front
     from .plots.map import EpisodeMap
     from .session.signer import SessionSigner
 
     Page = Callable[[Request], Awaitable[Response]]
 
+ResultT = TypeVar("ResultT")
 HTML = "text/html"
 FRONT_KEPT_S = 5.0
 """The front page is asked for most, and reads the boards of all tracks."""
@@ -50,7 +58,8 @@ class Site:
     """The pages of one server.
 
     Attributes:
-        data: data of the pages.
+        services: database, files and settings.
+        playbacks: counts the playbacks that visitors ask for, by their address.
         signer: signs the sessions.
         version: the distribution's version, shown in the footer.
         tracks: names of the tracks; the navigation leads to the first one.
@@ -63,7 +72,8 @@ class Site:
         previews: pictures that links to submissions are shown with.
     """
 
-    data: PageData
+    services: Services
+    playbacks: WindowLimiter
     signer: SessionSigner
     version: str
     tracks: tuple[str, ...]
@@ -79,37 +89,61 @@ class Site:
         """Return the address to use on the command line."""
         return (self.public_url or str(request.base_url)).rstrip("/")
 
+    async def ask(self, query: Callable[[Session], ResultT]) -> ResultT:
+        """Return what functions of the service layer give in one transaction, which may change something."""
+        return await asyncio.to_thread(_run, self.services.database.transaction, query)
+
+    async def read(self, query: Callable[[Session], ResultT]) -> ResultT:
+        """Return what functions of the service layer give that only read."""
+        return await asyncio.to_thread(_run, self.services.database.reading, query)
+
+
+def _run(opened: Callable[[], AbstractContextManager[Session]], query: Callable[[Session], ResultT]) -> ResultT:
+    with opened() as session:
+        return query(session)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Viewer:
-    """The signed-in visitor as templates see it."""
+    """The signed-in visitor as templates see it.
 
-    visitor: Visitor
+    Attributes:
+        principal: the team, judge or organizer, for the service.
+        form_token: what the forms of this session carry.
+    """
+
+    principal: Principal
     form_token: str
 
     @property
     def name(self) -> str:
-        """The team's name, or the organizer's label."""
-        return self.visitor.name
+        """The team's name, or the role in the plural."""
+        return self.principal.team_name or f"{self.principal.role}s"
 
     @property
     def own_names(self) -> frozenset[str]:
         """The names under which the own team may be on boards."""
-        return self.visitor.own_names
+        return frozenset({self.name, self.principal.team_pseudonym or self.name})
 
     @property
     def is_organizer(self) -> bool:
-        """Whether all teams' submissions are shown."""
-        return self.visitor.is_organizer
+        """Whether all teams' submissions may be changed."""
+        return self.principal.is_organizer
+
+    @property
+    def has_team(self) -> bool:
+        """Whether there is a team page to show."""
+        return self.principal.team_id is not None
 
     @property
     def organizes_something(self) -> bool:
         """Whether all teams' submissions to one competition, or to all, are shown."""
-        return self.visitor.principal.organizes_something
+        return self.principal.organizes_something
 
     def may_see(self, team: str, contest: str | None = None) -> bool:
         """Return whether the submissions of a team are shown; `contest`: those to a competition."""
-        return self.visitor.may_see(team) or self.visitor.principal.organizes(contest or "")
+        reads_all = self.principal.reads_all_teams or self.principal.organizes(contest or "")
+        return reads_all or team in self.own_names
 
     def may_change(self, team: str) -> bool:
         """Return whether the submissions of a team may be changed."""
@@ -137,13 +171,23 @@ async def viewer_of(request: Request) -> Viewer | None:
     found = site.signer.read(cookie, now=datetime.now(UTC))
     if cookie is None or found is None:
         return None
-    visitor = await site.data.visitor_with_token_id(found.token_id)
-    return None if visitor is None else Viewer(visitor=visitor, form_token=site.signer.form_token(cookie))
+    principal = await none_if_unknown(site.read(lambda session: tokens.principal_of_token_id(session, found.token_id)))
+    return None if principal is None else Viewer(principal=principal, form_token=site.signer.form_token(cookie))
 
 
-def visitor_of(viewer: Viewer | None) -> Visitor | None:
-    """Return a signed-in visitor as the data of the pages know them."""
-    return None if viewer is None else viewer.visitor
+async def none_if_unknown(authentication: Awaitable[Principal]) -> Principal | None:
+    """Return who was authenticated, or None if the credentials are not valid."""
+    try:
+        return await authentication
+    except ServiceError as error:
+        if error.code is ProblemCode.INVALID_CREDENTIALS:
+            return None
+        raise
+
+
+def principal_of(viewer: Viewer | None) -> Principal:
+    """Return who asks, for the service."""
+    return VISITOR if viewer is None else viewer.principal
 
 
 class SignInNeeded(VitacError):
@@ -226,7 +270,7 @@ def page(
         navigation=navigation(site, viewer),
         version=site.version,
         address=site.address(request),
-        registration=site.data.registration().value,
+        registration=site.services.settings.registration.value,
         **{"viewer_known": True, **values},
     )
     if viewer is not None:
@@ -243,9 +287,9 @@ def navigation(site: Site, viewer: Viewer | None) -> tuple[tuple[str, str], ...]
     links = [(f"/tracks/{site.tracks[0]}", "Leaderboard"), (f"/tracks/{site.tracks[0]}/rules", "Rules")]
     if viewer is not None:
         links.append(("/submissions", "Submissions"))
-        if viewer.visitor.has_team:
+        if viewer.has_team:
             links.append(("/team", "Team"))
-        if viewer.visitor.principal.reads_all_teams or viewer.organizes_something:
+        if viewer.principal.reads_all_teams or viewer.organizes_something:
             links.append(("/judging", "Judging"))
         if viewer.is_organizer:
             links += [("/desk", "Desk"), ("/operations", "Operations")]

@@ -63,7 +63,7 @@ def create_app(
         redoc_url=None,
     )
     app.state.settings = settings
-    _set_limiters(app, settings)
+    set_limiters(app, settings)
     _add_routes(app)
     _add_middleware(app, uploads_at)
     problems.install(app)
@@ -92,7 +92,7 @@ def _lifespan(
     return lifespan
 
 
-def _set_limiters(app: FastAPI, settings: Settings) -> None:
+def set_limiters(app: FastAPI, settings: Settings) -> None:
     """Give an application what counts the requests of its clients."""
     folder = settings.state_dir / "limits"
     app.state.registration_limiter = _hourly(folder / "registrations", settings.registrations_per_hour)

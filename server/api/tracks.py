@@ -4,11 +4,9 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
-from ..contest.contest import Contest
 from ..contest.view import competition_list_view, competition_view
-from ..leaderboards.log_boards import log_boards
 from ..leaderboards.made_boards import MadeBoard
-from ..leaderboards.standings import leaderboard
+from ..leaderboards.shown import shown_leaderboard, shown_log_boards
 from ..publishing.archive import archive_view
 from ..tracks import load_known_track, track_file, track_view, track_views
 from ..views.archive import ArchiveView
@@ -82,8 +80,7 @@ def get_leaderboard(
 ) -> Response:
     """Return the standings of a track or of one of its tasks: the best completed evaluation of each team."""
     with services.database.reading() as session:
-        shown = Contest.find_by_track(session, track, contest).shown_stage(track, stage)
-        board = leaderboard(session, shown, task=task, unfrozen=principal.organizes(shown.contest))
+        board = shown_leaderboard(session, principal, track, task=task, stage=stage, contest=contest)
     return _answer(request, board)
 
 
@@ -100,8 +97,7 @@ def get_log_boards(
 ) -> Response:
     """Return the verified logs of a track, ranked by task, and the 2025 text logs, which are not ranked."""
     with services.database.reading() as session:
-        shown = Contest.find_by_track(session, track, contest).shown_stage(track, stage)
-        board = log_boards(session, shown, unfrozen=principal.organizes(shown.contest))
+        board = shown_log_boards(session, principal, track, stage=stage, contest=contest)
     return _answer(request, board)
 
 

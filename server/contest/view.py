@@ -21,7 +21,7 @@ from ..views.contest import (
     WinnerView,
     WithdrawnListView,
 )
-from .contest import Contest
+from .contest import Contest, contests_to_choose_from
 from .sealing import sealed_lists
 from .stages import Stage
 
@@ -46,6 +46,12 @@ def competition_list_view(session: Session, *, at: datetime | None = None) -> Co
             if contest.is_held
         ]
     )
+
+
+def competitions_to_choose_from(session: Session) -> Sequence[CompetitionSummaryView]:
+    """Return the competitions between which an upload has to choose; empty where no track has several now."""
+    names = {contest.name for contest in contests_to_choose_from(session, datetime.now(UTC))}
+    return [view for view in competition_list_view(session).items if view.name in names]
 
 
 def competition_view(session: Session, name: str | None = None, *, at: datetime | None = None) -> CompetitionView:

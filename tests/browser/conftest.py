@@ -7,7 +7,6 @@ from page_fixtures import (
     DIVERGENCE,
     LOCK,
     TASK,
-    FixedData,
     a_leaderboard,
     a_log,
     a_past_result,
@@ -16,9 +15,9 @@ from page_fixtures import (
     a_submission,
     a_visitor,
     an_action_match,
-    an_application,
     an_entry,
 )
+from page_service import FixedData, an_application
 from playwright.sync_api import Browser, Page, expect
 from real_browser import WITHOUT_GPU, launched
 from service_client import serving

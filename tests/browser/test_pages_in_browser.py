@@ -7,16 +7,8 @@ import pytest
 from browser_checks import DESK, PHONE, ZOOMED, Complaints, violations
 from checked_pages import WITH_SCENES, unchecked
 from fastapi import APIRouter
-from page_fixtures import (
-    FixedData,
-    a_finished_cup,
-    a_leaderboard,
-    a_score,
-    a_submission,
-    a_worker,
-    an_entry,
-    an_operations_view,
-)
+from page_fixtures import a_finished_cup, a_leaderboard, a_score, a_submission, a_worker, an_entry, an_operations_view
+from page_service import FixedData
 from playwright.sync_api import Browser, Page, Route, expect
 from site_under_test import SiteUnderTest
 from vitac.server.db.states import EvaluationState, WorkerState

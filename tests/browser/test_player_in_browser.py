@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from browser_checks import DESK
-from page_fixtures import FixedData
+from page_service import FixedData
 from played_episodes import a_playback, a_shown_episode, guided
 from playwright.sync_api import Browser, Page, expect
 from real_browser import SOFTWARE_WEBGL, launched

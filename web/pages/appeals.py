@@ -24,9 +24,8 @@ ADDRESS = "/appeals"
 async def list_appeals(request: Request) -> Response:
     """Show the appeals of the team, all to organizers and judges."""
     viewer = await require_viewer(request)
-    by = viewer.visitor.principal
-    contest = contest_in(request)
-    found = await site_of(request).data.ask(lambda session: appeals.visible(session, by, contest))
+    by, contest = viewer.principal, contest_in(request)
+    found = await site_of(request).ask(lambda session: appeals.visible(session, by, contest))
     given = request.query_params.get("submission", "")
     return page(request, "appeals.html", viewer=viewer, section=ADDRESS, found=found, submission=given)
 

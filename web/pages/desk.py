@@ -68,7 +68,7 @@ async def desk(request: Request) -> Response:
         ServiceError: the visitor is none.
     """
     viewer = await require_viewer(request)
-    by = viewer.visitor.principal
+    by = viewer.principal
 
     def read(session: Session) -> Desk:
         by.require_organizer()
@@ -82,7 +82,7 @@ async def desk(request: Request) -> Response:
             entries=[entry_view(entry) for entry in newest_entries(session, N_ENTRIES)],
         )
 
-    found = await site_of(request).data.ask(read)
+    found = await site_of(request).ask(read)
     return page(request, "desk.html", viewer=viewer, section=ADDRESS, found=found, board_address=board_address)
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 from uuid import UUID
 
+from pydantic import BaseModel, ValidationError
 from starlette.responses import RedirectResponse
 from vitac.server.errors import ProblemCode, ServiceError
 
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from starlette.responses import Response
     from vitac.server.principals import Principal
 
+FormT = TypeVar("FormT", bound=BaseModel)
+
 
 async def act(
     request: Request, change: Callable[[Session, Principal, Mapping[str, str]], object], *, back: str
@@ -28,8 +31,21 @@ async def act(
         ServiceError: the service refuses it.
     """
     viewer, fields = await signed_in_form(request)
-    await site_of(request).data.ask(lambda session: change(session, viewer.visitor.principal, fields))
+    await site_of(request).ask(lambda session: change(session, viewer.principal, fields))
     return RedirectResponse(back, status_code=303)
+
+
+def checked_form(form: type[FormT], values: Mapping[str, str | None]) -> FormT:
+    """Return the values of a form as the API takes them.
+
+    Raises:
+        ServiceError: invalid_request, with what is wrong.
+    """
+    try:
+        return form.model_validate(values)
+    except ValidationError as error:
+        problems = " ".join(f"{problem['loc'][0]}: {problem['msg']}." for problem in error.errors())
+        raise ServiceError(ProblemCode.INVALID_REQUEST, problems) from error
 
 
 def number_in(fields: Mapping[str, str], name: str) -> int:

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from functools import partial
 from typing import TYPE_CHECKING
 
 from starlette.responses import Response
 from vitac.evaluator.tracks import load_track
+from vitac.server.contest.view import competition_view
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.leaderboards.shown import shown_leaderboard
+from vitac.server.messages import announcements
+from vitac.server.playbacks.recent import newest_public_episode
+from vitac.server.principals import VISITOR
+from vitac.server.sharing.public_pages import public_among
 
-from ..data.front import Front, TrackCard
+from ..front import Front, TrackCard
 from ..rendering import STATIC
 from ..site import page, site_of, viewer_of
 from .episodes.page import player_script
 
 if TYPE_CHECKING:
+    from sqlalchemy.orm import Session
     from starlette.requests import Request
     from vitac.server.views.contest import CompetitionView
     from vitac.server.views.leaderboards import LeaderboardView
@@ -36,24 +42,24 @@ async def home(request: Request) -> Response:
         "home.html",
         viewer=await viewer_of(request),
         section="/",
-        front=await site.front.get(partial(_front, site)),
+        front=await site.front.get(lambda: site.read(lambda session: _front(session, site))),
         first_track=site.tracks[0],
         player_script=player_script(),
     )
 
 
-async def _front(site: Site) -> Front:
-    boards = {name: await site.data.leaderboard(name, None) for name in site.tracks}
-    cup = await _competition(site)
+def _front(session: Session, site: Site) -> Front:
+    boards = {name: shown_leaderboard(session, VISITOR, name).view for name in site.tracks}
+    cup = _competition(session)
     ranked = [(load_track(name), entry) for name, board in boards.items() for entry in board.entries if entry.rank]
     news = sorted(ranked, key=lambda new: new[1].evaluated_at, reverse=True)[:NEWS]
     return Front(
         cards=[_card(name, board, cup) for name, board in boards.items()],
         news=news,
-        public=await site.data.public_among([entry.submission_id for _, entry in news]),
+        public=public_among(session, [entry.submission_id for _, entry in news]),
         cup=cup,
-        said=(await site.data.announcements())[:ANNOUNCEMENTS],
-        episode=await site.data.public_episode(),
+        said=announcements.shown(session)[:ANNOUNCEMENTS],
+        episode=newest_public_episode(session, site.services.settings),
     )
 
 
@@ -66,9 +72,9 @@ async def example(_: Request) -> Response:
     )
 
 
-async def _competition(site: Site) -> CompetitionView | None:
+def _competition(session: Session) -> CompetitionView | None:
     try:
-        return await site.data.competition()
+        return competition_view(session)
     except ServiceError as error:
         if error.code is ProblemCode.NOT_FOUND:
             return None

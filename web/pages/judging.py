@@ -35,7 +35,7 @@ async def judging(request: Request) -> Response:
         ServiceError: the visitor is neither.
     """
     viewer = await require_viewer(request)
-    found = await site_of(request).data.ask(lambda session: sheets(session, viewer.visitor.principal))
+    found = await site_of(request).ask(lambda session: sheets(session, viewer.principal))
     return page(request, "judging.html", viewer=viewer, section=ADDRESS, found=found, rows=_rows)
 
 

@@ -5,7 +5,11 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from ..site import page, site_of, viewer_of, visitor_of
+from vitac.server.contest.view import track_stages
+from vitac.server.leaderboards.shown import shown_log_boards
+from vitac.server.sharing.public_pages import public_among
+
+from ..site import page, principal_of, site_of, viewer_of
 from .addresses import board_address, board_data_address, competition_address, contest_in
 from .contest.stages import stage_tabs, title_of
 from .paging import PAGE_ENTRIES, board_page
@@ -24,18 +28,24 @@ async def logs(request: Request) -> Response:
     site, viewer = site_of(request), await viewer_of(request)
     stage, contest = request.query_params.get("stage"), contest_in(request)
     address = f"{board_address(contest, track.name)}/logs"
-    found = await site.data.log_boards(track.name, stage, contest=contest, visitor=visitor_of(viewer))
     paged = partial(
         board_page,
         request,
         f"{address}{board_query(None, stage)}",
         own_names=viewer.own_names if viewer else (),
     )
+    found, stages, others = await site.read(
+        lambda session: (
+            shown_log_boards(session, principal_of(viewer), track.name, stage=stage, contest=contest).view,
+            track_stages(session, track.name, contest),
+            contest_tabs(session, contest, track.name, "/logs"),
+        )
+    )
     shown = {board.task: paged(board.entries, section=f"logs-{board.task}") for board in found.boards}
     text_logs = paged(found.text_logs, section=TEXT_LOGS)
     listed = [entry.submission_id for board in shown.values() for entry in board.entries]
-    public = await site.data.public_among([*listed, *(entry.submission_id for entry in text_logs.entries)])
-    stages = await site.data.stages(track.name, contest)
+    listed += [entry.submission_id for entry in text_logs.entries]
+    public = await site.read(lambda session: public_among(session, listed))
     rows = partial(entry_rows, request, viewer, public)
     return page(
         request,
@@ -47,7 +57,7 @@ async def logs(request: Request) -> Response:
         competition=competition_address(contest),
         board_address=board_address(contest, track.name),
         board_data=board_data_address(contest, track.name),
-        contest_tabs=await contest_tabs(site, contest, track.name, "/logs"),
+        contest_tabs=others,
         track_tabs=track_tabs(site, track, "/logs", has_page=accepts_logs) if contest is None else (),
         tabs=tabs(track, None, logs=True, stage=stage, contest=contest),
         found=found,

@@ -24,12 +24,12 @@ ADDRESS = "/announcements"
 async def messages(request: Request) -> Response:
     """Show what organizers say to everybody, and the questions that the visitor may see."""
     viewer = await viewer_of(request)
-    by = viewer.visitor.principal if viewer is not None else None
+    by = viewer.principal if viewer is not None else None
 
     def read(session: Session) -> tuple[list[AnnouncementView], list[QuestionView]]:
         return announcements.shown(session), questions.visible(session, by)
 
-    said, asked = await site_of(request).data.ask(read)
+    said, asked = await site_of(request).ask(read)
     return page(request, "messages.html", viewer=viewer, section=ADDRESS, said=said, asked=asked)
 
 

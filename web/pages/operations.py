@@ -5,6 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.metrics.totals import totals
+from vitac.server.operations import state
+from vitac.server.queue.workers import disk_of
 
 from ..site import page, require_viewer, site_of
 
@@ -22,6 +25,8 @@ async def operations(request: Request) -> Response:
     viewer = await require_viewer(request)
     if not viewer.is_organizer:
         raise ServiceError(ProblemCode.FORBIDDEN, "This page is for organizers. Sign in with an organizer's token.")
-    data = site_of(request).data
-    found = await data.operations()
-    return page(request, "operations.html", viewer=viewer, section="/operations", found=found, disk=data.server_disk())
+    site = site_of(request)
+    settings = site.services.settings
+    found = await site.ask(lambda session: state.operations(session, settings, totals(session)))
+    disk = disk_of(settings.state_dir)
+    return page(request, "operations.html", viewer=viewer, section="/operations", found=found, disk=disk)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from starlette.responses import Response
+from vitac.server.submissions import receipts as of_submissions
 
 from ..site import page, require_viewer, site_of, viewer_of
 from .addresses import as_id
@@ -20,14 +21,17 @@ async def receipts(request: Request) -> Response:
         "receipts.html",
         viewer=await viewer_of(request),
         section="/receipts",
-        chain=await site_of(request).data.receipts(),
+        chain=await site_of(request).ask(lambda session: of_submissions.chain_view(session, after=0, limit=0)),
     )
 
 
 async def receipt_file(request: Request) -> Response:
     """Return the receipt of a submission's newest result."""
     viewer = await require_viewer(request)
-    found = await site_of(request).data.receipt(viewer.visitor, as_id(request.path_params["submission_id"]))
+    submission_id = as_id(request.path_params["submission_id"])
+    found = await site_of(request).ask(
+        lambda session: of_submissions.newest_receipt(session, viewer.principal, submission_id)
+    )
     name = f"receipt-{found.link.number}.json"
     return Response(
         found.model_dump_json(indent=1),

@@ -32,8 +32,8 @@ async def rejudgements(request: Request) -> Response:
     viewer, site = await require_viewer(request), site_of(request)
 
     def read(session: Session) -> dict[str, Any]:
-        found = rejudging.rejudgements(session, viewer.visitor.principal)
-        contests = [one for one in Contest.read_all(session) if viewer.visitor.principal.organizes(one.name)]
+        found = rejudging.rejudgements(session, viewer.principal)
+        contests = [one for one in Contest.read_all(session) if viewer.principal.organizes(one.name)]
         ended = [one for one in found if one.applied_at or one.discarded_at]
         open_ones = [rejudgement_detail_view(session, one) for one in found if one not in ended]
         return {
@@ -44,7 +44,7 @@ async def rejudgements(request: Request) -> Response:
             "contests": contests if len(contests) > 1 else [],
         }
 
-    shown = await site.data.ask(read)
+    shown = await site.ask(read)
     return page(
         request,
         "rejudging.html",

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from vitac.server.queue.workers import sandboxes
+
+from ..limits import limit_rows
 from ..site import page, site_of, viewer_of
 
 if TYPE_CHECKING:
@@ -13,12 +16,13 @@ if TYPE_CHECKING:
 
 async def sandbox(request: Request) -> Response:
     """Show packages, BLAS, threads, CPU and limits, and how to bring other packages."""
-    data = site_of(request).data
+    site = site_of(request)
+    settings = site.services.settings
     return page(
         request,
         "sandbox.html",
         viewer=await viewer_of(request),
         section="/sandbox",
-        found=await data.sandboxes(),
-        limits=data.limits(),
+        found=await site.ask(lambda session: sandboxes(session, settings)),
+        limits=limit_rows(settings.limits),
     )

@@ -12,18 +12,23 @@ from vitac.envs.maniskill import scenes
 from vitac.envs.maniskill.definition import PREFIX, is_maniskill
 from vitac.evaluator.agent.protocol.action import ACTION_TYPES
 from vitac.evaluator.tracks import UnknownTrack, load_track
+from vitac.server.contest.view import competition_list_view, track_stages
+from vitac.server.leaderboards.shown import shown_leaderboard
+from vitac.server.sharing.public_pages import public_among
 
+from ..limits import limit_rows, size
 from ..plots.dates import DatedRate, rates_by_date
 from ..rendering import STATIC, render, steps, words
-from ..site import Tab, page, site_of, viewer_of, visitor_of
+from ..site import Tab, page, principal_of, site_of, viewer_of
 from .addresses import board_address, board_data_address, competition_address, contest_in
 from .contest.stages import stage_tabs, title_of
-from .paging import EntryT, board_page
+from .paging import BoardPage, EntryT, board_page
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
     from uuid import UUID
 
+    from sqlalchemy.orm import Session
     from starlette.requests import Request
     from starlette.responses import Response
     from vitac.evaluator.tracks import Task, Track
@@ -79,12 +84,54 @@ class Cell:
 
 async def leaderboard(request: Request) -> Response:
     """Show the leaderboard of a track, or with `?task=` and `?stage=` that of a task or stage."""
-    return await _leaderboard(request, request.path_params["track"])
+    track = known_track(request.path_params["track"])
+    site, viewer = site_of(request), await viewer_of(request)
+    task, stage = request.query_params.get("task"), request.query_params.get("stage")
+    contest, query = contest_in(request), board_query(task, stage)
+    address = board_address(contest, track.name)
+
+    def read(session: Session) -> tuple[LeaderboardView, BoardPage[LeaderboardEntryView], Collection[UUID]]:
+        by = principal_of(viewer)
+        board = shown_leaderboard(session, by, track.name, task=task, stage=stage, contest=contest).view
+        own_names = viewer.own_names if viewer else ()
+        shown = board_page(request, f"{address}{query}", board.entries, own_names)
+        return board, shown, public_among(session, [entry.submission_id for entry in shown.entries])
+
+    board, shown, public = await site.read(read)
+    stages, others = await site.read(
+        lambda session: (track_stages(session, track.name, contest), contest_tabs(session, contest, track.name))
+    )
+    counted = list(track.tasks.values()) if task is None else [track.tasks[task]]
+    return page(
+        request,
+        "leaderboard.html",
+        viewer=viewer,
+        section=f"/tracks/{track.name}",
+        board=board,
+        query=query,
+        board_address=address,
+        competition=competition_address(contest),
+        board_data=board_data_address(contest, track.name),
+        contest_tabs=others,
+        stage=stage,
+        stage_title=title_of(stages, board.stage),
+        shown=shown,
+        table=_table(request, board, viewer, public, shown.entries),
+        dates=_dates(request, board, viewer),
+        track=track,
+        tabs=tabs(track, task, stage=stage, contest=contest),
+        stage_tabs=stage_tabs(stages, board.stage, lambda other: f"{address}{board_query(task, other)}"),
+        track_tabs=track_tabs(site, track) if contest is None else (),
+        list_kind=board.list_kind.value,
+        ranked=sum(entry.rank is not None for entry in board.entries),
+        episodes=sum(len(definition.episodes) for definition in counted),
+    )
 
 
 async def rules(request: Request) -> Response:
     """Show the rules of a track, from its file and the limits in force."""
-    track = known_track(request.path_params["track"])
+    track, site = known_track(request.path_params["track"]), site_of(request)
+    settings = site.services.settings
     return page(
         request,
         "rules.html",
@@ -92,10 +139,10 @@ async def rules(request: Request) -> Response:
         section=f"/tracks/{track.name}/rules",
         track=track,
         action_types=ACTION_TYPES,
-        limits=site_of(request).data.limits(),
+        limits=limit_rows(settings.limits),
         accepts_logs=accepts_logs(track),
-        log_size=site_of(request).data.log_size(),
-        track_tabs=track_tabs(site_of(request), track, "/rules"),
+        log_size=size(settings.log_bytes),
+        track_tabs=track_tabs(site, track, "/rules"),
         pictures={name: found for name, task in track.tasks.items() if (found := picture_of(task))},
     )
 
@@ -123,9 +170,9 @@ def track_tabs(
     )
 
 
-async def contest_tabs(site: Site, shown: str | None, track: str, page_of_track: str = "") -> tuple[Tab, ...]:
+def contest_tabs(session: Session, shown: str | None, track: str, page_of_track: str = "") -> tuple[Tab, ...]:
     """Return the same boards of every competition that holds a track; empty if there is only one."""
-    found = [one for one in await site.data.competitions() if track in one.tracks]
+    found = [one for one in competition_list_view(session).items if track in one.tracks]
     if len(found) < 2:
         return ()
     current = shown or found[0].name
@@ -192,44 +239,6 @@ def _cell(column: Column, entry: LeaderboardEntryView) -> Cell:
 
 def _is_combined(track: Track, task: str | None) -> bool:
     return task is None and len(track.tasks) > 1
-
-
-async def _leaderboard(request: Request, name: str) -> Response:
-    track, contest = known_track(name), contest_in(request)
-    address = board_address(contest, name)
-    site, asked = site_of(request), request.query_params
-    task, stage = asked.get("task"), asked.get("stage")
-    viewer = await viewer_of(request)
-    board = await site.data.leaderboard(name, task, stage, contest=contest, visitor=visitor_of(viewer))
-    query = board_query(task, stage)
-    shown = board_page(request, f"{address}{query}", board.entries, viewer.own_names if viewer else ())
-    public = await site.data.public_among([entry.submission_id for entry in shown.entries])
-    stages = await site.data.stages(name, contest)
-    counted = list(track.tasks.values()) if task is None else [track.tasks[task]]
-    return page(
-        request,
-        "leaderboard.html",
-        viewer=viewer,
-        section=f"/tracks/{name}",
-        board=board,
-        query=query,
-        board_address=address,
-        competition=competition_address(contest),
-        board_data=board_data_address(contest, name),
-        contest_tabs=await contest_tabs(site, contest, name),
-        stage=stage,
-        stage_title=title_of(stages, board.stage),
-        shown=shown,
-        table=_table(request, board, viewer, public, shown.entries),
-        dates=_dates(request, board, viewer),
-        track=track,
-        tabs=tabs(track, task, stage=stage, contest=contest),
-        stage_tabs=stage_tabs(stages, board.stage, lambda other: f"{address}{board_query(task, other)}"),
-        track_tabs=track_tabs(site, track) if contest is None else (),
-        list_kind=board.list_kind.value,
-        ranked=sum(entry.rank is not None for entry in board.entries),
-        episodes=sum(len(definition.episodes) for definition in counted),
-    )
 
 
 def _dates(request: Request, board: LeaderboardView, viewer: Viewer | None) -> Markup:

@@ -1,18 +1,12 @@
-"""Views with made-up but consistent numbers, and a service that answers the pages with them; imported by page tests."""
+"""Views with made-up but consistent numbers; `page_service` shows them on the pages."""
 
 import random
-from collections.abc import AsyncIterator, Callable, Collection, Sequence
-from contextlib import AbstractAsyncContextManager, nullcontext
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 from typing import Any
 from uuid import UUID, uuid5
 
-from fastapi import FastAPI
-from made_receipts import a_receipt
-from played_episodes import FixedPlaybacks
-from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.description import SandboxDescription
 from vitac.evaluator.logs.findings import VerificationResult
@@ -20,18 +14,9 @@ from vitac.evaluator.scoring.ranking import CombinedScore, combine
 from vitac.evaluator.scoring.score import Score, rate
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, load_track
-from vitac.server.api import problems
 from vitac.server.db.states import EvaluationState, Role, WorkerState
-from vitac.server.errors import ProblemCode, ServiceError, not_found, token_missing
-from vitac.server.playbacks.files import PlaybackFile
 from vitac.server.principals import Principal
-from vitac.server.queue.workers import Disk
-from vitac.server.receipts.receipt import Receipt
-from vitac.server.settings import Registration, load_settings
-from vitac.server.submissions.upload import AnnouncedUpload
-from vitac.server.views.archive import ArchiveView
 from vitac.server.views.contest import (
-    CompetitionSummaryView,
     CompetitionTrackView,
     CompetitionView,
     PrizeView,
@@ -55,35 +40,15 @@ from vitac.server.views.leaderboards import (
     TextLogEntryView,
 )
 from vitac.server.views.logs import ActionMatchView, DivergenceView, LogCopyView, LogView, MatchedEpisodeView
-from vitac.server.views.messages import AnnouncementView
 from vitac.server.views.operations import CountsView, MachineWorkerView, OperationsView, QueueView, StorageView
-from vitac.server.views.playbacks import PlaybackView, PublicEpisodeView, ShownEpisodeView
-from vitac.server.views.receipts import ChainView
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 from vitac.server.views.submissions import (
-    DocumentView,
-    EpisodeOutputView,
     EpisodeView,
-    OutputView,
     RankView,
-    SubmissionListView,
     SubmissionView,
 )
 from vitac.server.views.teams import TeamView
 from vitac.server.views.workers import WorkersView, WorkerView
-from vitac.web.data.protocol import (
-    EpisodeAddress,
-    LimitRow,
-    PasswordSignIn,
-    RegisteredTeam,
-    ResultT,
-    ShownSensor,
-    SubmissionDetail,
-    Visitor,
-)
-from vitac.web.pages import routes
-from vitac.web.session.signer import SessionSigner
-from vitac.web.site import Site
 
 NOW = datetime(2026, 11, 21, 3, 15, tzinfo=UTC)
 WITHIN_TOLERANCE = VerificationResult.WITHIN_TOLERANCE
@@ -91,7 +56,6 @@ NAMESPACE = UUID("5ecf6a5e-8f3c-4b0e-9d5e-000000000000")
 TASK = "peg-insertion"
 LOCK = "lock-opening"
 TASKS = load_track("track_1").tasks
-SIGNER = SessionSigner(key=b"k" * 32)
 
 
 def an_id(name: str) -> UUID:
@@ -431,11 +395,15 @@ def a_log_entry(place: int, team: str, successes: int, verdict: VerificationResu
     )
 
 
-def a_visitor(name: str, role: Role = Role.TEAM) -> Visitor:
+def a_visitor(name: str, role: Role = Role.TEAM) -> Principal:
     """Somebody with a token of a team (or of the organizers)."""
     team = name if role is Role.TEAM else None
-    principal = Principal(role=role, team_id=an_id(name) if team else None, team_name=team, token_id=an_id(f"t:{name}"))
-    return Visitor(principal=principal, token_id=an_id(f"t:{name}"))
+    return Principal(role=role, team_id=an_id(name) if team else None, team_name=team, token_id=an_id(f"t:{name}"))
+
+
+def name_of(by: Principal) -> str:
+    """The team's name, or `organizers`."""
+    return by.team_name or "organizers"
 
 
 def a_worker(state: WorkerState, *, is_lost: bool = False, message: str = "") -> MachineWorkerView:
@@ -534,231 +502,3 @@ def a_finished_cup() -> CompetitionView:
         name="cup", title="The cup", summary="", website=None, contact=None, rules=[], currency="USD",
         teams_locked=None, tracks=[track], frozen_at=None, finalized_at=datetime(2031, 3, 1, tzinfo=UTC), winners=[won],
     )  # fmt: skip
-
-
-@dataclass(kw_only=True)
-class FixedData(FixedPlaybacks):
-    """A service with fixed content; tokens are `token-of-<name>`. Implements `PageData`."""
-
-    visitors: list[Visitor] = field(default_factory=list)
-    board: LeaderboardView = field(default_factory=a_leaderboard)
-    unfrozen_board: LeaderboardView | None = None
-    task_boards: dict[str, LeaderboardView] = field(default_factory=dict)
-    found: list[SubmissionView] = field(default_factory=list)
-    next_before: UUID | None = None
-    page_size: int = 50
-    logs: LogBoardsView = field(default_factory=some_log_boards)
-    matches: list[ActionMatchView] = field(default_factory=list)
-    cancelled: list[UUID] = field(default_factory=list)
-    registration_rule: Registration = Registration.OPEN
-    locked_since: datetime | None = None
-    cup: CompetitionView | None = None
-    decided_again_at: datetime | None = None
-    service: OperationsView = field(default_factory=an_operations_view)
-    public_one: PublicEpisodeView | None = None
-    said: list[AnnouncementView] = field(default_factory=list)
-    printed: list[EpisodeOutputView] = field(default_factory=list)
-    past: list[PastResultView] = field(default_factory=list)
-    described: list[SandboxDescription] = field(default_factory=list)
-    uploaded: list[tuple[AnnouncedUpload, bytes]] = field(default_factory=list)
-    sensors: dict[UUID, ShownSensor] = field(default_factory=dict)
-    tried_from: list[str] = field(default_factory=list)
-    ended: list[UUID] = field(default_factory=list)
-
-    async def ask(self, query: Callable[[Session], ResultT]) -> ResultT:
-        raise LookupError("there is no database behind these pages; tests of pages that ask it start a service")
-
-    async def note_registration(self, address: str) -> None:
-        self.tried_from.append(address)
-
-    async def visitor_with_password(self, given: PasswordSignIn) -> Visitor | None:
-        self.tried_from.append(given.address)
-        if len(self.tried_from) > 3:
-            raise ServiceError(ProblemCode.TOO_MANY_REQUESTS, "At most 3 tries are possible; wait.")
-        known = given.password == f"password-of-{given.member}"
-        return next((visitor for visitor in self.visitors if known and visitor.name == given.team), None)
-
-    async def end_session(self, visitor: Visitor) -> None:
-        self.ended.append(visitor.token_id)
-
-    async def visitor_with_token(self, token: str) -> Visitor | None:
-        return next((visitor for visitor in self.visitors if token == f"token-of-{visitor.name}"), None)
-
-    async def visitor_with_token_id(self, token_id: UUID) -> Visitor | None:
-        return next((visitor for visitor in self.visitors if visitor.token_id == token_id), None)
-
-    def registration(self) -> Registration:
-        return self.registration_rule
-
-    async def teams_locked_since(self) -> datetime | None:
-        return self.locked_since
-
-    async def register(self, *, name: str, contact: str, invite: str, address: str) -> RegisteredTeam:
-        if name == "Bears":
-            raise ServiceError(ProblemCode.TEAM_EXISTS, "There is a team named 'Bears' already.")
-        if self.registration_rule is Registration.INVITE and invite != "let me in":
-            raise ServiceError(ProblemCode.INVITE_REQUIRED, "Registration needs the invite code.")
-        visitor = self.visitors[0]
-        return RegisteredTeam(team=name, token="vitac_made", token_id=visitor.token_id)  # noqa: S106 - made up
-
-    async def leaderboard(
-        self,
-        track: str,
-        task: str | None,
-        stage: str | None = None,
-        *,
-        contest: str | None = None,
-        visitor: Visitor | None = None,
-    ) -> LeaderboardView:
-        if task is not None and task not in TASKS:
-            raise ServiceError(ProblemCode.UNKNOWN_TASK, f"There is no task {task!r}.")
-        board = self.board if task is None else self.task_boards.get(task, a_leaderboard(task=task))
-        if visitor is not None and visitor.is_organizer and self.unfrozen_board is not None:
-            board = self.unfrozen_board
-        return board.model_copy(update={"stage": stage})
-
-    async def competitions(self) -> Sequence[CompetitionSummaryView]:
-        return ()
-
-    async def competitions_to_choose_from(self) -> Sequence[CompetitionSummaryView]:
-        return ()
-
-    async def competition(self, name: str | None = None) -> CompetitionView:
-        if self.cup is None:
-            raise ServiceError(ProblemCode.NOT_FOUND, "This service runs no competition.")
-        return self.cup
-
-    async def stages(self, track: str, contest: str | None = None) -> Sequence[StageView]:
-        tracks = self.cup.tracks if self.cup else ()
-        return next((found.stages for found in tracks if found.name == track), ())
-
-    async def archive(self, name: str | None = None) -> ArchiveView:
-        found = await self.competition()
-        key = a_receipt().link.public_key
-        return ArchiveView(
-            competition=found,
-            boards=[self.board],
-            public_key=key,
-            decided_again_at=self.decided_again_at,
-            citation="@misc{cup}",
-        )
-
-    async def log_boards(
-        self, track: str, stage: str | None = None, *, contest: str | None = None, visitor: Visitor | None = None
-    ) -> LogBoardsView:
-        return self.logs.model_copy(update={"stage": stage})
-
-    async def public_among(self, submissions: Collection[UUID]) -> frozenset[UUID]:
-        return frozenset(found.id for found in self.found if found.public and found.id in submissions)
-
-    async def set_public(self, visitor: Visitor, submission_id: UUID, *, public: bool) -> None:
-        await self.submission(visitor, submission_id)
-        self.found = [
-            found.model_copy(update={"public": public}) if found.id == submission_id else found for found in self.found
-        ]
-
-    async def submission(self, visitor: Visitor | None, submission_id: UUID) -> SubmissionDetail:
-        for submission in self.found:
-            is_own = visitor is not None and visitor.may_see(submission.team.name)
-            if submission.id == submission_id and (is_own or submission.public):
-                progress = submission.evaluation.progress
-                return SubmissionDetail(
-                    submission=submission,
-                    episodes=[end for task in progress.tasks for end in some_episodes(task.task, task.episodes_done)],
-                    action_matches=self.matches if submission.log else [],
-                    episodes_with_output=len(self.printed) if is_own else 0,
-                    past=self.past if is_own else [],
-                )
-        raise token_missing() if visitor is None else not_found("submission", submission_id)
-
-    async def submissions(self, visitor: Visitor, before: UUID | None, track: str | None = None) -> SubmissionListView:
-        seen = [submission for submission in self.found if visitor.may_see(submission.team.name)]
-        of_track = [submission for submission in seen if track in (None, submission.track)]
-        return SubmissionListView(items=of_track[: self.page_size], next_before=self.next_before)
-
-    async def output(self, visitor: Visitor, submission_id: UUID, task: str | None, after: int) -> OutputView:
-        tasks = (await self.submission(visitor, submission_id)).submission.tasks
-        later = [item for item in self.printed if item.task == (task or tasks[0]) and item.episode > after]
-        return OutputView(items=later[:2], next_after=later[1].episode if len(later) > 2 else None)
-
-    async def receipts(self) -> ChainView:
-        receipt = a_receipt()
-        return ChainView(
-            public_key=receipt.link.public_key, receipts=1, last=receipt.link.digest, items=[], next_after=None
-        )
-
-    async def receipt(self, visitor: Visitor, submission_id: UUID) -> Receipt:
-        await self.submission(visitor, submission_id)
-        return a_receipt()
-
-    async def episode(self, visitor: Visitor | None, place: EpisodeAddress) -> ShownEpisodeView:
-        await self.submission(visitor, place.submission_id)
-        return self.shown_at(place)
-
-    async def public_episode(self) -> PublicEpisodeView | None:
-        return self.public_one
-
-    async def announcements(self) -> list[AnnouncementView]:
-        return self.said
-
-    async def ask_for_playback(self, visitor: Visitor | None, place: EpisodeAddress, address: str) -> PlaybackView:
-        await self.submission(visitor, place.submission_id)
-        return self.ask_at(place)
-
-    async def playback_file(self, visitor: Visitor | None, place: EpisodeAddress, file: PlaybackFile) -> bytes:
-        await self.submission(visitor, place.submission_id)
-        return self.file_at(place, file)
-
-    async def sensor(self, visitor: Visitor, submission_id: UUID) -> ShownSensor:
-        await self.submission(visitor, submission_id)
-        if submission_id not in self.sensors:
-            raise not_found("sensor of submission", submission_id)
-        return self.sensors[submission_id]
-
-    async def design_document(self, visitor: Visitor, submission_id: UUID) -> tuple[DocumentView, bytes]:
-        return (await self.sensor(visitor, submission_id)).view.document, b"<script>"
-
-    async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
-        submission = (await self.submission(visitor, submission_id)).submission
-        if submission.evaluation.finished_at is not None:
-            raise ServiceError(ProblemCode.NOT_CANCELLABLE, "The evaluation has ended.")
-        self.cancelled.append(submission_id)
-
-    async def operations(self) -> OperationsView:
-        return self.service
-
-    async def sandboxes(self) -> list[SandboxDescription]:
-        return self.described
-
-    def server_disk(self) -> Disk:
-        return Disk(total_bytes=200 << 30, free_bytes=50 << 30)
-
-    def event_stream(self, visitor: Visitor) -> AbstractAsyncContextManager[None]:
-        return nullcontext()
-
-    async def upload(self, visitor: Visitor, announced: AnnouncedUpload, body: AsyncIterator[bytes]) -> UUID:
-        content = b""
-        async for piece in body:
-            content += piece
-            if content.startswith(b"broken"):
-                raise ServiceError(ProblemCode.ARCHIVE_REJECTED, "The archive is <broken>. Pack it again.")
-        self.uploaded.append((announced, content))
-        return next(found.id for found in self.found if visitor.may_see(found.team.name))
-
-    def archive_size(self) -> str:
-        return "512 MiB"
-
-    def log_size(self) -> str:
-        return "32 MiB"
-
-    def limits(self) -> list[LimitRow]:
-        return [LimitRow(title="Processes and threads", value="64")]
-
-
-def an_application(data: FixedData, tracks: tuple[str, ...] = ("track_1",)) -> FastAPI:
-    """Pages over fixed content, as `vitac serve` mounts them."""
-    app = FastAPI(docs_url=None, redoc_url=None)
-    app.state.settings = load_settings(database_url="postgresql:///elsewhere")
-    problems.install(app)
-    routes.install(app, Site(data=data, signer=SIGNER, version="0.1.0", tracks=tracks))
-    return app

@@ -19,7 +19,7 @@ from vitac.server.db.states import PlaybackState
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 from vitac.server.playbacks.files import PlaybackFile
 from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
-from vitac.web.data.protocol import EpisodeAddress
+from vitac.web.pages.episodes.page import EpisodeAddress
 
 KEY = "5eed" * 16
 

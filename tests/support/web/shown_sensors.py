@@ -13,7 +13,7 @@ from vitac.evaluator.sensors.appearance import appearance
 from vitac.evaluator.sensors.check import accepted_sensor
 from vitac.evaluator.sensors.made import MadeSensor, made_sensor
 from vitac.server.views.submissions import DocumentView, SensorView
-from vitac.web.data.protocol import ShownSensor
+from vitac.web.pages.submissions.sensors import ShownSensor
 
 MARKERS = "markers: {grid: {columns: 8, rows: 6, spacing_mm: [2.4, 2.0]}}\n"
 

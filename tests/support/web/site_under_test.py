@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass
 
-from page_fixtures import TASK, FixedData
+from page_fixtures import TASK
+from page_service import FixedData
 from playwright.sync_api import Page
 
 

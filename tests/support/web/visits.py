@@ -1,7 +1,8 @@
 """The visitors and submissions of the page tests, and how a test visits the pages."""
 
 from asgi_browser import AsgiBrowser
-from page_fixtures import LOCK, SIGNER, TASK, FixedData, a_submission, a_visitor
+from page_fixtures import LOCK, TASK, a_submission, a_visitor
+from page_service import SIGNER, FixedData
 from vitac.server.db.states import EvaluationState, Role
 from vitac.server.views.evaluations import VerdictView
 from vitac.server.views.submissions import SubmissionView

@@ -1,6 +1,6 @@
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import FixedData, an_application
+from page_service import FixedData, an_application
 from visits import BEARS, BOTH, COMPLETED, FAILED, GELBOTS, ORGANIZERS, QUEUED, RUNNING
 
 

@@ -10,18 +10,17 @@ from starlette.requests import Request
 from starlette.responses import Response
 from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.principals import Principal
+from vitac.server.principals import VISITOR, Principal
 from vitac.web import site
-from vitac.web.data.protocol import Visitor
 from vitac.web.site import (
     SignInNeeded,
     Site,
     Viewer,
     navigation,
     open_to_all,
+    principal_of,
     require_viewer,
     sign_in_first,
-    visitor_of,
 )
 
 SITE = cast(Site, SimpleNamespace(tracks=("track_1", "track_2")))
@@ -30,8 +29,8 @@ SITE = cast(Site, SimpleNamespace(tracks=("track_1", "track_2")))
 def viewer(name: str = "Team A", *, organizer: bool = False, judge: bool = False, contest: str | None = None) -> Viewer:
     role = Role.ORGANIZER if organizer else Role.JUDGE if judge else Role.TEAM
     team = {"team_id": UUID(int=1), "team_name": name, "team_pseudonym": name} if role is Role.TEAM else {}
-    principal = Principal(role=role, contest=contest, **cast(Any, team))
-    return Viewer(visitor=Visitor(principal=principal, token_id=UUID(int=2)), form_token="token")  # noqa: S106
+    principal = Principal(role=role, contest=contest, token_id=UUID(int=2), **cast(Any, team))
+    return Viewer(principal=principal, form_token="token")  # noqa: S106
 
 
 def request(path: str = "/submissions/1", query: str = "") -> Request:
@@ -67,8 +66,8 @@ def test_a_team_changes_its_own_an_organizer_everything_a_judge_nothing() -> Non
     assert judge.may_see("Team B")
     assert not judge.may_change("Team B")
     assert not viewer().may_see("Team B")
-    assert visitor_of(None) is None
-    assert visitor_of(judge) is judge.visitor
+    assert principal_of(None) is VISITOR
+    assert principal_of(judge) is judge.principal
 
 
 @pytest.mark.parametrize(

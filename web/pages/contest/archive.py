@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from vitac.server.publishing.archive import archive_view
+
 from ...site import page, site_of, viewer_of
 from ..addresses import competition_address, contest_in
 
@@ -19,7 +21,7 @@ async def archive(request: Request) -> Response:
         ServiceError: there is no such competition that is final.
     """
     contest = contest_in(request)
-    found = await site_of(request).data.archive(contest)
+    found = await site_of(request).read(lambda session: archive_view(session, contest))
     return page(
         request,
         "archive.html",

@@ -6,12 +6,20 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
+from vitac.server.contest.view import competition_list_view, competition_view
+from vitac.server.messages import announcements
+
 from ...site import page, site_of, viewer_of
 from ..addresses import board_address, competition_address, contest_in
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from sqlalchemy.orm import Session
     from starlette.requests import Request
     from starlette.responses import Response
+    from vitac.server.views.contest import CompetitionView
+    from vitac.server.views.messages import AnnouncementView
 
 N_SAID = 3
 """Of the newest announcements on the page; all of them have a page of their own."""
@@ -19,7 +27,7 @@ N_SAID = 3
 
 async def competitions(request: Request) -> Response:
     """Show all competitions of this service to everybody."""
-    found = await site_of(request).data.competitions()
+    found = (await site_of(request).read(competition_list_view)).items
     return page(request, "competitions.html", viewer=await viewer_of(request), section="/competition", found=found)
 
 
@@ -29,8 +37,13 @@ async def competition(request: Request) -> Response:
     Raises:
         ServiceError: there is no such competition.
     """
-    data, contest = site_of(request).data, contest_in(request)
-    found, said = await data.competition(contest), await data.announcements()
+    contest = contest_in(request)
+
+    def read(session: Session) -> tuple[CompetitionView, Sequence[AnnouncementView], int]:
+        shown = competition_view(session, contest)
+        return shown, announcements.shown(session), len(competition_list_view(session).items)
+
+    found, said, n_competitions = await site_of(request).read(read)
     viewer = await viewer_of(request)
     return page(
         request,
@@ -40,7 +53,7 @@ async def competition(request: Request) -> Response:
         found=found,
         competition=competition_address(contest),
         board_address=partial(board_address, contest),
-        has_others=len(await data.competitions()) > 1,
+        has_others=n_competitions > 1,
         said=said[:N_SAID],
         now=datetime.now(UTC),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import dataclass
 from functools import cache
 from http import HTTPStatus
@@ -16,16 +17,19 @@ from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import OPEN_PLAYBACK_STATES, PlaybackState
 from vitac.server.errors import ServiceError
 from vitac.server.limiter import client_key
+from vitac.server.playbacks import asking, files
 from vitac.server.playbacks.asking import NOBODY_DRAWS
 from vitac.server.playbacks.files import PlaybackFile
 
-from ...data.protocol import EpisodeAddress
 from ...rendering import STATIC, words
 from ...session.forms import read_form
-from ...site import open_to_all, page, require_form_token, site_of, viewer_of, visitor_of
+from ...site import open_to_all, page, principal_of, require_form_token, site_of, viewer_of
 from ..addresses import as_id
 
 if TYPE_CHECKING:
+    from uuid import UUID
+
+    from sqlalchemy.orm import Session
     from starlette.requests import Request
     from vitac.evaluator.tracks import Task
     from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
@@ -36,6 +40,15 @@ PLAYER = "playback.js"
 ONE_YEAR_S = 365 * 24 * 3600
 _PICTURES = {PlaybackFile.STILL: "image/png", PlaybackFile.FILM: "image/webp"}
 _PLACES = "Expected an episode as NUMBER, or SUBMISSION:NUMBER for one of another submission, got {!r:.60}."
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeAddress:
+    """An episode of a submission's newest evaluation."""
+
+    submission_id: UUID
+    task: str
+    number: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,8 +146,7 @@ async def ask(request: Request) -> Response:
     if viewer is not None:
         require_form_token(request, fields, viewer)
     place = _place(request)
-    address = client_key(request.client.host if request.client is not None else None)
-    asked = await site_of(request).data.ask_for_playback(visitor_of(viewer), place, address)
+    asked = await _ask_for_playback(request, viewer, place)
     if "text/html" not in request.headers.get("accept", ""):
         return _state(asked)
     beside = fields.get("beside", "")
@@ -145,7 +157,7 @@ async def ask(request: Request) -> Response:
 async def playback(request: Request) -> Response:
     """Answer how far a playback is, as JSON, for the page's script."""
     viewer = await viewer_of(request)
-    shown = await site_of(request).data.episode(visitor_of(viewer), _place(request))
+    shown = await _shown_episode(request, viewer, _place(request))
     if shown.playback is None:
         raise HTTPException(404)
     return _state(shown.playback)
@@ -159,7 +171,7 @@ async def playback_file(request: Request) -> Response:
         file = PlaybackFile(request.path_params["file"])
     except ValueError as error:
         raise HTTPException(404) from error
-    content = await site_of(request).data.playback_file(visitor_of(viewer), _place(request), file)
+    content = await _read_file(request, viewer, _place(request), file)
     is_named = "v" in request.query_params
     headers = {
         "Cache-Control": f"private, max-age={ONE_YEAR_S}, immutable" if is_named else "no-cache",
@@ -193,7 +205,41 @@ def player_script() -> str | None:
 
 
 async def _player(request: Request, viewer: Viewer | None, place: EpisodeAddress) -> Player:
-    return Player(address=_address(place), shown=await site_of(request).data.episode(visitor_of(viewer), place))
+    return Player(address=_address(place), shown=await _shown_episode(request, viewer, place))
+
+
+async def _shown_episode(request: Request, viewer: Viewer | None, place: EpisodeAddress) -> ShownEpisodeView:
+    site, by = site_of(request), principal_of(viewer)
+    return await site.ask(
+        lambda session: asking.shown_episode(
+            session, site.services.settings, by, place.submission_id, place.task, place.number
+        )
+    )
+
+
+async def _ask_for_playback(request: Request, viewer: Viewer | None, place: EpisodeAddress) -> PlaybackView:
+    """Have the playback of an episode made; requests without a session count for their address, too."""
+    site, by, settings = site_of(request), principal_of(viewer), site_of(request).services.settings
+    if viewer is None:
+        address = client_key(request.client.host if request.client is not None else None)
+        await asyncio.to_thread(site.playbacks.note, address, "playbacks from one address")
+
+    def ask_for_it(session: Session) -> PlaybackView:
+        found = asking.find_episode(session, by, place.submission_id, place.task, place.number)
+        return asking.playback_view(session, settings, asking.ask(session, settings, by, found))
+
+    return await site.ask(ask_for_it)
+
+
+async def _read_file(request: Request, viewer: Viewer | None, place: EpisodeAddress, file: PlaybackFile) -> bytes:
+    services, by = site_of(request).services, principal_of(viewer)
+
+    def read(session: Session) -> str:
+        found = asking.find_episode(session, by, place.submission_id, place.task, place.number)
+        return files.digest_of(session, found, file)
+
+    digest = await site_of(request).ask(read)
+    return await asyncio.to_thread(files.read, services.database, services.blobs, digest)
 
 
 def _state(found: PlaybackView) -> JSONResponse:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ...site import site_of, viewer_of, visitor_of
+from vitac.server.leaderboards.shown import shown_leaderboard, shown_log_boards
+
+from ...site import principal_of, site_of, viewer_of
 from ..addresses import contest_in
 from .formats import csv_file
 
 if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
-    from vitac.server.views.leaderboards import LeaderboardEntryView, LogEntryView
+    from vitac.server.views.leaderboards import LeaderboardEntryView, LogBoardsView, LogEntryView
 
 BOARD_COLUMNS = (
     "rank", "team", "submission", "success_rate", "interval_low", "interval_high", "mean_env_steps", "successes",
@@ -28,8 +30,9 @@ async def leaderboard(request: Request) -> Response:
     """Return a board with a row for each entry."""
     track, asked = request.path_params["track"], request.query_params
     task, stage = asked.get("task"), asked.get("stage")
-    board = await site_of(request).data.leaderboard(
-        track, task, stage, contest=contest_in(request), visitor=visitor_of(await viewer_of(request))
+    by, contest = principal_of(await viewer_of(request)), contest_in(request)
+    board = await site_of(request).read(
+        lambda session: shown_leaderboard(session, by, track, task=task, stage=stage, contest=contest).view
     )
     rows = (_ranked(entry) for entry in board.entries)
     return csv_file(_name(contest_in(request), track, stage, task or "all"), BOARD_COLUMNS, rows)
@@ -38,9 +41,7 @@ async def leaderboard(request: Request) -> Response:
 async def logs(request: Request) -> Response:
     """Return the verified logs of a track, a row for each, by task and rank."""
     track, stage = request.path_params["track"], request.query_params.get("stage")
-    found = await site_of(request).data.log_boards(
-        track, stage, contest=contest_in(request), visitor=visitor_of(await viewer_of(request))
-    )
+    found = await _log_boards(request)
     rows = (
         (
             board.task,
@@ -58,9 +59,7 @@ async def logs(request: Request) -> Response:
 async def text_logs(request: Request) -> Response:
     """Return the 2025 text logs of a track beside their claims, newest first."""
     track, stage = request.path_params["track"], request.query_params.get("stage")
-    found = await site_of(request).data.log_boards(
-        track, stage, contest=contest_in(request), visitor=visitor_of(await viewer_of(request))
-    )
+    found = await _log_boards(request)
     rows = (
         (
             log.team,
@@ -77,6 +76,14 @@ async def text_logs(request: Request) -> Response:
         for log in found.text_logs
     )
     return csv_file(_name(contest_in(request), track, stage, "text-logs"), TEXT_LOG_COLUMNS, rows)
+
+
+async def _log_boards(request: Request) -> LogBoardsView:
+    track, stage, contest = request.path_params["track"], request.query_params.get("stage"), contest_in(request)
+    by = principal_of(await viewer_of(request))
+    return await site_of(request).read(
+        lambda session: shown_log_boards(session, by, track, stage=stage, contest=contest).view
+    )
 
 
 def _ranked(entry: LeaderboardEntryView | LogEntryView) -> tuple[object, ...]:

@@ -8,21 +8,25 @@ from typing import TYPE_CHECKING
 
 from starlette.responses import StreamingResponse
 from vitac.evaluator.tracks import load_track
+from vitac.server.submissions.listing import list_submissions
 
-from ...site import open_to_all, require_viewer, site_of, viewer_of, visitor_of
+from ...site import open_to_all, principal_of, require_viewer, site_of, viewer_of
 from ..addresses import as_id
+from ..submission_detail import read_detail
 from .formats import attached, csv_text, table_file
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
+    from uuid import UUID
 
     from starlette.requests import Request
     from starlette.responses import Response
+    from vitac.server.principals import Principal
     from vitac.server.views.scores import ShapeScoreView, TaskScoreView
     from vitac.server.views.submissions import SubmissionListView, SubmissionView
 
-    from ...data.protocol import SubmissionDetail, Visitor
     from ...site import Page, Site
+    from ..submission_detail import SubmissionDetail
     from .formats import Format
 
 Rows = Iterable[tuple[object, ...]]
@@ -56,7 +60,8 @@ def table_of(table: Table, form: Format) -> Page:
     @open_to_all
     async def answered(request: Request) -> Response:
         submission_id = as_id(request.path_params["submission_id"])
-        detail = await site_of(request).data.submission(visitor_of(await viewer_of(request)), submission_id)
+        site, by = site_of(request), principal_of(await viewer_of(request))
+        detail = await site.read(lambda session: read_detail(session, site.services.settings, by, submission_id))
         return table_file(form, f"{submission_id}-{table.name}", table.columns, table.rows(detail))
 
     return answered
@@ -116,22 +121,27 @@ TABLES = (
 async def submission_list(request: Request) -> Response:
     """Return all submissions that the visitor may see, newest first, a row for each task."""
     viewer = await require_viewer(request)
-    site, visitor = site_of(request), viewer.visitor
-    first = await site.data.submissions(visitor, None)
-    return attached(StreamingResponse(_pages(site, visitor, first), media_type="text/csv"), "submissions.csv")
+    site, by = site_of(request), viewer.principal
+    first = await _list(site, by, None)
+    return attached(StreamingResponse(_pages(site, by, first), media_type="text/csv"), "submissions.csv")
 
 
-async def _pages(site: Site, visitor: Visitor, page: SubmissionListView) -> AsyncIterator[str]:
+async def _list(site: Site, by: Principal, before: UUID | None) -> SubmissionListView:
+    settings = site.services.settings
+    return await site.read(lambda session: list_submissions(session, settings, by, before=before))
+
+
+async def _pages(site: Site, by: Principal, page: SubmissionListView) -> AsyncIterator[str]:
     """Yield the file page by page: there may be many thousands of submissions."""
     yield csv_text([LIST_COLUMNS])
     while True:
-        yield csv_text(row for found in page.items for row in _of_list(found))
+        yield csv_text(row for found in page.items for row in _list_rows(found))
         if page.next_before is None:
             return
-        page = await site.data.submissions(visitor, page.next_before)
+        page = await _list(site, by, page.next_before)
 
 
-def _of_list(found: SubmissionView) -> Rows:
+def _list_rows(found: SubmissionView) -> Rows:
     evaluation = found.evaluation
     scores = {score.task: score for score in evaluation.scores}
     progress = {part.task: part for part in evaluation.progress.tasks}

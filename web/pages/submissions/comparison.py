@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from vitac.evaluator.scoring.comparison import NothingToCompare, compare
+from vitac.server.submissions.listing import list_submissions
 
 from ...site import page, require_viewer, site_of
 from ..addresses import as_id
 from ..files.formats import csv_file, json_file, objects
+from ..submission_detail import read_detail
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from sqlalchemy.orm import Session
     from starlette.requests import Request
     from starlette.responses import Response
     from vitac.evaluator.scoring.comparison import Comparison
 
-    from ...data.protocol import SubmissionDetail
     from ...site import Viewer
+    from ..submission_detail import SubmissionDetail
 
 COLUMNS = ("task", "episode", "shape", "first_outcome", "first_env_steps", "second_outcome", "second_env_steps")
 COUNTS = ("both", "only_first", "only_second", "neither", "unpaired", "p_value")
@@ -28,7 +32,12 @@ async def compare_pages(request: Request) -> Response:
     """Show the comparison with the submission that `?with=` names, or a form to choose one."""
     viewer = await require_viewer(request)
     first, second = await _both(request, viewer)
-    newest = await site_of(request).data.submissions(viewer.visitor, None, first.submission.track)
+    site = site_of(request)
+    newest = await site.read(
+        lambda session: list_submissions(
+            session, site.services.settings, viewer.principal, track=first.submission.track
+        )
+    )
     offered = [other for other in newest.items if other.id != first.submission.id and other.evaluation.scores]
     if second and second.submission.id not in {first.submission.id, *(other.id for other in offered)}:
         offered.append(second.submission)
@@ -81,9 +90,14 @@ def _pairs(found: Comparison | None) -> Iterator[tuple[object, ...]]:
 
 
 async def _both(request: Request, viewer: Viewer) -> tuple[SubmissionDetail, SubmissionDetail | None]:
-    data, named = site_of(request).data, request.query_params.get("with")
-    first = await data.submission(viewer.visitor, as_id(request.path_params["submission_id"]))
-    return first, await data.submission(viewer.visitor, as_id(named)) if named else None
+    site, named = site_of(request), request.query_params.get("with")
+    submission_id, other_id = as_id(request.path_params["submission_id"]), as_id(named) if named else None
+
+    def read(session: Session) -> tuple[SubmissionDetail, SubmissionDetail | None]:
+        read_one = partial(read_detail, session, site.services.settings, viewer.principal)
+        return read_one(submission_id), read_one(other_id) if other_id else None
+
+    return await site.read(read)
 
 
 def _compared(first: SubmissionDetail, second: SubmissionDetail | None) -> Comparison | None:

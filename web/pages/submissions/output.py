@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 from starlette.exceptions import HTTPException
 from vitac.evaluator.tracks import load_track
+from vitac.server.submissions import listing
+from vitac.server.submissions.output import episode_outputs
 
 from ...site import Tab, page, require_viewer, site_of
 from ..addresses import as_id
@@ -20,9 +22,13 @@ async def output(request: Request) -> Response:
     viewer = await require_viewer(request)
     submission_id = as_id(request.path_params["submission_id"])
     task, after = request.query_params.get("task"), _number(request.query_params.get("after", "0"))
-    data = site_of(request).data
-    found = (await data.submission(viewer.visitor, submission_id)).submission
-    shown = await data.output(viewer.visitor, submission_id, task, after)
+    settings = site_of(request).services.settings
+    found, shown = await site_of(request).ask(
+        lambda session: (
+            listing.get(session, settings, viewer.principal, submission_id),
+            episode_outputs(session, viewer.principal, submission_id, task, after=after),
+        )
+    )
     track, address = load_track(found.track), f"/submissions/{submission_id}/output"
     return page(
         request,

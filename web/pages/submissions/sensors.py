@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from starlette.responses import JSONResponse, Response
 from vitac.evaluator.figures.reference import reference_figures
 from vitac.evaluator.figures.table import rows_of
-from vitac.server.submissions.sensors import to_save
+from vitac.evaluator.sensors.appearance import appearance
+from vitac.evaluator.sensors.made import read_made_sensor
+from vitac.server.submissions import sensors
+from vitac.server.visibility import visible
 
 from ...plots.sensors import largest_of, marker_picture, quality_histogram, sensitivity_maps, still
 from ...site import page, require_viewer, site_of
@@ -17,13 +21,37 @@ from ..episodes.page import player_script
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from uuid import UUID
 
     from markupsafe import Markup
+    from sqlalchemy.orm import Session
     from starlette.requests import Request
     from vitac.evaluator.figures.figures import SensorFigures
+    from vitac.evaluator.sensors.appearance import Appearance
+    from vitac.server.principals import Principal
+    from vitac.server.views.submissions import SensorView
 
-    from ...data.protocol import ShownSensor
     from ...plots.figure import Figure
+    from ...site import Site
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShownSensor:
+    """What a page shows of the sensor of a submission.
+
+    Attributes:
+        submission_id: of the submission.
+        name: of the submission.
+        team: of the submission.
+        view: mesh, document, gain and figures.
+        looks: gel, quality and markers.
+    """
+
+    submission_id: UUID
+    name: str
+    team: str
+    view: SensorView
+    looks: Appearance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,10 +72,10 @@ class Part:
 async def sensor(request: Request) -> Response:
     """Show the sensor of a submission, beside that of another one if the address names it."""
     viewer = await require_viewer(request)
-    data = site_of(request).data
+    site = site_of(request)
     beside = request.query_params.get("beside", "").strip()
     ids = [as_id(text) for text in (request.path_params["submission_id"], *([beside] if beside else ()))]
-    shown = [await data.sensor(viewer.visitor, submission_id) for submission_id in ids]
+    shown = [await _shown_sensor(site, viewer.principal, submission_id) for submission_id in ids]
     largest = _largest([found.view.figures for found in shown])
     return page(
         request,
@@ -64,7 +92,8 @@ async def sensor(request: Request) -> Response:
 async def shape(request: Request) -> Response:
     """Answer with the gel of a submission's sensor, for the page's script; it never changes."""
     viewer = await require_viewer(request)
-    shown = await site_of(request).data.sensor(viewer.visitor, as_id(request.path_params["submission_id"]))
+    submission_id = as_id(request.path_params["submission_id"])
+    shown = await _shown_sensor(site_of(request), viewer.principal, submission_id)
     content = shown.looks.model_dump(mode="json", include={"vertices_mm", "triangles", "kinds"})
     return JSONResponse(content, headers={"Cache-Control": "private, max-age=3600", "Vary": "Cookie"})
 
@@ -73,8 +102,23 @@ async def document(request: Request) -> Response:
     """Hand out the design document of a submission as a file to save."""
     viewer = await require_viewer(request)
     submission_id = as_id(request.path_params["submission_id"])
-    found, content = await site_of(request).data.design_document(viewer.visitor, submission_id)
-    return Response(content, headers=to_save(submission_id, found) | {"Cache-Control": "no-store"})
+    site = site_of(request)
+    found = await site.ask(lambda session: sensors.document(session, viewer.principal, submission_id))
+    content = await asyncio.to_thread(site.services.blobs.read, found.sha256)
+    return Response(content, headers=sensors.to_save(submission_id, found) | {"Cache-Control": "no-store"})
+
+
+async def _shown_sensor(site: Site, by: Principal, submission_id: UUID) -> ShownSensor:
+    """Return the sensor of a submission; its file is read outside the transaction."""
+
+    def read(session: Session) -> tuple[SensorView, str, str]:
+        submission = visible(session, by, submission_id)
+        return sensors.sensor(session, by, submission_id), submission.name, submission.team.name
+
+    view, name, team = await site.ask(read)
+    content = await asyncio.to_thread(site.services.blobs.read, view.digest)
+    looks = await asyncio.to_thread(lambda: appearance(read_made_sensor(content)))
+    return ShownSensor(submission_id=submission_id, name=name, team=team, view=view, looks=looks)
 
 
 def _part(number: int, shown: ShownSensor, largest: tuple[float, float]) -> Part:

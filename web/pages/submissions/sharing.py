@@ -11,11 +11,14 @@ from starlette.responses import RedirectResponse
 from vitac.evaluator.tracks import load_track
 from vitac.server.api.conditional import answer
 from vitac.server.db.states import EvaluationState
+from vitac.server.principals import VISITOR
+from vitac.server.sharing import public_pages
 
 from ...sharing.citation import cite
 from ...sharing.preview import draw_preview
 from ...site import open_to_all, signed_in_form, site_of
 from ..addresses import as_id
+from ..submission_detail import read_detail
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -51,7 +54,11 @@ async def shared(request: Request, viewer: Viewer | None, found: SubmissionView,
     is_complete = found.evaluation.state is EvaluationState.COMPLETED
     site = site_of(request)
     address = f"{site.address(request)}/submissions/{found.id}"
-    is_shown = is_complete and found.public and found.id in await site.data.public_among([found.id])
+    is_shown = (
+        is_complete
+        and found.public
+        and found.id in await site.read(lambda session: public_pages.public_among(session, [found.id]))
+    )
     return Shared(
         address=address,
         may_change=viewer is not None and viewer.may_change(found.team.name),
@@ -64,7 +71,10 @@ async def set_public(request: Request) -> Response:
     """Let everybody see the result of a submission, or its team only."""
     viewer, fields = await signed_in_form(request)
     submission_id = as_id(request.path_params["submission_id"])
-    await site_of(request).data.set_public(viewer.visitor, submission_id, public=fields.get("public") == "yes")
+    public = fields.get("public") == "yes"
+    await site_of(request).ask(
+        lambda session: public_pages.set_public(session, viewer.principal, submission_id, public=public)
+    )
     return RedirectResponse(f"/submissions/{submission_id}#sharing", status_code=303)
 
 
@@ -72,7 +82,7 @@ async def set_public(request: Request) -> Response:
 async def preview(request: Request) -> Response:
     """Answer with the picture that a link to a public submission is shown with elsewhere; for everybody the same."""
     site, submission_id = site_of(request), as_id(request.path_params["submission_id"])
-    detail = await site.data.submission(None, submission_id)
+    detail = await site.read(lambda session: read_detail(session, site.services.settings, VISITOR, submission_id))
     found, title = detail.submission, load_track(detail.submission.track).title
     shown = f"{found.evaluation.id} {found.rank} {len(detail.episodes)} {found.name!r} {found.team.name!r}"
     picture = await asyncio.to_thread(

@@ -11,14 +11,19 @@ from markupsafe import Markup
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.tracks import UnknownTrack, load_track
+from vitac.server.api.streams import OpenStreams
+from vitac.server.contest.view import competition_list_view, track_stages
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from vitac.server.errors import TRACK_REMOVED
+from vitac.server.submissions import runs
+from vitac.server.submissions.listing import list_submissions
 
 from ...plots.map import episode_map, title_of_task
 from ...rendering import render
-from ...site import open_to_all, page, require_viewer, signed_in_form, site_of, viewer_of, visitor_of
+from ...site import open_to_all, page, principal_of, require_viewer, signed_in_form, site_of, viewer_of
 from ..addresses import as_id, board_address
 from ..contest.stages import title_of
+from ..submission_detail import read_detail
 from ..tracks import board_query
 from .figures import episode_figures, history_figures
 from .sharing import shared
@@ -33,6 +38,7 @@ if TYPE_CHECKING:
 
     from ...plots.map import EpisodeMap
     from ...site import Site, Viewer
+    from ..submission_detail import SubmissionDetail
 
 POLL_S = 1.0  # period at which a running evaluation is read and its page updated
 
@@ -51,7 +57,10 @@ async def submissions(request: Request) -> Response:
     """List the visitor's submissions."""
     viewer = await require_viewer(request)
     before = request.query_params.get("before")
-    found = await site_of(request).data.submissions(viewer.visitor, None if before is None else as_id(before))
+    cursor, settings = None if before is None else as_id(before), site_of(request).services.settings
+    found = await site_of(request).read(
+        lambda session: list_submissions(session, settings, viewer.principal, before=cursor)
+    )
     return page(
         request,
         "submissions.html",
@@ -97,7 +106,7 @@ async def submission(request: Request) -> Response:
     refresh = request.query_params.get("refresh") != "off"
     plots, history = _plots(request, values)
     found: SubmissionView = values["submission"]
-    stages = await site_of(request).data.stages(found.track) if found.stage else ()
+    stages = await site_of(request).read(lambda session: track_stages(session, found.track)) if found.stage else ()
     return page(
         request,
         "submission.html",
@@ -113,8 +122,7 @@ async def submission(request: Request) -> Response:
 
 async def _kept_score(request: Request, viewer: Viewer | None) -> Response:
     """Show what is known of a submission whose track was removed."""
-    submission_id = as_id(request.path_params["submission_id"])
-    found = (await site_of(request).data.submission(visitor_of(viewer), submission_id)).submission
+    found = (await _read_detail(request, viewer)).submission
     is_own = viewer is not None and viewer.may_see(found.team.name, found.contest)
     section = "/submissions" if is_own else ""
     active = found.evaluation.state not in TERMINAL_EVALUATION_STATES
@@ -140,8 +148,7 @@ async def events(request: Request) -> Response:
     if viewer is None:
         return Response(status_code=204)  # stops EventSource from reconnecting
     await _values(request, viewer)  # refuses a submission of another team before the stream starts
-    async with site_of(request).data.event_stream(viewer.visitor):
-        pass  # refuses one stream too many before it starts
+    await _open_streams(request).require_place(viewer.principal)
     return EventSourceResponse(
         _changes(request, viewer), headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
     )
@@ -151,12 +158,12 @@ async def cancel(request: Request) -> Response:
     """Cancel the evaluation of a submission."""
     viewer, _ = await signed_in_form(request)
     submission_id = as_id(request.path_params["submission_id"])
-    await site_of(request).data.cancel(viewer.visitor, submission_id)
+    await site_of(request).ask(lambda session: runs.cancel(session, viewer.principal, submission_id))
     return RedirectResponse(f"/submissions/{submission_id}", status_code=303)
 
 
 async def _changes(request: Request, viewer: Viewer) -> AsyncIterator[ServerSentEvent]:
-    async with site_of(request).data.event_stream(viewer.visitor):
+    async with _open_streams(request).one(viewer.principal):
         async for event in _views(request):
             yield event
 
@@ -175,12 +182,21 @@ async def _views(request: Request) -> AsyncIterator[ServerSentEvent]:
     yield ServerSentEvent(event="end", data="")
 
 
+def _open_streams(request: Request) -> OpenStreams:
+    return OpenStreams(services=site_of(request).services, limiter=request.app.state.stream_limiter)
+
+
+async def _read_detail(request: Request, viewer: Viewer | None) -> SubmissionDetail:
+    site, submission_id = site_of(request), as_id(request.path_params["submission_id"])
+    by = principal_of(viewer)
+    return await site.read(lambda session: read_detail(session, site.services.settings, by, submission_id))
+
+
 async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
-    submission_id = as_id(request.path_params["submission_id"])
-    detail = await site_of(request).data.submission(visitor_of(viewer), submission_id)
+    detail = await _read_detail(request, viewer)
     found = detail.submission
     track = load_track(found.track)
-    listed = await site_of(request).data.competitions()
+    listed = (await site_of(request).read(competition_list_view)).items
     titles = {name: title_of_task(track, name) for name in (*found.tasks, *found.evaluation.counted_tasks)}
     return {
         "is_own": viewer is not None and viewer.may_see(found.team.name, found.contest),

@@ -6,16 +6,23 @@ from typing import TYPE_CHECKING
 
 from starlette.responses import RedirectResponse
 from vitac.evaluator.submission_kinds import kind_of_file
+from vitac.server.contest.view import competitions_to_choose_from
 from vitac.server.errors import ServiceError
-from vitac.server.submissions.upload import AnnouncedUpload
+from vitac.server.limiter import UPLOADS
+from vitac.server.submissions.upload import AnnouncedUpload, check, receive
 
+from ...limits import size
 from ...session.file_form import read_file_form
 from ...site import page, require_form_token, require_viewer, site_of
 from ..errors import wants_page
 
 if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
+    from uuid import UUID
+
     from starlette.requests import Request
     from starlette.responses import Response
+    from vitac.server.principals import Principal
 
     from ...site import Viewer
 
@@ -43,7 +50,7 @@ async def upload(request: Request) -> Response:
         file_name=form.file_name,
     )
     try:
-        submission_id = await site_of(request).data.upload(viewer.visitor, announced, form.pieces)
+        submission_id = await _receive(request, viewer.principal, announced, form.pieces)
     except ServiceError as error:
         await form.discard()
         if not wants_page(request):
@@ -52,8 +59,17 @@ async def upload(request: Request) -> Response:
     return RedirectResponse(f"/submissions/{submission_id}", status_code=303)
 
 
+async def _receive(request: Request, by: Principal, announced: AnnouncedUpload, body: AsyncIterator[bytes]) -> UUID:
+    services = site_of(request).services
+    check(services, announced)
+    with request.app.state.upload_limiter.one(by.account, UPLOADS):
+        made, _ = await receive(services, by, announced, body)
+    return made.id
+
+
 async def _form(request: Request, viewer: Viewer, *, wrong: str | None = None, status: int = 200) -> Response:
-    data = site_of(request).data
+    site = site_of(request)
+    settings = site.services.settings
     return page(
         request,
         "upload.html",
@@ -61,7 +77,7 @@ async def _form(request: Request, viewer: Viewer, *, wrong: str | None = None, s
         section="/submissions",
         status=status,
         wrong=wrong,
-        contests=await data.competitions_to_choose_from(),
-        archive_size=data.archive_size(),
-        log_size=data.log_size(),
+        contests=await site.read(competitions_to_choose_from),
+        archive_size=size(settings.limits.archive_packed_bytes),
+        log_size=size(settings.log_bytes),
     )

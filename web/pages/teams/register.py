@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import asyncio
+from dataclasses import dataclass
 from http import HTTPStatus
 from typing import TYPE_CHECKING
 
+from vitac.server.api.teams import NewTeam
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.limiter import client_key
+from vitac.server.members import registration
+from vitac.server.teams import teams
 
 from ...session.forms import read_form
 from ...site import page, site_of, viewer_of
+from ..forms import checked_form
 from .sign_in import begin_session
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from uuid import UUID
+
+    from sqlalchemy.orm import Session
     from starlette.requests import Request
     from starlette.responses import Response
 
@@ -24,6 +34,16 @@ IN_FORM = frozenset(
 NOTHING = dict.fromkeys(FIELDS, "")
 
 
+@dataclass(frozen=True, kw_only=True)
+class RegisteredTeam:
+    """A team that has just registered, with its token, which is shown only now."""
+
+    team: str
+    token: str
+    token_id: UUID
+    waits_for_approval: bool
+
+
 async def register_form(request: Request) -> Response:
     """Show the form."""
     return await _page(request, viewer=await viewer_of(request), given=NOTHING)
@@ -33,9 +53,8 @@ async def register(request: Request) -> Response:
     """Register the team, show its token and begin a session."""
     fields = await read_form(request)
     given = {name: fields.get(name, "").strip() for name in FIELDS}
-    address = client_key(request.client.host if request.client is not None else None)
     try:
-        made = await site_of(request).data.register(**given, address=address)
+        made = await _register(request, given)
     except ServiceError as error:
         if error.code not in IN_FORM:
             raise
@@ -47,6 +66,35 @@ async def register(request: Request) -> Response:
     return answer
 
 
+async def _register(request: Request, given: Mapping[str, str]) -> RegisteredTeam:
+    new = checked_form(NewTeam, {name: value if name == "name" else value or None for name, value in given.items()})
+    await note_registration(request)
+    site = site_of(request)
+
+    def made(session: Session) -> RegisteredTeam:
+        asked = registration.NewTeam(**new.model_dump())
+        team, issued = registration.register(session, site.services.settings, None, asked)
+        return RegisteredTeam(
+            team=team.name,
+            token=issued.secret,
+            token_id=issued.token.id,
+            waits_for_approval=team.approved_at is None,
+        )
+
+    return await site.ask(made)
+
+
+async def note_registration(request: Request) -> None:
+    """Count an attempt to register or to join a team.
+
+    Raises:
+        ServiceError: there were too many from this address.
+    """
+    address = client_key(request.client.host if request.client is not None else None)
+    limiter = request.app.state.registration_limiter
+    await asyncio.to_thread(limiter.note, address, "registrations from one address")
+
+
 async def _page(request: Request, **values: object) -> Response:
-    shown = {"made": None, "wrong": None, "locked_since": await site_of(request).data.teams_locked_since(), **values}
+    shown = {"made": None, "wrong": None, "locked_since": await site_of(request).ask(teams.locked_since), **values}
     return page(request, "register.html", section="/register", **shown)  # type: ignore[arg-type]

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import asyncio
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from starlette.responses import RedirectResponse
+from vitac.server import tokens
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.limiter import client_key
+from vitac.server.members import members
+from vitac.server.teams import teams
 
-from ...data.protocol import PasswordSignIn
 from ...session import signer
 from ...session.forms import local_target, read_form
-from ...site import page, require_form_token, site_of, viewer_of
+from ...site import none_if_unknown, page, require_form_token, site_of, viewer_of
 
 if TYPE_CHECKING:
     from uuid import UUID
 
+    from sqlalchemy.orm import Session
     from starlette.requests import Request
     from starlette.responses import Response
+    from vitac.server.principals import Principal
 
 WRONG_TOKEN = "This token is unknown, revoked or expired. Check that you pasted it completely."  # noqa: S105 - a sentence
 
@@ -37,11 +42,12 @@ async def sign_in(request: Request) -> Response:
     """Check the token and begin a session."""
     fields = await read_form(request)
     target = local_target(fields.get("next", ""))
-    visitor = await site_of(request).data.visitor_with_token(fields.get("token", "").strip())
-    if visitor is None:
+    token = fields.get("token", "").strip()
+    by = await none_if_unknown(site_of(request).read(lambda session: tokens.authenticate(session, token)))
+    if by is None or by.token_id is None:
         return await _page(request, status=401, next=target, wrong=WRONG_TOKEN)
     answer = RedirectResponse(target, status_code=303)
-    begin_session(request, answer, visitor.token_id)
+    begin_session(request, answer, by.token_id)
     return answer
 
 
@@ -50,22 +56,34 @@ async def sign_in_with_password(request: Request) -> Response:
     fields = await read_form(request)
     target = local_target(fields.get("next", ""))
     shown = {name: fields.get(name, "") for name in NOBODY}
-    given = PasswordSignIn(
-        **shown,
-        password=fields.get("password", ""),
-        address=client_key(request.client.host if request.client is not None else None),
-    )
     try:
-        visitor = await site_of(request).data.visitor_with_password(given)
+        by = await _find_member(request, **shown, password=fields.get("password", ""))
     except ServiceError as error:
         if error.code is not ProblemCode.TOO_MANY_REQUESTS:
             raise
         return await _page(request, status=error.status, next=target, wrong_password=error.detail, given=shown)
-    if visitor is None:
+    if by is None or by.token_id is None:
         return await _page(request, status=401, next=target, wrong_password=WRONG_PASSWORD, given=shown)
     answer = RedirectResponse(target, status_code=303)
-    begin_session(request, answer, visitor.token_id)
+    begin_session(request, answer, by.token_id)
     return answer
+
+
+async def _find_member(request: Request, team: str, member: str, password: str) -> Principal | None:
+    """Begin a session of a member and return who it is; None if nobody has this password.
+
+    Raises:
+        ServiceError: there were too many attempts.
+    """
+    address = client_key(request.client.host if request.client is not None else None)
+    limiters, member_key = request.app.state.sign_in_limiters, f"{teams.name_key(team)}\n{teams.name_key(member)}"
+    await asyncio.to_thread(limiters.note, address, member_key)
+
+    def begin(session: Session) -> Principal:
+        made = members.sign_in(session, team, member, password, signer.LIFETIME)
+        return tokens.principal_of_token_id(session, made.id)
+
+    return await none_if_unknown(site_of(request).ask(begin))
 
 
 async def _page(request: Request, **values: object) -> Response:
@@ -91,7 +109,7 @@ async def sign_out(request: Request) -> Response:
     viewer = await viewer_of(request)
     if viewer is not None:
         require_form_token(request, fields, viewer)
-        await site_of(request).data.end_session(viewer.visitor)
+        await site_of(request).ask(lambda session: tokens.end_session(session, viewer.principal))
     answer = RedirectResponse("/", status_code=303)
     answer.delete_cookie(signer.COOKIE, httponly=True, samesite="strict", secure=request.url.scheme == "https")
     return answer

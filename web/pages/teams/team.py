@@ -5,26 +5,26 @@ from __future__ import annotations
 from datetime import timedelta
 from http import HTTPStatus
 from types import MappingProxyType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
-from pydantic import BaseModel, ValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 from vitac.server import team_data, tokens
 from vitac.server.api.members import MemberChanges, NewMember
 from vitac.server.db.states import MemberRole, NoticeKind
-from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.limiter import client_key
+from vitac.server.errors import ServiceError
 from vitac.server.members import members
 from vitac.server.teams import teams
 
 from ...session.forms import read_form
 from ...site import page, require_viewer, signed_in_form, site_of, viewer_of
-from ..forms import act, id_in
+from ..forms import act, checked_form, id_in
+from .register import note_registration
 from .sign_in import begin_session
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+    from datetime import datetime
     from uuid import UUID
 
     from sqlalchemy.orm import Session
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
     Change = Callable[[Session, Principal, Mapping[str, str]], object]
 
-FormT = TypeVar("FormT", bound=BaseModel)
 ADDRESS = "/team"
 NOTICES: Mapping[NoticeKind, str] = MappingProxyType(
     {
@@ -57,13 +56,13 @@ async def team(request: Request) -> Response:
         ServiceError: an organizer or judge belongs to none.
     """
     viewer = await require_viewer(request)
-    by = viewer.visitor.principal
+    by = viewer.principal
 
-    def read(session: Session) -> tuple[OwnTeamView, list[TokenView]]:
+    def read(session: Session) -> tuple[OwnTeamView, list[TokenView], datetime | None]:
         good = [tokens.token_view(found) for found in tokens.list_tokens(session, by) if found.revoked_at is None]
-        return members.own_team_view(session, by, teams.own(session, by)), good
+        return members.own_team_view(session, by, teams.own(session, by)), good, teams.locked_since(session)
 
-    found, good = await site_of(request).data.ask(read)
+    found, good, locked_since = await site_of(request).ask(read)
     myself = next(
         (one for one in found.members if one.id == by.member_id or (by.leads_team and one.role is MemberRole.CAPTAIN)),
         None,
@@ -78,17 +77,15 @@ async def team(request: Request) -> Response:
         myself=myself,
         leads=by.leads_team,
         notices=NOTICES,
-        locked_since=await site_of(request).data.teams_locked_since(),
+        locked_since=locked_since,
     )
 
 
 async def data(request: Request) -> Response:
     """Download everything that the service has of the team."""
     viewer = await require_viewer(request)
-    by, settings = viewer.visitor.principal, request.app.state.services.settings
-    found = await site_of(request).data.ask(
-        lambda session: team_data.export(session, settings, by, teams.own(session, by))
-    )
+    by, settings = viewer.principal, site_of(request).services.settings
+    found = await site_of(request).ask(lambda session: team_data.export(session, settings, by, teams.own(session, by)))
     headers = {"Cache-Control": "no-store", "Content-Disposition": 'attachment; filename="team.json"'}
     return Response(found.model_dump_json(indent=1), media_type="application/json", headers=headers)
 
@@ -104,8 +101,8 @@ async def change(request: Request) -> Response:
 async def invite(request: Request) -> Response:
     """Make an invitation and show its code, which happens only now."""
     viewer, _ = await signed_in_form(request)
-    by = viewer.visitor.principal
-    code = await site_of(request).data.ask(lambda session: members.invite(session, by, teams.own(session, by))[1])
+    by = viewer.principal
+    code = await site_of(request).ask(lambda session: members.invite(session, by, teams.own(session, by))[1])
     return page(
         request, "teams/secret.html", viewer=viewer, section=ADDRESS, status=201, what="invitation", secret=code
     )
@@ -114,13 +111,13 @@ async def invite(request: Request) -> Response:
 async def renew_token(request: Request) -> Response:
     """Make a new token for the member who asks and show it, which happens only now; the browser stays signed in."""
     viewer, _ = await signed_in_form(request)
-    by, lifetime = viewer.visitor.principal, _token_lifetime(request)
+    by, lifetime = viewer.principal, _token_lifetime(request)
 
     def made(session: Session) -> tuple[str, UUID]:
         issued = members.renew_token(session, by, _self(session, by), lifetime)
         return issued.secret, issued.token.id
 
-    secret, token_id = await site_of(request).data.ask(made)
+    secret, token_id = await site_of(request).ask(made)
     shown = {"viewer_known": False, "what": "token", "secret": secret}  # the session of before has ended
     answer = page(request, "teams/secret.html", viewer=None, section=ADDRESS, status=HTTPStatus.CREATED, **shown)
     answer.headers["Cache-Control"] = "no-store"
@@ -138,18 +135,16 @@ async def join(request: Request) -> Response:
     fields = await read_form(request)
     given = {name: fields.get(name, "").strip() for name in ("code", "name", "email")}
     lifetime = _token_lifetime(request)
-    address = client_key(request.client.host if request.client is not None else None)
-    data = site_of(request).data
 
     def joined(session: Session) -> tuple[str, str, UUID]:
         filled = {**given, "password": fields.get("password", "")}
-        checked = _checked(NewMember, {name: value or None for name, value in filled.items()})
+        checked = checked_form(NewMember, {name: value or None for name, value in filled.items()})
         member, issued = members.join(session, members.NewMember(**checked.model_dump()), lifetime)
         return member.team.name, issued.secret, issued.token.id
 
     try:
-        await data.note_registration(address)
-        team_name, secret, token_id = await data.ask(joined)
+        await note_registration(request)
+        team_name, secret, token_id = await site_of(request).ask(joined)
     except ServiceError as error:
         viewer = await viewer_of(request)
         return await _join_page(request, viewer=viewer, wrong=error.detail, given=given, status=error.status)
@@ -170,10 +165,10 @@ def _change_self(session: Session, by: Principal, fields: Mapping[str, str]) -> 
     member = _self(session, by)
     if "email" in fields:
         members.set_email(
-            session, by, member, _checked(MemberChanges, {"email": fields["email"].strip() or None}).email
+            session, by, member, checked_form(MemberChanges, {"email": fields["email"].strip() or None}).email
         )
     else:
-        password = _checked(MemberChanges, {"password": fields.get("password") or None}).password
+        password = checked_form(MemberChanges, {"password": fields.get("password") or None}).password
         members.set_password(session, by, member, password)
 
 
@@ -201,24 +196,11 @@ CHANGES: Mapping[str, Change] = {
 
 
 def _token_lifetime(request: Request) -> timedelta:
-    return timedelta(days=request.app.state.services.settings.token_lifetime_days)
-
-
-def _checked(form: type[FormT], values: Mapping[str, str | None]) -> FormT:
-    """Return the values of a form as the API takes them.
-
-    Raises:
-        ServiceError: invalid_request, with what is wrong.
-    """
-    try:
-        return form.model_validate(values)
-    except ValidationError as error:
-        problems = " ".join(f"{problem['loc'][0]}: {problem['msg']}." for problem in error.errors())
-        raise ServiceError(ProblemCode.INVALID_REQUEST, problems) from error
+    return timedelta(days=site_of(request).services.settings.token_lifetime_days)
 
 
 async def _join_page(request: Request, **values: object) -> Response:
-    locked = await site_of(request).data.teams_locked_since()
+    locked = await site_of(request).ask(teams.locked_since)
     given = {"code": "", "name": "", "email": ""}
     shown = {"made": None, "wrong": None, "given": given, "locked_since": locked, **values}
     return page(request, "teams/join.html", section="/register", **shown)  # type: ignore[arg-type]

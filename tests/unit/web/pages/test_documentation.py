@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 from asgi_browser import AsgiBrowser
 from fastapi import FastAPI
-from page_fixtures import FixedData, an_application
+from page_service import FixedData, an_application
 from vitac.web.headers import CONTENT_SECURITY_POLICY
 from vitac.web.pages import documentation
 from vitac.web.pages.documentation import POLICY_FILE

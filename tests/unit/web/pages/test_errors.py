@@ -5,13 +5,14 @@ import httpx
 import psycopg
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import FixedData
+from page_service import FixedData
 from sqlalchemy.exc import OperationalError
 from visits import COMPLETED, form_token, sign_in
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.principals import Principal
 from vitac.server.views.leaderboards import LeaderboardView
-from vitac.web.data.protocol import SubmissionDetail, Visitor
 from vitac.web.headers import HEADERS
+from vitac.web.pages.submission_detail import SubmissionDetail
 
 SIGN_IN, SIGN_OUT = '<a href="/sign-in">Sign in</a>', 'Sign out <span class="visually-hidden">Gelbots</span>'
 
@@ -25,7 +26,7 @@ def header(answer: httpx.Response) -> list[str]:
 def test_error_pages_have_the_header_of_other_pages(
     data: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def gone(_: object, submission_id: UUID) -> SubmissionDetail:
+    def gone(_: object, __: object, submission_id: UUID) -> SubmissionDetail:
         raise ServiceError(ProblemCode.TRACK_REMOVED, f"The track of {submission_id} is gone.")
 
     def failing() -> list[tuple[int, list[str]]]:
@@ -50,19 +51,19 @@ def test_who_cannot_be_looked_up_is_offered_neither_to_sign_in_nor_to_sign_out(
     sign_in(browser, "Gelbots")
     asked: list[UUID] = []
 
-    async def away(token_id: UUID) -> Visitor | None:
+    def away(token_id: UUID) -> Principal:
         asked.append(token_id)
         raise OperationalError("SELECT 1", {}, psycopg.OperationalError("connection refused"))
 
-    async def broken(token_id: UUID) -> Visitor | None:
+    def broken(token_id: UUID) -> Principal:
         raise RuntimeError(f"no idea who {token_id} is")
 
-    monkeypatch.setattr(data, "visitor_with_token_id", away)
+    monkeypatch.setattr(data, "principal_of_token_id", away)
     answer = browser.get("/")
     assert (answer.status_code, header(answer)) == (503, [])
     assert len(asked) == 1, "a database that failed is not asked again"
     for lookup in (away, broken):
-        monkeypatch.setattr(data, "visitor_with_token_id", lookup)
+        monkeypatch.setattr(data, "principal_of_token_id", lookup)
         missing = browser.get("/nothing-here")
         assert (missing.status_code, header(missing)) == (404, [])
     browser.cookies.clear()
@@ -73,16 +74,16 @@ def test_who_asks_too_often_costs_no_look_up_more(
     data: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sign_in(browser, "Gelbots")
-    asked, look_up = [], data.visitor_with_token_id
+    asked, look_up = [], data.principal_of_token_id
 
-    async def counted(token_id: UUID) -> Visitor | None:
+    def counted(token_id: UUID) -> Principal:
         asked.append(token_id)
-        return await look_up(token_id)
+        return look_up(token_id)
 
-    async def refused(_: object, submission_id: UUID) -> SubmissionDetail:
+    def refused(_: object, __: object, submission_id: UUID) -> SubmissionDetail:
         raise ServiceError(ProblemCode.TOO_MANY_REQUESTS, f"Wait before you ask for {submission_id} again.")
 
-    monkeypatch.setattr(data, "visitor_with_token_id", counted)
+    monkeypatch.setattr(data, "principal_of_token_id", counted)
     monkeypatch.setattr(data, "submission", refused)
     answer = browser.get(f"/submissions/{COMPLETED.id}")
     assert (answer.status_code, header(answer), len(asked)) == (429, [], 1), "by the page itself"
@@ -108,12 +109,10 @@ def test_a_crash_is_a_page_that_tells_nothing_of_the_inside(data: FixedData, bro
 
 
 def test_database_that_is_away_is_a_page_that_says_when_to_come_back(data: FixedData, browser: AsgiBrowser) -> None:
-    async def away(
-        track: str, task: str | None, stage: str | None = None, *, contest: str | None = None, visitor: object = None
-    ) -> LeaderboardView:
+    def away(by: Principal, track: str) -> LeaderboardView:
         raise OperationalError("SELECT 1", {}, psycopg.OperationalError("connection refused"))
 
-    data.leaderboard = away  # type: ignore[method-assign]
+    data.leaderboard = away  # type: ignore[assignment]
     answer = browser.get("/")
     assert answer.status_code == 503
     assert answer.headers["retry-after"] == "2"
@@ -127,12 +126,10 @@ def test_database_that_is_away_is_a_page_that_says_when_to_come_back(data: Fixed
     [OSError(errno.ENOSPC, "No space left on device"), OperationalError("INSERT", {}, psycopg.errors.DiskFull())],
 )
 def test_full_disk_is_a_page_that_says_so(data: FixedData, browser: AsgiBrowser, error: Exception) -> None:
-    async def full(
-        track: str, task: str | None, stage: str | None = None, *, contest: str | None = None, visitor: object = None
-    ) -> LeaderboardView:
+    def full(by: Principal, track: str) -> LeaderboardView:
         raise error
 
-    data.leaderboard = full  # type: ignore[method-assign]
+    data.leaderboard = full  # type: ignore[assignment]
     answer = browser.get("/")
     assert answer.status_code == 507
     assert "The disk of the service is full" in answer.text

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import LOCK, MADE_UP_SCORES, NOW, TASK, FixedData, a_leaderboard, an_application, an_entry
+from page_fixtures import LOCK, MADE_UP_SCORES, NOW, TASK, a_leaderboard, an_entry
+from page_service import FixedData, an_application
 from PIL import Image
 from played_episodes import KEY, a_playback, a_shown_episode, real_files
 from visits import COMPLETED

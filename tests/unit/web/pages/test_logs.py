@@ -2,7 +2,8 @@ import re
 
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import LOCK, TASK, FixedData, a_log_entry, an_id
+from page_fixtures import LOCK, TASK, a_log_entry, an_id
+from page_service import FixedData
 from visits import sign_in
 from vitac.evaluator.logs.findings import VerificationResult
 

@@ -1,5 +1,6 @@
 from asgi_browser import AsgiBrowser
-from page_fixtures import FixedData, a_worker, an_operations_view
+from page_fixtures import a_worker, an_operations_view
+from page_service import FixedData
 from visits import sign_in
 from vitac.server.db.states import WorkerState
 

@@ -1,6 +1,7 @@
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import TASK, FixedData, a_leaderboard, a_score, an_entry
+from page_fixtures import TASK, a_leaderboard, a_score, an_entry
+from page_service import FixedData
 from starlette.requests import Request
 from visits import sign_in
 from vitac.server.views.leaderboards import LeaderboardEntryView

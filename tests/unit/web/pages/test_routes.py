@@ -3,7 +3,8 @@ from html.parser import HTMLParser
 
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import LOCK, NOW, FixedData, a_leaderboard, a_score, an_application, an_entry
+from page_fixtures import LOCK, NOW, a_leaderboard, a_score, an_entry
+from page_service import FixedData, an_application
 from visits import BEARS, BOTH, COMPLETED, FAILED, QUEUED, RUNNING, sign_in
 from vitac.web.headers import HEADERS
 

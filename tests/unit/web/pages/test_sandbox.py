@@ -1,7 +1,8 @@
 import re
 
 from asgi_browser import AsgiBrowser
-from page_fixtures import FixedData, a_sandbox
+from page_fixtures import a_sandbox
+from page_service import FixedData
 
 
 def test_it_shows_what_the_workers_sandboxes_tell(data: FixedData, browser: AsgiBrowser) -> None:

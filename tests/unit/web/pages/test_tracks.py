@@ -6,13 +6,13 @@ import pytest
 from asgi_browser import AsgiBrowser
 from cubes_track import FILE
 from markupsafe import escape
-from page_fixtures import LOCK, NOW, SIGNER, TASK, FixedData, a_leaderboard, a_score, an_application, an_entry, an_id
+from page_fixtures import LOCK, NOW, TASK, a_leaderboard, a_score, an_entry, an_id
+from page_service import FixedData, a_site, an_application
 from visits import sign_in
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import list_tracks, load_track
 from vitac.web.pages.tracks import PICTURES, accepts_logs, track_tabs
 from vitac.web.rendering import STATIC
-from vitac.web.site import Site
 
 BEARS_PEG, BEARS_LOCK = a_score((84, 80, 77), 4.31), a_score((40, 38, 2, 0), 11.5, LOCK)
 GELBOTS_PEG = a_score((20, 11, 9), 6.02)
@@ -267,7 +267,7 @@ def test_rules_say_what_a_log_is_worth(browser: AsgiBrowser) -> None:
 
 def test_every_track_is_reached_from_the_leaderboard_and_the_rules_of_another() -> None:
     names = list_tracks()
-    site = Site(data=FixedData(), signer=SIGNER, version="0.1.0", tracks=names)
+    site = a_site(FixedData(), names)
     for page_of_track in ("", "/rules"):
         shown = track_tabs(site, load_track("track_1"), page_of_track)
         assert [tab.target for tab in shown] == [f"/tracks/{name}{page_of_track}" for name in names]
@@ -279,7 +279,7 @@ def test_logs_of_other_tracks_are_one_link_away_where_they_are_accepted() -> Non
     names = list_tracks()
     only_models = load_track("track_1").model_copy(update={"accepts": (SubmissionKind.MODEL,)})
     assert not accepts_logs(only_models)
-    site = Site(data=FixedData(), signer=SIGNER, version="0.1.0", tracks=names)
+    site = a_site(FixedData(), names)
     shown = track_tabs(site, load_track("track_1"), "/logs", has_page=lambda track: not track.has_sensor)
     assert [tab.target for tab in shown] == [f"/tracks/{name}/logs" for name in names if name != "track_3"]
     html = AsgiBrowser(an_application(FixedData(), tracks=names)).get("/tracks/track_1/logs").text

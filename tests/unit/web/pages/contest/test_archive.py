@@ -2,7 +2,8 @@ from datetime import UTC, datetime
 
 from asgi_browser import AsgiBrowser
 from made_receipts import a_receipt
-from page_fixtures import TASK, FixedData, a_finished_cup, a_leaderboard, a_score, an_entry
+from page_fixtures import TASK, a_finished_cup, a_leaderboard, a_score, an_entry
+from page_service import FixedData
 from vitac.server.views.contest import DisqualifiedTeamView
 
 

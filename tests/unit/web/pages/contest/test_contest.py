@@ -1,7 +1,7 @@
 from datetime import UTC, datetime
 
 from asgi_browser import AsgiBrowser
-from page_fixtures import FixedData
+from page_service import FixedData
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 from vitac.server.views.contest import CompetitionTrackView, CompetitionView, PrizeView, StageView, WinnerView

@@ -4,7 +4,8 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import LOCK, TASK, FixedData, a_finished_cup, a_leaderboard, a_log, a_submission
+from page_fixtures import LOCK, TASK, a_finished_cup, a_leaderboard, a_log, a_submission
+from page_service import FixedData
 from visits import sign_in
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.server.db.states import EvaluationState

@@ -1,15 +1,15 @@
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import TASK, FixedData, an_id
+from page_fixtures import TASK, an_id
+from page_service import FixedData
 from played_episodes import KEY, a_playback, a_shown_episode
 from visits import COMPLETED, QUEUED, form_token, sign_in
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import PlaybackState
 from vitac.server.playbacks.files import PlaybackFile
-from vitac.web.data.protocol import EpisodeAddress
 from vitac.web.pages.episodes import page
-from vitac.web.pages.episodes.page import progress
+from vitac.web.pages.episodes.page import EpisodeAddress, progress
 
 JSON = {"accept": "application/json"}
 

@@ -2,7 +2,8 @@ import csv
 import io
 
 from asgi_browser import AsgiBrowser
-from page_fixtures import TASK, FixedData, a_leaderboard, a_score, an_entry
+from page_fixtures import TASK, a_leaderboard, a_score, an_entry
+from page_service import FixedData
 
 SCORE = a_score((80, 74, 80), 4.92)
 

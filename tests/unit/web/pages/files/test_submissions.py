@@ -4,13 +4,14 @@ import json
 from typing import Any
 from uuid import UUID
 
-import page_fixtures
+import page_service
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import LOCK, TASK, FixedData, a_past_result, some_episodes
+from page_fixtures import LOCK, TASK, a_past_result, some_episodes
+from page_service import FixedData
 from visits import BEARS, BOTH, COMPLETED, FAILED, GELBOTS, QUEUED, RUNNING, sign_in
+from vitac.server.principals import Principal
 from vitac.server.views.submissions import SubmissionListView
-from vitac.web.data.protocol import Visitor
 
 TABLES = ("episodes", "scores", "history")
 
@@ -108,7 +109,7 @@ def test_the_list_is_a_file_with_a_row_for_each_task(data: FixedData, browser: A
     ]  # fmt: skip
     assert (rows[0]["state"], rows[0]["episodes_done"], rows[0]["success_rate"]) == ("running", "137", "")
     assert (rows[1]["state"], rows[1]["episodes_total"], rows[1]["mean_env_steps"]) == ("completed", "270", "4.92")
-    assert {row["team"] for row in rows} == {GELBOTS.name}
+    assert {row["team"] for row in rows} == {GELBOTS.team_name}
     data.found = []
     assert rows_of(browser.get("/submissions.csv").text) == []
 
@@ -117,13 +118,15 @@ def test_the_list_goes_on_to_the_oldest_submission(browser: AsgiBrowser, monkeyp
     pages = {None: (RUNNING, RUNNING.id), RUNNING.id: (FAILED, FAILED.id), FAILED.id: (COMPLETED, None)}
     asked = []
 
-    async def submissions(_: FixedData, visitor: Visitor, before: UUID | None, track: str | None = None) -> Any:
-        asked.append((visitor.name, before, track))
+    def submissions(
+        _: FixedData, __: object, by: Principal, *, track: str | None = None, before: UUID | None = None
+    ) -> Any:
+        asked.append((by.team_name, before, track))
         item, next_before = pages[before]
         return SubmissionListView(items=[item], next_before=next_before)
 
-    monkeypatch.setattr(page_fixtures.FixedData, "submissions", submissions)
-    sign_in(browser, BEARS.name)
+    monkeypatch.setattr(page_service.FixedData, "submissions", submissions)
+    sign_in(browser, "Bears")
     rows = rows_of(browser.get("/submissions.csv").text)
     assert [row["submission"] for row in rows] == [RUNNING.name, FAILED.name, COMPLETED.name]
-    assert asked == [(BEARS.name, before, None) for before in pages]
+    assert asked == [(BEARS.team_name, before, None) for before in pages]

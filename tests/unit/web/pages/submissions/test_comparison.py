@@ -5,14 +5,16 @@ import re
 from collections.abc import Mapping
 from uuid import UUID
 
-import page_fixtures
+import page_service
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import LOCK, TASK, FixedData, a_submission, an_id, some_episodes
+from page_fixtures import LOCK, TASK, a_submission, an_id, some_episodes
+from page_service import FixedData
 from visits import BOTH, COMPLETED, QUEUED, RUNNING, sign_in
 from vitac.server.db.states import EvaluationState
+from vitac.server.principals import Principal
 from vitac.server.views.submissions import EpisodeView, SubmissionView
-from vitac.web.data.protocol import SubmissionDetail, Visitor
+from vitac.web.pages.submission_detail import SubmissionDetail
 
 OTHER = a_submission("Gelbots", EvaluationState.COMPLETED, name="other")
 ONLY_LOCK = a_submission("Gelbots", EvaluationState.COMPLETED, name="lock", tasks=(LOCK,))
@@ -32,13 +34,13 @@ def ends(data: FixedData, monkeypatch: pytest.MonkeyPatch) -> dict[UUID, list[Ep
     given: dict[UUID, list[EpisodeView]] = {}
     whole = FixedData.submission
 
-    async def submission(self: FixedData, visitor: Visitor, submission_id: UUID) -> SubmissionDetail:
-        found = await whole(self, visitor, submission_id)
+    def submission(self: FixedData, settings: object, by: Principal, submission_id: UUID) -> SubmissionDetail:
+        found = whole(self, settings, by, submission_id)
         episodes = given.get(submission_id, list(found.episodes))
         values: Mapping[str, object] = vars(found) | {"episodes": episodes}
         return SubmissionDetail(**values)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(page_fixtures.FixedData, "submission", submission)
+    monkeypatch.setattr(page_service.FixedData, "submission", submission)
     return given
 
 

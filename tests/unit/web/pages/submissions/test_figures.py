@@ -1,7 +1,8 @@
-import page_fixtures
+import page_service
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import LOCK, TASK, FixedData, a_past_result
+from page_fixtures import LOCK, TASK, a_past_result
+from page_service import FixedData
 from visits import BOTH, COMPLETED, FAILED, RUNNING, page_of, sign_in
 from vitac.web.pages.submissions import figures
 
@@ -35,7 +36,7 @@ def test_who_sees_no_episodes_gets_no_plots_of_them(
     data: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert 'id="offsets-' in page_of(data, browser, COMPLETED)
-    monkeypatch.setattr(page_fixtures, "some_episodes", lambda *_: [])
+    monkeypatch.setattr(page_service, "some_episodes", lambda *_: [])
     html = page_of(data, browser, COMPLETED)
     assert 'id="offsets-' not in html
     assert 'id="steps-' not in html

@@ -1,6 +1,7 @@
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import LOCK, TASK, FixedData
+from page_fixtures import LOCK, TASK
+from page_service import FixedData
 from visits import BOTH, COMPLETED, RUNNING, sign_in
 from vitac.server.views.submissions import EpisodeOutputView
 

@@ -2,7 +2,8 @@ import re
 
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import FixedData, an_id
+from page_fixtures import an_id
+from page_service import FixedData
 from shown_sensors import a_shown_sensor
 from visits import COMPLETED, QUEUED, RUNNING, sign_in
 

@@ -2,7 +2,8 @@ import re
 
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import LOCK, MADE_UP_SCORES, TASK, FixedData, a_leaderboard, an_application, an_entry, an_id
+from page_fixtures import LOCK, MADE_UP_SCORES, TASK, a_leaderboard, an_entry, an_id
+from page_service import FixedData, an_application
 from played_episodes import a_shown_episode
 from visits import BEARS, BOTH, COMPLETED, GELBOTS, RUNNING, form_token, sign_in
 from vitac.server.views.submissions import EpisodeOutputView
@@ -109,7 +110,7 @@ def test_boards_link_public_results_for_everybody(public: FixedData, browser: As
     html = browser.get("/tracks/track_1").text
     assert f'href="/submissions/{COMPLETED.id}"' in html
     assert f'href="/submissions/{theirs.submission_id}"' not in html
-    assert {GELBOTS.name, BEARS.name} == {entry.team for entry in public.board.entries}
+    assert {GELBOTS.team_name, BEARS.team_name} == {entry.team for entry in public.board.entries}
 
 
 def test_a_public_result_without_a_score_over_all_tasks_has_a_page(public: FixedData, browser: AsgiBrowser) -> None:
@@ -140,7 +141,7 @@ def test_a_team_is_told_when_others_do_not_see_its_public_page_now(
     sign_in(browser, "Gelbots")
     assert "Everybody may see this page." in browser.get(PAGE).text
 
-    async def nothing(submissions: object) -> frozenset[object]:
+    def nothing(submissions: object) -> frozenset[object]:
         return frozenset()
 
     monkeypatch.setattr(public, "public_among", nothing)

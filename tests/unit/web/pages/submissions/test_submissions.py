@@ -3,7 +3,8 @@ from typing import Any
 
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import DIVERGENCE, LOCK, TASK, FixedData, a_log, a_submission, an_action_match, an_id
+from page_fixtures import DIVERGENCE, LOCK, TASK, a_log, a_submission, an_action_match, an_id
+from page_service import FixedData
 from visits import BOTH, COMPLETED, FAILED, QUEUED, RUNNING, form_token, page_of, sign_in
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeOutcome

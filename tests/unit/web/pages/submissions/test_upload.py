@@ -5,7 +5,7 @@ import pytest
 from asgi_browser import AsgiBrowser
 from cli_service import CliService, cli_service
 from httpx import Client, Response
-from page_fixtures import FixedData
+from page_service import FixedData
 from service_client import make_archive
 from visits import RUNNING, form_token, sign_in
 from vitac.evaluator.submission_kinds import SubmissionKind

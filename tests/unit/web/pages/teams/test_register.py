@@ -5,7 +5,8 @@ import pytest
 from asgi_browser import AsgiBrowser
 from cli_service import CliService, cli_service
 from httpx import Client
-from page_fixtures import FixedData
+from page_service import FixedData, an_application
+from visits import GELBOTS
 from vitac.server.settings import Registration
 from vitac.web.session import signer
 
@@ -36,28 +37,30 @@ def test_a_name_that_is_taken_can_be_corrected_in_the_form(browser: AsgiBrowser)
     assert "Sign out" in browser.post("/register", data={"name": "Bears"}).text, "of the team that is signed in"
 
 
-def test_an_invite_is_asked_for_where_one_is_needed(data: FixedData, browser: AsgiBrowser) -> None:
-    assert "Invite code" not in browser.get("/register").text
-    data.registration_rule = Registration.INVITE
+def browser_where_registration_is(rule: Registration) -> AsgiBrowser:
+    return AsgiBrowser(
+        an_application(FixedData(visitors=[GELBOTS], settings={"registration": rule, "invite_code": "let me in"}))
+    )
+
+
+def test_an_invite_is_asked_for_where_one_is_needed() -> None:
+    assert "Invite code" not in browser_where_registration_is(Registration.OPEN).get("/register").text
+    browser = browser_where_registration_is(Registration.INVITE)
     assert "Invite code" in browser.get("/register").text
     assert browser.post("/register", data={"name": "New", "invite": "guess"}).status_code == 403
     assert browser.post("/register", data={"name": "New", "invite": "let me in"}).status_code == 201
 
 
-def test_closed_registration_shows_no_form(data: FixedData, browser: AsgiBrowser) -> None:
-    data.registration_rule = Registration.CLOSED
-    html = browser.get("/register").text
+def test_closed_registration_shows_no_form() -> None:
+    html = browser_where_registration_is(Registration.CLOSED).get("/register").text
     assert 'action="/register"' not in html
     assert "ask them for a token" in html
 
 
 @pytest.mark.parametrize("path", ["/", "/sign-in", "/tracks/track_1", "/tracks/track_1/rules"])
-def test_no_page_offers_to_register_where_registration_is_closed(
-    data: FixedData, browser: AsgiBrowser, path: str
-) -> None:
+def test_no_page_offers_to_register_where_registration_is_closed(path: str) -> None:
     for rule in Registration:
-        data.registration_rule = rule
-        html, is_open = browser.get(path).text, rule is not Registration.CLOSED
+        html, is_open = browser_where_registration_is(rule).get(path).text, rule is not Registration.CLOSED
         assert ('href="/register"' in html) == is_open, rule
         if path.endswith("/rules"):
             assert ("vitac register" in html) == is_open, rule

@@ -1,4 +1,4 @@
-"""What the front page shows to everybody; made by `pages.contest.home`, kept for some seconds by `site`."""
+"""What the front page shows to everybody; made by `pages.home`, cached for some seconds by `site`."""
 
 from __future__ import annotations
 

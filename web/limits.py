@@ -1,15 +1,22 @@
-"""The limits in force as rows for the rules page. Called by `service`."""
+"""The limits in force as rows for the pages of rules and sandbox."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
-
-from .protocol import LimitRow
 
 if TYPE_CHECKING:
     from vitac.evaluator.agent.limits import Limits
 
 UNITS = (("GiB", 1 << 30), ("MiB", 1 << 20), ("KiB", 1 << 10))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitRow:
+    """One line of a table of limits."""
+
+    title: str
+    value: str
 
 
 def limit_rows(limits: Limits) -> tuple[LimitRow, ...]:

@@ -2,8 +2,7 @@ from dataclasses import fields, replace
 
 import pytest
 from vitac.evaluator.agent.limits import Limits
-from vitac.web.data.limits import limit_rows, size, time_limits
-from vitac.web.data.protocol import LimitRow
+from vitac.web.limits import LimitRow, limit_rows, size, time_limits
 
 NOT_FOR_TEAMS = {"message_bytes"}  # of the channel, which only the evaluator's runtime uses
 

@@ -1,0 +1,48 @@
+"""Boards as their readers see them, found by track, stage and competition; called by API and pages."""
+
+from sqlalchemy.orm import Session
+
+from ..contest.contest import Contest
+from ..principals import Principal
+from ..views.leaderboards import LeaderboardView, LogBoardsView
+from .log_boards import log_boards
+from .made_boards import MadeBoard
+from .standings import leaderboard
+
+
+def shown_leaderboard(
+    session: Session,
+    by: Principal,
+    track: str,
+    *,
+    task: str | None = None,
+    stage: str | None = None,
+    contest: str | None = None,
+) -> MadeBoard[LeaderboardView]:
+    """Return the leaderboard of a track, or of one of its tasks; organizers see all results while it is frozen.
+
+    Args:
+        session: of the transaction.
+        by: who reads it.
+        track: name.
+        task: name; None: all tasks together.
+        stage: name; None: the stage that opened last.
+        contest: name of the competition; None: the one that opened last.
+
+    Raises:
+        ServiceError: one of the names is unknown.
+    """
+    shown = Contest.find_by_track(session, track, contest).shown_stage(track, stage)
+    return leaderboard(session, shown, task=task, unfrozen=by.organizes(shown.contest))
+
+
+def shown_log_boards(
+    session: Session, by: Principal, track: str, *, stage: str | None = None, contest: str | None = None
+) -> MadeBoard[LogBoardsView]:
+    """Return the logs of a track; the arguments are those of `shown_leaderboard`.
+
+    Raises:
+        ServiceError: one of the names is unknown.
+    """
+    shown = Contest.find_by_track(session, track, contest).shown_stage(track, stage)
+    return log_boards(session, shown, unfrozen=by.organizes(shown.contest))

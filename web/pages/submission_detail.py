@@ -1,0 +1,61 @@
+"""What the page of a submission and its files show; read in one transaction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from vitac.server.evaluations.history import histories
+from vitac.server.leaderboards.history import past_results
+from vitac.server.logs.action_matches import matches_of
+from vitac.server.sharing.public_pages import readable
+from vitac.server.submissions import listing, output
+from vitac.server.submissions.view import submission_views
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from uuid import UUID
+
+    from sqlalchemy.orm import Session
+    from vitac.server.principals import Principal
+    from vitac.server.settings import Settings
+    from vitac.server.views.leaderboards import PastResultView
+    from vitac.server.views.logs import ActionMatchView
+    from vitac.server.views.submissions import EpisodeView, SubmissionView
+
+
+@dataclass(frozen=True, kw_only=True)
+class SubmissionDetail:
+    """What the page of a submission shows.
+
+    Attributes:
+        submission: with its newest evaluation.
+        episodes: outcomes of the finished episodes of that evaluation.
+        action_matches: how many of a log's actions the team's models give; empty for other submissions.
+        episodes_with_output: number of episodes with output, or in which the policy failed, that the visitor may see.
+        past: results of the team in the tasks of this submission; empty before the submission has a result.
+    """
+
+    submission: SubmissionView
+    episodes: Sequence[EpisodeView]
+    action_matches: Sequence[ActionMatchView]
+    episodes_with_output: int
+    past: Sequence[PastResultView]
+
+
+def read_detail(session: Session, settings: Settings, by: Principal, submission_id: UUID) -> SubmissionDetail:
+    """Return one submission with its episodes.
+
+    Raises:
+        ServiceError: the principal may not see it; a visitor is asked for a token.
+    """
+    found = readable(session, by, submission_id)
+    evaluations = histories(session, [found], with_output=True)
+    shown, is_own = evaluations[submission_id][0], by.may_see(found.team_id, found.contest)
+    return SubmissionDetail(
+        submission=submission_views(session, settings, evaluations, by, with_output=True)[0],
+        episodes=listing.episodes_of(session, by, shown),
+        action_matches=matches_of(session, by, shown) if is_own else (),
+        episodes_with_output=output.episodes_with_output(session, by, shown),
+        past=past_results(session, by, shown) if is_own else (),
+    )
