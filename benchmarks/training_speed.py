@@ -31,7 +31,7 @@ class Share:
     cpu_s: float = 0.0
     ipc_steps: int = 0
 
-    def told(self) -> str:
+    def sentence(self) -> str:
         """Return one line for people."""
         return f"{1e3 * self.cpu_s / self.calls:6.1f} ms with {self.ipc_steps / self.calls:.1f} IPC steps"
 

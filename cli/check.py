@@ -129,7 +129,7 @@ def _add_result(record: "EpisodeRecord", findings: Findings) -> None:
             f"{where}: {counted_env_steps(record.env_steps)}, outcome {record.outcome}. {record.outcome.sentence}"
         )
         return
-    sentences = [f"{where}: {failure.code}. {failure.told}"]
+    sentences = [f"{where}: {failure.code}. {failure.sentence}"]
     if _NO_TORCH in failure.message:
         sentences.append(_TORCH_REMEDY)
     findings.refused.append(" ".join(sentences))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from vitac.envs.errors import VitacError
 
-from .client.http import client_from
+from .client.http import make_client
 from .terminal.options import Server, TokenFile
 from .terminal.outcomes import print_meanings
 from .terminal.output import AsJson, print_json, print_pairs, print_table
@@ -86,7 +86,7 @@ def _evaluated(named: str, server: str | None, token_file: Path | None) -> Evalu
     if Path(named).is_file():
         return _from_file(named)
     address, _, submission_id = named.rpartition(PAGES)
-    client = client_from(address.removesuffix("/api/v1") or server, token_file)
+    client = make_client(address.removesuffix("/api/v1") or server, token_file)
     submission = client.submission(submission_id)
     episodes = [EndedEpisode(**episode) for episode in client.episodes(submission_id)]
     return Evaluated(name=submission["name"], track=submission["track"], list_hash=None, episodes=episodes)

@@ -231,7 +231,7 @@ def _print_failures(records: "Sequence[EpisodeRecord]") -> None:
     for code in dict.fromkeys(failure.code for _, failure in failed):
         numbers = [number for number, failure in failed if failure.code == code]
         first = next(failure for _, failure in failed if failure.code == code)
-        print(f"{code}, episode {', '.join(map(str, numbers))}: {first.told}")
+        print(f"{code}, episode {', '.join(map(str, numbers))}: {first.sentence}")
 
 
 def _percentages(rate: "Rate") -> tuple[str, str]:

@@ -191,7 +191,7 @@ def match(
     """Count how many of a log's actions a model gives; exit code 0 if all, 1 otherwise."""
     from vitac.evaluator.agent.limits import Limits
     from vitac.evaluator.episodes.episode import make_environment
-    from vitac.evaluator.episodes.reading import reading_of
+    from vitac.evaluator.episodes.reading import make_reading
     from vitac.evaluator.logs.action_match import match_actions
     from vitac.evaluator.shards.policy import load_in_sandbox
     from vitac.evaluator.submission.manifest import load_manifest
@@ -207,7 +207,7 @@ def match(
         load_in_sandbox(folder, Limits(), 0, track.packages) as session,
         compiling_shown(),
     ):
-        reading = reading_of(task, load_manifest(folder).observation_keys)
+        reading = make_reading(task, load_manifest(folder).observation_keys)
         result = match_actions(
             env=make_environment(task, None, reading.sent),
             task=task,

@@ -144,7 +144,7 @@ def evaluate(
     """Play the peg task with a sensor: our standard estimator with and without sight of the markers, or a policy.
 
     With the standard estimator, the sensor's figures are measured, and shown beside those of the reference gel. Its
-    finished shards are kept for 30 days, so that the same command goes on where it was ended.
+    finished shards are kept for 30 days, so that the same command continues after an interruption.
     """
     if policy is not None:
         _evaluate_policy(sensor, policy, episodes, workers, json)

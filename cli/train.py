@@ -32,19 +32,19 @@ Processes = Annotated[int, typer.Option(min=1, help="Processes that play episode
 
 @app.command()
 def run(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json: AsJson = False) -> None:
-    """Train a policy, or go on with its training; Ctrl-C keeps everything.
+    """Train a policy, or continue its training; Ctrl-C keeps what is done.
 
     Weights that are learned use one thread, so that their bits do not depend on the number of cores.
     """
     _one_thread()
     from vitac.training.recipe import read_recipe
-    from vitac.training.run import Folder, Run, best, told
+    from vitac.training.run import Folder, Run, best, format_rate
 
     training = Run(recipe=read_recipe(recipe), folder=Folder(path=out), processes=processes, tell=_tell)
     with _going_on_later(out):
         results = training.go()
     chosen = best(results)
-    rows = {f"round {result.number}": told(result.student) for result in results}
+    rows = {f"round {result.number}": format_rate(result.student) for result in results}
     if as_json:
         print_json({"rounds": rows, "best": chosen.number})
     else:
@@ -80,16 +80,19 @@ def export(
 
 @app.command()
 def search(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json: AsJson = False) -> None:
-    """Search the numbers of a policy for locks by how its episodes end, or go on; the best one is a submission."""
+    """Search parameters of a policy for locks by the results of its episodes, or continue; the best is a submission."""
     _one_thread()
-    from vitac.training.run import Folder, told
+    from vitac.training.run import Folder, format_rate
     from vitac.training.search.method import Search, best
     from vitac.training.search.recipe import read_search_recipe
 
     searching = Search(recipe=read_search_recipe(recipe), folder=Folder(path=out), processes=processes, tell=_tell)
     with _going_on_later(out):
         found = searching.go()
-    rows = {f"generation {each.number}": f"{told(each.solved)}, {each.mean_env_steps:.2f} env steps" for each in found}
+    rows = {
+        f"generation {each.number}": f"{format_rate(each.solved)}, {each.mean_env_steps:.2f} env steps"
+        for each in found
+    }
     if as_json:
         print_json({"generations": rows, "best": best(found).number})
     else:
@@ -105,7 +108,7 @@ def reference(
     env_steps: Annotated[int | None, typer.Option(min=1, help="In place of the published number.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the training.")] = 0,
 ) -> None:
-    """Train as the challenge did, or go on: PointNet and TD3 as published; needs the extra `training`."""
+    """Train as the challenge did, or continue: PointNet and TD3 as published; needs the extra `training`."""
     _one_thread()
     from vitac.training.reference.td3 import train_reference
 
@@ -126,7 +129,7 @@ def _going_on_later(folder: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        print(f"\nstopped; run the same command to go on from {folder}", file=sys.stderr)
+        print(f"\nstopped; run the same command to continue from {folder}", file=sys.stderr)
         raise
 
 

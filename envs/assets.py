@@ -71,7 +71,7 @@ class Meshes:
         return TactileSensor(self.gel(), settings), TactileSensor(self.gel(), settings)
 
     def hash(self, solids: Iterable[SurfaceMesh], settings: object) -> str:
-        """Return the SHA-256 [hex] of meshes, settings and a design, so that results on others are told apart.
+        """Return the SHA-256 [hex] of meshes, settings and a design, so that results with other assets differ.
 
         Args:
             solids: rigid parts, in a fixed order.

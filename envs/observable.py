@@ -54,7 +54,7 @@ class Observable(Generic[SceneT]):
     node_axis: int | None = None
 
     def with_nodes(self, count: int) -> "Observable[SceneT]":
-        """Return the same observable of a gel with so many sensing nodes."""
+        """Return the same observable of a gel with this number of sensing nodes."""
         if self.node_axis is None:
             return self
         shape = (*self.shape[: self.node_axis], count, *self.shape[self.node_axis + 1 :])

@@ -15,11 +15,11 @@ def read_start(path: Path, max_bytes: int) -> bytes:
     Raises:
         OSError: it cannot be read, or is no regular file; `strerror` says which.
     """
-    with open(path, "rb", opener=_without_waiting) as file:
+    with open(path, "rb", opener=_open_without_blocking) as file:
         return file.read(max_bytes + 1)
 
 
-def _without_waiting(path: str, flags: int) -> int:
+def _open_without_blocking(path: str, flags: int) -> int:
     descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
     mode = os.fstat(descriptor).st_mode
     if stat.S_ISREG(mode):

@@ -16,7 +16,7 @@ from vitac.envs.errors import VitacError
 from .strict_yaml import UniqueKeyLoader, UntrustedLoader
 
 _TOLD_PROBLEMS = 5
-"""Told of one document; the rest is counted."""
+"""Maximum number of problems reported of one document; the rest is counted."""
 _SHOWN_CHARS = 80
 _SHOWN_BITS = 256
 """A larger integer is not written out: Python refuses to beyond 4,300 digits."""

@@ -13,7 +13,7 @@ class Kept(Generic[KeyT, ValueT]):
     """Values by keys that name all that they depend on.
 
     Args:
-        at_most: so many are kept; the one that was not asked for longest is dropped first.
+        at_most: maximum number of values; the least recently used one is dropped first.
     """
 
     def __init__(self, *, at_most: int) -> None:

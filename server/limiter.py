@@ -24,7 +24,7 @@ UPLOADS = "uploads at the same time"
 _LOCK = struct.Struct("hhqqi0q")  # struct flock: kind, whence, start, length, process id
 _KEY_BYTES = 5
 _PLACES = 1 << 20
-"""So many bytes of the file belong to a key."""
+"""Number of bytes of the file that belong to a key."""
 
 
 class WindowLimiter:

@@ -68,7 +68,7 @@ def export(session: Session, settings: Settings, by: Principal, team: Team) -> T
         team=own,
         tokens=[tokens.token_view(one) for one in tokens.list_tokens(session, by)],
         submissions=submission_views(session, settings, runs, by) if runs else [],
-        webhooks=webhooks.of_team(session, by, team) if by.leads_team else [],
+        webhooks=webhooks.list_webhooks(session, by, team) if by.leads_team else [],
         notices=[notice_view(one) for one in notices],
         questions=[question_view(one, by) for one in asked],
         appeals=[appeal_view(one, by) for one in appealed],

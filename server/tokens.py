@@ -155,7 +155,7 @@ def authenticate(session: Session, secret: str) -> Principal:
     """Return the principal behind a secret.
 
     Raises:
-        ServiceError: unknown, expired or revoked; the three are told apart, since only the holder can see the answer.
+        ServiceError: unknown, expired or revoked; the answer says which, since only the holder can see it.
     """
     if not SECRET_PATTERN.fullmatch(secret):
         raise ServiceError(

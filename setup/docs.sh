@@ -65,7 +65,7 @@ ensure_docs() {
 }
 
 # Lets the command start at once: the site is built beside it, and appears when it is whole. Ctrl-C does not stop the build, so that it
-# is not begun anew at each start. False, with the reason, if the documentation cannot be built now.
+# is not begun again at each start. False, with the reason, if the documentation cannot be built now.
 build_docs_meanwhile() {
   if docs_are_built; then return; fi
   docs_can_be_built || return 1

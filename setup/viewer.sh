@@ -16,7 +16,7 @@ viewer_is_built() {
 ensure_viewer() {
   if viewer_is_built; then return; fi
   if ! can_set_up; then
-    say "Going on without the 3D player: episode pages show still pictures."
+    say "Continuing without the 3D player: episode pages show still pictures."
     return
   fi
   if failed_lately player "$(viewer_fingerprint)"; then return; fi
@@ -29,7 +29,7 @@ ensure_viewer() {
     else
       note_failure player "$(viewer_fingerprint)"
       end_steps "the 3D player could not be built: npm's packages or node cannot be fetched here (log: $log)."
-      say "Going on without it: episode pages show still pictures. A start in an hour tries again."
+      say "Continuing without it: episode pages show still pictures. A start in an hour tries again."
     fi
   fi
   unlock_setup

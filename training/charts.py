@@ -57,7 +57,7 @@ class Charts:
         except Exception as error:  # noqa: BLE001 - a broken TensorBoard or protobuf raises whatever it likes
             self._is_wanted = False
             self._close()
-            self._tell(f"{self._folder} gets no more charts, all else goes on: {type(error).__name__}: {error}")
+            self._tell(f"{self._folder} gets no more charts, the training continues: {type(error).__name__}: {error}")
 
     def _write(self, step: int, scalars: Scalars) -> None:
         from tensorboard.compat.proto.event_pb2 import Event
@@ -80,7 +80,7 @@ class Charts:
 
     def _close(self) -> None:
         if self._records is not None:
-            with suppress(OSError):  # each record was flushed when it was added; one that could not be was told of
+            with suppress(OSError):  # each record was flushed when it was added; one that could not be was reported
                 self._records.close()
             self._records = None
 

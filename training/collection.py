@@ -93,7 +93,7 @@ def collect(
         folder: of the files.
         networks: what the actors act by.
         processes: how many play.
-        after_file: is told how many files are there, and of how many.
+        after_file: called with the number of files and the total.
 
     Raises:
         NotSaved: a file cannot be written.

@@ -111,8 +111,8 @@ def load(path: Path) -> Arrays:
             arrays = {name: stored[name] for name in stored.files}
     except (OSError, ValueError, EOFError, KeyError, BadZipFile, zlib.error) as error:
         raise FileDamaged(f"{path} cannot be read ({error}); delete it and run it again.") from error
-    told = arrays.pop(_DIGEST, None)
-    if told is None or str(told) != digest(arrays):
+    stored = arrays.pop(_DIGEST, None)
+    if stored is None or str(stored) != digest(arrays):
         raise FileDamaged(f"{path} does not hold what was written; delete it and run it again.")
     return arrays
 

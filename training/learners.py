@@ -1,4 +1,4 @@
-"""What a round learns: the critic, the assessor and the student, each going on from the round before."""
+"""What a round learns: the critic, the assessor and the student, each continuing from the round before."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -18,7 +18,7 @@ from .recipe import Recipe
 Known = Sequence[tuple[ActorKind, Episodes]]
 """Episodes, and whose they are."""
 TellTurn = Callable[[str, int, float], None]
-"""Is told who has learned, the number of the turn, and its loss."""
+"""Called with who has learned, the number of the turn, and its loss."""
 
 
 class Learners:
@@ -56,13 +56,13 @@ class Learners:
         return Networks(plan=plan, critic=self._critic.state(), student=weights_of(self._student.state()))
 
     def state(self) -> dict[str, FloatArray]:
-        """Return all that the next round goes on from."""
+        """Return the state that the next round continues from."""
         learners = (("critic", self._critic), ("assessor", self._assessor), ("student", self._student))
         states = {f"{name}.{key}": value for name, learner in learners for key, value in learner.state().items()}
         return {**states, "belief": self._belief}
 
     def restore(self, stored: Mapping[str, Any]) -> None:
-        """Go on from a state."""
+        """Continue from a state."""
         self._critic.restore(part(stored, "critic"))
         self._assessor.restore(part(stored, "assessor"))
         self._student.restore(part(stored, "student"))
@@ -78,7 +78,7 @@ class Learners:
         self._student.learn(histories, value_of, random, lambda turn, loss: tell("student", turn, loss))
 
     def _learn_of_assessor(self, known: Known, played: Episodes, random: np.random.Generator, tell: TellTurn) -> None:
-        """Give the student the values of one who goes on as the student does, which change what the student does."""
+        """Update the student's values to those of its own policy, which changes what it does."""
         histories, transitions = histories_of(_of_actors_without_truth(known)), assessed(played)
         inputs = np.concatenate([histories.states, histories.felt], axis=1)
 

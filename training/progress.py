@@ -1,4 +1,4 @@
-"""How long work still takes, by how long it took so far; told to people, and nothing depends on it."""
+"""Estimates how long work still takes from how long it took so far; shown to people, and nothing depends on it."""
 
 from collections.abc import Callable
 from time import monotonic

@@ -91,7 +91,7 @@ class Run:
         recipe: what is done.
         folder: where its files are.
         processes: how many play episodes.
-        tell: is told what goes on, a line each.
+        tell: called with each line of progress.
     """
 
     recipe: Recipe
@@ -182,7 +182,9 @@ class Run:
         return RoundResult(number=number, student=rates[0], critic=rates[1], env_steps=env_steps)
 
     def _tell_round(self, result: RoundResult, left: str) -> None:
-        found = f"student {told(result.student)}, critic {told(result.critic)}, {result.env_steps} env steps"
+        found = (
+            f"student {format_rate(result.student)}, critic {format_rate(result.critic)}, {result.env_steps} env steps"
+        )
         self.tell(f"round {result.number} of {self.recipe.rounds}: {found}{left}")
 
     def _batch(self, kind: ActorKind, use: Use, first: int, count: int, noise: float) -> Batch:
@@ -208,7 +210,7 @@ def claimed(folder: Path, recipe: Mapping[str, Any], tell: Tell) -> Iterator[Non
     Args:
         folder: of the run.
         recipe: all that decides the run beside the code, as JSON has it.
-        tell: is told where the file system has no locks.
+        tell: called where the file system has no locks.
 
     Raises:
         StreamRefused: an official list has the seed of one of its streams.
@@ -310,7 +312,7 @@ def _result(row: Row) -> RoundResult:
     )
 
 
-def told(found: Rate) -> str:
+def format_rate(found: Rate) -> str:
     """Return a rate for people."""
     low, high = 100 * found.interval.low, 100 * found.interval.high
     return f"{found.successes} of {found.episodes} ({100 * found.success_rate:.1f} % [{low:.1f}, {high:.1f}])"

@@ -32,7 +32,7 @@ class Recent(Generic[ValueT]):
     """Something that many ask for and that may be some seconds old.
 
     Args:
-        kept_s: from then on it is read anew, perhaps by several requests at once [s].
+        kept_s: after this time it is read again, perhaps by several requests at once [s].
     """
 
     def __init__(self, *, kept_s: float) -> None:

@@ -1,4 +1,4 @@
-"""Families of environments that this machine can run; told to the service, and whose queues the worker takes from."""
+"""Families of environments that this machine can run: reported to the service, which gives the worker their shards."""
 
 from vitac.envs.maniskill.abilities import abilities
 from vitac.envs.tasks.definition import Family

@@ -8,7 +8,7 @@ from vitac.evaluator.package_sets import package_differences, shown_sets
 from vitac.evaluator.tracks import Track, list_tracks, load_track
 from vitac.evaluator.tracks.versions import current_versions, version_of
 from vitac.evaluator.version import evaluator_version
-from vitac.server.queue.declared import why_other_tracks
+from vitac.server.queue.declared import explain_other_tracks
 from vitac.server.queue.jobs import queue_name
 from vitac.server.tracks import family_of
 
@@ -28,13 +28,13 @@ def fit_families() -> tuple[Family, ...]:
     return tuple(family for family in families_here() if queue_name(evaluator_version(), family) in queues)
 
 
-def why_unfit(declared: Mapping[str, str]) -> str:
+def explain_unfit(declared: Mapping[str, str]) -> str:
     """Return why the worker takes no shards of some tracks, one sentence after the other; empty where it takes all.
 
     Args:
         declared: versions by track, as the service says.
     """
-    reasons = why_other_tracks(declared) | tracks_with_other_packages()
+    reasons = explain_other_tracks(declared) | tracks_with_other_packages()
     return f"Takes no shards of {' '.join(reasons.values())}" if reasons else ""
 
 

@@ -14,10 +14,10 @@ from vitac.server.db.models import Worker
 from vitac.server.db.schema import installed_revision, newest_revision
 from vitac.server.db.states import WorkerState
 from vitac.server.queue import workers
-from vitac.server.queue.declared import declared_versions, why_other_evaluator
+from vitac.server.queue.declared import declared_versions, explain_other_evaluator
 from vitac.server.services import Services
 
-from .fitness import fit_families, why_unfit
+from .fitness import explain_unfit, fit_families
 from .isolation import IsolationReport
 
 logger = structlog.get_logger(__name__)
@@ -97,16 +97,16 @@ class Heartbeat:
             with self._services.database.transaction() as session:
                 declared = declared_versions(session)
                 disk = workers.disk_of(self._services.settings.scratch_dir)
-                message = self._message or why_unfit(declared)
+                message = self._message or explain_unfit(declared)
                 workers.heartbeat(session, self.worker_id, state, disk, message)
         except (SQLAlchemyError, OSError) as error:
             logger.warning("heartbeat_failed", error=" ".join(str(error).split())[:200])
         else:
-            if why_other_evaluator(declared):
+            if explain_other_evaluator(declared):
                 self._on_other_evaluator()
 
     def _register(self, session: Session) -> None:
-        workers.register(session, self._row(self._message or why_unfit(declared_versions(session))))
+        workers.register(session, self._row(self._message or explain_unfit(declared_versions(session))))
 
     def _row(self, message: str) -> Worker:
         return Worker(

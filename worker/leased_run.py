@@ -120,7 +120,7 @@ class LeasedRun(ABC, Generic[ProcessT]):
         self._moved_at = time.monotonic()
 
     def _database(self, change: Callable[[Session], ResultT]) -> ResultT:
-        """Run a transaction, again and again while the database is away and the worker is not told to stop."""
+        """Run a transaction, again and again while the database is away and the worker has not been asked to stop."""
         patience_s = 5.0 if self._stopping.is_set() else DATABASE_PATIENCE_S
         return self._services.database.retrying(change, give_up_after_s=patience_s)
 
@@ -187,7 +187,7 @@ class LeasedRun(ABC, Generic[ProcessT]):
                 self._lost.set()
                 self._kill()
                 return
-            except Exception as error:  # noqa: BLE001 - whatever it is, the work itself goes on and will tell
+            except Exception as error:  # noqa: BLE001 - whatever it is, the work itself continues and reports it
                 self._logger.warning("lease_not_renewed", error=str(error))
 
     def _end_if_idle(self) -> None:

@@ -10,7 +10,7 @@ import structlog
 from vitac.evaluator.shards.process import ShardProcesses
 from vitac.server.db.states import WorkerState
 from vitac.server.housekeeping import Housekeeping
-from vitac.server.queue.declared import declared_versions, why_other_evaluator
+from vitac.server.queue.declared import declared_versions, explain_other_evaluator
 from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
 from vitac.server.storage.disk_space import is_disk_full
@@ -52,7 +52,7 @@ def work(services: Services, start: StartShard, *, probe: ProbeIsolation = probe
     with _stopped_by_signals(stopping):
         while not stopping.is_set():
             report = probe()
-            refusal = _why_refused(services, report)
+            refusal = _explain_refused(services, report)
             if refusal is not None:
                 _refuse(services, report, refusal, stopping)
                 continue
@@ -85,18 +85,18 @@ def _take_shards(services: Services, report: IsolationReport, start: StartShard,
         stack.callback(housekeeping.stop)
         worker = QueueWorker(services, stage, heartbeat.worker_id, start)
         # A thread, not the signal's handler: that may interrupt whoever holds the locks which `stop` needs.
-        threading.Thread(target=_stop_when, args=((stopping, leaving), worker), name="stop", daemon=True).start()
+        threading.Thread(target=_stop_on_event, args=((stopping, leaving), worker), name="stop", daemon=True).start()
         logger.info("worker_started", worker=str(heartbeat.worker_id), slots=services.settings.worker_slots)
         asyncio.run(worker.run())
         logger.info("worker_stopped", worker=str(heartbeat.worker_id))
 
 
-def _why_refused(services: Services, report: IsolationReport) -> str | None:
+def _explain_refused(services: Services, report: IsolationReport) -> str | None:
     """Return why this worker may take no shard at all; None if it may."""
     if not report.is_sound:
         return f"This machine may not run policies: {' '.join(report.problems)} Run `vitac doctor` here."
     declared = services.database.retrying(declared_versions, give_up_after_s=START_PATIENCE_S)
-    return why_other_evaluator(declared)
+    return explain_other_evaluator(declared)
 
 
 def _refuse(services: Services, report: IsolationReport, message: str, stopping: threading.Event) -> None:
@@ -108,7 +108,7 @@ def _refuse(services: Services, report: IsolationReport, message: str, stopping:
     heartbeat.stop()
 
 
-def _stop_when(events: tuple[threading.Event, ...], worker: QueueWorker) -> None:
+def _stop_on_event(events: tuple[threading.Event, ...], worker: QueueWorker) -> None:
     while not any(event.is_set() for event in events):
         events[0].wait(LOOK_S)
     worker.stop()

@@ -37,7 +37,7 @@ class Slot:
             self._soon()
 
     def leave(self) -> None:
-        """Let another simulation have the place; called by the work, which goes on."""
+        """Let another simulation have the place; called by the work, which continues."""
         self._give_back()
         self.soon_left()
 

@@ -58,7 +58,7 @@ class SubmissionStage:
     def _kept(self, name: str, fetch: Callable[[Path], Path]) -> Iterator[Path]:
         """Return what `fetch` has put into a folder of this name, once for all who want it at the same time."""
         with self._lock:
-            # A place of its own each time: a process that was kept must not fit what is unpacked anew.
+            # A place of its own each time: a process that was kept must not fit what is unpacked again.
             staged = self._staged.get(name) or _Staged(folder=self._folder / f"{name}-{next(self._numbers)}")
             self._staged[name] = staged
             staged.users += 1

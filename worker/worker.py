@@ -88,11 +88,11 @@ class QueueWorker:
 
         @app.task(name=RUN_SHARD)
         async def run_shard(shard_id: int) -> None:
-            await self._until_next_is_due(threads, self._run_shard, shard_id)
+            await self._wait_until_next_is_due(threads, self._run_shard, shard_id)
 
         @app.task(name=MAKE_PLAYBACK)
         async def make_playback(playback_id: int) -> None:
-            await self._until_next_is_due(threads, self._make_playback, playback_id)
+            await self._wait_until_next_is_due(threads, self._make_playback, playback_id)
 
         async with app.open_async():
             working = asyncio.create_task(
@@ -111,12 +111,12 @@ class QueueWorker:
             with contextlib.suppress(asyncio.CancelledError):
                 await working
 
-    async def _until_next_is_due(
+    async def _wait_until_next_is_due(
         self, threads: ThreadPoolExecutor, do: Callable[[int, Slot], None], number: int
     ) -> None:
         """Do a job in a thread, in a slot; return when it is time to fetch the next job, which waits for the slot.
 
-        What is left of the work then goes on without its job, which nobody needs: the row and its lease decide.
+        What is left of the work then continues without its job, which nobody needs: the row and its lease decide.
         """
         soon = asyncio.Event()
         slot = Slot(self._free_slots, partial(asyncio.get_running_loop().call_soon_threadsafe, soon.set))

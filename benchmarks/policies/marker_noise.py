@@ -22,7 +22,7 @@ from vitac.evaluator.tracks import load_track
 from vitac.training.actors import random_actor
 from vitac.training.episodes import TASK, Episodes, make_environment, play
 from vitac.training.learning.belief import OFFSET, fit_belief
-from vitac.training.learning.student import told_of
+from vitac.training.learning.student import student_inputs
 from vitac.training.streams import Use, stream
 from vitac.training.submission.policy import belief_inputs
 
@@ -65,7 +65,7 @@ def errors(weights: dict[str, NDArray[Any]], taught: Episodes, fresh: Episodes) 
         taught: episodes that the belief is fitted to.
         fresh: others.
     """
-    believed = belief_inputs(weights, told_of(fresh)[fresh.observations]) @ fit_belief(weights, taught)
+    believed = belief_inputs(weights, student_inputs(fresh)[fresh.observations]) @ fit_belief(weights, taught)
     true = fresh.truths[fresh.observations, OFFSET]
     rows = []
     for step in range(int(fresh.step.max()) + 1):

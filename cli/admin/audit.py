@@ -20,7 +20,7 @@ def audit() -> None:
 def list_entries(
     action: Annotated[str | None, typer.Option(help="Only this action, such as team.quota.")] = None,
     subject: Annotated[str | None, typer.Option(help="Only this thing, such as team:ID.")] = None,
-    limit: Annotated[int, typer.Option(min=1, max=10_000, help="At most so many.")] = 50,
+    limit: Annotated[int, typer.Option(min=1, max=10_000, help="Maximum number of rows.")] = 50,
     as_json: AsJson = False,
 ) -> None:
     """List the changes that people made, newest first: who, when, what, before and after."""

@@ -22,7 +22,7 @@ COLUMNS = ("id", "team", "submission", "run", "state", "success", "steps", "verd
 @app.command("list")
 def list_evaluations(
     state: Annotated[str | None, typer.Option(help="queued, running, completed, failed or cancelled.")] = None,
-    limit: Annotated[int, typer.Option(min=1, max=1000, help="At most so many.")] = 50,
+    limit: Annotated[int, typer.Option(min=1, max=1000, help="Maximum number of rows.")] = 50,
     as_json: AsJson = False,
 ) -> None:
     """List evaluations, newest first.
@@ -69,7 +69,7 @@ def requeue(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Start a new run of the same submission, all episodes anew; this evaluation stays as it is."""
+    """Run all episodes of the same submission again; this evaluation does not change."""
     from vitac.server.evaluations import listing
     from vitac.server.principals import CONSOLE
     from vitac.server.submissions import runs

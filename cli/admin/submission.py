@@ -24,7 +24,7 @@ def list_submissions(
     team: Annotated[str | None, typer.Option(help="Only this team's (name or id).")] = None,
     track: Annotated[str | None, typer.Option(help="Only this track's.")] = None,
     state: Annotated[str | None, typer.Option(help="queued, running, completed, failed or cancelled.")] = None,
-    limit: Annotated[int, typer.Option(min=1, max=1000, help="At most so many.")] = 50,
+    limit: Annotated[int, typer.Option(min=1, max=1000, help="Maximum number of rows.")] = 50,
     before: Annotated[UUID | None, typer.Option(help="Only those older than this submission.")] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -71,7 +71,7 @@ def requeue(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Evaluate a submission once more, all episodes anew. Earlier results stay; the newest run is the one shown."""
+    """Evaluate all episodes of a submission again. Earlier results stay; the newest run is shown."""
     from vitac.server.principals import CONSOLE
     from vitac.server.submissions import listing, runs
 

@@ -93,7 +93,7 @@ def accept(team: TeamName, dry_run: DryRun = False, as_json: AsJson = False) -> 
 @app.command()
 def refuse(
     team: TeamName,
-    reason: Annotated[str, typer.Option(help="Told to the team.")],
+    reason: Annotated[str, typer.Option(help="Sent to the team.")],
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
@@ -209,7 +209,7 @@ def merge(
 @app.command()
 def disqualify(
     team: TeamName,
-    reason: Annotated[str, typer.Option(help="Told to the team when it submits.")],
+    reason: Annotated[str, typer.Option(help="Shown to the team when it submits.")],
     yes: Yes = False,
     dry_run: DryRun = False,
     as_json: AsJson = False,

@@ -7,7 +7,7 @@ import typer
 from ..terminal.options import Server, TokenFile
 from ..terminal.outcomes import print_meanings
 from ..terminal.output import AsJson, print_json, print_record, print_records
-from .http import client_from
+from .http import make_client
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -18,7 +18,7 @@ AppealNumber = Annotated[int, typer.Argument(min=1, max=2_147_483_647, help="Num
 @app.command("list")
 def list_appeals(server: Server = None, token_file: TokenFile = None, as_json: AsJson = False) -> None:
     """List the team's appeals, newest first."""
-    found = client_from(server, token_file).call("GET", ADDRESS)["items"]
+    found = make_client(server, token_file).call("GET", ADDRESS)["items"]
     columns = ("id", "state", "submission_name", "task", "episode", "opened_at", "ruling")
     print_records(found, columns, none="No appeal.", as_json=as_json)
 
@@ -35,14 +35,14 @@ def open_appeal(
 ) -> None:
     """Appeal against the newest evaluation of a submission."""
     new = {"submission_id": submission, "text": text, "task": task, "episode": episode}
-    made = client_from(server, token_file).call("POST", ADDRESS, new)
+    made = make_client(server, token_file).call("POST", ADDRESS, new)
     print_record({name: value for name, value in made.items() if name != "replays"}, as_json=as_json)
 
 
 @app.command()
 def show(appeal: AppealNumber, server: Server = None, token_file: TokenFile = None, as_json: AsJson = False) -> None:
     """Show an appeal, its ruling, and what was played again for it."""
-    found = client_from(server, token_file).call("GET", f"{ADDRESS}/{appeal}")
+    found = make_client(server, token_file).call("GET", f"{ADDRESS}/{appeal}")
     if as_json:
         print_json(found)
         return
@@ -59,5 +59,5 @@ def withdraw(
     appeal: AppealNumber, server: Server = None, token_file: TokenFile = None, as_json: AsJson = False
 ) -> None:
     """Take an appeal back that is not decided."""
-    found = client_from(server, token_file).call("POST", f"{ADDRESS}/{appeal}/withdraw")
+    found = make_client(server, token_file).call("POST", f"{ADDRESS}/{appeal}/withdraw")
     print_record({name: found[name] for name in ("id", "state", "ended_at")}, as_json=as_json)

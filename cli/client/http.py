@@ -120,8 +120,8 @@ class Client:
             kind: what the file is.
             team: for an organizer's token: the team that submits.
             again: run all episodes, also those that were evaluated before.
-            file_name: as the user names it; None: not told.
-            on_position: told how many bytes are sent; after a cut it may be fewer than before.
+            file_name: as the user names it; None if the user did not name it.
+            on_position: called with the number of bytes sent; after a lost connection it may be lower than before.
         """
         with archive.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
@@ -189,7 +189,7 @@ def _tls() -> ssl.SSLContext:
     return httpx.create_ssl_context(trust_env=False)
 
 
-def client_from(server: str | None, token_file: Path | None, *, with_token: bool = True) -> Client:
+def make_client(server: str | None, token_file: Path | None, *, with_token: bool = True) -> Client:
     """Return a client configured by options, environment (VITAC_SERVER, VITAC_TOKEN) and what `vitac login` keeps.
 
     Args:

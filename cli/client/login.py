@@ -11,8 +11,8 @@ import typer
 
 from ..terminal.options import Server
 from . import credentials
-from .http import client_from, read_token
-from .whoami import owner_of
+from .http import make_client, read_token
+from .whoami import format_owner
 
 
 def command(
@@ -20,7 +20,7 @@ def command(
     token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: it is asked for.")] = None,
 ) -> None:
     """Check a token, read from a prompt or standard input, and keep it for the other commands."""
-    client = client_from(server, None, with_token=False)
+    client = make_client(server, None, with_token=False)
     if token_file is not None:
         token = read_token(token_file)
     elif sys.stdin.isatty():
@@ -29,4 +29,4 @@ def command(
         token = sys.stdin.readline().strip()
     me = replace(client, token=token).me()
     credentials.keep(client.server, token)
-    print(f"logged in at {client.server} as {owner_of(me)}; the token is kept in {credentials.path()}")
+    print(f"logged in at {client.server} as {format_owner(me)}; the token is kept in {credentials.path()}")

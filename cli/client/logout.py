@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from . import credentials
-from .http import client_from
+from .http import make_client
 
 
 def command(
@@ -16,7 +16,7 @@ def command(
     revoke: Annotated[bool, typer.Option("--revoke", help="End the token for good, wherever it is used.")] = False,
 ) -> None:
     """Remove the kept token from this machine; the team and its other tokens stay."""
-    client = client_from(server, None, with_token=False)
+    client = make_client(server, None, with_token=False)
     token = credentials.token_for(client.server)
     if token is None:
         print(f"not logged in at {client.server}")

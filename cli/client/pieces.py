@@ -1,7 +1,7 @@
-"""Uploads a file so that cuts cost little: begins, sends, and after a cut asks how far it is and goes on from there.
+"""Uploads a file in pieces, so that a lost connection costs little: asks for the offset and continues from there.
 
 The other side is the service's `/uploads`, by the protocol tus 1.0. The service finds an unfinished upload by the
-digest of its content, so a command that was killed goes on when it is started again. Called by `Client.upload`.
+digest of its content, so a command that was killed continues when it is started again. Called by `Client.upload`.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ CHUNK_BYTES = 1 << 18
 PAUSES_S = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0, 15.0, 15.0)
 """Waits after failures with no byte of progress between them; after the last one the upload is given up."""
 FIRST_PAUSES = 3
-"""So many of these waits where nobody has answered yet: the address is probably wrong."""
+"""Number of these waits where nobody has answered yet: the address is probably wrong."""
 TRANSIENT = frozenset(
     {"database_unavailable", "not_found", "service_stopping", "storage_unavailable", "too_many_requests"}
     | {"upload_conflict", "upload_incomplete", "upload_truncated"}
 )
 """Refusals that may go away. An upload that is not found has expired, and a new one is begun."""
 MISPLACED = frozenset({"not_found", "upload_conflict", "upload_incomplete"})
-"""Refusals after which it has to be asked anew where the upload goes on."""
+"""Refusals after which the client asks again for the offset of the upload."""
 PROXY_STATUSES = frozenset({408, 502, 503, 504})
 """What a reverse proxy answers while the service behind it restarts or takes long."""
 CHECKING_TIMEOUT_S = 600.0
@@ -49,7 +49,7 @@ class PieceSender:
         send: makes the requests.
         file: what is uploaded.
         metadata: what the service has to know of it, with its `sha256`.
-        on_position: told how many bytes are sent; after a cut it may be fewer than before.
+        on_position: called with the number of bytes sent; after a lost connection it may be lower than before.
         pause: waits, in seconds.
     """
 

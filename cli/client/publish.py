@@ -8,7 +8,7 @@ import typer
 
 from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, print_json
-from .http import client_from
+from .http import make_client
 
 
 def command(
@@ -19,7 +19,7 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Let everybody see the page of a submission: score, episodes and playbacks, nothing that the policy printed."""
-    client = client_from(server, token_file)
+    client = make_client(server, token_file)
     found = client.set_public(submission, public=not off)
     if as_json:
         print_json(found)

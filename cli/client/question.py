@@ -6,7 +6,7 @@ import typer
 
 from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, print_record, print_records
-from .http import client_from
+from .http import make_client
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -16,7 +16,7 @@ ADDRESS = "/api/v1/questions"
 @app.command("list")
 def list_questions(server: Server = None, token_file: TokenFile = None, as_json: AsJson = False) -> None:
     """List the team's questions and the public ones with their answers, newest first."""
-    found = client_from(server, token_file).call("GET", ADDRESS)["items"]
+    found = make_client(server, token_file).call("GET", ADDRESS)["items"]
     print_records(found, ("id", "team", "public", "text", "answer"), none="No question.", as_json=as_json)
 
 
@@ -31,5 +31,5 @@ def ask(
     as_json: AsJson = False,
 ) -> None:
     """Ask the organizers."""
-    made = client_from(server, token_file).call("POST", ADDRESS, {"text": text, "public": public})
+    made = make_client(server, token_file).call("POST", ADDRESS, {"text": text, "public": public})
     print_record({name: made[name] for name in ("id", "public", "asked_at", "text")}, as_json=as_json)

@@ -1,4 +1,4 @@
-"""What a service says no with, as the command line tells it. Raised by the client, told apart by its callers."""
+"""Refusals of a service as the command line prints them. Raised by the client, distinguished by its callers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HINTS = {
     "upload_truncated": "The upload was cut off; send it again.",
     "upload_too_large": "Remove files that the policy does not need; a log holds one evaluation of one task.",
     "too_many_requests": "Wait a moment and retry.",
-    "too_many_uploads": "Finish or wait; `vitac submit` goes on with an upload of the same content.",
+    "too_many_uploads": "Finish or wait; `vitac submit` continues an upload of the same content.",
     "database_unavailable": "The database is starting or down; retry in a minute.",
     "quota_exceeded": "`vitac whoami` shows your quotas; an upload in pieces waits for a day.",
     "registration_closed": "Ask the organizers: they add teams and members; a token from them goes to `vitac login`.",

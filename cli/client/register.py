@@ -10,7 +10,7 @@ from vitac.envs.errors import VitacError
 from ..terminal.options import Server
 from ..terminal.output import AsJson, print_json, print_pairs
 from . import credentials
-from .http import client_from
+from .http import make_client
 
 
 class LoggedIn(VitacError):
@@ -25,7 +25,7 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Register a team, print its token, which is shown only now, and keep it for the other commands."""
-    client = client_from(server, None, with_token=False)
+    client = make_client(server, None, with_token=False)
     if credentials.token_for(client.server) is not None:
         raise LoggedIn(f"You are logged in at {client.server}; `vitac whoami` shows as whom, `vitac logout` ends it.")
     answer = client.register(name, contact=contact, invite=invite)

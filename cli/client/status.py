@@ -10,7 +10,7 @@ from vitac.envs.errors import VitacError
 from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, percent, print_json, print_pairs, print_table
 from .follow import follow
-from .http import client_from
+from .http import make_client
 from .progress import EvaluationProgress, missing_tasks, nobody
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def command(
 
     With --watch the exit code is 0 for a completed evaluation and 1 for one that failed or was cancelled.
     """
-    client = client_from(server, token_file)
+    client = make_client(server, token_file)
     if submission is None:
         if watch:
             raise typer.BadParameter("--watch needs the id of a submission.")

@@ -13,7 +13,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from ..terminal.existing import existing
 from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, print_json
-from .http import client_from
+from .http import make_client
 from .packing import pack
 from .progress import missing_tasks, nobody
 from .upload_kind import kind_of
@@ -52,7 +52,7 @@ def command(
 
     Exit code 0: accepted (with --watch: completed), 1: refused, 2: wrong usage.
     """
-    client = client_from(server, token_file)
+    client = make_client(server, token_file)
     kind = kind or kind_of(submission)
     track = track or _track_of(submission, kind)
     with packed(submission) as archive, upload_bar(archive.stat().st_size, shown=not as_json) as on_position:

@@ -11,7 +11,7 @@ from vitac.server.db.states import NoticeKind
 from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, print_json, print_pairs, print_records
 from . import credentials, webhook
-from .http import client_from
+from .http import make_client
 from .own_team import NoTeam, own_path
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ MemberName = Annotated[str, typer.Argument(help="The member's name, as `vitac te
 @app.command()
 def show(server: Server = None, token_file: TokenFile = None, as_json: AsJson = False) -> None:
     """Show the team, its members and its open invitations."""
-    found = _own_team(client_from(server, token_file))
+    found = _own_team(make_client(server, token_file))
     if as_json:
         print_json(found)
         return
@@ -39,14 +39,14 @@ def show(server: Server = None, token_file: TokenFile = None, as_json: AsJson = 
 @app.command()
 def data(server: Server = None, token_file: TokenFile = None) -> None:
     """Print everything that the service has of the team, as JSON."""
-    client = client_from(server, token_file)
+    client = make_client(server, token_file)
     print_json(client.call("GET", f"{own_path(client)}/data"))
 
 
 @app.command()
 def invite(server: Server = None, token_file: TokenFile = None, as_json: AsJson = False) -> None:
     """Print a code with which one person joins the team; for its captain."""
-    client = client_from(server, token_file)
+    client = make_client(server, token_file)
     made = client.call("POST", f"{own_path(client)}/invitations")
     if as_json:
         print_json(made)
@@ -64,7 +64,7 @@ def join(
     as_json: AsJson = False,
 ) -> None:
     """Join a team, print your token, which is shown only now, and keep it for the other commands."""
-    client = client_from(server, None, with_token=False)
+    client = make_client(server, None, with_token=False)
     answer = client.call("POST", "/api/v1/teams/join", {"code": code, "name": name, "email": email})
     secret = answer["token"]["secret"]
     if as_json:
@@ -77,7 +77,7 @@ def join(
 @app.command()
 def remove(member: MemberName, server: Server = None, token_file: TokenFile = None) -> None:
     """Remove a member, whose token ends at once; for the captain, or to leave the team."""
-    client = client_from(server, token_file)
+    client = make_client(server, token_file)
     client.call("DELETE", _path_of_member(client, member))
     print(f"{member} is no longer in the team")
 
@@ -85,7 +85,7 @@ def remove(member: MemberName, server: Server = None, token_file: TokenFile = No
 @app.command()
 def captain(member: MemberName, server: Server = None, token_file: TokenFile = None) -> None:
     """Make another member the captain."""
-    client = client_from(server, token_file)
+    client = make_client(server, token_file)
     team = _own_team(client)
     client.call("PUT", f"/api/v1/teams/{team['id']}/captain", {"member_id": _member(team, member)["id"]})
     print(f"{member} is the captain")
@@ -99,7 +99,7 @@ def email(
     token_file: TokenFile = None,
 ) -> None:
     """Say where you get notices."""
-    client = client_from(server, token_file)
+    client = make_client(server, token_file)
     client.call("PATCH", _path_of_member(client, member), {"email": address})
     print(f"notices of {member}: {address or 'none'}")
 
@@ -114,7 +114,7 @@ def mute(
     token_file: TokenFile = None,
 ) -> None:
     """Say which notices you do not want by e-mail, in place of what you said before."""
-    client = client_from(server, token_file)
+    client = make_client(server, token_file)
     muted = sorted(set(kinds or ()))
     client.call("PATCH", _path_of_member(client, member), {"muted": muted})
     print(f"{member} gets no notices of: {', '.join(muted)}" if muted else f"{member} gets all notices")
@@ -123,7 +123,7 @@ def mute(
 @app.command()
 def password(member: MemberName, server: Server = None, token_file: TokenFile = None) -> None:
     """Set your password, read from a prompt or standard input; an empty one takes it away."""
-    client = client_from(server, token_file)
+    client = make_client(server, token_file)
     if sys.stdin.isatty():
         given = typer.prompt("New password", hide_input=True, confirmation_prompt=True, default="", show_default=False)
     else:
@@ -137,7 +137,7 @@ def renew_token(
     member: MemberName, server: Server = None, token_file: TokenFile = None, as_json: AsJson = False
 ) -> None:
     """Print a new token in place of yours, which ends, and keep it for the other commands."""
-    client = client_from(server, token_file)
+    client = make_client(server, token_file)
     made = client.call("POST", f"{_path_of_member(client, member)}/token")
     if as_json:
         print_json(made)

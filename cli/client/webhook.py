@@ -7,7 +7,7 @@ import typer
 
 from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, print_json, print_pairs, print_records
-from .http import client_from
+from .http import make_client
 from .own_team import own_path
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -16,7 +16,7 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 @app.command("list")
 def list_webhooks(server: Server = None, token_file: TokenFile = None, as_json: AsJson = False) -> None:
     """List the team's webhooks, oldest first."""
-    client = client_from(server, token_file)
+    client = make_client(server, token_file)
     found = client.call("GET", f"{own_path(client)}/webhooks")["items"]
     print_records(found, ("id", "address", "created_at"), none="No webhook.", as_json=as_json)
 
@@ -29,7 +29,7 @@ def add(
     as_json: AsJson = False,
 ) -> None:
     """Post the team's notices to an address, and print the secret that signs them."""
-    client = client_from(server, token_file)
+    client = make_client(server, token_file)
     made = client.call("POST", f"{own_path(client)}/webhooks", {"address": address})
     if as_json:
         print_json(made)
@@ -45,6 +45,6 @@ def remove(
     token_file: TokenFile = None,
 ) -> None:
     """Post no further notices to an address."""
-    client = client_from(server, token_file)
+    client = make_client(server, token_file)
     client.call("DELETE", f"{own_path(client)}/webhooks/{webhook}")
     print(f"{webhook} no longer gets notices")

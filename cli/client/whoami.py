@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, print_json, print_pairs, print_records
-from .http import client_from
+from .http import make_client
 
 if TYPE_CHECKING:
     from .http import Json
@@ -18,7 +18,7 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Show team, token and quotas."""
-    client = client_from(server, token_file)
+    client = make_client(server, token_file)
     me = client.me()
     if as_json:
         print_json(me)
@@ -27,7 +27,7 @@ def command(
     print_pairs(
         {
             "server": client.server,
-            "as": owner_of(me),
+            "as": format_owner(me),
             **({"shown as": me["team"]["shown_as"]} if me["team"] is not None else {}),
             "token": token["label"],
             "expires": token["expires_at"] or "never",
@@ -44,7 +44,7 @@ def command(
         print_records(me["stage_quotas"], shown, none="", as_json=False)
 
 
-def owner_of(me: Json) -> str:
+def format_owner(me: Json) -> str:
     """Return the team's name, or that it is an organizer."""
     if me["team"] is not None:
         return str(me["team"]["name"])

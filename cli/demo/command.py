@@ -22,7 +22,7 @@ from ..client.progress import EvaluationProgress
 from ..client.status import require_score
 from ..client.submit import packed
 from ..service.database import load_settings
-from ..service.events import write_events_to
+from ..service.events import configure_events
 from ..service.process_tree import running_service
 from ..service.stop_request import StopRequest
 from ..service.web_server import bind_or_any
@@ -74,7 +74,7 @@ def command(
     display.title(version("vitac-arena"))
     settings.state_dir.mkdir(parents=True, exist_ok=True)
     with (settings.state_dir / LOG).open("a") as log, StopRequest().listening() as stop:
-        write_events_to(log, settings.log_format)
+        configure_events(log, settings.log_format)
         demo = Demo(
             settings=settings,
             display=display,

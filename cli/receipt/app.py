@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..client.http import client_from
+from ..client.http import make_client
 from ..compare import PAGES
 from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, moment, percent, print_json, print_pairs
@@ -47,7 +47,7 @@ def verify(
     if Path(receipt).is_file():
         found = read_receipt(Path(receipt))
     else:
-        found, shown_key = _at_service(receipt, server, token_file)
+        found, shown_key = _read_from_service(receipt, server, token_file)
         key = key or shown_key
     found.require_valid(key)
     if as_json:
@@ -70,7 +70,7 @@ def verify(
 @app.command()
 def audit(
     export: Annotated[Path, typer.Argument(help="File of `vitac admin receipt export`.")],
-    episodes: Annotated[int, typer.Option(min=0, help="Run so many episodes again, chosen at random.")] = 10,
+    episodes: Annotated[int, typer.Option(min=0, help="Number of episodes to run again, chosen at random.")] = 10,
     seed: Annotated[
         int | None,
         typer.Option(min=0, help="Chooses the episodes; drawn and printed without it, so nobody foresees it."),
@@ -149,7 +149,7 @@ def _noted(text: str) -> tuple[int, str]:
     return int(number), digest
 
 
-def _at_service(named: str, server: str | None, token_file: Path | None) -> tuple[AnyReceipt, str]:
+def _read_from_service(named: str, server: str | None, token_file: Path | None) -> tuple[AnyReceipt, str]:
     """Return the receipt of a submission's newest result, else of its arrival, and the key that the service shows.
 
     Raises:
@@ -158,7 +158,7 @@ def _at_service(named: str, server: str | None, token_file: Path | None) -> tupl
     from vitac.server.receipts.receipt import Receipt, ReceiptRejected, SubmissionReceipt
 
     address, _, submission_id = named.rpartition(PAGES)
-    client = client_from(address.removesuffix("/api/v1") or server, token_file)
+    client = make_client(address.removesuffix("/api/v1") or server, token_file)
     listed = client.send("GET", f"/api/v1/submissions/{submission_id}/receipts").json()
     found: AnyReceipt
     if listed:

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from vitac.server.settings import LogFormat
 
 
-def write_events_to(stream: TextIO, form: LogFormat) -> None:
+def configure_events(stream: TextIO, form: LogFormat) -> None:
     """Write the service events of this process (ours and the libraries') to a stream, one line per event."""
     import structlog
     from vitac.server.settings import LogFormat
@@ -41,7 +41,7 @@ def write_events_to(stream: TextIO, form: LogFormat) -> None:
 
 
 def keep_events_off_output() -> None:
-    """Write service events to standard error unless `write_events_to` was called: standard output is for results."""
+    """Write service events to standard error unless `configure_events` was called: standard output is for results."""
     import structlog
 
     if not structlog.is_configured():

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from .database import load_settings
-from .events import write_events_to
+from .events import configure_events
 from .process_tree import running_service
 from .stop_request import StopRequest
 from .web_server import bind
@@ -21,7 +21,7 @@ def command(
 ) -> None:
     """Run the service until Ctrl-C: API, pages, and the embedded database unless VITAC_DATABASE_URL is set."""
     settings = load_settings(host=host, port=port)
-    write_events_to(sys.stderr, settings.log_format)
+    configure_events(sys.stderr, settings.log_format)
     listener = bind(settings.host, settings.port)
     with (
         StopRequest().listening() as stop,

@@ -13,11 +13,11 @@ from http.client import HTTPConnection, HTTPException
 from typing import TYPE_CHECKING
 
 from .database import load_settings
-from .events import write_events_to
+from .events import configure_events
 from .loading import no_collections
 from .stop_request import StopRequest
 from .web_server import BACKLOG, START_LIMIT_S, ServerDidNotStart, WebServer
-from .worker import end_with
+from .worker import exit_with_parent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,8 +41,8 @@ def main(listener: int, parent: int) -> None:
         from vitac.server.services import open_services
 
     settings = load_settings()
-    write_events_to(sys.stderr, settings.log_format)
-    end_with(parent)
+    configure_events(sys.stderr, settings.log_format)
+    exit_with_parent(parent)
     # Until the services are open, which may take as long as the database is away, SIGTERM ends the process at once: it
     # holds the service's port, and whoever started it may be gone.
     with (

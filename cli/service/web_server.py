@@ -22,7 +22,7 @@ BACKLOG = 2048
 START_LIMIT_S = 30.0
 STOP_LIMIT_S = 10.0
 COLLECTIONS_OF_ALL = 1000
-"""So many collections of the middle generation before one of all; Python's own 10 are reached once in sixty lists."""
+"""Collections of the middle generation before one of all; Python's default of 10 is reached once in sixty lists."""
 
 
 class PortTaken(VitacError):

@@ -18,19 +18,19 @@ def command(
     ] = None,
 ) -> None:
     """Run a worker until Ctrl-C. Run any number, on any machine that reaches database and storage."""
-    from .events import write_events_to
+    from .events import configure_events
 
     with no_collections():
         from vitac.worker.main import run
 
     settings = load_settings(worker_slots=slots)
-    write_events_to(sys.stderr, settings.log_format)
+    configure_events(sys.stderr, settings.log_format)
     if parent is not None:
-        end_with(parent)
+        exit_with_parent(parent)
     run(settings)
 
 
-def end_with(parent: int) -> None:
+def exit_with_parent(parent: int) -> None:
     """Have the kernel send SIGTERM when the parent ends for any reason; exit if it has ended already."""
     import ctypes
     import os

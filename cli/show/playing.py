@@ -118,7 +118,7 @@ def player(start: Start, policy: Path | None, actions: Path | None) -> Iterator[
         VitacError: the submission or the log cannot be read, or the policy not be loaded.
     """
     if not policy and not actions:
-        yield _without_observing(start)
+        yield _skip_observations(start)
         return
     if start.listed is None:
         raise NothingToShow(f"Expected a task such as peg-insertion for --policy or --actions, got {start.env_id}.")
@@ -132,7 +132,7 @@ def player(start: Start, policy: Path | None, actions: Path | None) -> Iterator[
         yield Played(start=start, next_action=_one_by_one(recording.actions), actions=actions.name)
 
 
-def _without_observing(start: Start) -> Played:
+def _skip_observations(start: Start) -> Played:
     """Return the motion straight to the target; for ManiSkill, where nobody has said what that is, the start alone."""
     from vitac.envs.drawing.drawable import straight_to_target
     from vitac.envs.scene.guided_motion import DESCRIPTION
@@ -145,7 +145,7 @@ def _without_observing(start: Start) -> Played:
 @contextmanager
 def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Played]:
     from vitac.evaluator.agent.session import PolicySession
-    from vitac.evaluator.episodes.reading import reading_of
+    from vitac.evaluator.episodes.reading import make_reading
     from vitac.evaluator.submission.manifest import load_manifest
     from vitac.evaluator.submission.sources import staged
     from vitac.evaluator.tracks import find_task
@@ -157,7 +157,7 @@ def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Pla
             raise NothingToShow(
                 f"Expected one of the submission's tasks, {', '.join(manifest.tasks)}, got {task.name}."
             )
-        reading = reading_of(task, manifest.observation_keys)
+        reading = make_reading(task, manifest.observation_keys)
         with (
             PolicySession(folder, entry_point=manifest.entry_point, packages=packages) as session,
             session.episode(task=task.name, action_shape=(len(task.actions),), clouds=reading.clouds) as policy,

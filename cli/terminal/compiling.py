@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 _POLL_S = 0.2
-# Between two kernels nothing is compiled for a moment, so the end is shown after so many polls without.
+# Between two kernels nothing is compiled for a moment, so the end is shown after this number of polls without one.
 _QUIET_POLLS = 5
 _WHAT = "compiling the physics"
 
@@ -49,7 +49,7 @@ def compiling_shown(bar: Progress | None = None) -> Iterator[None]:
     def watch() -> None:
         quiet_polls = _QUIET_POLLS
         while not ended.wait(_POLL_S):
-            progress = CompileProgress.of_own_processes(folder)
+            progress = CompileProgress.read_own_processes(folder)
             if progress:
                 quiet_polls = 0
                 display.show(progress)

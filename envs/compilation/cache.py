@@ -43,7 +43,7 @@ class _KernelCacheFiles(CompileResultCacheImpl):
 class KernelCache(FunctionCache):
     """Keeps the machine code of one kernel, for all argument types and CPUs that it was compiled for.
 
-    Numba writes every file under another name and renames it. A file that cannot be read back is compiled anew.
+    Numba writes every file under another name and renames it. A file that cannot be read back is compiled again.
     """
 
     _impl_class = _KernelCacheFiles
@@ -61,19 +61,19 @@ class KernelCache(FunctionCache):
         try:
             found = super().load_overload(sig, target_context)
         except _UNREADABLE as error:
-            _LOG.warning("Compiled kernels in %s cannot be read (%s); compiling anew.", self.cache_path, error)
+            _LOG.warning("Compiled kernels in %s cannot be read (%s); compiling again.", self.cache_path, error)
             return None
         if found is not None:
             note_use(Path(self.cache_path))
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep machine code, and remove what is no longer used; go on without where the disk does not take it."""
+        """Keep machine code, and remove what is no longer used; a disk that does not take it is no error."""
         try:
             super().save_overload(sig, data)
             remove_unused(Path(self.cache_path).parent)
         except OSError as error:
-            _LOG.warning("Compiled kernels cannot be kept in %s (%s); going on without.", self.cache_path, error)
+            _LOG.warning("Compiled kernels cannot be stored in %s (%s); continuing without.", self.cache_path, error)
 
 
 # What reading a file raises that was cut off, is no pickle, or belongs to another user.

@@ -76,7 +76,7 @@ def draw(
 
 
 class _Anchor(NamedTuple):
-    """How a name stands to its place: moved by so many points, and aligned so."""
+    """Offset [points] and alignment of a name relative to its place."""
 
     right_pt: float
     up_pt: float
@@ -196,7 +196,7 @@ class Painter:
 
 
 def _wipe(figure: Figure, *plots: Axes) -> None:
-    """Remove what was drawn of another moment; `clear` would also make the axes' own parts anew."""
+    """Remove what was drawn of another moment; `clear` would also create the axes' own parts again."""
     drawn = [(axes.images, axes.collections, axes.lines, axes.patches, axes.texts) for axes in plots]
     for artist in [*figure.texts, *(artist for kinds in drawn for kind in kinds for artist in kind)]:
         artist.remove()

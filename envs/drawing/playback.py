@@ -19,7 +19,7 @@ from ..vision.camera import Sight
 FloatArray = NDArray[np.float64]
 NextAction = Callable[[Observation, Info], NDArray[np.float32] | None]
 Belief = Callable[[int], NDArray[np.float32] | None]
-"""Gives the offset [mm, deg] of so many numbers that a policy believed in at its last look; None: it does not say."""
+"""Return the offset [mm, deg], of this length, that a policy believed in at its last look; None without a belief."""
 
 TRUE_OFFSET = "gt_offset_mm_deg"
 """Key of the info of tasks whose held part has an offset: what a policy may say what it believes of."""
@@ -66,7 +66,7 @@ class Moment:
 
     @property
     def end_reason(self) -> str | None:
-        """Why the episode has ended, or None while it goes on."""
+        """Why the episode has ended, or None while it is running."""
         reason: str | None = self.info["end_reason"]
         return reason
 

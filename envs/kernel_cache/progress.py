@@ -30,7 +30,7 @@ class CompileProgress:
         return f"{self.compiled:6} of {self.kernels:6} kernels in process {os.getpid():10}\n".encode()
 
     @classmethod
-    def of_own_processes(cls, folder: Path) -> Self | None:
+    def read_own_processes(cls, folder: Path) -> Self | None:
         """Return how far this process, or one that it has started, is with compiling into a folder.
 
         None where none of them compiles, or nothing can be read. A process that was killed leaves its text behind, but

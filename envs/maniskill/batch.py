@@ -166,7 +166,7 @@ class Batch:
         return self._env.step(commands)
 
     def _started(self, seeds: Mapping[int, int]) -> Any:
-        """Build all scenes anew and start each by itself; scenes without an episode rest in the start of another one.
+        """Build all scenes again and start each by itself; scenes without an episode rest in the start of another one.
 
         ManiSkill draws the starts of all scenes from the seed of the first. A scene that is started alone gets what
         its own seed gives, whichever others there are. It does so before any scene has moved, for ManiSkill forgets the
@@ -193,7 +193,7 @@ class _Scene:
         self.single_action_space = batch.single_action_space
 
     def reset(self, *, seed: int, options: Mapping[str, object]) -> Any:
-        """Start an episode, which always builds the scene anew."""
+        """Start an episode, which always builds a new scene."""
         del options
         return self._batch.ask(self._index, _Start(seed=seed))
 

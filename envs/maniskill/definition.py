@@ -35,8 +35,8 @@ class ManiSkillSettings:
         control_mode: what an action moves, by ManiSkill's name.
         success_key: entry of ManiSkill's info that says whether the task is solved.
         sim_backend: where the physics runs: `physx_cpu`, or `physx_cuda` on a GPU, which does not repeat.
-        batch_size: so many episodes are played at once, each in a scene of its own of one simulation; more than one
-            on a GPU only.
+        batch_size: number of episodes that are played at once, each in a scene of its own of one simulation; more
+            than one on a GPU only.
     """
 
     obs_mode: str = "state"

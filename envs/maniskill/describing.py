@@ -1,4 +1,4 @@
-"""Writes `catalogue.yaml` anew from the installed ManiSkill: `python -m vitac.envs.maniskill.describing [ID ...]`.
+"""Writes `catalogue.yaml` from the installed ManiSkill: `python -m vitac.envs.maniskill.describing [ID ...]`.
 
 Every registered environment is tried in a process of its own; run it where a Vulkan driver is installed.
 """

@@ -40,7 +40,7 @@ _LARGEST_SEED = 2**31 - 1
 _SAME_ON_EVERY_CPU = {"ATEN_CPU_CAPABILITY": "default", "MKL_CBWR": "COMPATIBLE", "OMP_NUM_THREADS": "1"}
 """Read by torch when it is loaded. Its kernels for newer CPUs round otherwise, which moves the arm's controllers."""
 _OTHER_VERSION = (
-    f"install mani-skill {catalogue().made_with['mani-skill']}, or make the catalogue anew "
+    f"install mani-skill {catalogue().made_with['mani-skill']}, or write the catalogue again "
     "(vitac.envs.maniskill.describing)."
 )
 
@@ -133,7 +133,7 @@ class ManiSkillEnv:
             return unbatched(self._env.render()).astype(np.uint8)
 
     def reset(self, *, options: Mapping[str, object]) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode anew, bodies included, so that nothing of an earlier one remains in the simulation.
+        """Start an episode with new bodies, so that nothing of an earlier one remains in the simulation.
 
         The seed follows from the option `rng_seed`, the integers (list seed, episode number).
 
@@ -220,9 +220,9 @@ class ManiSkillEnv:
         try:
             yield
         except Exception as error:
-            told = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+            reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
             raise ManiSkillFailed(
-                f"{self._task.env_id} failed in {what} at env step {self._env_steps}: {told}"
+                f"{self._task.env_id} failed in {what} at env step {self._env_steps}: {reason}"
             ) from error
         finally:
             self.physics_cpu_s += self._clock() - started

@@ -21,7 +21,7 @@ _LINE, _MARGIN = 1.9, 0.5
 _SMALLEST_PX = 12.0
 """Size of the font, however small the picture is."""
 _COLUMNS = 80
-"""So many sizes of the font a picture is wide: longer titles are cut."""
+"""Width of a picture in font sizes: longer titles are cut."""
 _PAPER, _INK = (255, 255, 255), (32, 32, 32)
 
 
@@ -32,7 +32,7 @@ class Moment:
     Attributes:
         env_step: number of the env step; 0 after the reset.
         total_reward: so far.
-        end_reason: why the episode has ended; None while it goes on.
+        end_reason: why the episode has ended; None while it is running.
     """
 
     env_step: int

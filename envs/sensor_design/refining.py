@@ -1,6 +1,6 @@
 """Refines a tetrahedral mesh without changing its shape: everywhere, or where a flat body would touch it first.
 
-All tetrahedra at an edge are halved with it, so that they go on to meet at whole faces (M.-C. Rivara, Mesh refinement
+All tetrahedra at an edge are halved with it, so that they still meet at whole faces (M.-C. Rivara, Mesh refinement
 processes based on the generalized bisection of simplices, SIAM J. Numer. Anal. 21 (1984) 604-613). Edges of one length
 are taken in the order of their middles, so the numbers of the nodes do not matter.
 """
@@ -20,7 +20,7 @@ Waiting = tuple[float, Point, Edge]
 
 
 def refined(mesh: Tetrahedra, nodes: int) -> Tetrahedra:
-    """Return a mesh of the same body with at least so many nodes: its longest edges are halved, one after the other."""
+    """Return a mesh of the same body with at least this number of nodes: its longest edges are halved one by one."""
     halving = _Halving(mesh)
     waiting = [halving.waiting(edge) for edge in halving.edges]
     heapify(waiting)

@@ -84,7 +84,7 @@ class SensorDesign:
                 f"Expected a sensing face at most {TOUCHED_M / MILLIMETRE_M:g} mm below the highest point of the gel, "
                 f"got the highest one {self.sensing_depth_m / MILLIMETRE_M:.3f} mm below it."
             )
-        reached = places.where(depths_m <= TOUCHED_M)
+        reached = places.select(depths_m <= TOUCHED_M)
         return FacePlaces(
             corners=np.searchsorted(self.gel.sensing_nodes, reached.corners),
             weights=reached.weights,

@@ -35,7 +35,7 @@ _GRID_HALF_Y_MM = 6.0
 _U_RANGE_PX = (5.0, 320.0)
 _V_RANGE_PX = (5.0, 240.0)
 _CANDIDATE_TRIANGLES = 4
-# Of so many meshes; every episode has new sensors, and the hull of a surface takes a millisecond.
+# Number of meshes; every episode has new sensors, and the hull of a surface takes a millisecond.
 _SURFACES_KEPT = 4
 
 

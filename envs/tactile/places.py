@@ -25,7 +25,7 @@ class FacePlaces(NamedTuple):
     weights: FloatArray
     areas_m2: FloatArray
 
-    def where(self, chosen: NDArray[np.bool_]) -> "FacePlaces":
+    def select(self, chosen: NDArray[np.bool_]) -> "FacePlaces":
         """Return some of the places."""
         return FacePlaces(self.corners[chosen], self.weights[chosen], self.areas_m2[chosen])
 

@@ -54,7 +54,7 @@ class Response:
         return np.asarray(np.einsum("isk,sp->ikp", self.px_per_n, nodal))
 
 
-def response_of(design: SensorDesign, *, youngs_modulus_pa: float, poisson_ratio: float) -> Response:
+def compute_response(design: SensorDesign, *, youngs_modulus_pa: float, poisson_ratio: float) -> Response:
     """Return how the markers of a sensor respond to forces.
 
     Each marker coordinate is a linear function of the nodes' displacements, so one solution with the stiffness matrix

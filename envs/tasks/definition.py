@@ -82,7 +82,7 @@ class TaskDefinition:
         repeats: whether the same actions give the same states to the last bit; a log is verified within tolerance
             where they do not.
         pictures_repeat: whether the pictures of the observation are the same to the last bit on every machine.
-        batch_size: so many episodes of a shard are played at once, in one simulation.
+        batch_size: number of episodes of a shard that are played at once, in one simulation.
         accepts_start: place of a function that says of a shape and a drawn offset whether an episode may start there;
             None where it may anywhere.
         info_lengths: numbers of those entries of an info that have more for some shapes than for others, at most.

@@ -91,7 +91,7 @@ def numbers(env_id: str, option: str, value: Any, count: int, expected: str) -> 
         expected: what it must be, for the message.
 
     Raises:
-        ResetOptionsError: it is not so many finite numbers.
+        ResetOptionsError: it is not this number of finite numbers.
     """
     try:
         found = [float(number) for number in value]

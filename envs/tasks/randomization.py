@@ -1,4 +1,4 @@
-"""Settings that are drawn anew for every episode, for training; an evaluation never does so."""
+"""Settings that are drawn for every episode, for training; never in an evaluation."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -62,8 +62,10 @@ def _loaded(point: EntryPoint) -> TaskDefinition:
     try:
         task = point.load()
     except (Exception, SystemExit) as error:
-        told = f"{type(error).__name__}: {error}"
-        raise TaskRejected(f"{_origin(point)} adds the task {point.value}, which cannot be loaded ({told}).") from error
+        reason = f"{type(error).__name__}: {error}"
+        raise TaskRejected(
+            f"{_origin(point)} adds the task {point.value}, which cannot be loaded ({reason})."
+        ) from error
     if not isinstance(task, TaskDefinition):
         found = type(task).__name__
         raise TaskRejected(f"{_origin(point)} adds {point.value}, expected a TaskDefinition, got {found}.")

@@ -79,7 +79,7 @@ SettingsT = TypeVar("SettingsT")
 class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[SceneT, SettingsT]):
     """Base of the tactile tasks.
 
-    `step` goes on after an end, so that recorded actions can be played past it. Counters and clocks are sums over all
+    `step` also runs after an end, so that recorded actions can be played past it. Counters and clocks are sums over all
     episodes.
 
     Args:
@@ -90,8 +90,8 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         observables: what is to be observed besides, such as a camera's pictures.
         observation_keys: which of the task's own observables are observed, privileged ones included where these are
             added; all of them by default. Others are not computed.
-        shapes: which shapes are drawn where `reset` is not told one; all by default. Autoreset keeps them.
-        randomization: "challenge" draws what has a published training range anew for every episode, from the episode's
+        shapes: which shapes are drawn where `reset` names none; all by default. Autoreset keeps them.
+        randomization: "challenge" draws what has a published training range for every episode, from the episode's
             generator and after its start; "none" draws nothing.
         contact_model: "challenge-2025" or "arena-1", with its own constants; by default that of the task's settings.
         render_mode: "rgb_array" for pictures by `render`.

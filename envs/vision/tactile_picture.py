@@ -146,7 +146,7 @@ def _shaded(depth_m: FloatArray) -> FloatArray:
 
 
 def _blurred(picture: FloatArray, radius_px: int) -> FloatArray:
-    """Return a picture of shape [height, width, c] under a Gaussian of 2 px, cut off; its edges go on beyond it."""
+    """Return a picture of shape [height, width, c] under a Gaussian of 2 px, cut off; edges are continued."""
     weights = np.array([_GAUSSIAN[abs(k)] for k in range(-radius_px, radius_px + 1)])
     weights = weights / weights.sum()
     height, width, _ = picture.shape

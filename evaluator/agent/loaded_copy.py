@@ -149,8 +149,8 @@ class LoadedCopy:
             if file.target not in self._own_files and not self._is_harmless(file):
                 raise PolicyFailed(
                     VerdictCode.SHARED_STATE,
-                    f"After loading, {_what(file)} was still open; all episodes would share it. Close it before the "
-                    "constructor returns and open it again where it is needed.",
+                    f"After loading, {_describe(file)} was still open; all episodes would share it. Close it before "
+                    "the constructor returns and open it again where it is needed.",
                 )
         return files
 
@@ -271,7 +271,7 @@ class LoadedCopy:
         """Empty the writeable folders after loading."""
         for folder in self._writeable_folders:
             folder.chmod(_FOLDER_MODE)
-            if _open_up(folder, _WIPED_DEPTH_MAX) > _WIPED_ENTRIES_MAX:
+            if _make_readable(folder, _WIPED_DEPTH_MAX) > _WIPED_ENTRIES_MAX:
                 raise PolicyFailed(
                     VerdictCode.SHARED_STATE,
                     f"While loading, the policy left more than {_WIPED_ENTRIES_MAX} files (or folders more than "
@@ -289,14 +289,14 @@ def _is_anonymous(name: list[str], inode: str) -> bool:
     return not name or inode == "0" or name[0].startswith(("/dev/zero", "/memfd:", "/SYSV"))
 
 
-def _what(file: OpenFile) -> str:
+def _describe(file: OpenFile) -> str:
     if file.target.startswith(("pipe:", "socket:", "anon_inode:")):
         return f"descriptor {file.descriptor} ({file.target.partition(':')[0]})"
     how = "for reading" if file.flags & os.O_ACCMODE == os.O_RDONLY else "for writing"
     return f"the file {file.target} ({how})"
 
 
-def _open_up(folder: Path, depth: int) -> int:
+def _make_readable(folder: Path, depth: int) -> int:
     """Make the folders below a folder readable, and return how many entries there are; too deep counts as too many."""
     count = 0
     with os.scandir(folder) as entries:
@@ -304,7 +304,7 @@ def _open_up(folder: Path, depth: int) -> int:
             count += 1
             if entry.is_dir(follow_symlinks=False):
                 Path(entry.path).chmod(0o700)
-                count += _open_up(Path(entry.path), depth - 1) if depth else _WIPED_ENTRIES_MAX + 1
+                count += _make_readable(Path(entry.path), depth - 1) if depth else _WIPED_ENTRIES_MAX + 1
             if count > _WIPED_ENTRIES_MAX:
                 return count
     return count

@@ -316,7 +316,7 @@ class EpisodePolicy:
         shard, which so end as they do where nobody asks; the kernel's own limit on the process counts all.
 
         Raises:
-            PolicyFailed: any verdict; where `belief()` raised or returned something else, the episode goes on.
+            PolicyFailed: any verdict; where `belief()` raised or returned something else, the episode continues.
         """
         self._count_cpu()
         limits = self._limits

@@ -24,10 +24,10 @@ class ShardTime:
             PolicyFailed: shard_time.
         """
         if self.cpu_s > self._limits.shard_cpu_s:
-            raise _used_up(f"used more than {self._limits.shard_cpu_s:g} s of CPU time")
+            raise _time_spent(f"used more than {self._limits.shard_cpu_s:g} s of CPU time")
         if self.wall_s > self._limits.shard_wall_s:
-            raise _used_up(f"were waited for longer than {self._limits.shard_wall_s:g} s")
+            raise _time_spent(f"were waited for longer than {self._limits.shard_wall_s:g} s")
 
 
-def _used_up(how: str) -> PolicyFailed:
+def _time_spent(how: str) -> PolicyFailed:
     return PolicyFailed(VerdictCode.SHARD_TIME, f"Loading and all episodes of the shard together {how}.")

@@ -18,7 +18,7 @@ from ..agent.session import Isolation
 from ..agent.verdicts import PolicyFailed
 from ..tracks import Episode, Task
 from .picture_sample import PictureSample
-from .reading import Observation, Reading, reading_of
+from .reading import Observation, Reading, make_reading
 from .records import ActionSequence, EpisodeOutcome, EpisodeRecord, FailureStage, PolicyFailure, Timings
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ def run_episode(
     trace = _Trace(sample=PictureSample(env, episode))
     observation, _ = env.reset(options=episode.options)
     trace.state_hashes.append(trace.sample.look(env_step=0))
-    _play_or_fail(env, task, open_session, observation, trace, reading or reading_of(task))
+    _play_or_fail(env, task, open_session, observation, trace, reading or make_reading(task))
     timings = Timings(
         physics_s=env.physics_cpu_s - physics_s,
         markers_s=env.marker_cpu_s - markers_s,

@@ -38,7 +38,7 @@ class Reading:
     clouds: tuple[CloudSpec, ...]
 
 
-def reading_of(task: Observed, keys: Collection[str] | None = None) -> Reading:
+def make_reading(task: Observed, keys: Collection[str] | None = None) -> Reading:
     """Return what a policy reads that names these keys; keys that are another task's are left out.
 
     Args:

@@ -117,7 +117,7 @@ class PolicyFailure(StrictModel):
     output_tail: str = ""
 
     @property
-    def told(self) -> str:
+    def sentence(self) -> str:
         """What was said, and what to do about it, as sentences."""
         message = self.message.rstrip()
         return f"{message}{'' if message.endswith(('.', '!', '?', '.)')) else '.'} {self.code.sentence}"
@@ -230,12 +230,12 @@ def result_hash(manifest: Manifest, records: Iterable[EpisodeRecord]) -> str:
     """
     digest = hashlib.sha256()
     digest.update(canonical_json(manifest.model_dump(mode="json", include=_HASHED_MANIFEST_KEYS)) + b"\n")
-    for record in in_order(manifest.task, records):
+    for record in sort_records(manifest.task, records):
         digest.update(canonical_json(_hashed_part(record)) + b"\n")
     return digest.hexdigest()
 
 
-def in_order(task: str, records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
+def sort_records(task: str, records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
     """Return the records sorted by episode number.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Shards that an evaluation on this machine has finished, so that the same evaluation goes on where it was ended."""
+"""Stores the shards that an evaluation on this machine has finished, so that it continues after an interruption."""
 
 import hashlib
 import os

@@ -11,7 +11,7 @@ from queue import SimpleQueue
 
 from ..agent.limits import Limits
 from ..agent.session import Isolation
-from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure, RecordsDisagree, in_order, result_hash
+from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure, RecordsDisagree, result_hash, sort_records
 from ..estimator.regression import Coefficients
 from ..figures.figures import FigureChoice, FiguresPart
 from ..scoring.failures import breaking_failure
@@ -120,7 +120,7 @@ def evaluate(
     return Evaluation(
         manifest=_common_manifest(pool.results),
         shards=shards,
-        records=tuple(in_order(task.name, records)),
+        records=tuple(sort_records(task.name, records)),
         isolation=next((result.isolation for result in pool.results if result.isolation), None),
         coefficients=next((result.coefficients for result in pool.results if result.coefficients), None),
         figures=tuple(result.figures for result in pool.results if result.figures),
@@ -195,7 +195,7 @@ class _ShardPool:
                 records.append(record)
                 self._queue.put(record)
         if process.result.end is ShardEnd.BROKEN:
-            # Shards before this one go on; later ones cannot change how the evaluation ends.
+            # Shards before this one continue; later ones cannot change how the evaluation ends.
             with self._lock:
                 self._orders.clear()
         elif self._kept:

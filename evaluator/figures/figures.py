@@ -87,7 +87,7 @@ class SensitivityMap(StrictModel):
 
 
 class TouchFigures(StrictModel):
-    """What the markers do under small forces: medians over the map, and the smallest shifts that can be told apart.
+    """What the markers do under small forces: medians over the map, and the smallest shifts that can be distinguished.
 
     The medians are None where no place of the map senses.
     """

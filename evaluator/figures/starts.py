@@ -142,7 +142,7 @@ class Measurement:
 
 
 def refined_design(design: "SensorDesign", times: float) -> "SensorDesign":
-    """Return the same sensor with a mesh of so many times the nodes.
+    """Return the same sensor with a mesh of this multiple of the nodes.
 
     Args:
         design: of the sensor.

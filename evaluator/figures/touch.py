@@ -22,7 +22,7 @@ _HALF_X_MM, _HALF_Y_MM = 12.0, 10.0
 _SPREAD_MM = 1.0
 # A place senses where this part of a pin's pressure falls on sensing faces.
 _LEAST_SHARE = 0.5
-# Two pictures are told apart with 95 % certainty where their markers differ by 2 x 1.645 standard deviations.
+# Two pictures are distinguished with 95 % certainty where their markers differ by 2 x 1.645 standard deviations.
 _SEPARATION = 3.29
 _NOISE_PX = 0.5
 _STEP_MM = 0.25
@@ -36,9 +36,9 @@ def touch_figures(design: "SensorDesign", *, youngs_modulus_pa: float, poisson_r
         youngs_modulus_pa: of the gel [Pa].
         poisson_ratio: of the gel.
     """
-    from vitac.envs.tactile.response import response_of
+    from vitac.envs.tactile.response import compute_response
 
-    response = response_of(design, youngs_modulus_pa=youngs_modulus_pa, poisson_ratio=poisson_ratio)
+    response = compute_response(design, youngs_modulus_pa=youngs_modulus_pa, poisson_ratio=poisson_ratio)
     x_mm, y_mm = _line(_HALF_X_MM), _line(_HALF_Y_MM)
     places = np.array([(x, y) for y in y_mm for x in x_mm])
     senses = _senses(response, places)
@@ -101,7 +101,7 @@ def _sensitivity(response: "Response", places: FloatArray) -> tuple[FloatArray, 
 
 
 def _pin_shifts_mm(response: "Response", places: FloatArray) -> FloatArray:
-    """Return how far a pin has to move to be told from where it was, in the direction in which this is hardest."""
+    """Return the smallest shift of a pin that can be detected, in the direction in which this is hardest."""
     slopes = []
     for axis in range(2):
         step = np.zeros(2)
@@ -115,7 +115,7 @@ def _pin_shifts_mm(response: "Response", places: FloatArray) -> FloatArray:
 
 
 def _edge_shifts_mm(response: "Response", at_mm: list[float], axis: int) -> FloatArray:
-    """Return how far an edge has to move across itself to be told from where it was."""
+    """Return the smallest shift of an edge across itself that can be detected."""
     # The outermost edges would leave the gel.
     inner = np.array(at_mm[1:-1])
     ahead, behind = (response.motion_px_n(_edge(response, inner + way * _STEP_MM, axis))[:, 2] for way in (1.0, -1.0))

@@ -8,11 +8,11 @@ from pydantic import NonNegativeInt
 
 from ..agent.verdicts import PolicyFailed
 from ..episodes.episode import Environment, OpenSession, Policy, Session, open_episode, public_part
-from ..episodes.reading import Reading, reading_of
+from ..episodes.reading import Reading, make_reading
 from ..episodes.records import ActionSequence, EpisodeRecord
 from ..strict_model import StrictModel
 from ..tracks import Task
-from .recordings import Recording, recording_of
+from .recordings import Recording, make_recording
 
 
 class EpisodeMatch(StrictModel):
@@ -70,7 +70,7 @@ def match_actions(
     session = open_session()
     matched = []
     for record in records:
-        matched.append(_match_episode(env, task, recording_of(record, task), session, reading or reading_of(task)))
+        matched.append(_match_episode(env, task, make_recording(record, task), session, reading or make_reading(task)))
         on_episode(matched[-1])
     return ActionMatch(episodes=tuple(matched))
 

@@ -12,7 +12,7 @@ from ..tracks.cut import cut
 from ..tracks.versions import differing_parts, parts_of, version_of
 from .findings import Impossibility, ImpossibleReason
 from .log import LogHeader
-from .recordings import RecordingRejected, recording_of
+from .recordings import RecordingRejected, make_recording
 
 _KEYS_THAT_MUST_AGREE = (
     "track",
@@ -42,7 +42,7 @@ def must_agree(manifest: Manifest) -> dict[str, object]:
     return manifest.model_dump(include={*_KEYS_THAT_MUST_AGREE, "evaluator_parts"})
 
 
-def why_impossible(
+def explain_impossible(
     expected: Mapping[str, object],
     task: Task,
     header: LogHeader,
@@ -61,14 +61,14 @@ def why_impossible(
     for key in _KEYS_THAT_MUST_AGREE:
         got = getattr(header.manifest, key)
         if got != expected.get(key, got):
-            parts = _what_differs(expected, header.manifest) if key == "evaluator_version" else ""
+            parts = _describe_difference(expected, header.manifest) if key == "evaluator_version" else ""
             message = f"Expected a log made with {key} {expected[key]!r}, got {got!r}{parts}; evaluate again."
             return Impossibility(reason=ImpossibleReason.OTHER_EVALUATION, message=message)
     wanted = {episode.number for episode in task.episodes} if episodes is None else set(episodes)
     missing = set(wanted)
     failed: list[EpisodeRecord] = []
     for record in records:
-        problem = why_record_impossible(task, record)
+        problem = explain_impossible_record(task, record)
         if problem:
             return problem
         missing.discard(record.episode)
@@ -76,7 +76,7 @@ def why_impossible(
     return _missing(missing, wanted) or _broken(task, failed)
 
 
-def _what_differs(expected: Mapping[str, object], got: Manifest) -> str:
+def _describe_difference(expected: Mapping[str, object], got: Manifest) -> str:
     """Return which parts of two evaluators differ, for a message; nothing where a log names no parts or the same."""
     parts = expected.get("evaluator_parts")
     if not isinstance(parts, Mapping) or not got.evaluator_parts:
@@ -85,7 +85,7 @@ def _what_differs(expected: Mapping[str, object], got: Manifest) -> str:
     return f" (they differ in {differing})" if differing else ""
 
 
-def why_record_impossible(task: Task, record: EpisodeRecord) -> Impossibility | None:
+def explain_impossible_record(task: Task, record: EpisodeRecord) -> Impossibility | None:
     """Return why no evaluation of the task can have made a record; None if one can."""
     place = f"Episode {record.episode}"
 
@@ -105,7 +105,7 @@ def why_record_impossible(task: Task, record: EpisodeRecord) -> Impossibility | 
         message = f"{place} has {record.env_steps} env steps, expected at most {task.max_steps}."
         return found(ImpossibleReason.TOO_MANY_STEPS, message)
     try:
-        outside = out_of_bounds(task, recording_of(record, task).actions)
+        outside = out_of_bounds(task, make_recording(record, task).actions)
     except RecordingRejected as error:
         return found(ImpossibleReason.WRONG_ACTION, str(error))
     return found(ImpossibleReason.WRONG_ACTION, f"{place} {outside}") if outside else None

@@ -100,7 +100,7 @@ class LogFinding(StrictModel):
         return cls(verdict=VerificationResult.DIVERGED, reason=reason, divergence=divergence)
 
     @classmethod
-    def of_picture(cls, other: OtherPicture) -> "LogFinding":
+    def from_picture(cls, other: OtherPicture) -> "LogFinding":
         """Return the finding that the camera, or the record, was another one."""
         reason = (
             f"episode {other.episode}: expected {_named(other.resimulated)}, got {_named(other.recorded)}. All states "
@@ -115,7 +115,7 @@ class LogFinding(StrictModel):
         return cls(verdict=VerificationResult.IMPOSSIBLE, reason=impossibility.message, impossibility=impossibility)
 
 
-def why_tolerated(task: Task, made_on: str) -> str:
+def explain_tolerated(task: Task, made_on: str) -> str:
     """Return why a log is accepted whose states differ: its task does not repeat, or it was made on another class."""
     why = f"made on {made_on}" if task.definition.repeats else "the environment does not repeat to the last bit"
     return f"{why}; all outcomes are equal"

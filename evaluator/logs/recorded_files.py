@@ -12,7 +12,7 @@ from ..strict_model import DocumentRejected, validate
 from ..tracks import Task
 from .log import MAX_LINE_BYTES, LogReader, is_log
 from .packing import open_log
-from .recordings import Recording, RecordingRejected, episode_at, recorded_actions, recording_of
+from .recordings import Recording, RecordingRejected, episode_at, make_recording, recorded_actions
 from .text_2025 import TextLogRejected, is_text_log, read_text_log, summarize, to_json_lines
 from .text_2025.scripts import all_scripts
 
@@ -56,7 +56,7 @@ def read_recordings(
     """
     if is_log(path):
         with open_log(path) as stream:
-            yield from (recording_of(record, task) for record in LogReader(stream).records())
+            yield from (make_recording(record, task) for record in LogReader(stream).records())
         return
     with open_log(path) as stream:
         if is_text_log(stream.peek()):
@@ -71,7 +71,7 @@ def _recording_in(line: bytes, number: int, task: Task) -> Recording:
     try:
         content = json.loads(line)
         if isinstance(content, dict) and "state_hashes" in content:
-            return recording_of(validate(EpisodeRecord, content, place), task)
+            return make_recording(validate(EpisodeRecord, content, place), task)
         return _recording_of_2025(validate(_EpisodeOf2025, content, place), place, task)
     except (ValueError, RecursionError) as error:
         raise RecordingRejected(f"{place} is not JSON: {error!s:.120}.") from error

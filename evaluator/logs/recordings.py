@@ -31,7 +31,7 @@ class Recording:
     success: bool | None
 
 
-def recording_of(record: EpisodeRecord, task: Task) -> Recording:
+def make_recording(record: EpisodeRecord, task: Task) -> Recording:
     """Return one of our records as a recording.
 
     Raises:

@@ -14,10 +14,10 @@ from ..scoring.score import Score, score
 from ..strict_model import StrictModel
 from ..tracks import Task, Track
 from ..version import PLATFORM_CLASSES
-from .checks import must_agree, why_impossible
-from .findings import Divergence, LogFinding, OtherPicture, VerificationResult, comparable, why_tolerated
+from .checks import explain_impossible, must_agree
+from .findings import Divergence, LogFinding, OtherPicture, VerificationResult, comparable, explain_tolerated
 from .log import LogHeader
-from .recordings import recording_of
+from .recordings import make_recording
 
 
 class Verification(StrictModel):
@@ -79,7 +79,7 @@ def verify(
         on_episode: called with each re-simulated record.
     """
     manifest = make_manifest(track, task, env)
-    impossible = why_impossible(must_agree(manifest), task, header, records, episodes)
+    impossible = explain_impossible(must_agree(manifest), task, header, records, episodes)
     if impossible:
         return _without_score(manifest, LogFinding.impossible(impossible))
     played: list[EpisodeRecord] = []
@@ -93,7 +93,7 @@ def verify(
         on_episode(played[-1])
     return Verification(
         verdict=VerificationResult.WITHIN_TOLERANCE if first else VerificationResult.VERIFIED,
-        reason=why_tolerated(task, header.manifest.platform_class) if first else "all states are equal",
+        reason=explain_tolerated(task, header.manifest.platform_class) if first else "all states are equal",
         manifest=manifest,
         divergence=first,
         records=tuple(played),
@@ -110,9 +110,9 @@ def check_episode(
         task: task of the log.
         manifest: provenance of the re-simulation.
         header: header of the log.
-        record: a record that `why_record_impossible` accepts.
+        record: a record that `explain_impossible_record` accepts.
     """
-    recording = recording_of(record, task)
+    recording = make_recording(record, task)
     played = resimulate(env, recording.episode, recording.actions)
     divergence = find_divergence(record, played)
     # Of an invented class nothing is tolerated: anybody may write one.
@@ -133,7 +133,7 @@ def _finding(divergence: Divergence | None, record: EpisodeRecord, played: Resim
         return LogFinding.diverged(divergence)
     if record.picture != played.picture:
         other = OtherPicture(episode=record.episode, recorded=record.picture, resimulated=played.picture)
-        return LogFinding.of_picture(other)
+        return LogFinding.from_picture(other)
     return None
 
 

@@ -34,9 +34,9 @@ class SensorLimits(StrictModel):
     max_nodes: Count
     """Of the mesh."""
     wanted_nodes: Count
-    """The mesher takes the coarsest of its meshes with at least so many."""
+    """The mesher takes the coarsest of its meshes with at least this number."""
     wanted_tip_nodes: Count
-    """In each part that the grasp reaches the mesher puts so many, within `max_nodes`."""
+    """Nodes that the mesher puts in each part that the grasp reaches, within `max_nodes`."""
     min_quality: Annotated[float, Field(gt=0, lt=1)]
     """Of a tetrahedron, 6 sqrt(2) V / (longest edge)^3."""
     max_volume_error: Annotated[float, Field(gt=0, lt=1)]

@@ -12,7 +12,7 @@ from vitac.envs.errors import VitacError
 
 from ..agent.isolation.cgroup import memory_limit_bytes
 from ..agent.limits import GIB, Limits
-from ..episodes.reading import reading_of
+from ..episodes.reading import make_reading
 from ..episodes.records import EpisodeRecord
 from ..scoring.failures import is_broken
 from ..submission.manifest import load_manifest
@@ -54,12 +54,12 @@ def run_batches(
         load_policy: loads the policy of a submission; in the sandbox by default.
 
     Raises:
-        MachineTooSmall: it has too little memory for so many policies.
+        MachineTooSmall: it has too little memory for this number of policies.
         VitacError: a sandbox or the simulation broke. This is never the team's fault; run the shard again.
     """
     from vitac.envs.maniskill.batch import Batch
 
-    reading = reading_of(task, load_manifest(order.submission).observation_keys)
+    reading = make_reading(task, load_manifest(order.submission).observation_keys)
     episodes = secret_order(episode for episode in shard.episodes if episode.number not in order.skip)
     size = max(1, min(task.definition.batch_size, len(episodes)))
     limits = limits_of_each(size, order.limits)
@@ -94,7 +94,7 @@ def run_batches(
 
 
 def limits_of_each(policies: int, limits: Limits) -> Limits:
-    """Return the limits of each of so many policies that load and act at the same time on this machine.
+    """Return the limits of each policy where this number of them load and act at the same time on this machine.
 
     Those on CPU time and memory stay. Those by the clock grow with the number of policies that share a core, so that
     none fails because the others are busy.

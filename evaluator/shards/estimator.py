@@ -8,7 +8,7 @@ from pathlib import Path
 from vitac.envs.errors import VitacError
 
 from ..episodes.episode import make_environment
-from ..episodes.reading import reading_of
+from ..episodes.reading import make_reading
 from ..episodes.records import EpisodeRecord
 from ..estimator.calibration import calibrated
 from ..estimator.playing import EstimatorSession
@@ -61,7 +61,7 @@ def run_estimator(
         task=task,
         shard=shard,
         on_episode=played,
-        reading=reading_of(task),
+        reading=make_reading(task),
         skip=order.skip,
         load_policy=load,
         make_env=partial(make_environment, sensor=design),

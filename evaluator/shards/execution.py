@@ -10,7 +10,7 @@ from vitac.envs.errors import VitacError
 
 from ..agent.isolation.interpreter import installed_packages
 from ..episodes.episode import make_environment
-from ..episodes.reading import reading_of
+from ..episodes.reading import make_reading
 from ..episodes.records import EpisodeRecord
 from ..sensors.made import design_in
 from ..submission.manifest import load_manifest
@@ -92,7 +92,7 @@ def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnE
         task=ordered.task,
         shard=ordered.shard,
         on_episode=on_episode,
-        reading=reading_of(ordered.task, load_manifest(order.submission).observation_keys),
+        reading=make_reading(ordered.task, load_manifest(order.submission).observation_keys),
         limits=order.limits,
         slot=order.slot,
         assets_dir=order.assets_dir,

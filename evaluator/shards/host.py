@@ -103,7 +103,7 @@ class SimulationHost:
         connection = socket.socket(fileno=answers)
         try:
             order = ShardOrder.model_validate_json(_read_line(connection))
-        except (ValueError, OSError):  # The order was cut off. The shards that run already go on.
+        except (ValueError, OSError):  # The order was cut off. The shards that run already continue.
             sys.excepthook(*sys.exc_info())
             connection.close()
             os.close(exit_pipe)
@@ -163,7 +163,7 @@ class SimulationHost:
             if pid == 0:
                 self._become_copy(host_pid, work)
             pidfd = _opened(pid)
-        except OSError:  # The other end sees the socket close, and the shards that run already go on.
+        except OSError:  # The other end sees the socket close, and the shards that run already continue.
             sys.excepthook(*sys.exc_info())
             return False
         self._selector.register(pidfd, selectors.EVENT_READ, (pid, ended))

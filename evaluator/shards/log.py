@@ -10,7 +10,7 @@ from pathlib import Path
 from ..episodes.episode import Environment, MakeEnvironment, make_environment
 from ..episodes.provenance import make_manifest
 from ..episodes.records import EpisodeRecord, Manifest
-from ..logs.checks import must_agree, why_impossible
+from ..logs.checks import explain_impossible, must_agree
 from ..logs.findings import LogFinding
 from ..logs.log import LogReader
 from ..logs.packing import open_log
@@ -71,7 +71,7 @@ def _why_impossible(part: LogShard, manifest: Manifest) -> LogFinding | None:
     """Return the upload was checked, but not against the mesh and the solver, which only an environment knows."""
     with open_log(part.log) as stream:
         reader = LogReader(stream)
-        found = why_impossible(must_agree(manifest), part.task, reader.header, reader.records())
+        found = explain_impossible(must_agree(manifest), part.task, reader.header, reader.records())
     return LogFinding.impossible(found) if found else None
 
 

@@ -9,7 +9,7 @@ from ..agent.limits import Limits
 from ..agent.session import Isolation, PolicySession
 from ..episodes.episode import MakeEnvironment, Session, make_environment, run_episode
 from ..episodes.provenance import make_manifest
-from ..episodes.reading import Reading, reading_of
+from ..episodes.reading import Reading, make_reading
 from ..episodes.records import EpisodeRecord, PolicyFailure
 from ..package_sets import PackageSet
 from ..scoring.failures import is_broken
@@ -73,7 +73,7 @@ def run_shard(
     Raises:
         VitacError: the sandbox or the environment broke. This is never the team's fault; run the shard again.
     """
-    reading = reading or reading_of(task)
+    reading = reading or make_reading(task)
     env = make_env(task, assets_dir, reading.sent)
     failures = [] if failures is None else failures
     with ExitStack() as stack:

@@ -107,7 +107,7 @@ class ShardProcesses:
         for process in fitting:
             if self._is_taken(process):
                 if not process.has_ended():
-                    return process.go_on(order)
+                    return process.take_order(order)
                 self._end(process)
         return None
 
@@ -286,7 +286,7 @@ class ShardProcess:
         """Return whether the process has ended, though nobody asked it to; waits until it has been forked."""
         return self._forked().wait(0.0)
 
-    def go_on(self, order: ShardOrder) -> "ShardProcess":
+    def take_order(self, order: ShardOrder) -> "ShardProcess":
         """Give the process another order; what runs it is returned, and this object has nothing more to do with it."""
         return ShardProcess(self.host, order, self._connection, self._exit_pipe, self._fork)
 

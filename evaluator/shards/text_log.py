@@ -13,7 +13,7 @@ from ..logs.findings import LogFinding
 from ..logs.packing import open_log
 from ..logs.recordings import Recording
 from ..logs.text_2025 import read_text_log, summarize
-from ..logs.text_2025.recordings import text_log_recordings, why_not_resimulated
+from ..logs.text_2025.recordings import explain_not_resimulated, text_log_recordings
 from ..tracks import Task
 from .log import LogShard
 from .result import ShardResult
@@ -34,7 +34,7 @@ def resimulate_text_log(part: LogShard, on_episode: Callable[[EpisodeRecord], No
     env = part.make_env(part.task.of_text_logs(), None, ())
     manifest = make_manifest(part.track, part.task, env)
     script = summarize(text_log)[0]
-    impossible = why_not_resimulated(text_log, script, part.task)
+    impossible = explain_not_resimulated(text_log, script, part.task)
     if impossible:
         return part.result(manifest, LogFinding.impossible(impossible))
     for recording in text_log_recordings(text_log, script, part.task):

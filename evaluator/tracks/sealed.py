@@ -23,7 +23,7 @@ SECRET_BYTES = 32
 _SECRET = re.compile(r"[0-9a-f]{64}")
 _COMMITTED = b"vitac-sealed-list-1\n"
 _DIGITS = 3
-"""An offset has so many decimals: micrometres and thousandths of a degree."""
+"""Decimals of an offset: micrometres and thousandths of a degree."""
 _ATTEMPTS = 1000
 
 

@@ -28,7 +28,7 @@ async def get_health() -> HealthView:
 
 @router.get("/ready", responses={503: {"model": ReadyView, "description": "A part does not work; it says which."}})
 def get_ready(services: ServicesOf, response: Response) -> ReadyView:
-    """Return whether database, schema and file store work. Workers are told but do not make the server unready."""
+    """Return whether database, schema and file store work. Workers are listed but do not make the server unready."""
     database, migrations, workers = _look_at_database(services)
     storage = _look_at_storage(services)
     is_ready = {database, migrations, storage} == {OK}

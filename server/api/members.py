@@ -191,7 +191,7 @@ def change_member(
 def list_webhooks(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> WebhookListView:
     """Return the team's webhooks; for its captain."""
     with services.database.transaction() as session:
-        return WebhookListView(items=webhooks.of_team(session, principal, _team(session, principal, team_id)))
+        return WebhookListView(items=webhooks.list_webhooks(session, principal, _team(session, principal, team_id)))
 
 
 @router.post("/{team_id}/webhooks", status_code=HTTPStatus.CREATED)

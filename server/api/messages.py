@@ -77,7 +77,7 @@ def post_question(services: ServicesOf, principal: PrincipalOf, new: NewQuestion
 
 @router.put("/questions/{question_id}/answer")
 def put_answer(services: ServicesOf, principal: PrincipalOf, question_id: RowNumber, answer: Answer) -> QuestionView:
-    """Answer a question, or answer it anew; for organizers."""
+    """Answer a question, or replace its answer; for organizers."""
     with services.database.transaction() as session:
         found = questions.answer(session, principal, question_id, answer.text, public=answer.public)
         return questions.question_view(found, principal)

@@ -79,7 +79,7 @@ async def post_submission(
         str | None,
         Query(max_length=255, description="One in the challenge's form must agree with team, track and stage."),
     ] = None,
-    again: Annotated[bool, Query(description="Play all episodes anew although results are stored.")] = False,
+    again: Annotated[bool, Query(description="Run all episodes again, including stored ones.")] = False,
 ) -> SubmissionView:
     """Upload a submission and start its evaluation.
 
@@ -88,8 +88,8 @@ async def post_submission(
     Logs are re-simulated from their actions and rank apart: `log` in the answer has the verdict.
 
     A body over the limit is refused by its `Content-Length` before any of it is read (send
-    `Expect: 100-continue` to be told first). `X-Content-SHA256: <hex>` or `Content-Digest: sha-256=:<base64>:` is
-    verified. The same content from the same team is the same submission: 200 with it while it is evaluated or done.
+    `Expect: 100-continue` to get the answer first). `X-Content-SHA256: <hex>` or `Content-Digest: sha-256=:<base64>:`
+    is verified. The same content from the same team is the same submission: 200 with it while it is evaluated or done.
     """
     _check_type(request, kind)
     announced = upload.AnnouncedUpload(
@@ -256,7 +256,7 @@ def delete_disqualification(services: ServicesOf, principal: PrincipalOf, submis
 
 @router.post("/{submission_id}/requeue", status_code=HTTPStatus.ACCEPTED)
 def requeue_submission(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
-    """Start a new run that plays all episodes anew (organizers only). Earlier results stay."""
+    """Start a new run of all episodes (organizers only). Earlier results stay."""
     with services.database.transaction() as session:
         runs.run_again(session, principal, submission_id)
     with services.database.transaction() as session:

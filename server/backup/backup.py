@@ -37,7 +37,7 @@ def back_up(
     Args:
         services: the open service.
         destination: file to write; must not exist.
-        on_file: told after each uploaded file how many are written, and of how many.
+        on_file: called after each uploaded file with the number written and the total.
 
     Raises:
         BackupNotMade: the file exists or cannot be written.

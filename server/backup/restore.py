@@ -48,7 +48,7 @@ def restore(
     Args:
         services: the open, empty service.
         source: the backup.
-        on_file: told after each uploaded file how many are written, and of how many.
+        on_file: called after each uploaded file with the number written and the total.
 
     Raises:
         BackupRejected: the file is not a whole backup, or of a newer version.

@@ -20,7 +20,7 @@ from .sealing import refuse_reopening, seal, withdraw, withdraw_unplayed
 from .touching import concerns_about
 
 _NAMES = ("name", "place")
-"""Fields by which the members of a list are told apart."""
+"""Fields that identify the members of a list."""
 
 _SHOWN_CHANGES = 10
 _HIDING = (
@@ -46,12 +46,12 @@ class Change:
     after: object
 
 
-def concerns_by(session: Session, definition: CompetitionDefinition) -> list[Concern]:
+def list_concerns(session: Session, definition: CompetitionDefinition) -> list[Concern]:
     """Return what applying a file touches that already happened; `apply` wants each confirmed by its name."""
     return concerns_about(Contest.read(session, definition.name), definition, datetime.now(UTC))
 
 
-def changes_by(session: Session, definition: CompetitionDefinition) -> list[Change]:
+def list_changes(session: Session, definition: CompetitionDefinition) -> list[Change]:
     """Return what applying a file would change, in the order of the file.
 
     Raises:
@@ -83,16 +83,16 @@ def apply(
         by: an organizer.
         definition: the content of the file.
         base: revision of the competition that the file was made from; None: the caller compares the changes itself.
-        confirmed: names of the concerns (`concerns_by`) that the organizer confirms; None: the caller asks.
+        confirmed: names of the concerns (`list_concerns`) that the organizer confirms; None: the caller asks.
 
     Raises:
         ServiceError: not an organizer, the competition is at another revision, a concern is not confirmed, or as
-            `changes_by`.
+            `list_changes`.
     """
     by.require_organizer(definition.name)
     contest = Contest.lock(session, definition.name)
     before = contest.row.definition if contest.is_held else None
-    found = changes_by(session, definition)
+    found = list_changes(session, definition)
     after = definition.model_dump(mode="json")
     if found:
         require_base(
@@ -101,7 +101,7 @@ def apply(
             revision=contest.revision,
             difference=lambda: _difference_since(contest, base, definition),
         )
-        require_confirmed(concerns_by(session, definition), confirmed)
+        require_confirmed(list_concerns(session, definition), confirmed)
     if not contest.is_held:
         session.add(Competition(name=definition.name, definition=after, frozen_at=definition.freeze_at))
     elif before != after:
@@ -123,7 +123,7 @@ def warnings_about(definition: CompetitionDefinition, changes: Sequence[Change])
 
     Args:
         definition: the file.
-        changes: what it changes (`changes_by`).
+        changes: what it changes (`list_changes`).
     """
     now = datetime.now(UTC)
     found = [

@@ -38,7 +38,7 @@ DEFAULT_RANKING = (RankingKey.SUCCESS_RATE, RankingKey.MEAN_STEPS, RankingKey.SU
 class Advancement(StrictModel):
     """Who may take part in a stage, by the final board of the stage before: exactly one of the rules."""
 
-    top: PositiveInt | None = Field(default=None, description="So many teams.")
+    top: PositiveInt | None = Field(default=None, description="Number of teams.")
     top_share: float | None = Field(default=None, gt=0, le=1, description="This share of all registered teams.")
     score_at_least: float | None = Field(default=None, ge=0, le=1, description="Everybody with this success rate.")
 

@@ -16,7 +16,7 @@ from vitac.evaluator.tracks import Episode, ListKind, Player, Task, Track, list_
 from vitac.evaluator.tracks.cut import cut
 
 CORES = 2
-"""The wall time is that with so many cores."""
+"""Number of cores for which the wall time is given."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +92,7 @@ def _problems(track: Track, path: Path) -> Iterator[str]:
 
 def _cost(track: Track, task: Task) -> TaskCost:
     shards, sample = len(cut(task)), _sample(task)
-    note = _why_not_played(track, task)
+    note = _explain_not_played(track, task)
     each = _seconds(task, sample) if note is None else None
     total = None if each is None else each * len(task.episodes)
     return TaskCost(
@@ -110,7 +110,7 @@ def _cost(track: Track, task: Task) -> TaskCost:
     )
 
 
-def _why_not_played(track: Track, task: Task) -> str | None:
+def _explain_not_played(track: Track, task: Task) -> str | None:
     if track.has_sensor or task.player is not Player.POLICY:
         return "it depends on the sensors that teams bring"
     if task.definition.family is not Family.TACTILE:

@@ -25,20 +25,20 @@ def concerns_about(contest: Contest, new: CompetitionDefinition, at: datetime) -
 
 def _touched(contest: Contest, new: CompetitionDefinition, at: datetime) -> Iterator[tuple[str, str]]:
     if not contest.is_held:
-        yield from _of_new_contest(contest, new)
+        yield from _list_for_new_contest(contest, new)
         return
-    yield from _of_all_tracks(contest, new, at)
+    yield from _list_for_all_tracks(contest, new, at)
     for name, track in new.tracks.items():
         old = contest.definition.tracks.get(name)
         if old is None:
-            yield from _of_new_track(contest, name)
+            yield from _list_for_new_track(contest, name)
         else:
             yield from _of_track(contest, name, old, track)
     for stage in contest.stages:
         yield from _of_stage(contest, stage, new, at)
 
 
-def _of_new_contest(contest: Contest, new: CompetitionDefinition) -> Iterator[tuple[str, str]]:
+def _list_for_new_contest(contest: Contest, new: CompetitionDefinition) -> Iterator[tuple[str, str]]:
     if others := ", ".join(sorted(one.name for one in Contest.read_all(contest.session) if one.is_held)):
         yield (
             "name",
@@ -47,7 +47,7 @@ def _of_new_contest(contest: Contest, new: CompetitionDefinition) -> Iterator[tu
         )
 
 
-def _of_all_tracks(contest: Contest, new: CompetitionDefinition, at: datetime) -> Iterator[tuple[str, str]]:
+def _list_for_all_tracks(contest: Contest, new: CompetitionDefinition, at: datetime) -> Iterator[tuple[str, str]]:
     old, count = contest.definition, _count(contest, contest.submissions)
     if count and old.appeal_days != new.appeal_days:
         yield (
@@ -62,7 +62,7 @@ def _of_all_tracks(contest: Contest, new: CompetitionDefinition, at: datetime) -
             yield "freeze_at", f"Results after {new.freeze_at:%F %T} UTC, which everybody could see, leave the boards."
 
 
-def _of_new_track(contest: Contest, track: str) -> Iterator[tuple[str, str]]:
+def _list_for_new_track(contest: Contest, track: str) -> Iterator[tuple[str, str]]:
     if count := _count(contest, Submission.track == track, Submission.contest == ""):
         yield f"tracks.{track}", f"{track} has {count} submissions for practice; they are in none of its stages."
 

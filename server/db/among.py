@@ -16,6 +16,6 @@ def among(column: InstrumentedAttribute[UUID], ids: Collection[UUID]) -> ColumnE
     return column == func.any(literal(list(ids), ARRAY(Uuid)))
 
 
-def among_given(column: InstrumentedAttribute[UUID], name: str) -> ColumnElement[bool]:
+def among_parameter(column: InstrumentedAttribute[UUID], name: str) -> ColumnElement[bool]:
     """Return the same for a statement that is put together once: the list of ids is its parameter of that name."""
     return column == func.any(bindparam(name, type_=ARRAY(Uuid)))

@@ -14,7 +14,7 @@ from .models import Evaluation
 ResultT = TypeVar("ResultT")
 
 LOCK_WAIT = "100ms"
-"""So long work that can be done later waits for a lock: others that go on hold theirs for a few milliseconds."""
+"""How long work that can be done later waits for a lock; running transactions hold theirs for a few milliseconds."""
 
 
 def lock_evaluation(session: Session, evaluation_id: UUID) -> Evaluation:

@@ -18,7 +18,7 @@ from sqlalchemy.orm import Session, aliased
 from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..db.among import among_given
+from ..db.among import among_parameter
 from ..db.models import BoardResult, EpisodeResult, Evaluation, LogCopy, Submission, Team
 from ..db.states import EvaluationState
 from ..teams.shown_names import ShownNames
@@ -128,7 +128,7 @@ def _copies_with_teams() -> Select[UUID, Team, int, bool]:
         .join(Submission, Submission.id == LogCopy.earlier_submission_id)
         .join(Team, Team.id == Submission.team_id)
         .join(BoardResult, BoardResult.evaluation_id == LogCopy.evaluation_id)
-        .where(among_given(LogCopy.evaluation_id, "evaluations"))
+        .where(among_parameter(LogCopy.evaluation_id, "evaluations"))
     )
 
 

@@ -45,7 +45,7 @@ class EpisodeKey:
         )
 
     @classmethod
-    def of_lease(cls, lease: Lease) -> Self:
+    def from_lease(cls, lease: Lease) -> Self:
         """Return the key of the episodes that are played under a lease."""
         return cls(
             submission_digest=lease.submission_digest,
@@ -119,7 +119,7 @@ def store_episodes(
 def row_values(lease: Lease, record: EpisodeRecord) -> dict[str, Any]:
     """Return the columns of the row of an episode that was played under a lease."""
     record = storable(record)
-    key = EpisodeKey.of_lease(lease)
+    key = EpisodeKey.from_lease(lease)
     stored = record.model_dump(mode="json", exclude={"output"})
     return {
         "submission_digest": key.submission_digest,
@@ -165,7 +165,7 @@ def stored_episodes(session: Session, lease: Lease) -> StoredEpisodes:
     """Return which episodes of the shard need not be played, and how the policy failed in them."""
     rows = session.scalars(
         select(EpisodeResult).where(
-            *EpisodeKey.of_lease(lease).conditions(),
+            *EpisodeKey.from_lease(lease).conditions(),
             EpisodeResult.task == lease.task,
             EpisodeResult.episode.in_(lease.episodes),
         )
@@ -181,7 +181,7 @@ def missing_episodes(session: Session, lease: Lease) -> list[int]:
     """Return which episodes of the shard are not stored."""
     stored = session.scalars(
         select(EpisodeResult.episode).where(
-            *EpisodeKey.of_lease(lease).conditions(),
+            *EpisodeKey.from_lease(lease).conditions(),
             EpisodeResult.task == lease.task,
             EpisodeResult.episode.in_(lease.episodes),
         )
@@ -211,7 +211,7 @@ def _without_nul(text: str) -> str:
 def _compare_with_stored(session: Session, lease: Lease, record: EpisodeRecord, digest: str) -> None:
     stored = session.scalar(
         select(EpisodeResult.record_digest).where(
-            *EpisodeKey.of_lease(lease).conditions(),
+            *EpisodeKey.from_lease(lease).conditions(),
             EpisodeResult.task == record.task,
             EpisodeResult.episode == record.episode,
         )

@@ -12,7 +12,7 @@ from sqlalchemy import ScalarSelect, Select, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, defer, undefer
 from sqlalchemy.orm.attributes import set_committed_value
 
-from ..db.among import among_given
+from ..db.among import among_parameter
 from ..db.models import Evaluation, Submission
 from ..db.states import EvaluationState
 
@@ -53,19 +53,19 @@ def histories(
     """
     by_id = {submission.id: submission for submission in submissions}
     found: dict[UUID, list[Evaluation]] = {submission_id: [] for submission_id in by_id}
-    for evaluation in session.scalars(_of_submissions(with_output), {"submissions": list(found)}):
+    for evaluation in session.scalars(_select_evaluations(with_output), {"submissions": list(found)}):
         set_committed_value(evaluation, "submission", by_id[evaluation.submission_id])
         found[evaluation.submission_id].append(evaluation)
     return found
 
 
 @cache
-def _of_submissions(with_output: bool) -> Select[Evaluation]:
+def _select_evaluations(with_output: bool) -> Select[Evaluation]:
     """Return the query of the evaluations of `submissions`, put together once: each page of submissions asks it."""
     output = (undefer(Evaluation.packages),) if with_output else (defer(Evaluation.log_tail),)
     return (
         select(Evaluation)
-        .where(among_given(Evaluation.submission_id, "submissions"), ~Evaluation.is_proposed)
+        .where(among_parameter(Evaluation.submission_id, "submissions"), ~Evaluation.is_proposed)
         .options(*output)
         .order_by(*_NEWEST_FIRST)
         .execution_options(populate_existing=True)
@@ -74,10 +74,10 @@ def _of_submissions(with_output: bool) -> Select[Evaluation]:
 
 def newest_state() -> ScalarSelect[EvaluationState]:
     """Return the state of the newest evaluation of a row of `submissions`, for a query on them."""
-    return of_newest(Evaluation.state)
+    return select_newest(Evaluation.state)
 
 
-def of_newest(column: InstrumentedAttribute[ValueT]) -> ScalarSelect[ValueT]:
+def select_newest(column: InstrumentedAttribute[ValueT]) -> ScalarSelect[ValueT]:
     """Return a column of the newest evaluation of a row of `submissions`, for a query on them."""
     return (
         select(column)

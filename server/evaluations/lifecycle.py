@@ -35,7 +35,7 @@ from .scores import combine_hashes, combined_result, store_scores
 from .verdicts import ServiceVerdict
 
 FREE_FAILURES_PER_DAY = 5
-"""So many evaluations of a team that machines have ended within 24 hours cost it nothing."""
+"""Evaluations of a team within 24 hours that ended by a machine's failure and cost it nothing."""
 
 LOG_TAIL_CHARACTERS = 64 * 1024
 RETRY_DELAY_S = 2.0
@@ -101,7 +101,7 @@ def start(
             )
     session.add(evaluation)
     session.flush()
-    if _has_evaluated_before(session, evaluation, submission):
+    if _was_evaluated(session, evaluation, submission):
         evaluation.episodes_reused = count_stored(session, EpisodeKey.of(evaluation, submission))
     for task in submission.tasks:
         ids = [shard.id for shard in evaluation.shards if shard.task == task]
@@ -110,7 +110,7 @@ def start(
     return evaluation
 
 
-def _has_evaluated_before(session: Session, evaluation: Evaluation, submission: Submission) -> bool:
+def _was_evaluated(session: Session, evaluation: Evaluation, submission: Submission) -> bool:
     """Return whether the team itself has had this content evaluated; of other teams' it must not learn."""
     own = Submission.team_id == submission.team_id, Submission.digest == submission.digest
     earlier = exists().where(Evaluation.submission_id == Submission.id, Evaluation.id != evaluation.id, *own)

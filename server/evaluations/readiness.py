@@ -9,7 +9,7 @@ from ..contest.stages import Stage
 from ..db.models import BoardResult, Evaluation, Submission, Team
 from ..db.states import ACTIVE_EVALUATION_STATES
 from ..errors import ProblemCode, ServiceError
-from .history import of_newest
+from .history import select_newest
 from .verdicts import ServiceVerdict
 
 
@@ -30,7 +30,7 @@ def require_scored(session: Session, stage: Stage) -> None:
             ProblemCode.STAGE_NOT_OVER,
             f"Expected no evaluation of {stage} that waits or runs, got {running}; wait or cancel.",
         )
-    by_machines = of_newest(Evaluation.verdict_code) == ServiceVerdict.MACHINE_FAILED.value
+    by_machines = select_newest(Evaluation.verdict_code) == ServiceVerdict.MACHINE_FAILED.value
     if lost := session.scalars(_teams(stage).where(by_machines)).all():
         raise ServiceError(
             ProblemCode.STAGE_NOT_OVER,
@@ -46,7 +46,7 @@ def require_current(session: Session, stage: Stage) -> None:
         ServiceError: results_outdated.
     """
     has_result = select(BoardResult).where(BoardResult.submission_id == Submission.id).exists()
-    is_stale = of_newest(Evaluation.evaluator_version) != version_of(stage.track)
+    is_stale = select_newest(Evaluation.evaluator_version) != version_of(stage.track)
     models = _teams(stage).where(Submission.kind == SubmissionKind.MODEL, has_result, is_stale)
     if stale := session.scalars(models).all():
         raise ServiceError(

@@ -16,7 +16,7 @@ from ..views.scores import ShapeScoreView, TaskScoreView
 def store_scores(
     evaluation: Evaluation, scores: Mapping[str, Score], hashes: Mapping[str, str], *, finished_at: datetime
 ) -> None:
-    """Write the score of each task into the row of an evaluation; one that is not only proposed goes on the boards.
+    """Write the score of each task into the row of an evaluation; one that is not only proposed enters the boards.
 
     The tasks that count are kept with them, so that no later track file changes the result.
     """

@@ -45,7 +45,7 @@ from .scores import bounds, combination_of, counted_tasks, scores_of, task_views
 from .verdicts import sentence_of
 
 PROGRESS_STEPS = 10
-"""On a sealed list a team sees the progress in so many steps."""
+"""Number of steps in which a team sees the progress on a sealed list."""
 SEALED_DETAILS = "The list is sealed; the details are shown once its secret is published."
 
 
@@ -188,7 +188,7 @@ def summary_view(evaluation: Evaluation) -> EvaluationSummaryView:
 
 
 def verdict_view(evaluation: Evaluation) -> VerdictView | None:
-    """Return why an evaluation has no score; None for one that has, or that goes on."""
+    """Return why an evaluation has no score; None for one that has, or that is running."""
     if evaluation.verdict_code is None:
         return None
     return VerdictView(

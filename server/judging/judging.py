@@ -193,7 +193,7 @@ def percentiles(figures: Mapping[UUID, SensorFigures | None]) -> dict[UUID, floa
     """Return for each sensor the share of the others that it is better than, as a mean over all figures.
 
     An equal one counts half; of a single sensor it is 1. Figures: information of three pictures, motion of the markers
-    per newton (normal, shear), smallest shift of a pin that can be told apart, least success under a variation.
+    per newton (normal, shear), smallest shift of a pin that can be detected, least success under a variation.
     """
     values = {submission: _values(found) for submission, found in figures.items() if found is not None}
     return {

@@ -164,7 +164,12 @@ def _best_of_other_versions(ranking: tuple[RankingKey, ...]) -> Select[UUID, UUI
     best, ranked = _best_result(ranking, bindparam("board")), aliased(BoardResult)
     has_ranked = (
         select(ranked.evaluation_id)
-        .where(*_on(ranked, bindparam("board")), _of_version(ranked), ~ranked.is_copy, ranked.team_id == Team.id)
+        .where(
+            *_board_conditions(ranked, bindparam("board")),
+            _of_version(ranked),
+            ~ranked.is_copy,
+            ranked.team_id == Team.id,
+        )
         .exists()
     )
     others = _ids(best).select_from(Team).join(best, true()).where(~has_ranked, takes_part())
@@ -179,14 +184,14 @@ def _best_result(
         BoardResult,
         lateral(
             select(BoardResult)
-            .where(*_on(BoardResult, board), BoardResult.team_id == Team.id, *conditions)
+            .where(*_board_conditions(BoardResult, board), BoardResult.team_id == Team.id, *conditions)
             .order_by(*ranking_order(BoardResult, ranking))
             .limit(1)
         ),
     )
 
 
-def _on(result: type[BoardResult], board: ColumnElement[str]) -> tuple[ColumnElement[bool], ...]:
+def _board_conditions(result: type[BoardResult], board: ColumnElement[str]) -> tuple[ColumnElement[bool], ...]:
     return (
         result.contest == bindparam("contest"),
         result.track == bindparam("track"),

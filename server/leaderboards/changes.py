@@ -17,7 +17,7 @@ from ..kept import Kept
 ValueT = TypeVar("ValueT")
 
 NOTES_KEPT = 1000
-"""So many of the newest notes stay, which one statement reads within a fraction of a millisecond."""
+"""Number of newest notes that stay, which one statement reads within a fraction of a millisecond."""
 
 _SEEN = select(func.count(), func.sum(BoardChange.mark))
 """Marks are random: other changes do not have the same number and sum. A copy of a database has them, though."""

@@ -50,7 +50,7 @@ class MadeBoards(Generic[BoardT]):
         *,
         names: str = "",
     ) -> MadeBoard[BoardT]:
-        """Return the board of that revision, made anew out of the one that is kept where that is another one."""
+        """Return the board of that revision, made out of the stored one where that is another one."""
         made = self._made.get(board)
         if made is None or made.view.revision != revision:
             last = made.view if made is not None and made.names == names else None

@@ -7,7 +7,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from ..contest.stages import CountedResults
 
 
-def why_unranked(
+def explain_unranked(
     made_by: Collection[str], counted: CountedResults, track: str, *, kind: SubmissionKind, of: int
 ) -> str | None:
     """Return why entries of a board have no rank, and what brings it back; None where all were made by its evaluator.
@@ -29,7 +29,7 @@ def why_unranked(
     )
 
 
-def why_submission_unranked(made_by: str, counted: CountedResults, track: str) -> str | None:
+def explain_unranked_submission(made_by: str, counted: CountedResults, track: str) -> str | None:
     """Return why a scored model has no rank, and what brings it back; None where its board ranks it."""
     if made_by == counted.evaluator_version or counted.final_since is not None:
         return None

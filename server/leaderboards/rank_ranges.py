@@ -8,7 +8,7 @@ def rank_ranges(intervals: Sequence[tuple[float, float]]) -> list[tuple[int, int
     """Return the first and last rank that each entry could have, given the 95 % intervals of all success rates.
 
     Ahead for certain is only who is above the whole interval, behind for certain who is below it. Entries of equal rank
-    ranges cannot be told apart by this number of episodes.
+    ranges cannot be distinguished by this number of episodes.
 
     Args:
         intervals: low and high end of each entry.

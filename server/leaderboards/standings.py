@@ -24,7 +24,7 @@ from ..visibility import played_list_kind
 from .best_entries import BestEntry, Board, best_entries
 from .changes import kept_until_change
 from .made_boards import MadeBoard, MadeBoards, revision_of
-from .outdated import why_unranked
+from .outdated import explain_unranked
 from .rank_ranges import rank_ranges
 
 EntryT = TypeVar("EntryT", LeaderboardEntryView, LogEntryView)
@@ -130,7 +130,7 @@ def unranked(
 ) -> str | None:
     """Return why some of the entries have no rank since the evaluator changed; None if none lacks it."""
     made_by = [entry.evaluator_version for entry in entries if entry.stale]
-    return why_unranked(made_by, counted, board.track, kind=board.kind, of=len(entries))
+    return explain_unranked(made_by, counted, board.track, kind=board.kind, of=len(entries))
 
 
 def _with_rank_ranges(entries: list[LeaderboardEntryView]) -> list[LeaderboardEntryView]:
@@ -175,7 +175,7 @@ def completed_evaluations(session: Session, ids: Collection[UUID]) -> Mapping[UU
         .where(Evaluation.id.in_(ids))
         .options(
             defer(Evaluation.log_tail),
-            # Not joined: of a join with so many rows on one side, the database reads the other one from end to end.
+            # Not joined: of a join with many rows on one side, the database reads the other one from end to end.
             selectinload(Evaluation.submission).selectinload(Submission.team),
         )
     )

@@ -25,7 +25,7 @@ from ..views.logs import ActionMatchView, MatchedEpisodeView
 from ..visibility import sight_of, visible
 
 MAX_MODELS = 20
-"""So many models are compared, the ones evaluated last."""
+"""Number of models that are compared, the ones evaluated last."""
 
 
 ActionsByEpisode = dict[int, ActionSequence]
@@ -50,18 +50,18 @@ def matches_of(session: Session, by: Principal, evaluation: Evaluation) -> list[
         return []
     if not sight_of(by, evaluation).episodes:
         return []
-    of_log = cache(lambda: _actions(session, EpisodeKey.of(evaluation, log), log.tasks[0]))
+    from_log = cache(lambda: _actions(session, EpisodeKey.of(evaluation, log), log.tasks[0]))
     return [
-        _matches.get((evaluation.id, model), partial(_compared, session, model, log.tasks[0], of_log))
+        _matches.get((evaluation.id, model), partial(_compared, session, model, log.tasks[0], from_log))
         for model in _models(session, log, evaluation)
     ]
 
 
-def _compared(session: Session, model_id: UUID, task: str, of_log: Callable[[], ActionsByEpisode]) -> ActionMatchView:
+def _compared(session: Session, model_id: UUID, task: str, from_log: Callable[[], ActionsByEpisode]) -> ActionMatchView:
     model = session.get_one(
         Evaluation, model_id, options=[defer(Evaluation.log_tail), joinedload(Evaluation.submission)]
     )
-    return _compare(model, of_log(), _actions(session, EpisodeKey.of(model, model.submission), task))
+    return _compare(model, from_log(), _actions(session, EpisodeKey.of(model, model.submission), task))
 
 
 def _models(session: Session, log: Submission, evaluation: Evaluation) -> Sequence[UUID]:
@@ -104,8 +104,8 @@ def _actions(session: Session, key: EpisodeKey, task: str) -> ActionsByEpisode:
     return {episode: ActionSequence.model_validate(actions) for episode, actions in rows}
 
 
-def _compare(model: Evaluation, of_log: ActionsByEpisode, of_model: ActionsByEpisode) -> ActionMatchView:
-    match = compare_actions(of_log, of_model)
+def _compare(model: Evaluation, from_log: ActionsByEpisode, of_model: ActionsByEpisode) -> ActionMatchView:
+    match = compare_actions(from_log, of_model)
     return ActionMatchView(
         submission_id=model.submission_id,
         submission_name=model.submission.name,

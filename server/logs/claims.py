@@ -29,7 +29,7 @@ class LogClaim(StrictModel):
     problems: tuple[str, ...] = ()
 
     @classmethod
-    def of_log(cls, header: LogHeader, records: Collection[EpisodeRecord]) -> Self:
+    def from_log(cls, header: LogHeader, records: Collection[EpisodeRecord]) -> Self:
         """Return what one of our logs claims."""
         claimed = score(records)
         return cls(
@@ -44,7 +44,7 @@ class LogClaim(StrictModel):
         )
 
     @classmethod
-    def of_text_log(cls, summary: TextLogSummary, problems: tuple[str, ...]) -> Self:
+    def from_text_log(cls, summary: TextLogSummary, problems: tuple[str, ...]) -> Self:
         """Return what a text log claims in its last lines."""
         return cls(
             team=summary.team,

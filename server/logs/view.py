@@ -6,7 +6,7 @@ from uuid import UUID
 from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session
-from vitac.evaluator.logs.findings import LogFinding, VerificationResult, why_tolerated
+from vitac.evaluator.logs.findings import LogFinding, VerificationResult, explain_tolerated
 from vitac.evaluator.logs.text_2025 import WHY_RATES_DIFFER
 from vitac.evaluator.submission_kinds import SubmissionKind
 
@@ -89,5 +89,5 @@ def _reason(verdict: VerificationResult | None, claim: LogClaim, submission: Sub
         return "all states are equal"
     if verdict is VerificationResult.WITHIN_TOLERANCE and claim.manifest:
         task = known_task(submission.track, submission.tasks[0])
-        return why_tolerated(task, claim.manifest.platform_class) if task else None
+        return explain_tolerated(task, claim.manifest.platform_class) if task else None
     return None

@@ -33,7 +33,7 @@ class NewMember:
 
     Attributes:
         code: of the invitation.
-        name: told apart from other members by it.
+        name: unique in the team.
         email: for notices.
         password: to sign in on the pages; None: with the token only.
     """
@@ -135,7 +135,9 @@ def remove(session: Session, by: Principal, member: Member) -> None:
 
 
 def _how_to_hand_over(session: Session, captain: Member) -> str:
-    others = [one.name for one in of_team(session, captain.team_id) if one.left_at is None and one.id != captain.id]
+    others = [
+        one.name for one in list_team_members(session, captain.team_id) if one.left_at is None and one.id != captain.id
+    ]
     if not others:
         return "The team has no other member: invite one first, who then becomes the captain."
     return (
@@ -270,7 +272,7 @@ def captain_of(session: Session, team: Team) -> Member:
     return session.scalars(select(Member).where(*leads)).one()
 
 
-def of_team(session: Session, team_id: UUID) -> list[Member]:
+def list_team_members(session: Session, team_id: UUID) -> list[Member]:
     """Return the members of a team, also those who have left, in the order in which they joined."""
     return list(session.scalars(select(Member).where(Member.team_id == team_id).order_by(Member.joined_at, Member.id)))
 
@@ -286,7 +288,7 @@ def own_team_view(session: Session, by: Principal, team: Team) -> OwnTeamView:
     usable = select(Invitation).where(*_usable(team)).order_by(Invitation.created_at, Invitation.id)
     return OwnTeamView(
         **dict(teams.organizer_team_view(session, team)),
-        members=[_member_view(member) for member in of_team(session, team.id)],
+        members=[_member_view(member) for member in list_team_members(session, team.id)],
         invitations=[InvitationView.model_validate(found, from_attributes=True) for found in session.scalars(usable)],
     )
 

@@ -45,7 +45,7 @@ def ask(session: Session, by: Principal, text: str, *, public: bool) -> Question
 
 
 def answer(session: Session, by: Principal, question_id: int, text: str, *, public: bool) -> Question:
-    """Answer a question, or answer it anew; whether everybody sees both is the organizers' decision.
+    """Answer a question, or replace its answer; whether everybody sees both is the organizers' decision.
 
     Raises:
         ServiceError: not an organizer, there is no such question, or the text cannot be shown.

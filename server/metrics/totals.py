@@ -20,7 +20,7 @@ _ADD = text("""
     SELECT * FROM unnest(CAST(:names AS text[]), CAST(:labels AS text[]), CAST(:values AS double precision[]))
     ON CONFLICT (name, labels) DO UPDATE SET value = metric_totals.value + excluded.value
 """)
-"""One text for any number of rows: written anew for each number, it took several times as long as its execution."""
+"""One text for any number of rows: written for each number, it took several times as long as its execution."""
 
 
 @dataclass(frozen=True, order=True)

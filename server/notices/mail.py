@@ -75,7 +75,7 @@ def send(notice: Notice, settings: Settings) -> None:
 
 
 def one_line(text: str, *, max_length: int) -> str:
-    """Return text for a header or a column: one line of at most so many characters, without controls."""
+    """Return text for a header or a column: one line of at most this length, without control characters."""
     return "".join(character if character.isprintable() else " " for character in text)[:max_length]
 
 

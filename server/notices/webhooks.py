@@ -70,7 +70,7 @@ def remove(session: Session, by: Principal, team: Team, webhook_id: UUID) -> Non
     record(session, by, "webhook.remove", f"team:{team.id}", {"webhook": None}, before=before)
 
 
-def of_team(session: Session, by: Principal, team: Team) -> list[WebhookView]:
+def list_webhooks(session: Session, by: Principal, team: Team) -> list[WebhookView]:
     """Return the webhooks of a team, without their secrets.
 
     Raises:
@@ -152,4 +152,4 @@ def _shut(opened: socket.socket) -> None:
     with suppress(OSError):  # it may have ended by itself meanwhile
         socket.socket.shutdown(
             opened, socket.SHUT_RDWR
-        )  # that of an encrypted one would let its reader go on unencrypted
+        )  # that of an encrypted one would let its reader continue unencrypted

@@ -76,7 +76,7 @@ def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeRes
     # The second of two who ask at the same time waits here for the first one.
     wait_for_turn(session, AdvisoryLock.PLAYBACK_OF_EPISODE, playback_key(episode))
     found = find_playback(session, episode)
-    if found is not None and not _may_be_tried_again(found):
+    if found is not None and not _may_retry(found):
         return found
     _require_somebody_who_draws(session, settings, episode)
     if not by.organizes_something:
@@ -170,7 +170,7 @@ def playback_view(session: Session, settings: Settings, playback: Playback) -> P
     )
 
 
-def _may_be_tried_again(playback: Playback) -> bool:
+def _may_retry(playback: Playback) -> bool:
     failed_at = playback.finished_at if playback.state is PlaybackState.FAILED else None
     return failed_at is not None and failed_at < datetime.now(UTC) - FAILED_KEPT
 

@@ -16,7 +16,7 @@ from ..views.playbacks import PublicEpisodeView, ShownEpisodeView
 from .asking import shown_episode
 
 LOOKED_AT = 100
-"""So many playbacks are looked at, and submissions that have them; those first that were asked for last."""
+"""Maximum number of playbacks, and of submissions that have them, to look at; the last requested first."""
 
 
 def newest_public_episode(session: Session, settings: Settings) -> PublicEpisodeView | None:

@@ -62,7 +62,7 @@ class Account:
     gid: int
 
     @classmethod
-    def for_this_process(cls) -> "Account":
+    def read_current(cls) -> "Account":
         """Return `nobody` for root, otherwise the same user."""
         if os.geteuid() != 0:
             return cls(uid=os.geteuid(), gid=os.getegid())
@@ -86,7 +86,7 @@ class Cluster:
         self.folder = state_dir.absolute() / "postgres"
         self.options = tuple(options)
         self._bin_dir = bin_dir
-        self._account = Account.for_this_process()
+        self._account = Account.read_current()
 
     @property
     def data_dir(self) -> Path:
@@ -159,7 +159,7 @@ class Cluster:
     def wait_until_ready(self, process: "subprocess.Popen[bytes]", stopping: threading.Event) -> bool:
         """Wait until the server takes connections, or `stopping` is set; return whether it does.
 
-        There is no limit: a recovery that is ended begins anew at the next start.
+        There is no limit: a recovery that is ended begins again at the next start.
 
         Raises:
             DatabaseStartFailed: it ended.

@@ -161,7 +161,7 @@ def winners(session: Session, name: str | None = None) -> list[Winner]:
 def prizes_without_winner(session: Session, found: Sequence[Winner], name: str | None = None) -> list[str]:
     """Return for each track with prizes that nobody wins a sentence that names them, with how many of each."""
     tracks = Contest.find(session, name).definition.tracks
-    left = {name: _left_over(name, track, found) for name, track in tracks.items()}
+    left = {name: _count_unawarded(name, track, found) for name, track in tracks.items()}
     return [
         f"{name}: nobody wins {', '.join(f'{count} x {place}' for place, count in prizes.items())}"
         + ("." if tracks[name].taken_here else "; this service does not hold the track.")
@@ -264,7 +264,7 @@ def _in_order(session: Session, stage: Stage) -> Sequence[tuple[LeaderboardEntry
     return [(entry, None) for entry in board.entries if entry.rank is not None]
 
 
-def _left_over(name: str, track: TrackRules, found: Sequence[Winner]) -> Counter[str]:
+def _count_unawarded(name: str, track: TrackRules, found: Sequence[Winner]) -> Counter[str]:
     given = Counter(winner.place for winner in found if winner.track == name)
     return Counter({prize.place: prize.winners for prize in track.prizes}) - given
 

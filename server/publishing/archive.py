@@ -20,7 +20,8 @@ def archive_view(session: Session, name: str | None = None) -> ArchiveView:
     found, contest = competition_view(session, name), Contest.read(session, name)
     if found.finalized_at is None:
         raise ServiceError(
-            ProblemCode.NOT_FOUND, f"{found.title} goes on; its archive is here once the organizers have made it final."
+            ProblemCode.NOT_FOUND,
+            f"{found.title} is still running; its archive appears here once the organizers have made it final.",
         )
     state = chain_state(session)
     return ArchiveView(

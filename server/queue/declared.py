@@ -34,7 +34,7 @@ def declared_versions(session: Session) -> dict[str, str]:
     return {row.track: row.version for row in session.scalars(select(DeclaredEvaluator))}
 
 
-def why_other_evaluator(declared: Mapping[str, str]) -> str | None:
+def explain_other_evaluator(declared: Mapping[str, str]) -> str | None:
     """Return why a worker with the sources of this process may take no shard of the service; None if it may."""
     expected, got = declared.get(OWN_SOURCES), evaluator_version()
     if expected is None or expected == got:
@@ -45,7 +45,7 @@ def why_other_evaluator(declared: Mapping[str, str]) -> str | None:
     )
 
 
-def why_other_tracks(declared: Mapping[str, str]) -> dict[str, str]:
+def explain_other_tracks(declared: Mapping[str, str]) -> dict[str, str]:
     """Return by track why a worker with the track files of this process gets none of its shards."""
     own_sources, here = declared.get(OWN_SOURCES), versions_here()
     return {

@@ -20,7 +20,7 @@ from vitac.envs.errors import VitacError
 from vitac.evaluator.episodes.episode import Environment, make_environment
 from vitac.evaluator.episodes.provenance import make_manifest
 from vitac.evaluator.episodes.records import EpisodeRecord, result_hash
-from vitac.evaluator.logs.checks import known_without_running, why_impossible
+from vitac.evaluator.logs.checks import explain_impossible, known_without_running
 from vitac.evaluator.logs.log import LogHeader, LogReader, LogRejected
 from vitac.evaluator.logs.verification import check_episode
 from vitac.evaluator.scoring.score import score
@@ -331,7 +331,7 @@ def _checked_log(reader: ExportReader, result: Result, task: TaskResult, team: s
 
 def _wrong_records(track: Track, header: LogHeader, records: Sequence[EpisodeRecord], signed: TaskResult) -> str | None:
     task = track.tasks[signed.task]
-    impossible = why_impossible(known_without_running(track, task), task, header, records)
+    impossible = explain_impossible(known_without_running(track, task), task, header, records)
     if impossible:
         return f"the records are of no such evaluation. {impossible.message}"
     if result_hash(header.manifest, records) != signed.result_hash:

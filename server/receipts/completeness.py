@@ -211,22 +211,22 @@ def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]
         team, ranked_by = teams.get(receipt.result.evaluation), reached(board.task, receipt.result)
         if team is None or ranked_by is None or receipt.result.evaluator_version != board.evaluator_version:
             continue
-        shown, told = entries.get(team.name), f"{team.name}: receipt {receipt.link.number}"
+        shown, subject = entries.get(team.name), f"{team.name}: receipt {receipt.link.number}"
         if team.off_boards:
-            yield False, f"{told}; the service leaves the team out: {team.off_boards}."
+            yield False, f"{subject}; the service leaves the team out: {team.off_boards}."
             continue
         if receipt.result.evaluation in team.disqualified:
-            yield False, f"{told}; the service leaves the result out: its submission was disqualified."
+            yield False, f"{subject}; the service leaves the result out: its submission was disqualified."
             continue
         if receipt.result.evaluation in copies:
             if _copies_another_teams(described, receipts, receipt.result):
                 continue
-            yield False, f"{told}; the service says that this log is a copy of an earlier one, so it is not ranked."
+            yield False, f"{subject}; the service says that this log is a copy of an earlier one, so it is not ranked."
             continue
         if shown is None:
-            missing = f"{told} is of this board, but the team is not on it"
+            missing = f"{subject} is of this board, but the team is not on it"
         elif shown.rank is not None and _place_of_result(described, receipt.result) < place(described.ranking, shown):
-            missing = f"{told} is better than its entry on the board"
+            missing = f"{subject} is better than its entry on the board"
         else:
             continue
         if receipt.result.evaluation in described.set_aside:

@@ -15,7 +15,7 @@ from ..db.among import among
 from ..db.models import Evaluation, Submission, Team
 from ..db.states import EvaluationState
 from ..errors import not_found, token_missing
-from ..evaluations.history import newest_state, of_newest
+from ..evaluations.history import newest_state, select_newest
 from ..principals import VISITOR, Principal
 from ..visibility import changeable
 
@@ -53,7 +53,7 @@ def public_among(session: Session, submissions: Collection[UUID]) -> frozenset[U
     )
     for contest in Contest.read_all(session):
         if contest.frozen_at is not None:
-            is_shown = of_newest(Evaluation.finished_at) <= contest.frozen_at
+            is_shown = select_newest(Evaluation.finished_at) <= contest.frozen_at
             query = query.where(or_(~contest.submissions, is_shown))
     return frozenset(session.scalars(query))
 

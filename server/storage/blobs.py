@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 PART_BYTES = 8 << 20
 PARTS_AT_ONCE = 2
-"""A file is stored in parts; so many of them are in memory at a time."""
+"""A file is stored in parts; this number of them is in memory at a time."""
 _COPY_BYTES = 1 << 20
 PART_FOLDER = "partial"
 """Where the parts of uploads wait that are not complete; by upload."""
@@ -33,7 +33,7 @@ LATELY = timedelta(hours=12)
 
 
 RETRIES: "RetryConfig" = {"max_retries": 5, "retry_timeout": timedelta(seconds=20)}
-"""Of requests to a bucket that fails; by default they go on for three minutes, for which an upload would hang."""
+"""Of requests to a bucket that fails; by default an upload would hang for three minutes."""
 
 
 class StoredFileLost(ServiceError):
@@ -204,7 +204,7 @@ class BlobStore:
             self._delete(key)
 
     def check_within(self, limit_s: float) -> None:
-        """Check as `check` does, but wait so long only [s]; a check that hangs goes on, and serves whoever asks next.
+        """Check as `check` does, within a time limit [s]; a check that hangs continues and serves the next caller.
 
         Raises:
             ServiceError: the store does not work.

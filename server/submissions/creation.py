@@ -52,7 +52,7 @@ def create(
         by: who asks.
         upload: the checked body.
         team: for an organizer: whose submission it becomes.
-        again: play all episodes anew.
+        again: run all episodes again.
         contest: name of the competition; None: the one that takes submissions to the track.
         quotas: of teams without limits of their own.
         at: when it is complete; None: now.

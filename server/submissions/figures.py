@@ -39,7 +39,7 @@ def coefficients_digest(session: Session, submission_id: UUID, evaluation_id: UU
     Args:
         session: of the transaction.
         submission_id: whose sensor it is.
-        evaluation_id: of the submission; another run learns anew, as it plays anew.
+        evaluation_id: of the submission; another run learns again, as it plays again.
         sensor: digest of the made sensor.
     """
     return session.scalar(

@@ -97,7 +97,7 @@ def _view(row: Row[Any]) -> EpisodeOutputView:
         episode=row.episode,
         outcome=row.outcome,
         output=row.output,
-        failure=None if failure is None else f"{failure.code}: {failure.told}",
+        failure=None if failure is None else f"{failure.code}: {failure.sentence}",
     )
 
 

@@ -18,7 +18,7 @@ from ..principals import Principal
 from ..visibility import changeable, visible
 
 MACHINE_FAILURES = 3
-"""After so many evaluations of a submission that machines have ended within 24 hours, only organizers start another."""
+"""After this number of evaluations that machines ended in 24 hours, only organizers start another of a submission."""
 
 
 def cancel(session: Session, by: Principal, submission_id: UUID) -> None:
@@ -49,7 +49,7 @@ def cancel_evaluation(session: Session, by: Principal, evaluation: Evaluation) -
 
 
 def run_again(session: Session, by: Principal, submission_id: UUID) -> Submission:
-    """Start a new run that plays all episodes anew; the earlier results stay.
+    """Start a new run of all episodes; the earlier results stay.
 
     Raises:
         ServiceError: not an organizer, no such submission, or its evaluation is still active.
@@ -105,7 +105,7 @@ def next_run(session: Session, submission: Submission, *, again: bool) -> int | 
         return 1 + max(evaluation.run for evaluation in same_version)
     if not again and (newest.state is EvaluationState.COMPLETED or newest.verdict_code in REFUTING_RESULTS):
         return None
-    if not again and _can_be_taken_up(newest):
+    if not again and _can_continue(newest):
         return newest.run
     return 1 + max(evaluation.run for evaluation in same_version)
 
@@ -130,6 +130,6 @@ def _for_rejudgement(session: Session, submission: Submission) -> str:
     return f" for rejudgement {found.rejudgement_id} (evaluation {found.id})" if found else ""
 
 
-def _can_be_taken_up(evaluation: Evaluation) -> bool:
+def _can_continue(evaluation: Evaluation) -> bool:
     by_machines = evaluation.verdict_code == ServiceVerdict.MACHINE_FAILED
     return evaluation.state is EvaluationState.CANCELLED or by_machines

@@ -28,10 +28,10 @@ class AnnouncedUpload:
         track: that the body must name; None: whatever it names.
         contest: name of the competition; None: the one that takes submissions to the track.
         team: for an organizer: whose submission it becomes.
-        again: play all episodes anew although results are stored.
-        n_bytes: length of the body; None: not told.
-        sha256: digest of the body, hex; None: not told.
-        file_name: of the body; None: not told.
+        again: run all episodes again, including stored ones.
+        n_bytes: length of the body; None if the client did not send it.
+        sha256: digest of the body, hex; None if the client did not send it.
+        file_name: of the body; None if the client did not send it.
     """
 
     kind: SubmissionKind

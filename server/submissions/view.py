@@ -17,7 +17,7 @@ from ..evaluations.copies import copies_among
 from ..evaluations.scores import counted_tasks
 from ..evaluations.view import EvaluationRows, evaluation_view, summary_view
 from ..leaderboards.best_entries import Board, PlacesOfBoards, places
-from ..leaderboards.outdated import why_submission_unranked
+from ..leaderboards.outdated import explain_unranked_submission
 from ..logs.view import findings_of
 from ..principals import Principal
 from ..queue.workers import Fleet, fleet
@@ -133,19 +133,19 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
         evaluation=evaluation_view(newest, shown.fleet.alive, shown.evaluations),
         evaluations=[summary_view(evaluation) for evaluation in shown_runs],
         workers=shown.workers(newest.evaluator_version, submission.track, tuple(submission.tasks)),
-        unranked=_why_unranked(newest, shown),
+        unranked=_explain_unranked(newest, shown),
         rank=ranks.get(None),
         task_ranks={task: place for task, place in ranks.items() if task is not None},
         log=log,
     )
 
 
-def _why_unranked(newest: Evaluation, shown: _Shown) -> str | None:
+def _explain_unranked(newest: Evaluation, shown: _Shown) -> str | None:
     submission = newest.submission
     if newest.state is not EvaluationState.COMPLETED or not submission.kind.form.runs_policy:
         return None
     counted = shown.stage_of(submission).counted_results()
-    return why_submission_unranked(newest.evaluator_version, counted, submission.track)
+    return explain_unranked_submission(newest.evaluator_version, counted, submission.track)
 
 
 def _workers(known: Fleet, evaluator_version: str, track: str, tasks: tuple[str, ...]) -> WorkersView:

@@ -33,7 +33,7 @@ class ShownNames:
         return cls(by=by, hidden=bool(hiding), to_organizer=all(by.organizes(name) for name in hiding))
 
     def hides(self, team: Team) -> bool:
-        """Return whether it is not told which team it is; its members, judges and organizers always see it."""
+        """Return whether the team stays anonymous; its members, judges and organizers always see its name."""
         return self.hidden and not (self.to_organizer or self.by.may_see(team.id))
 
     def name_of(self, team: Team) -> str:

@@ -187,7 +187,7 @@ def own(session: Session, by: Principal) -> Team:
 
 
 def lock(session: Session, team: Team) -> None:
-    """Let changes that count what a team has go on one after the other; rows that refer to the team are left alone.
+    """Serialize changes that count what a team has; rows that refer to the team are left alone.
 
     Raises:
         ServiceError: the team was merged with another one or removed meanwhile.
@@ -264,7 +264,7 @@ def organizer_team_view(session: Session, team: Team) -> OrganizerTeamView:
 
 
 def name_key(name: str) -> str:
-    """Return the name by which teams are told apart."""
+    """Return the key that is unique among teams."""
     return names.key(name, max_length=NAME_LENGTH)
 
 

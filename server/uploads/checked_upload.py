@@ -36,7 +36,7 @@ class CheckedUpload:
 
     Attributes:
         files: what is stored beside it.
-        file_name: as the client names it; None: not told.
+        file_name: as the client names it; None if the client did not send it.
         sensor_folder: unpacked submission whose sensor is still to be taken in; None: there is none.
     """
 

@@ -56,7 +56,7 @@ async def receive(
     path = folder / FILE_NAME
     digest, n_bytes = hashlib.sha256(), 0
     with path.open("xb") as file:
-        async for chunk in until_idle(body, idle_timeout_s):
+        async for chunk in limit_idle_time(body, idle_timeout_s):
             n_bytes += len(chunk)
             if n_bytes > limit_bytes:
                 raise _too_large(limit_bytes, "more were sent")
@@ -88,7 +88,7 @@ def truncated(what: str) -> ServiceError:
     """Return the refusal of a body that ended early."""
     return ServiceError(
         ProblemCode.UPLOAD_TRUNCATED,
-        f"The upload ended early: {what}. Send it again; one in pieces goes on where it ended.",
+        f"The upload ended early: {what}. Send it again; a resumable upload continues where it ended.",
     )
 
 
@@ -100,7 +100,7 @@ def _too_large(limit_bytes: int, what: str) -> ServiceError:
     )
 
 
-async def until_idle(body: AsyncIterator[bytes], limit_s: float) -> AsyncIterator[bytes]:
+async def limit_idle_time(body: AsyncIterator[bytes], limit_s: float) -> AsyncIterator[bytes]:
     """Yield the chunks of a body as long as they keep coming.
 
     Raises:

@@ -1,6 +1,6 @@
 """What the service does with each kind of submission: how large it may be, and how it is checked and shown.
 
-The one place of the uploads where kinds are told apart; `evaluator.submission_kinds` says what holds of each anywhere.
+The one place of the uploads that distinguishes kinds; `evaluator.submission_kinds` says what holds of each anywhere.
 """
 
 from collections.abc import Callable, Mapping

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
-from vitac.evaluator.logs.checks import known_without_running, why_impossible
+from vitac.evaluator.logs.checks import explain_impossible, known_without_running
 from vitac.evaluator.logs.findings import Impossibility, ImpossibleReason
 from vitac.evaluator.logs.log import LogReader, LogRejected
 from vitac.evaluator.logs.packing import UnpackFailed, open_log
@@ -90,10 +90,10 @@ def _claim_of(reader: LogReader) -> LogClaim:
     track, task = _track_and_task(reader.header.manifest)
     kept: list[EpisodeRecord] = []
     records = _keeping(kept, reader.records())
-    found = why_impossible(known_without_running(track, task), task, reader.header, records)
+    found = explain_impossible(known_without_running(track, task), task, reader.header, records)
     if found:
         raise impossible(found, reader.line)
-    return LogClaim.of_log(reader.header, kept)
+    return LogClaim.from_log(reader.header, kept)
 
 
 def _track_and_task(manifest: Manifest) -> tuple[Track, Task]:

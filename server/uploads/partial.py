@@ -1,8 +1,8 @@
 """Uploads in pieces: begun, continued from where they ended, put together, removed.
 
 The received bytes wait as parts in the file store, which all servers reach; rows say which parts count. Of two clients
-that send the same piece the first one wins, the other learns where to go on: nothing is locked while bytes arrive, so
-a connection that died unnoticed holds up nobody. Called by the API, `submissions.completion` and housekeeping.
+that send the same piece the first one wins, the other learns where to continue: nothing is locked while bytes arrive,
+so a connection that died unnoticed holds up nobody. Called by the API, `submissions.completion` and housekeeping.
 """
 
 import hashlib
@@ -26,7 +26,7 @@ from .intake import FILE_NAME, ReceivedFile, check_announced_size
 from .kinds import SERVED_KINDS
 
 MAX_PARTS = 5000
-"""So many parts make up one upload at most: one of 512 MiB has 128, and one more for each cut."""
+"""Maximum number of parts of one upload: one of 512 MiB has 128, and one more for each lost connection."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,10 +37,10 @@ class UploadPlan:
         kind: what the body is.
         track: that the body must name; None: whatever it names.
         contest: name of the competition; None: the one that takes submissions to the track.
-        again: whether all episodes are to be played anew.
-        file_name: as the client names it; None: not told.
+        again: whether to run all episodes again.
+        file_name: as the client names it; None if the client did not send it.
         total_bytes: length of the body.
-        sha256: digest of the body, hex; None: not told.
+        sha256: digest of the body, hex; None if the client did not send it.
     """
 
     kind: SubmissionKind
@@ -118,7 +118,7 @@ def add_parts(session: Session, settings: Settings, upload_id: UUID, parts: list
     """Make stored parts, which follow each other, the next ones of an upload; return when it expires now.
 
     Raises:
-        ServiceError: the upload goes on elsewhere, has too many parts, or is gone.
+        ServiceError: the upload continues elsewhere, has too many parts, or is gone.
     """
     first, n_bytes = parts[0].first_byte, sum(part.n_bytes for part in parts)
     expires_at = _expiry(settings)
@@ -150,13 +150,13 @@ def add_parts(session: Session, settings: Settings, upload_id: UUID, parts: list
 
 
 def conflict(session: Session, upload_id: UUID, first_byte: int) -> ServiceError:
-    """Return the refusal of a piece that does not begin where the upload goes on."""
+    """Return the refusal of a piece that does not begin where the upload continues."""
     offset = session.scalar(select(PartialUpload.received_bytes).where(PartialUpload.id == upload_id))
     if offset is None:
         return not_found("upload", upload_id)
     return ServiceError(
         ProblemCode.UPLOAD_CONFLICT,
-        f"Expected a piece that begins at byte {offset}, got one for byte {first_byte}. Go on from there.",
+        f"Expected a piece that begins at byte {offset}, got one for byte {first_byte}. Continue from there.",
         offset=offset,
     )
 

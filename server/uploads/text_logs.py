@@ -9,7 +9,7 @@ import hashlib
 from vitac.evaluator.logs.findings import Impossibility, ImpossibleReason
 from vitac.evaluator.logs.packing import UnpackFailed, open_log
 from vitac.evaluator.logs.text_2025 import Script, TextLog, TextLogRejected, read_text_log, summarize
-from vitac.evaluator.logs.text_2025.recordings import track_and_task_names, why_not_resimulated
+from vitac.evaluator.logs.text_2025.recordings import explain_not_resimulated, track_and_task_names
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Task
 
@@ -26,7 +26,7 @@ TRUNCATED = "truncated"
 """Reasons beside those of `evaluator.logs.packing`."""
 
 MAX_PROBLEMS = 100
-"""So many are kept; the last one says how many more there are."""
+"""Maximum number that is stored; the last one says how many more there are."""
 MAX_CHARACTERS = 200
 """So much of one problem is kept."""
 
@@ -62,7 +62,7 @@ def check_text_log(received: ReceivedFile, owner: str, settings: Settings) -> Ch
         digest=digest,
         archive_sha256=received.sha256,
         archive_bytes=received.n_bytes,
-        manifest=LogClaim.of_text_log(summary, _first_of(summary.problems)).stored(),
+        manifest=LogClaim.from_text_log(summary, _first_of(summary.problems)).stored(),
     )
 
 
@@ -78,7 +78,7 @@ def _task_of(script: Script) -> tuple[str, Task]:
 def _require_whole(log: TextLog, script: Script, task: Task) -> None:
     if log.misplaced:
         raise rejected(f"L{log.problems[0].removeprefix('l')}.", OUT_OF_PLACE, log.misplaced[0])
-    found = why_not_resimulated(log, script, task)
+    found = explain_not_resimulated(log, script, task)
     if found:
         line = log.episodes[found.episode - 1].line if found.episode and found.episode <= len(log.episodes) else None
         raise impossible(found, line)

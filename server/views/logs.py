@@ -25,7 +25,7 @@ class LogCopyView(View):
     """A log has the states of an earlier submission of another team."""
 
     team: str = Field(description="Whose the earlier one is.")
-    episodes: int = Field(description="So many episodes have its states, half-way or to the end.")
+    episodes: int = Field(description="Number of episodes that have its states, half-way or to the end.")
     ranked: bool = Field(description="False with half of the episodes or more.")
 
 

@@ -17,7 +17,7 @@ from .critic import STATE_SIZE, transitions
 from .ensemble import Samples
 from .fitted_value import FittedValue
 from .network import FloatArray, probability
-from .student import told_of
+from .student import student_inputs
 from .symmetry import HISTORY, STATE, both
 
 _SIGNS = both(STATE, HISTORY)
@@ -48,7 +48,7 @@ class AssessorPlan:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Assessed:
-    """What an assessor learns from: transitions with what the student would be told before and after them.
+    """What an assessor learns from: transitions with the student's inputs before and after them.
 
     Attributes:
         before: inputs before the actions.
@@ -67,13 +67,13 @@ class Assessed:
 
 def assessed(episodes: Episodes) -> Assessed:
     """Return what an assessor learns from episodes; whose they are does not matter."""
-    known, told, rows = transitions(episodes), told_of(episodes), episodes.observations
+    known, inputs, rows = transitions(episodes), student_inputs(episodes), episodes.observations
     return Assessed(
         before=Samples(
-            inputs=np.concatenate([known.before, told[rows]], axis=1), actions=known.actions, turnable=known.turnable
+            inputs=np.concatenate([known.before, inputs[rows]], axis=1), actions=known.actions, turnable=known.turnable
         ),
-        felt=told[rows + 1],
-        after=np.concatenate([known.after, told[rows + 1]], axis=1),
+        felt=inputs[rows + 1],
+        after=np.concatenate([known.after, inputs[rows + 1]], axis=1),
         reached=known.reached,
         last=known.last,
     )
@@ -99,7 +99,7 @@ class Assessor(FittedValue):
             known: all transitions that there are.
             next_actions: what the student would do after each, shape [n, 3].
             random: of the batches.
-            after_sweep: is told the number of each sweep and its mean loss.
+            after_sweep: called with the number of each sweep and its mean loss.
 
         Raises:
             TrainingDiverged: a loss is no finite number.

@@ -1,4 +1,4 @@
-"""What the student believes: the offset that can be told from what it knows and from its networks' first layers.
+"""What the student believes: the offset that follows from what it knows and from its networks' first layers.
 
 Fitted after the student has learned, by least squares, so that no action depends on it; it shows what is missing.
 """
@@ -10,7 +10,7 @@ import numpy as np
 from ..episodes import Episodes
 from ..submission.policy import belief_inputs
 from .network import FloatArray
-from .student import told_of
+from .student import student_inputs
 
 OFFSET = slice(0, 3)
 """Where a row of `Episodes.truths` has the offset [mm, mm, deg]."""
@@ -26,7 +26,7 @@ def fit_belief(weights: Mapping[str, FloatArray], episodes: Episodes) -> FloatAr
         episodes: whose actions no truth has chosen.
     """
     looked = episodes.observations
-    inputs = belief_inputs(weights, told_of(episodes)[looked]).astype(np.float64)
+    inputs = belief_inputs(weights, student_inputs(episodes)[looked]).astype(np.float64)
     offsets = episodes.truths[looked, OFFSET].astype(np.float64)
     squares = inputs.T @ inputs / len(inputs)
     found = np.linalg.solve(squares + _RIDGE * np.eye(len(squares)), inputs.T @ offsets / len(inputs))

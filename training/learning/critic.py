@@ -72,7 +72,7 @@ class Critic(FittedValue):
         Args:
             episodes: all that there are.
             random: of the batches and the next actions.
-            after_sweep: is told the number of each sweep and its mean loss.
+            after_sweep: called with the number of each sweep and its mean loss.
 
         Raises:
             TrainingDiverged: a loss is no finite number.
@@ -83,7 +83,7 @@ class Critic(FittedValue):
 
     @classmethod
     def of_state(cls, plan: CriticPlan, state: Mapping[str, FloatArray]) -> "Critic":
-        """Return a critic that goes on from a state."""
+        """Return a critic that continues from a state."""
         critic = cls(plan, np.random.default_rng(0))
         critic.restore(state)
         return critic

@@ -78,7 +78,7 @@ class Ensemble:
         return float(np.mean(losses))
 
     def state(self) -> dict[str, FloatArray]:
-        """Return all that learning goes on from."""
+        """Return the state that learning continues from."""
         return {
             f"{number}.{name}": value
             for number, each in enumerate(self.learners)
@@ -86,7 +86,7 @@ class Ensemble:
         }
 
     def restore(self, state: Mapping[str, FloatArray]) -> None:
-        """Go on from a state."""
+        """Continue from a state."""
         for number, each in enumerate(self.learners):
             own = f"{number}."
             each.restore({name.removeprefix(own): value for name, value in state.items() if name.startswith(own)})

@@ -57,11 +57,11 @@ class FittedValue:
         return self._ensemble.lowest(inputs, actions)
 
     def state(self) -> dict[str, FloatArray]:
-        """Return all that learning goes on from."""
+        """Return the state that learning continues from."""
         return self._ensemble.state()
 
     def restore(self, state: Mapping[str, FloatArray]) -> None:
-        """Go on from a state."""
+        """Continue from a state."""
         self._ensemble.restore(state)
 
     def _fit(

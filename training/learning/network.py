@@ -118,13 +118,13 @@ class Learner:
         return loss
 
     def state(self) -> dict[str, FloatArray]:
-        """Return all that learning goes on from, by name."""
+        """Return the state that learning continues from, by name."""
         groups = (("p", self.parameters), ("m", self._first), ("v", self._second))
         stored = {f"{group}.{name}": value.copy() for group, values in groups for name, value in values.items()}
         return stored | {"steps": np.array([self.steps], dtype=np.float32)}
 
     def restore(self, state: Mapping[str, FloatArray]) -> None:
-        """Go on from a state."""
+        """Continue from a state."""
         for group, values in (("p", self.parameters), ("m", self._first), ("v", self._second)):
             for name in values:
                 values[name] = state[f"{group}.{name}"].copy()

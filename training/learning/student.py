@@ -99,11 +99,11 @@ class Student:
         return chosen
 
     def state(self) -> dict[str, FloatArray]:
-        """Return all that learning goes on from."""
+        """Return the state that learning continues from."""
         return self._ensemble.state()
 
     def restore(self, state: Mapping[str, FloatArray]) -> None:
-        """Go on from a state."""
+        """Continue from a state."""
         self._ensemble.restore(state)
 
     def _epoch(
@@ -138,13 +138,15 @@ def histories_of(episodes: Episodes) -> Histories:
     """Return what a student learns from episodes: every moment at which an action was chosen."""
     shapes = np.repeat(episodes.shapes, episodes.lengths)
     states = states_of(episodes.truths[episodes.observations], shapes, episodes.step)
-    return Histories(felt=told_of(episodes)[episodes.observations], states=states, turnable=np.isin(shapes, TURNABLE))
+    return Histories(
+        felt=student_inputs(episodes)[episodes.observations], states=states, turnable=np.isin(shapes, TURNABLE)
+    )
 
 
-def told_of(episodes: Episodes) -> FloatArray:
+def student_inputs(episodes: Episodes) -> FloatArray:
     """Return what a policy knows at every observation, shape [o, HISTORY_SIZE]."""
     ends, action_ends = np.cumsum(episodes.lengths + 1), np.cumsum(episodes.lengths)
-    told = [
+    inputs = [
         history_features(
             episodes.felt[end - length - 1 : end],
             episodes.motions[end - length - 1 : end],
@@ -152,4 +154,4 @@ def told_of(episodes: Episodes) -> FloatArray:
         )
         for length, end, action_end in zip(episodes.lengths, ends, action_ends, strict=True)
     ]
-    return np.concatenate(told)
+    return np.concatenate(inputs)

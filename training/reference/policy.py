@@ -136,7 +136,7 @@ def load_actor(actor: TactileActor, state: Mapping[str, Any]) -> None:
     Raises:
         ValueError: the sizes are not those of this actor.
     """
-    told = {
+    published = {
         name.removeprefix(OF_ACTOR): value.squeeze(-1) if value.ndim == 3 else value
         for name, value in state.items()
         if name.startswith(OF_ACTOR) and not name.removeprefix(OF_ACTOR).startswith(NOT_PLAYED)
@@ -144,10 +144,10 @@ def load_actor(actor: TactileActor, state: Mapping[str, Any]) -> None:
     for parts in permutations([("encoder", actor.encoder), ("head", actor.head)]):
         names = [f"{part}.{name}" for part, module in parts for name in module.state_dict()]
         own = actor.state_dict()
-        if [own[name].shape for name in names] == [value.shape for value in told.values()]:
-            actor.load_state_dict(dict(zip(names, told.values(), strict=True)))
+        if [own[name].shape for name in names] == [value.shape for value in published.values()]:
+            actor.load_state_dict(dict(zip(names, published.values(), strict=True)))
             return
-    sizes = ", ".join(f"{name} {tuple(value.shape)}" for name, value in list(told.items())[:4])
+    sizes = ", ".join(f"{name} {tuple(value.shape)}" for name, value in list(published.items())[:4])
     raise ValueError(
         f"The weights are not those of this actor: expected {_sizes(actor)}, got {sizes or 'no actor'} ..."
     )

@@ -24,7 +24,7 @@ from ..charts import Charts
 from ..files import load, save, write_bytes, write_text
 from ..log import Row, extend_log, read_log
 from ..progress import Progress
-from ..run import Folder, Tell, claimed, told
+from ..run import Folder, Tell, claimed, format_rate
 from ..streams import Use, stream
 from . import policy
 from .policy import ACTIONS, FEATURES, FloatArray, Opening
@@ -96,7 +96,7 @@ class Search:
         recipe: what is done.
         folder: where its files are.
         processes: how many play episodes.
-        tell: is told what each generation found, a line each.
+        tell: called with a line for each generation.
         make: makes the environment of a process.
     """
 
@@ -173,7 +173,7 @@ class Search:
         )
 
     def _tell_generation(self, found: Generation, left: str) -> None:
-        solved = f"{told(found.solved)} in {found.mean_env_steps:.2f} env steps"
+        solved = f"{format_rate(found.solved)} in {found.mean_env_steps:.2f} env steps"
         self.tell(f"generation {found.number} of {self.recipe.generations}: {solved}{left}")
 
     def _starts(self, use: Use, first: int, count: int) -> list[tuple[int, int]]:

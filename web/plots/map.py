@@ -65,7 +65,7 @@ class ShapeMap:
 
     @cached_property
     def drawing(self) -> Markup:
-        """Its cells as SVG; composed here because a template takes several times as long for so many."""
+        """Its cells as SVG; composed here because a template takes several times as long for this number of cells."""
         return Markup("\n".join(cell.drawing for cell in self.cells))  # noqa: S704 - each is markup
 
     @cached_property

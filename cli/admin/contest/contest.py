@@ -66,7 +66,7 @@ def apply(
 ) -> None:
     """Show what a competition's file changes, and make it the competition of its name, beside others."""
     from vitac.server.contest.applying import apply as apply_definition
-    from vitac.server.contest.applying import concerns_by, warnings_about
+    from vitac.server.contest.applying import list_concerns, warnings_about
     from vitac.server.contest.contest import Contest
     from vitac.server.contest.definition import read_competition
     from vitac.server.principals import CONSOLE
@@ -74,7 +74,7 @@ def apply(
     definition, without_question = read_competition(file), yes and not dry_run
 
     def change(session: "Session") -> "tuple[list[Change], list[Concern], str]":
-        revision, concerns = Contest.read(session, definition.name).revision, concerns_by(session, definition)
+        revision, concerns = Contest.read(session, definition.name).revision, list_concerns(session, definition)
         made_from, confirmed = base_of(base, yes=without_question), confirmed_of(confirm, yes=without_question)
         found = apply_definition(session, CONSOLE, definition, base=made_from, confirmed=confirmed)
         return found, concerns, revision

@@ -71,7 +71,7 @@ def finalize(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """End the competition with the winners as they are now; with --again, decide them anew after it."""
+    """End the competition with the winners as they are now; with --again, decide them again afterwards."""
     from vitac.server.principals import CONSOLE
     from vitac.server.prizes.finishing import concerns_at_end, finalize_again, prizes_without_winner
     from vitac.server.prizes.finishing import finalize as finalize_results

@@ -36,7 +36,7 @@ def answer(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Answer a question, or answer it anew."""
+    """Answer a question, or replace its answer."""
     from vitac.server.messages.questions import answer as answer_question
     from vitac.server.messages.questions import question_view
     from vitac.server.principals import CONSOLE

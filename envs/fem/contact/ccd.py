@@ -3,9 +3,9 @@
 Contact: conservative advancement. At the current closest points the plane normal to n separates the two primitives
 by the gap d, so along a linear motion each pair of their vertices keeps a gap that is linear in time; the move may go
 until the first of them has shrunk to (1 - fraction) d. Where that allows less than the whole move, the closest points
-are taken anew at that time and the rest of the gap budget is spent from there (additive CCD: Li et al., Codimensional
-IPC, ACM TOG 2021, algorithm 1, with a tighter bound on the approach speed). The result never exceeds the exact time at
-which the gap would be (1 - fraction) d.
+are computed again at that time and the rest of the gap budget is spent from there (additive CCD: Li et al.,
+Codimensional IPC, ACM TOG 2021, algorithm 1, with a tighter bound on the approach speed). The result never exceeds the
+exact time at which the gap would be (1 - fraction) d.
 """
 
 from typing import NamedTuple

@@ -43,7 +43,7 @@ ROWS = Rows(*first_rows([12, 9, 1, 1, 1, 1, 12]))
 
 
 def new_batch(rows: int) -> FloatArray:
-    """Return uninitialised scratch of so many rows."""
+    """Return uninitialised scratch with this number of rows."""
     return np.empty(rows * BATCH)
 
 

@@ -9,7 +9,7 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 MaskArray = NDArray[np.bool_]
 
-# Parts of up to so many nodes are ordered by minimum degree, which is the better one there.
+# Parts of at most this number of nodes are ordered by minimum degree, which is better there.
 _SMALL_PART = 100
 # Places of the planes that are tried, as parts of the nodes on one side.
 _CUTS = (0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7)

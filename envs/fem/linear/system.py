@@ -76,7 +76,7 @@ class SystemLayout(NamedTuple):
 
 
 def system_layout(eliminations: Sequence[Elimination], border: int) -> SystemLayout:
-    """Return the layout for gels with these eliminations, one after the other, and so many frame points."""
+    """Return the layout for gels with these eliminations, one after the other, and this number of frame points."""
     starts = np.concatenate([[0], np.cumsum([len(part.nodes) for part in eliminations])])
     edges = np.concatenate([part.edges + start for part, start in zip(eliminations, starts[:-1], strict=True)])
     both_ways = np.concatenate([edges, edges[:, ::-1]])

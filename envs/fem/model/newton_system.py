@@ -28,7 +28,7 @@ class NewtonSystem(NamedTuple):
 
 
 def new_newton_system(layout: SystemLayout, nodes: int) -> NewtonSystem:
-    """Return the arrays for a system of this layout and so many nodes; no prescribed motion."""
+    """Return the arrays for a system of this layout and number of nodes; no prescribed motion."""
     return NewtonSystem(
         gradient=np.empty((nodes, 3)),
         entries=np.empty(layout.size),

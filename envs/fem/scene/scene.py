@@ -58,7 +58,7 @@ class StepReport:
     """What one IPC step took and left.
 
     Attributes:
-        status: how it ended; a caller must not go on after NOT_CONVERGED.
+        status: how it ended; a caller must not continue after NOT_CONVERGED.
         newton_iterations: Newton iterations, all parts together.
         parts: parts the driven motion was divided into where this state comes from.
         reusing_iterations: iterations that solved with the factors of an earlier one, among the Newton iterations.

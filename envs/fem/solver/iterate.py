@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 
 # One iteration moves bodies against each other by at most this much [m]: a free body's first guess can be metres.
 LONGEST_MOVE_M = 2e-3
-# A new list stays complete for so many times the move that asked for it.
+# A new list stays complete for this multiple of the move that asked for it.
 _MARGIN = 1.5
 
 
@@ -107,7 +107,7 @@ def remember_step(model: Model, x: FloatArray, x_start: FloatArray, before: Cont
 def look_ahead(model: Model, s: Solve) -> bool:
     """Write how far the step moves bodies; return whether the candidates are complete for it.
 
-    If not, the margin is widened and the candidates have to be listed anew.
+    If not, the margin is widened and the candidates have to be listed again.
     """
     step, margin = s.step, s.listing.margin
     add_rows(s.iterate.y, 1.0, step.y, s.trial.y)

@@ -52,7 +52,7 @@ _LARGEST_DEVIATION = 0.5
 
 @allocating_kernel
 def relax(model: Model, s: Solve, x_target: FloatArray, residual_n: float, steps: int, workspace: Workspace) -> int:
-    """Move the iterate until the forces left are at most `residual_n`, in so many steps; return how many it took."""
+    """Move the iterate until the forces left are at most `residual_n`; return the number of steps it took."""
     candidates, before = list_candidates(model, s), np.empty_like(s.iterate.x)
     damping = _FIRST_DAMPING_N_M
     for count in range(steps):

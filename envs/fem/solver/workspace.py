@@ -27,7 +27,7 @@ class Workspace(NamedTuple):
 
 
 def new_workspace(layout: SystemLayout, nodes: int) -> Workspace:
-    """Return the arrays for a system of this layout and so many nodes."""
+    """Return the arrays for a system of this layout and number of nodes."""
     return Workspace(
         system=new_newton_system(layout, nodes),
         factor=new_factor(layout),

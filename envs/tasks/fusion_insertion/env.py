@@ -31,7 +31,7 @@ class FusionInsertionEnv(InsertionEnv[FusionScene, FusionInsertionSettings]):
     clipped. A camera rig follows the gripper in y and z. World frame: z up, origin at the rectangular hole's centre, in
     the upper face of the plate; the rim is 17.4 mm high.
 
-    The grid of `marker_flow` is drawn anew at every observation. Depth is what an active stereo camera measures
+    The grid of `marker_flow` is drawn again at every observation. Depth is what an active stereo camera measures
     (`depth_mode="stereo"`) or exact ("gt").
 
     Reset options: `start` (x mm and y mm from the middle between the holes, theta deg, z mm, 1 for left or 0 for

@@ -31,7 +31,7 @@ class FusionInsertionSettings:
         random_xy_mm: largest |x| and |y| of a random start.
         random_theta_deg: largest |theta| of a random start.
         random_z_mm: smallest and largest z of a random start.
-        random_physics: draw friction, indentation and grip anew for every episode, over the challenge's training ranges
+        random_physics: draw friction, indentation and grip for every episode, over the challenge's training ranges
             and in place of the values above; for training.
         random_camera_turn_rad: largest turn of the rig either way, drawn for every episode; for training.
         random_camera_offset_m: largest offset of the rig either way along every axis; for training.

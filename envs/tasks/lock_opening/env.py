@@ -24,7 +24,7 @@ class LockOpeningEnv(TactileTaskEnv[LockScene, LockOpeningSettings]):
     in height; the policy knows neither. World frame: z up, the lock's entrance towards +x. Actions outside -1 to 1
     are clipped (the 2025 code does not clip [D4]).
 
-    The grid of `marker_flow` is drawn anew at every observation.
+    The grid of `marker_flow` is drawn again at every observation.
 
     Reset options: `shape` ("key1" to "key4"), `offset_mm` (x, y, z of the key from its deepest start),
     `sensor_jitter_mm` (x, z), and `rng_seed`, the integers that seed the episode's generator in place of the

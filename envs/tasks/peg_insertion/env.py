@@ -24,7 +24,7 @@ class PegInsertionEnv(InsertionEnv[PegScene, PegInsertionSettings]):
     told. Every env step moves the gripper as the action says, then 0.125 mm down. Actions outside -1 to 1 are clipped.
     World frame: z up, origin at the hole's centre in the plate's lower face.
 
-    The grid of `marker_flow` is drawn anew at every observation.
+    The grid of `marker_flow` is drawn again at every observation.
 
     Reset options: `shape` ("cuboid", "trapezoid", "concave1"), `offset_mm_deg` (x, y, theta), and `rng_seed`, the
     integers that seed the episode's generator in place of the environment's own. What is left open is drawn: the

@@ -136,7 +136,7 @@ class TracedProcess:
         return result
 
     def fork(self, flags: int, child_tid_address: int) -> tuple[int, int]:
-        """Copy the process and let the copy go on reading; return its pid outside and inside the sandbox.
+        """Copy the process and let the copy continue reading; return its pid outside and inside the sandbox.
 
         Raises:
             OSError: the copy could not be made.
@@ -238,7 +238,7 @@ class TracedProcess:
                 self._request(_GETEVENTMSG, 0, ctypes.addressof(message))
                 self._forked_pid = message.value
                 self._traced.add(message.value)
-            # Every other stop is a signal that somebody sent; it is dropped by going on without it.
+            # Every other stop is a signal that somebody sent; it is dropped by continuing without it.
         raise TracedProcessGone
 
     def _wait_for_stop(self, pid: int) -> int:

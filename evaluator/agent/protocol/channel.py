@@ -59,7 +59,7 @@ class Channel:
         except (BrokenPipeError, ConnectionResetError):
             self._unsent = []
             return
-        self._unsent = _after(self._unsent, sent)
+        self._unsent = _unsent_parts(self._unsent, sent)
 
     def receive(self, expected: Sequence[AnswerKind]) -> Answer | None:
         """Return the answer to the last question, None while it is not complete, or raise.
@@ -141,7 +141,7 @@ def drain(sock: socket.socket) -> None:
         return
 
 
-def _after(parts: list[memoryview], sent: int) -> list[memoryview]:
+def _unsent_parts(parts: list[memoryview], sent: int) -> list[memoryview]:
     rest = []
     for part in parts:
         skip = min(sent, part.nbytes)

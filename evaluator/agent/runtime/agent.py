@@ -44,7 +44,7 @@ FORK_ERRORS = ("can't start new thread", "Resource temporarily unavailable")
 
 
 class Refused(Exception):
-    """The policy cannot go on; carries the verdict's code and the sentence for its team."""
+    """The policy cannot continue; carries the verdict's code and the sentence for its team."""
 
     def __init__(self, code: str, message: str) -> None:
         super().__init__(message)
@@ -141,7 +141,7 @@ def as_numbers(value: Any, what: str = "act()") -> Any:
     return np.ascontiguousarray(array, dtype="<f4" if array.dtype == np.float32 else "<f8").reshape(array.shape)
 
 
-def code_of(error: BaseException, otherwise: str) -> str:
+def verdict_code(error: BaseException, otherwise: str) -> str:
     """Return the verdict that an exception of the policy amounts to."""
     if isinstance(error, MemoryError):
         return "out_of_memory"
@@ -173,7 +173,7 @@ def guarded(otherwise: str, what: str, call: Callable[[], Any], hint: Callable[[
         summary = f"{what} raised {type(error).__name__}: {error}"
         with contextlib.suppress(BaseException):  # a hint may run into the policy's modules
             summary += hint(error)
-        raise Refused(code_of(error, otherwise), summary[:MESSAGE_MAX_CHARS]) from None
+        raise Refused(verdict_code(error, otherwise), summary[:MESSAGE_MAX_CHARS]) from None
 
 
 def print_traceback(error: BaseException) -> None:
@@ -190,7 +190,7 @@ def is_way_to_policy(file: str) -> bool:
     return file in (__file__, importlib.__file__) or file.startswith("<frozen importlib")
 
 
-def what_is_there(error: BaseException, submission: str, module_name: str) -> str:
+def list_available(error: BaseException, submission: str, module_name: str) -> str:
     """Return the files and packages that there are, for a policy that asks for one that is not there."""
     if not isinstance(error, (ModuleNotFoundError, FileNotFoundError)):
         return ""
@@ -203,7 +203,7 @@ def what_is_there(error: BaseException, submission: str, module_name: str) -> st
     return f"{hint}. Installed packages: {', '.join(installed_packages())}."
 
 
-def classes_of(module: Any) -> str:
+def list_classes(module: Any) -> str:
     """Return the classes that a policy's module makes, for an entry point that names another."""
     classes = {name: each for name, each in vars(module).items() if isinstance(each, type)}
     made = sorted(name for name, each in classes.items() if each.__module__ == module.__name__)
@@ -223,10 +223,10 @@ def load(entry_point: str, submission: str) -> Any:
     sys.path.insert(0, submission)
     os.chdir(submission)
     module_name, _, class_name = entry_point.partition(":")
-    hint = partial(what_is_there, submission=submission, module_name=module_name)
+    hint = partial(list_available, submission=submission, module_name=module_name)
     module = guarded("import_error", f"Importing {module_name}", lambda: importlib.import_module(module_name), hint)
     looking_up = f"Looking up {class_name} in {module_name}"
-    make = guarded("import_error", looking_up, lambda: getattr(module, class_name), lambda _: classes_of(module))
+    make = guarded("import_error", looking_up, lambda: getattr(module, class_name), lambda _: list_classes(module))
     return guarded("load_failed", f"{class_name}()", make, hint)
 
 
@@ -245,14 +245,14 @@ def answer_episode(policy: Any, connection: Connection) -> None:
 
 
 def answer_belief(policy: Any, connection: Connection) -> None:
-    """Say what the policy believes, or why that cannot be said: the episode goes on in both cases."""
+    """Send what the policy believes, or why it cannot be sent: the episode continues in both cases."""
     try:
-        connection.write("belief", numbers=belief_of(policy))
+        connection.write("belief", numbers=read_belief(policy))
     except Refused as refusal:
         connection.write("failed", code=refusal.code, message=refusal.message)
 
 
-def belief_of(policy: Any) -> Any:
+def read_belief(policy: Any) -> Any:
     """Return what the policy believes, None where it has no such method or knows nothing."""
 
     def believed_now() -> Any:
@@ -264,7 +264,7 @@ def belief_of(policy: Any) -> Any:
 
 
 def run_loader(connection: Connection, submission: str) -> None:
-    """Load the policy, then go on as a copy that has one thread only."""
+    """Load the policy, then continue as a copy that has only one thread."""
     _, entry_point, _ = connection.read()
     point_cloud()  # now, so that no episode has to read it
     policy = load(entry_point, submission)

@@ -28,7 +28,7 @@ def track_and_task_names(script: Script) -> tuple[str, str]:
     return script.track.lower(), script.task.replace("_", "-")
 
 
-def why_not_resimulated(log: TextLog, script: Script, task: Task) -> Impossibility | None:
+def explain_not_resimulated(log: TextLog, script: Script, task: Task) -> Impossibility | None:
     """Return why a text log cannot be re-simulated as a whole evaluation of our task; None if it can."""
     starts = script.starts(hole_top(log, script))
     if [(start.part, start.listed_offset) for start in starts] != [(e.shape, e.offset) for e in task.episodes]:
@@ -37,7 +37,7 @@ def why_not_resimulated(log: TextLog, script: Script, task: Task) -> Impossibili
         )
     for number, episode in enumerate(log.episodes, start=1):
         shown = starts[number - 1].offset if number <= len(starts) else ()
-        found = _why_episode_not_resimulated(number, episode, task, shown, must_show=script.logs_offsets)
+        found = _explain_episode_not_resimulated(number, episode, task, shown, must_show=script.logs_offsets)
         if found:
             return found
     if len(log.episodes) < len(task.episodes):
@@ -55,7 +55,7 @@ def text_log_recordings(log: TextLog, script: Script, task: Task) -> Iterator[Re
         yield Recording(episode=played, actions=_actions(episode, task), infos=(), success=episode.success is True)
 
 
-def _why_episode_not_resimulated(
+def _explain_episode_not_resimulated(
     number: int, episode: TextEpisode, task: Task, shown: tuple[float, ...], *, must_show: bool
 ) -> Impossibility | None:
     place = f"Test {number}"

@@ -46,11 +46,11 @@ class PieceReceiver:
         """Store a piece; of one that is cut off or stays away, what has come so far.
 
         Raises:
-            ServiceError: longer than the upload, damaged, idle for too long, cut off, or another client went on.
+            ServiceError: longer than the upload, damaged, idle for too long, cut off, or another client continued it.
         """
         digest = CHECKSUMS[self.checksum.algorithm]() if self.checksum else None
         try:
-            async for chunk in intake.until_idle(body, self.services.settings.upload_idle_timeout_s):
+            async for chunk in intake.limit_idle_time(body, self.services.settings.upload_idle_timeout_s):
                 if digest is not None:
                     digest.update(chunk)
                 await self._take(chunk)

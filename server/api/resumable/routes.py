@@ -1,4 +1,4 @@
-"""Routes of uploads in pieces: begin, ask how far it is, go on, give up, and make the submission."""
+"""Routes of uploads in pieces: begin, ask for the offset, append, give up, and make the submission."""
 
 from datetime import datetime
 from http import HTTPStatus
@@ -98,7 +98,7 @@ def head_upload(
     upload_id: UUID,
     tus_resumable: ProtocolVersion = None,  # noqa: ARG001
 ) -> None:
-    """Say in `Upload-Offset` where the upload goes on."""
+    """Return in `Upload-Offset` where the upload continues."""
     upload = _find(services, principal, upload_id)
     response.headers.update({"Upload-Length": str(upload.total_bytes), "Cache-Control": "no-store"})
     _tell(response, upload.received_bytes, upload.expires_at)

@@ -242,7 +242,7 @@ class EpisodeResult(Base):
 
 
 class LogCopy(Base):
-    """So many episodes of a log have the states of an earlier submission of another team, the one with most of them.
+    """Number of episodes of a log with the states of an earlier submission of another team, the one with most of them.
 
     States count from half-way through an episode on (`EpisodeResult.half_way_state`).
     """

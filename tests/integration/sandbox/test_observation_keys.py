@@ -7,7 +7,7 @@ import pytest
 from submissions import submission_folder
 from vitac.evaluator.agent.session import PolicySession
 from vitac.evaluator.episodes.episode import make_environment, open_episode
-from vitac.evaluator.episodes.reading import reading_of
+from vitac.evaluator.episodes.reading import make_reading
 from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest
 from vitac.evaluator.tracks import load_track
 
@@ -54,7 +54,7 @@ def test_a_policy_sees_the_keys_that_it_names_and_no_privileged_one(
     tmp_path: Path, manifest: str, expected: list[str]
 ) -> None:
     folder = submission(tmp_path, expected, manifest)
-    reading = reading_of(TASK, load_manifest(folder).observation_keys)
+    reading = make_reading(TASK, load_manifest(folder).observation_keys)
     env = make_environment(TASK, None, reading.sent)
     observation, _ = env.reset(options=TASK.episodes[0].options)
     with PolicySession(folder) as session, open_episode(session, TASK, reading) as policy:

@@ -112,8 +112,8 @@ def remaining(
             team = make_principal(session)
             secret, organizer = make_secret(session, team), make_secret(session, CONSOLE)
             claim = LogClaim(team=None, episodes=2, successes=2, success_rate=1.0, mean_steps=3.0).stored()
-            of_log = {"kind": SubmissionKind.LOG, "manifest": claim, "tasks": ("own-pegs",)}
-            made = {name: submitted(session, team, name, **(of_log if name == "log" else {})) for name in NAMES}
+            from_log = {"kind": SubmissionKind.LOG, "manifest": claim, "tasks": ("own-pegs",)}
+            made = {name: submitted(session, team, name, **(from_log if name == "log" else {})) for name in NAMES}
             ids = {name: str(submission.id) for name, submission in made.items()}
         play_all(database, made["done"])
         with database.transaction() as session:

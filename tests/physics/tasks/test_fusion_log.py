@@ -10,7 +10,7 @@ from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.logs.recorded_files import read_recordings
 from vitac.evaluator.logs.text_2025 import check, read_text_log, script_of, summarize
-from vitac.evaluator.logs.text_2025.recordings import text_log_recordings, why_not_resimulated
+from vitac.evaluator.logs.text_2025.recordings import explain_not_resimulated, text_log_recordings
 from vitac.evaluator.tracks import load_track
 
 TASK = load_track("track_2").tasks["fusion-insertion"]
@@ -36,7 +36,7 @@ def test_a_converted_log_has_the_same_starts_and_actions(log_path: Path) -> None
         log = read_text_log(stream)
     script = script_of(log.environment)
     assert script is not None
-    assert why_not_resimulated(log, script, TASK) is None
+    assert explain_not_resimulated(log, script, TASK) is None
     ours, converted = text_log_recordings(log, script, TASK), read_recordings(log_path.with_suffix(".jsonl"), TASK)
     for one, other in zip(ours, converted, strict=True):
         assert (one.episode, one.actions.tobytes()) == (other.episode, other.actions.tobytes())

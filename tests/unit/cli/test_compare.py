@@ -133,7 +133,7 @@ class Service:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.asked: list[str] = []
         self.shape = "cuboid"
-        monkeypatch.setattr(compare, "client_from", self.client)
+        monkeypatch.setattr(compare, "make_client", self.client)
 
     def client(self, server: str | None, _: Path | None) -> Client:
         return Client(server=server or "http://default.test", transport=httpx.MockTransport(self.answer))

@@ -144,7 +144,7 @@ def test_a_removed_team_leaves_its_scores_and_nothing_else(database: Database) -
     with database.transaction() as session:
         team = teams.own(session, ants)
         assert team.name.startswith("Deleted team ")
-        assert members.of_team(session, team.id) == []
+        assert members.list_team_members(session, team.id) == []
         with refused(ProblemCode.INVALID_CREDENTIALS):
             tokens.authenticate(session, secret)
         names = teams_on_board(session, task=TASK)

@@ -117,7 +117,7 @@ def test_a_full_disk_ends_the_charts_and_nothing_else(tmp_path: Path, monkeypatc
 
     monkeypatch.setattr(Path, "open", open_full)
     (told,) = add_all(tmp_path)
-    assert told.startswith(f"{tmp_path / FOLDER} gets no more charts, all else goes on: OSError: [Errno 28] No space")
+    assert told.startswith(f"{tmp_path / FOLDER} gets no more charts, the training continues: OSError: [Errno 28] No space")
     assert [file.closed for file in opened] == [True]
 
 
@@ -125,7 +125,7 @@ def test_a_full_disk_ends_the_charts_and_nothing_else(tmp_path: Path, monkeypatc
 def test_a_folder_that_cannot_be_made_is_told_once(tmp_path: Path) -> None:
     (tmp_path / FOLDER).write_text("a file where the folder goes")
     (told,) = add_all(tmp_path)
-    assert "gets no more charts, all else goes on: FileExistsError" in told
+    assert "gets no more charts, the training continues: FileExistsError" in told
 
 
 @pytest.mark.usefixtures("tensorboard")

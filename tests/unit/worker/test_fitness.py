@@ -8,7 +8,7 @@ from vitac.evaluator.agent.isolation.packages import PolicyPackages
 from vitac.evaluator.package_sets import PackageSet, locked_versions
 from vitac.evaluator.tracks.versions import version_of
 from vitac.evaluator.version import evaluator_version
-from vitac.server.queue.declared import why_other_evaluator, why_other_tracks
+from vitac.server.queue.declared import explain_other_evaluator, explain_other_tracks
 from vitac.server.queue.jobs import queue_name
 from vitac.worker import families, fitness
 
@@ -33,7 +33,7 @@ def install(monkeypatch: pytest.MonkeyPatch, **other: str) -> None:
 
 def test_a_worker_with_the_declared_packages_takes_shards_of_all_tracks(monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, torch="2.13.0+cpu")
-    assert fitness.why_unfit({}) == ""
+    assert fitness.explain_unfit({}) == ""
     assert fitness.fit_families() == (Family.TACTILE, Family.MANISKILL, Family.MANISKILL_PICTURES)
     assert queue_name(version_of("cubes"), Family.MANISKILL) in fitness.queues_here()
 
@@ -42,7 +42,7 @@ def test_a_worker_with_another_torch_takes_shards_of_the_tracks_that_show_none(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     install(monkeypatch, torch="2.12.0")
-    assert fitness.why_unfit({}) == (
+    assert fitness.explain_unfit({}) == (
         "Takes no shards of maniskill: its policies would see other packages than it declares: torch is 2.12.0, "
         "expected 2.13.0. Install the expected versions beside the worker and start it again."
     )
@@ -59,21 +59,21 @@ def test_a_worker_whose_track_file_is_not_the_services_says_which(
 ) -> None:
     install(monkeypatch)
     declared = {"": evaluator_version(), "track_1": evaluator_version(), "cubes": version_of("cubes")}
-    assert why_other_tracks(declared) == {}
+    assert explain_other_tracks(declared) == {}
     monkeypatch.delenv("VITAC_TRACKS_DIR")
     if here == "other":
         folder = tmp_path / "of_the_worker"
         folder.mkdir()
         (folder / "cubes.yaml").write_text(FILE.replace("title:", "title: Other", 1))
         monkeypatch.setenv("VITAC_TRACKS_DIR", str(folder))
-    assert why_other_evaluator(declared) is None
-    assert list(why_other_tracks(declared)) == ["cubes"]
-    said = fitness.why_unfit(declared)
+    assert explain_other_evaluator(declared) is None
+    assert list(explain_other_tracks(declared)) == ["cubes"]
+    said = fitness.explain_unfit(declared)
     got = version_of("cubes") if here == "other" else "none"
     assert f"cubes: the service has version {declared['cubes']} of it, this worker {got}." in said
     assert "VITAC_TRACKS_DIR" in said
 
 
 def test_a_service_that_has_declared_nothing_takes_every_worker() -> None:
-    assert why_other_evaluator({}) is None
-    assert why_other_tracks({}) == {}
+    assert explain_other_evaluator({}) is None
+    assert explain_other_tracks({}) == {}

@@ -120,7 +120,7 @@ async def episode(request: Request) -> Response:
     players = [await _player(request, viewer, place)]
     beside = request.query_params.get("beside", "").strip()
     if beside:
-        players.append(await _player(request, viewer, _beside(place, beside)))
+        players.append(await _player(request, viewer, _episode_beside(place, beside)))
     task = load_track(players[0].shown.track).task(place.task)
     return page(
         request,
@@ -258,7 +258,7 @@ def _place(request: Request) -> EpisodeAddress:
     return EpisodeAddress(submission_id=submission_id, task=values["task"], number=int(values["number"]))
 
 
-def _beside(place: EpisodeAddress, text: str) -> EpisodeAddress:
+def _episode_beside(place: EpisodeAddress, text: str) -> EpisodeAddress:
     """Return the episode that is to be shown beside another one; of its task, and of its submission by default."""
     submission, _, number = text.rpartition(":")
     if not _is_place(text):

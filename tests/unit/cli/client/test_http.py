@@ -4,7 +4,7 @@ from pathlib import Path
 import httpx
 import pytest
 from vitac.cli.client import credentials
-from vitac.cli.client.http import DEFAULT_SERVER, Client, TokenUnusable, client_from
+from vitac.cli.client.http import DEFAULT_SERVER, Client, TokenUnusable, make_client
 from vitac.cli.client.refusals import HINTS, RequestRefused, ServiceUnreachable
 from vitac.envs.errors import VitacError
 from vitac.server.errors import ProblemCode
@@ -82,8 +82,8 @@ def test_options_win_over_the_environment(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setenv("VITAC_TOKEN", "vitac_environment")
     file = tmp_path / "token"
     file.write_text("vitac_file\n")
-    assert client_from(None, None) == Client(server="http://from.environment", token="vitac_environment")  # noqa: S106
-    assert client_from("http://a.test/", file) == Client(server="http://a.test", token="vitac_file")  # noqa: S106
+    assert make_client(None, None) == Client(server="http://from.environment", token="vitac_environment")  # noqa: S106
+    assert make_client("http://a.test/", file) == Client(server="http://a.test", token="vitac_file")  # noqa: S106
 
 
 def test_the_service_of_the_last_login_gets_its_own_token_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,28 +91,28 @@ def test_the_service_of_the_last_login_gets_its_own_token_only(tmp_path: Path, m
     monkeypatch.delenv("VITAC_SERVER", raising=False)
     monkeypatch.setenv("VITAC_TOKEN", "vitac_of_another_service")
     credentials.keep("http://last.test", "vitac_kept")
-    assert client_from(None, None) == Client(server="http://last.test", token="vitac_kept")  # noqa: S106
-    named = client_from("http://last.test", None)
+    assert make_client(None, None) == Client(server="http://last.test", token="vitac_kept")  # noqa: S106
+    named = make_client("http://last.test", None)
     assert named == Client(server="http://last.test", token="vitac_of_another_service")  # noqa: S106
     credentials.forget("http://last.test")
-    here = client_from(None, None)
+    here = make_client(None, None)
     assert here == Client(server=DEFAULT_SERVER, token="vitac_of_another_service")  # noqa: S106
 
 
 def test_without_options_and_environment_it_is_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("VITAC_SERVER", raising=False)
     monkeypatch.delenv("VITAC_TOKEN", raising=False)
-    assert client_from(None, None) == Client(server=DEFAULT_SERVER, token=None)
+    assert make_client(None, None) == Client(server=DEFAULT_SERVER, token=None)
 
 
 def test_an_address_without_scheme_or_a_missing_token_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(VitacError, match=r"Expected a service address like http://"):
-        client_from("arena.test", None)
+        make_client("arena.test", None)
     with pytest.raises(VitacError, match=r"cannot be read.*--token-file"):
-        client_from("http://arena.test", tmp_path / "none")
+        make_client("http://arena.test", tmp_path / "none")
     (tmp_path / "program").write_bytes(b"\x7fELF\xff\xfe")
     with pytest.raises(TokenUnusable, match="Expected one API token"):
-        client_from("http://arena.test", tmp_path / "program")
+        make_client("http://arena.test", tmp_path / "program")
 
 
 @pytest.mark.parametrize(
@@ -122,6 +122,6 @@ def test_what_cannot_be_sent_as_a_token_is_refused_before_a_service_is_asked(con
     file = tmp_path / "token"
     file.write_text(content)
     with pytest.raises(TokenUnusable, match="Expected one API token") as caught:
-        client_from("http://arena.test", file)
+        make_client("http://arena.test", file)
     assert "No service answers" not in str(caught.value)
     assert content.strip() not in str(caught.value) or not content.strip(), "no secret is repeated"

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 import structlog
-from vitac.cli.service.events import write_events_to
+from vitac.cli.service.events import configure_events
 from vitac.server.settings import LogFormat
 
 
@@ -22,7 +22,7 @@ def restored() -> Iterator[None]:
 def written(form: LogFormat) -> list[str]:
     """What two events of ours, one of a library and an error are written as."""
     stream = io.StringIO()
-    write_events_to(stream, form)
+    configure_events(stream, form)
     logger = structlog.get_logger("test")
     logger.info("worker_started", slots=2)
     logger.warning("two\nlines", text='a "quoted" word')

@@ -97,7 +97,7 @@ def test_the_end_is_written_where_the_command_ends_first(kernels: Path, capsys: 
 
     class Often:
         @staticmethod
-        def of_own_processes(_: Path) -> CompileProgress:
+        def read_own_processes(_: Path) -> CompileProgress:
             nonlocal polls
             polls += 1
             seen.set()

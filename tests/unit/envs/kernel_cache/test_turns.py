@@ -135,10 +135,10 @@ def test_an_error_of_the_body_is_not_taken_for_one_of_the_lock(
 def test_once_there_can_be_a_lock_it_is_taken(tmp_path: Path) -> None:
     turn, folder = CompilingTurn(), tmp_path / "later"
     with turn.taken(folder, START):
-        assert CompileProgress.of_own_processes(folder) is None
+        assert CompileProgress.read_own_processes(folder) is None
     folder.mkdir()
     with turn.taken(folder, START):
-        assert CompileProgress.of_own_processes(folder) == START
+        assert CompileProgress.read_own_processes(folder) == START
 
 
 def test_a_process_that_waits_in_vain_is_interrupted_without_an_open_file(

@@ -27,7 +27,7 @@ def test_places_are_the_centres_of_sixteen_equal_triangles() -> None:
 
 def test_chosen_places_keep_what_belongs_to_them() -> None:
     places = places_on_faces(NODES_M, FACES)
-    second = places.where(places.corners[:, 1] == 3)
+    second = places.select(places.corners[:, 1] == 3)
     np.testing.assert_array_equal(second.corners, np.tile(FACES[1], (16, 1)))
     np.testing.assert_array_equal(second.areas_m2, places.areas_m2[16:])
     np.testing.assert_array_equal(second.weights, places.weights[16:])

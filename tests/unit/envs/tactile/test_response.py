@@ -3,14 +3,16 @@ from functools import cache
 import numpy as np
 import own_sensors
 import pytest
-from vitac.envs.tactile.response import Response, response_of
+from vitac.envs.tactile.response import Response, compute_response
 
 YOUNGS_MODULUS_PA, POISSON_RATIO = 3e5, 0.3
 
 
 @cache
 def response(youngs_modulus_pa: float = YOUNGS_MODULUS_PA) -> Response:
-    return response_of(own_sensors.designed("4 mm"), youngs_modulus_pa=youngs_modulus_pa, poisson_ratio=POISSON_RATIO)
+    return compute_response(
+        own_sensors.designed("4 mm"), youngs_modulus_pa=youngs_modulus_pa, poisson_ratio=POISSON_RATIO
+    )
 
 
 def everywhere() -> np.ndarray:

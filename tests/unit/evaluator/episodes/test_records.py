@@ -23,8 +23,8 @@ from vitac.evaluator.episodes.records import (
     canonical_json,
     counted_env_steps,
     digest_of_stored,
-    in_order,
     result_hash,
+    sort_records,
 )
 
 RECORDS = [make_record(number) for number in (1, 2, 3)]
@@ -336,16 +336,16 @@ def test_an_outcome_without_its_failure_is_told_in_a_sentence() -> None:
 
 def test_records_that_disagree_are_told_in_a_sentence() -> None:
     with pytest.raises(RecordsDisagree) as twice:
-        in_order("peg-insertion", [make_record(1), make_record(3), make_record(1)])
+        sort_records("peg-insertion", [make_record(1), make_record(3), make_record(1)])
     assert str(twice.value) == "Expected each episode once, got episode 1 twice."
     with pytest.raises(RecordsDisagree) as other:
-        in_order("lock-opening", [make_record(2)])
+        sort_records("lock-opening", [make_record(2)])
     assert str(other.value) == "Episode 2 is of task 'peg-insertion', expected 'lock-opening'."
 
 
 @given(st.permutations(range(1, 7)))
 def test_records_are_put_in_the_order_of_their_numbers(numbers: list[int]) -> None:
-    ordered = in_order("peg-insertion", (make_record(number) for number in numbers))
+    ordered = sort_records("peg-insertion", (make_record(number) for number in numbers))
     assert [record.episode for record in ordered] == sorted(numbers)
 
 

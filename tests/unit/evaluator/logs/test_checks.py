@@ -6,11 +6,11 @@ import pytest
 from evaluation_records import make_failure, make_manifest, make_record
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.logs.checks import (
+    explain_impossible,
+    explain_impossible_record,
     known_without_running,
     must_agree,
     out_of_bounds,
-    why_impossible,
-    why_record_impossible,
 )
 from vitac.evaluator.logs.findings import Impossibility, ImpossibleReason
 from vitac.evaluator.logs.log import LogHeader
@@ -27,11 +27,11 @@ def record_of(env_steps: int) -> EpisodeRecord:
 
 
 def test_an_episode_may_use_all_its_env_steps() -> None:
-    assert why_record_impossible(TASK, record_of(TASK.max_steps)) is None
+    assert explain_impossible_record(TASK, record_of(TASK.max_steps)) is None
 
 
 def test_one_env_step_too_many_is_impossible() -> None:
-    problem = why_record_impossible(TASK, record_of(TASK.max_steps + 1))
+    problem = explain_impossible_record(TASK, record_of(TASK.max_steps + 1))
     assert problem is not None
     assert (problem.reason, problem.episode) == (ImpossibleReason.TOO_MANY_STEPS, 1)
     assert f"{TASK.max_steps + 1}" in problem.message
@@ -40,15 +40,15 @@ def test_one_env_step_too_many_is_impossible() -> None:
 def test_the_last_episode_of_the_list_is_possible_and_the_one_after_it_is_not() -> None:
     last = TASK.episodes[-1]
     whole = make_record(last.number, shape=last.shape, initial_offset=last.offset)
-    assert why_record_impossible(TASK, whole) is None
-    problem = why_record_impossible(TASK, whole.model_copy(update={"episode": last.number + 1}))
+    assert explain_impossible_record(TASK, whole) is None
+    problem = explain_impossible_record(TASK, whole.model_copy(update={"episode": last.number + 1}))
     assert problem is not None
     assert problem.reason is ImpossibleReason.NOT_IN_LIST
 
 
 @pytest.mark.parametrize("task", ["a-task-before-ours", "zz-task-after-ours"])
 def test_a_record_of_another_task_is_impossible(task: str) -> None:
-    problem = why_record_impossible(TASK, record_of(2).model_copy(update={"task": task}))
+    problem = explain_impossible_record(TASK, record_of(2).model_copy(update={"task": task}))
     assert problem is not None
     assert problem.reason is ImpossibleReason.OTHER_TASK
 
@@ -62,7 +62,7 @@ def test_the_first_action_outside_is_named() -> None:
 @pytest.mark.parametrize("value", [-1.0, 1.0])
 def test_actions_may_reach_their_bounds(value: float) -> None:
     actions = ActionSequence.from_array(np.full((2, 3), value, np.float32))
-    assert why_record_impossible(TASK, record_of(2).model_copy(update={"actions": actions})) is None
+    assert explain_impossible_record(TASK, record_of(2).model_copy(update={"actions": actions})) is None
 
 
 @pytest.mark.parametrize("value", [-1.0, 1.0])
@@ -85,7 +85,7 @@ def problem_of(*records: EpisodeRecord, episodes: set[int] | None = None, **mani
     """Why a log with these records and changes of its manifest is impossible."""
     header = LogHeader(manifest=make_manifest(**manifest))
     wanted = {record.episode for record in records} if episodes is None else episodes
-    return why_impossible(must_agree(make_manifest()), TASK, header, records, wanted)
+    return explain_impossible(must_agree(make_manifest()), TASK, header, records, wanted)
 
 
 def test_a_log_of_our_own_evaluation_is_possible() -> None:
@@ -112,7 +112,7 @@ def test_a_log_may_come_from_another_machine(key: str) -> None:
 
 def test_what_is_not_known_yet_is_not_compared() -> None:
     header = LogHeader(manifest=make_manifest(mesh_hash="other"))
-    assert why_impossible({"task": "peg-insertion"}, TASK, header, [listed(1)], {1}) is None
+    assert explain_impossible({"task": "peg-insertion"}, TASK, header, [listed(1)], {1}) is None
 
 
 def test_missing_episodes_are_counted_and_the_first_is_named() -> None:
@@ -124,7 +124,7 @@ def test_missing_episodes_are_counted_and_the_first_is_named() -> None:
 
 def test_the_whole_list_is_required_by_default() -> None:
     header = LogHeader(manifest=make_manifest())
-    problem = why_impossible(must_agree(make_manifest()), TASK, header, [listed(1)])
+    problem = explain_impossible(must_agree(make_manifest()), TASK, header, [listed(1)])
     assert problem is not None
     assert problem.message == f"Expected {len(TASK.episodes)} episodes, got 1; the first missing one is 2."
 
@@ -179,7 +179,7 @@ def test_a_log_of_another_evaluator_is_refused_with_the_parts_that_differ() -> N
     theirs = ours.model_copy(
         update={"evaluator_version": "1+b", "evaluator_parts": {"numpy": "2.5.0", "vitac.envs": "a"}}
     )
-    problem = why_impossible(must_agree(ours), TASK, LogHeader(manifest=theirs), [])
+    problem = explain_impossible(must_agree(ours), TASK, LogHeader(manifest=theirs), [])
     assert problem is not None
     assert problem.message.endswith("got '1+b' (they differ in numpy); evaluate again.")
 
@@ -214,13 +214,13 @@ LAST = TASK.episodes[-1].number
     ],
 )
 def test_an_impossible_record_is_told_in_one_sentence(changes: dict[str, Any], message: str) -> None:
-    problem = why_record_impossible(TASK, record_of(2).model_copy(update=changes))
+    problem = explain_impossible_record(TASK, record_of(2).model_copy(update=changes))
     assert problem is not None
     assert (problem.message, problem.episode) == (message, changes.get("episode", 1))
 
 
 def test_too_many_env_steps_are_told_with_both_numbers() -> None:
-    problem = why_record_impossible(TASK, record_of(TASK.max_steps + 3))
+    problem = explain_impossible_record(TASK, record_of(TASK.max_steps + 3))
     assert problem is not None
     assert problem.message == (f"Episode 1 has {TASK.max_steps + 3} env steps, expected at most {TASK.max_steps}.")
 
@@ -250,7 +250,7 @@ def test_records_are_read_one_at_a_time_up_to_the_first_impossible_one() -> None
         raise AssertionError("a record after the impossible one was read")
 
     header = LogHeader(manifest=make_manifest())
-    problem = why_impossible(must_agree(make_manifest()), TASK, header, records())
+    problem = explain_impossible(must_agree(make_manifest()), TASK, header, records())
     assert problem is not None
     assert problem.episode == 2
 

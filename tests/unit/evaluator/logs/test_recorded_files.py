@@ -12,7 +12,7 @@ from evaluation_records import make_manifest, make_record
 from text_log_writer import text_log
 from vitac.evaluator.logs.log import MAX_LINE_BYTES, LogHeader, LogRejected, write_log
 from vitac.evaluator.logs.recorded_files import read_recordings
-from vitac.evaluator.logs.recordings import Recording, RecordingRejected, recording_of
+from vitac.evaluator.logs.recordings import Recording, RecordingRejected, make_recording
 from vitac.evaluator.logs.text_2025 import TextLogRejected, read_text_log, summarize, to_json_lines
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.tracks import find_task
@@ -127,9 +127,9 @@ def test_unusable_line_is_named(tmp_path: Path, line: object, message: str) -> N
 
 def test_record_of_another_task_is_refused() -> None:
     with pytest.raises(RecordingRejected, match="Episode 1 is of task 'lock-opening'"):
-        recording_of(make_record(task="lock-opening"), TASK)
+        make_recording(make_record(task="lock-opening"), TASK)
     with pytest.raises(RecordingRejected, match="Episode 1 is of task 'peg-insertion', expected 'lock-opening'"):
-        recording_of(make_record(), find_task("lock-opening")[1])
+        make_recording(make_record(), find_task("lock-opening")[1])
 
 
 def test_lines_are_numbered_from_one() -> None:
@@ -194,7 +194,7 @@ def test_an_empty_file_has_no_recordings() -> None:
 
 
 def test_a_recorded_episode_has_the_seed_of_its_list_at_the_start_that_was_recorded() -> None:
-    episode = recording_of(make_record(4, initial_offset=(9.0, 8.0, 7.0)), TASK).episode
+    episode = make_recording(make_record(4, initial_offset=(9.0, 8.0, 7.0)), TASK).episode
     listed = TASK.episodes[3]
     assert (episode.number, episode.offset) == (4, (9.0, 8.0, 7.0))
     assert (episode.offset_option, episode.list_seed) == (listed.offset_option, listed.list_seed)

@@ -10,7 +10,7 @@ from text_log_writer import text_log
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.logs.findings import ImpossibleReason
 from vitac.evaluator.logs.text_2025 import read_text_log, summarize
-from vitac.evaluator.logs.text_2025.recordings import text_log_recordings, why_not_resimulated
+from vitac.evaluator.logs.text_2025.recordings import explain_not_resimulated, text_log_recordings
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.shards.log import LogShard
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
@@ -50,7 +50,7 @@ def test_a_log_of_the_vision_track_is_ours_in_the_books_of_either_era(rim_mm: fl
     task = TASKS[FUSION.name]
     tests = whole_list(FUSION, [(0.0, 1.0, 0.0, 0.0)], rim_mm)
     log = read_text_log(io.BytesIO(text_log(tests, FUSION.environment, FUSION.md5[0]).encode()))
-    assert why_not_resimulated(log, FUSION, task) is None
+    assert explain_not_resimulated(log, FUSION, task) is None
     era = summarize(log)[1].era or ""
     assert era.startswith("since" if rim_mm == 17.4 else "before")
     assert era.endswith(f"2025-03-14: rim {rim_mm} mm in the books, 17.4 mm in the geometry")
@@ -64,7 +64,7 @@ def test_a_log_of_the_vision_track_that_mixes_eras_is_refused() -> None:
     old, new = (whole_list(FUSION, [(0.0, 1.0, 0.0, 0.0)], rim_mm) for rim_mm in (19.9, 17.4))
     mixed = [*old[:7], *new[7:]]
     log = read_text_log(io.BytesIO(text_log(mixed, FUSION.environment, FUSION.md5[0]).encode()))
-    found = why_not_resimulated(log, FUSION, TASKS[FUSION.name])
+    found = explain_not_resimulated(log, FUSION, TASKS[FUSION.name])
     assert found is not None
     assert (found.reason, found.episode) == (ImpossibleReason.OTHER_START, 8)
 
@@ -139,9 +139,9 @@ def test_log_that_changed_in_the_store_is_impossible(tmp_path: Path) -> None:
 )
 def test_lock_log_that_cannot_be_resimulated_is_named(change: Any, reason: ImpossibleReason) -> None:
     tests = whole_list(LOCK, [(0.5, 0.5)])
-    assert why_not_resimulated(_read(tests), LOCK, TASKS[LOCK.name]) is None
+    assert explain_not_resimulated(_read(tests), LOCK, TASKS[LOCK.name]) is None
     change(tests)
-    found = why_not_resimulated(_read(tests), LOCK, TASKS[LOCK.name])
+    found = explain_not_resimulated(_read(tests), LOCK, TASKS[LOCK.name])
     assert found is not None
     assert found.reason is reason
 
@@ -159,9 +159,9 @@ def test_lock_log_that_cannot_be_resimulated_is_named(change: Any, reason: Impos
 )
 def test_peg_log_without_the_start_of_the_list_is_named(change: Any, message: str) -> None:
     tests = whole_list(PEG, [(0.5, 0, 0)])
-    assert why_not_resimulated(_read(tests, PEG), PEG, TASKS[PEG.name]) is None
+    assert explain_not_resimulated(_read(tests, PEG), PEG, TASKS[PEG.name]) is None
     change(tests[4])
-    found = why_not_resimulated(_read(tests, PEG), PEG, TASKS[PEG.name])
+    found = explain_not_resimulated(_read(tests, PEG), PEG, TASKS[PEG.name])
     assert found is not None
     assert (found.reason, found.episode) == (ImpossibleReason.OTHER_START, 5)
     assert found.message.startswith(message)
@@ -174,7 +174,7 @@ def _read(tests: list[dict[str, Any]], script: Any = LOCK) -> Any:
 
 
 def test_log_of_another_list_is_named() -> None:
-    found = why_not_resimulated(_read(whole_list(LOCK, [(0.5, 0.5)])), LOCK, TASKS[PEG.name])
+    found = explain_not_resimulated(_read(whole_list(LOCK, [(0.5, 0.5)])), LOCK, TASKS[PEG.name])
     assert found is not None
     assert found.reason is ImpossibleReason.OTHER_EVALUATION
 
@@ -182,6 +182,6 @@ def test_log_of_another_list_is_named() -> None:
 def test_number_beyond_float32_is_out_of_bounds() -> None:
     log = _read(whole_list(LOCK, [(0.5, 0.5)]))
     log.episodes[6].steps[0].action = (0.5, 1e39)
-    found = why_not_resimulated(log, LOCK, TASKS[LOCK.name])
+    found = explain_not_resimulated(log, LOCK, TASKS[LOCK.name])
     assert found is not None
     assert found.message == "Test 7 has the action z = inf at env step 1, expected values in [-1, 1]."

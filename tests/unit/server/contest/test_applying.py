@@ -7,7 +7,7 @@ import pytest
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from submission_steps import refused
 from vitac.server.audit import newest_entries
-from vitac.server.contest.applying import Change, apply, changes_by
+from vitac.server.contest.applying import Change, apply, list_changes
 from vitac.server.contest.contest import Contest
 from vitac.server.contest.definition import CompetitionDefinition
 from vitac.server.contest.freezing import unfreeze
@@ -103,7 +103,7 @@ def test_a_change_is_shown_and_recorded_with_before_and_after(database: Database
 
 def test_what_would_change_is_told_without_changing_it(database: Database) -> None:
     with database.transaction() as session:
-        found = changes_by(session, CompetitionDefinition.model_validate(make_competition()))
+        found = list_changes(session, CompetitionDefinition.model_validate(make_competition()))
         assert len(found) > 10
         assert not Contest.read(session).is_held
         assert sealed_lists(session, Contest.read(session)) == []

@@ -155,7 +155,7 @@ def test_divergence_fails_the_evaluation_and_shows_both_states(service: Service)
 def test_other_pictures_fail_the_evaluation_with_a_sentence_that_says_what_to_do(service: Service) -> None:
     log = uploaded(service, a_log())
     ours = SampledPicture(env_step=4, sha256=sha256("ours"))
-    finding = LogFinding.of_picture(OtherPicture(episode=3, recorded=None, resimulated=ours))
+    finding = LogFinding.from_picture(OtherPicture(episode=3, recorded=None, resimulated=ours))
     refute(service, leases_of(service, log)[0], finding)
     found = shown(service, log)
     verdict = found["evaluation"]["verdict"]

@@ -464,11 +464,11 @@ def test_webhooks_are_the_captains_and_few(database: Database) -> None:
             webhooks.add(session, team, own, "https://hook.example.org/", inside_allowed=False)
         for not_leading in (other, Principal(role=team.role, team_id=team.team_id)):
             with pytest.raises(Exception, match=r"captain|There is no team"):
-                webhooks.of_team(session, not_leading, own)
+                webhooks.list_webhooks(session, not_leading, own)
         with refused(ProblemCode.NOT_FOUND):
             webhooks.remove(session, other, teams.own(session, other), made[0].id)
         webhooks.remove(session, team, own, made[0].id)
-        assert {hook.id for hook in webhooks.of_team(session, team, own)} == {hook.id for hook in made[1:]}
+        assert {hook.id for hook in webhooks.list_webhooks(session, team, own)} == {hook.id for hook in made[1:]}
 
 
 def test_over_https_a_notice_goes_only_to_who_has_the_certificate_of_its_host(
@@ -496,7 +496,7 @@ def test_a_webhook_that_is_removed_takes_its_waiting_notices_along(database: Dat
         team = teams.find(session, "Team A")
         members.set_email(session, CONSOLE, members.captain_of(session, team), "ann@example.org")
         outbox.announce(session, NoticeKind.FAILED, team.id, "evaluation:2", FACTS)
-        (hook,) = webhooks.of_team(session, CONSOLE, team)
+        (hook,) = webhooks.list_webhooks(session, CONSOLE, team)
         webhooks.remove(session, CONSOLE, team, hook.id)
         assert [notice.channel for notice in outbox.newest(session)] == [NoticeChannel.MAIL]
     settings = settings_with(tmp_path)

@@ -50,7 +50,7 @@ def test_a_merge_keeps_submissions_members_tokens_and_places_and_counts_quotas_t
         assert submit(session, bees, "the same").id == both[1]
         (entry,) = leaderboard(session, shown_stage(session, TRACK), task=TASK).view.entries
         assert (entry.team, entry.submission_id) == ("Bees", best)
-        people = members.of_team(session, left.id)
+        people = members.list_team_members(session, left.id)
         assert sorted(one.name for one in people) == ["Ann", "Captain", "Captain 2"]
         assert [one.name for one in people if one.role is MemberRole.CAPTAIN] == ["Captain"]
         assert tokens.authenticate(session, secret).team_id == left.id
@@ -105,7 +105,7 @@ def test_members_of_one_name_get_numbers_however_long_their_names_are_folded(dat
         session.flush()
         for team in both[1:]:
             merging.merge(session, CONSOLE, team, both[0])
-        named = [one.name for one in members.of_team(session, both[0].id)]
+        named = [one.name for one in members.list_team_members(session, both[0].id)]
         assert sorted(one.rpartition(" ")[2] for one in named if one != name) == ["2", "3"]
         assert len({teams.name_key(one) for one in named}) == 3
         assert max(map(len, named)) <= teams.NAME_LENGTH

@@ -16,8 +16,8 @@ from vitac.server.uploads.intake import (
     ReceivedFile,
     check_announced_size,
     check_digest,
+    limit_idle_time,
     receive,
-    until_idle,
     upload_folder,
 )
 
@@ -84,7 +84,7 @@ def test_a_body_that_is_not_the_announced_one_is_cut(
         received(tmp_path, *chunks, announced_bytes=announced)
     assert found.value.code is ProblemCode.UPLOAD_TRUNCATED
     assert found.value.detail == (
-        f"The upload ended early: {message}. Send it again; one in pieces goes on where it ended."
+        f"The upload ended early: {message}. Send it again; a resumable upload continues where it ended."
     )
 
 
@@ -113,7 +113,7 @@ def test_a_larger_size_is_refused_before_anything_is_read() -> None:
 @given(st.lists(st.binary(max_size=8), max_size=8))
 def test_chunks_are_passed_on_but_for_empty_ones(chunks: list[bytes]) -> None:
     async def collected() -> list[bytes]:
-        return [chunk async for chunk in until_idle(body(*chunks), 5.0)]
+        return [chunk async for chunk in limit_idle_time(body(*chunks), 5.0)]
 
     assert run(collected()) == [chunk for chunk in chunks if chunk]
 
@@ -121,7 +121,7 @@ def test_chunks_are_passed_on_but_for_empty_ones(chunks: list[bytes]) -> None:
 @pytest.mark.parametrize("before", [(), (b"some",)])
 def test_a_body_that_stays_away_is_cut(before: tuple[bytes, ...]) -> None:
     async def collected() -> None:
-        async for chunk in until_idle(body(*before, then_waits=True), 0.01):
+        async for chunk in limit_idle_time(body(*before, then_waits=True), 0.01):
             assert chunk in before
 
     with pytest.raises(ServiceError, match=r"The upload ended early: nothing was sent for 0\.01 s\.") as found:

@@ -6,7 +6,7 @@ from vitac.training.actors import guided_actor, random_actor
 from vitac.training.episodes import Episodes, joined, play
 from vitac.training.learning.assessor import Assessed, Assessor, AssessorPlan, assessed
 from vitac.training.learning.critic import STATE_SIZE, transitions
-from vitac.training.learning.student import told_of
+from vitac.training.learning.student import student_inputs
 from vitac.training.submission.policy import HISTORY_SIZE
 
 PLAN = AssessorPlan(networks=1, hidden=32, sweeps=6, epochs=4, batch=64, rate=3e-3)
@@ -28,7 +28,7 @@ def mean_value(assessor: Assessor, known: Assessed) -> float:
 
 def test_transitions_have_what_the_student_is_told_before_and_after() -> None:
     played = episodes(6)
-    known, told, truths = assessed(played), told_of(played), transitions(played)
+    known, told, truths = assessed(played), student_inputs(played), transitions(played)
     assert known.before.inputs.shape == (len(played.actions), STATE_SIZE + HISTORY_SIZE)
     np.testing.assert_array_equal(known.before.inputs[:, :STATE_SIZE], truths.before)
     np.testing.assert_array_equal(known.before.inputs[:, STATE_SIZE:], told[played.observations])

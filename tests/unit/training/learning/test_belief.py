@@ -5,7 +5,7 @@ from toy_peg import ToyPeg
 from vitac.training.actors import guided_actor, random_actor
 from vitac.training.episodes import Episodes, play
 from vitac.training.learning.belief import OFFSET, fit_belief
-from vitac.training.learning.student import Student, StudentPlan, told_of, weights_of
+from vitac.training.learning.student import Student, StudentPlan, student_inputs, weights_of
 from vitac.training.submission.policy import HISTORY_SIZE, belief_inputs
 
 HIDDEN = 16
@@ -18,7 +18,7 @@ def weights() -> dict[str, np.ndarray]:
 def errors(found: np.ndarray, episodes: Episodes) -> np.ndarray:
     looked = episodes.observations
     return np.asarray(
-        belief_inputs(weights(), told_of(episodes)[looked]) @ found - episodes.truths[looked, OFFSET],
+        belief_inputs(weights(), student_inputs(episodes)[looked]) @ found - episodes.truths[looked, OFFSET],
     )
 
 

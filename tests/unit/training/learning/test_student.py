@@ -6,7 +6,7 @@ from toy_peg import ToyPeg
 from vitac.training.actors import ActorKind, guided_actor, random_actor, student_actor
 from vitac.training.episodes import joined, play
 from vitac.training.learning.critic import Critic, CriticPlan
-from vitac.training.learning.student import Histories, Student, StudentPlan, histories_of, told_of, weights_of
+from vitac.training.learning.student import Histories, Student, StudentPlan, histories_of, student_inputs, weights_of
 from vitac.training.submission.policy import HISTORY_SIZE, values
 
 
@@ -28,7 +28,7 @@ def test_histories_are_those_that_a_policy_has() -> None:
     assert found.felt.shape == (len(played.actions), HISTORY_SIZE)
     assert len(found.states) == len(found.felt)
     assert found.turnable.tolist() == np.isin(np.repeat(played.shapes, played.lengths), (0, 2)).tolist()
-    assert len(told_of(played)) == len(played.felt)
+    assert len(student_inputs(played)) == len(played.felt)
 
 
 def test_learns_from_what_is_felt_what_the_critic_sees() -> None:

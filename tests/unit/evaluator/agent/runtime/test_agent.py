@@ -22,7 +22,7 @@ def submission(tmp_path: Path) -> str:
 
 
 def hint(error: BaseException, submission: str) -> str:
-    return agent.what_is_there(error, submission, "polcy.main")
+    return agent.list_available(error, submission, "polcy.main")
 
 
 def test_nothing_is_imported_that_every_copy_of_a_policy_would_carry_in_vain() -> None:
@@ -265,7 +265,7 @@ def test_a_depth_picture_is_kept_for_those_that_read_it(monkeypatch: pytest.Monk
     ],
 )
 def test_an_exception_that_tells_of_a_limit_has_its_own_verdict(error: BaseException, code: str) -> None:
-    assert agent.code_of(error, "crashed") == code
+    assert agent.verdict_code(error, "crashed") == code
 
 
 def test_a_refusal_of_ours_passes_through_and_any_other_end_becomes_one(capsys: pytest.CaptureFixture[str]) -> None:
@@ -302,14 +302,14 @@ class Believer:
 
 
 def test_a_belief_is_numbers_or_nothing() -> None:
-    assert agent.belief_of(object()) is None
-    assert agent.belief_of(Believer(None)) is None
-    assert agent.belief_of(Believer([1, 2.5, -3])).tolist() == [1.0, 2.5, -3.0]
+    assert agent.read_belief(object()) is None
+    assert agent.read_belief(Believer(None)) is None
+    assert agent.read_belief(Believer([1, 2.5, -3])).tolist() == [1.0, 2.5, -3.0]
 
 
 def test_an_attribute_of_that_name_that_is_no_method_says_nothing() -> None:
     for attribute in (np.zeros(3), {"x": 1.0}, 0.5, "left"):
-        assert agent.belief_of(SimpleNamespace(belief=attribute)) is None
+        assert agent.read_belief(SimpleNamespace(belief=attribute)) is None
 
 
 def test_a_property_of_that_name_that_raises_is_refused_by_name() -> None:
@@ -327,7 +327,7 @@ def test_a_property_of_that_name_that_raises_is_refused_by_name() -> None:
         (Wants(), "missing 1 required positional argument: 'observation'"),
     ):
         with pytest.raises(agent.Refused) as refused:
-            agent.belief_of(policy)
+            agent.read_belief(policy)
         assert refused.value.code == "crashed"
         assert message in refused.value.message
 
@@ -358,7 +358,7 @@ def test_a_refused_belief_is_answered_and_the_episode_goes_on() -> None:
 )
 def test_a_wrong_belief_is_refused_by_name(believed: Any, code: str, message: str) -> None:
     with pytest.raises(agent.Refused) as caught:
-        agent.belief_of(Believer(believed))
+        agent.read_belief(Believer(believed))
     assert (caught.value.code, caught.value.message) == (code, message)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from vitac.evaluator.logs.findings import ImpossibleReason
 from vitac.evaluator.logs.text_2025 import Script, TextEpisode, TextLog, TextStep
-from vitac.evaluator.logs.text_2025.recordings import text_log_recordings, track_and_task_names, why_not_resimulated
+from vitac.evaluator.logs.text_2025.recordings import explain_not_resimulated, text_log_recordings, track_and_task_names
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.tracks import Task, load_track
 
@@ -62,7 +62,7 @@ def test_a_script_of_a_task_that_we_lack_has_names_in_our_form() -> None:
 
 @pytest.mark.parametrize("script", [PEG, LOCK, FUSION], ids=lambda script: script.name)
 def test_a_whole_log_is_ours(script: Script) -> None:
-    assert why_not_resimulated(whole(script), script, task_of(script)) is None
+    assert explain_not_resimulated(whole(script), script, task_of(script)) is None
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ def test_a_whole_log_is_ours(script: Script) -> None:
     ],
 )
 def test_another_list_is_not_ours(changes: dict[str, object]) -> None:
-    found = why_not_resimulated(whole(PEG), PEG.model_copy(update=changes), task_of(PEG))
+    found = explain_not_resimulated(whole(PEG), PEG.model_copy(update=changes), task_of(PEG))
     assert found is not None
     assert (found.reason, found.episode) == (ImpossibleReason.OTHER_EVALUATION, None)
     assert found.message == "The list of peg-insertion is not the one of 2025."
@@ -146,7 +146,7 @@ def test_the_first_test_that_is_not_ours_is_named(change: Change, reason: Imposs
     log = whole(PEG)
     log.episodes[7].steps = []
     change(log)
-    found = why_not_resimulated(log, PEG, task_of(PEG))
+    found = explain_not_resimulated(log, PEG, task_of(PEG))
     assert found is not None
     assert (found.reason, found.episode, found.message) == (reason, 5, message)
 
@@ -154,13 +154,13 @@ def test_the_first_test_that_is_not_ours_is_named(change: Change, reason: Imposs
 def test_a_log_may_use_all_env_steps_and_all_of_the_range_of_an_action() -> None:
     log = whole(PEG)
     log.episodes[4].steps = [step(n, -1, 1, 0) for n in range(1, 9)]
-    assert why_not_resimulated(log, PEG, task_of(PEG)) is None
+    assert explain_not_resimulated(log, PEG, task_of(PEG)) is None
 
 
 def test_tests_beyond_the_list_are_not_ours() -> None:
     log = whole(PEG)
     log.episodes.append(TextEpisode(line=1, number=271, started=BEGIN))
-    found = why_not_resimulated(log, PEG, task_of(PEG))
+    found = explain_not_resimulated(log, PEG, task_of(PEG))
     assert found is not None
     assert (found.reason, found.episode) == (ImpossibleReason.NOT_IN_LIST, 271)
     assert found.message == "Test 271 is not in the list of 270 tests."
@@ -170,7 +170,7 @@ def test_tests_beyond_the_list_are_not_ours() -> None:
 def test_tests_that_are_missing_at_the_end_are_counted(count: int) -> None:
     log = whole(PEG)
     del log.episodes[count:]
-    found = why_not_resimulated(log, PEG, task_of(PEG))
+    found = explain_not_resimulated(log, PEG, task_of(PEG))
     assert found is not None
     assert (found.reason, found.episode) == (ImpossibleReason.EPISODE_MISSING, count + 1)
     assert found.message == f"Expected 270 tests, got {count}; the first missing one is {count + 1}."
@@ -179,7 +179,7 @@ def test_tests_that_are_missing_at_the_end_are_counted(count: int) -> None:
 def test_a_lock_log_that_shows_a_start_is_compared_with_it_all_the_same() -> None:
     log = whole(LOCK)
     log.episodes[0].initial_offset = (9.0, 9.0, 9.0)
-    found = why_not_resimulated(log, LOCK, task_of(LOCK))
+    found = explain_not_resimulated(log, LOCK, task_of(LOCK))
     assert found is not None
     assert (found.reason, found.episode) == (ImpossibleReason.OTHER_START, 1)
 
