@@ -29,7 +29,7 @@ class OtherEpisodes(VitacError):
 
 @dataclass(frozen=True, kw_only=True)
 class EndedEpisode:
-    """How an episode ended, as a service tells it."""
+    """The outcome of an episode, as a service reports it."""
 
     task: str
     episode: int

@@ -45,7 +45,7 @@ NOUNS = (
     Noun(name="train", module="train", summary="Train a policy from a recipe, and export it."),
     Noun(name="register", module="client.register", summary="Register a team at a service."),
     Noun(name="login", module="client.login", summary="Keep a team's token for the other commands."),
-    Noun(name="logout", module="client.logout", summary="Forget the kept token."),
+    Noun(name="logout", module="client.logout", summary="Delete the stored token."),
     Noun(name="whoami", module="client.whoami", summary="Show team, token and quotas."),
     Noun(name="team", module="client.team", summary="Show the team; invite, join, remove members."),
     Noun(name="question", module="client.question", summary="Ask the organizers, and read their answers."),

@@ -1,4 +1,4 @@
-"""`vitac sandbox`: prints what a policy runs with on this machine, as the sandbox itself tells it."""
+"""`vitac sandbox`: prints what a policy runs with on this machine, as measured inside the sandbox."""
 
 from typing import TYPE_CHECKING, Annotated
 

@@ -139,12 +139,12 @@ def evaluate(
     json: Annotated[
         Path | None, typer.Option(help="Write scores, digests, sensing gain and figures to this file.")
     ] = None,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Keep nothing, and use nothing that was kept.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Store no shards, and use no stored ones.")] = False,
 ) -> None:
     """Play the peg task with a sensor: our standard estimator with and without sight of the markers, or a policy.
 
     With the standard estimator, the sensor's figures are measured, and shown beside those of the reference gel. Its
-    finished shards are kept for 30 days, so that the same command continues after an interruption.
+    finished shards are stored for 30 days, so that the same command continues after an interruption.
     """
     if policy is not None:
         _evaluate_policy(sensor, policy, episodes, workers, json)
@@ -163,7 +163,7 @@ def evaluate(
             episodes=numbers,
             workers=workers or len(os.sched_getaffinity(0)),
             figures=figures,
-            keep=None if fresh else _kept_folder(),
+            keep=None if fresh else _stored_shards_folder(),
             on_episode=progress.advance,
         )
     report = found.report()
@@ -176,7 +176,7 @@ def evaluate(
         print(reason)
 
 
-def _kept_folder() -> Path:
+def _stored_shards_folder() -> Path:
     from vitac.envs.kernel_cache.folders import cache_root
 
     return cache_root() / "finished-shards-v1"
@@ -219,4 +219,6 @@ def _print_findings(found: "SensorCheck") -> None:
     for finding in found.findings:
         if finding.is_warning or not finding.ok:
             print(f"{finding.rule}: {finding.problem}")
-    print(f"All rules are kept. Mesh digest {_digest(found)}" if found.ok else "This sensor would be refused.")
+    print(
+        f"The sensor follows all rules. Mesh digest {_digest(found)}" if found.ok else "This sensor would be refused."
+    )

@@ -181,5 +181,5 @@ def storage_full() -> ServiceError:
     """Return the refusal of a request for which the service has no disk space left."""
     return ServiceError(
         ProblemCode.STORAGE_FULL,
-        "The disk of the service is full. Nothing of this request was kept; tell the organizers, and try again later.",
+        "The disk of the service is full. Nothing of this request was stored. Tell the organizers; try again later.",
     )

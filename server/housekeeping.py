@@ -33,7 +33,7 @@ OTHERS_EVERY_S = 10.0
 processes. Whoever waits for one waits up to so much longer; shards are looked after in every round, because each
 worker does this beside its shards."""
 ORPHAN_KEPT = timedelta(hours=24)
-"""An upload is stored before its row is committed, so a file without a row is left alone for so long."""
+"""An upload is stored before its row is committed, so a file without a row is left alone for this time."""
 
 
 class Housekeeping:

@@ -1,7 +1,7 @@
 """Counts what one client may do: events in a time window, and things at the same time.
 
-Kept in files of the state directory, so that all server processes of a machine count together, and a killed one counts
-no longer.
+Stored in files of the state directory, so that all server processes of a machine count together, and a killed one no
+longer counts.
 """
 
 import fcntl
@@ -81,7 +81,7 @@ class WindowLimiter:
 
 @dataclass(frozen=True, kw_only=True)
 class SignInLimiters:
-    """Count tries to sign in with a password: of an address that tries many members, and of a member tried by many.
+    """Count sign-in attempts with a password: of an address that tries many members, and of a member tried by many.
 
     Attributes:
         of_address: of one client.
@@ -97,8 +97,8 @@ class SignInLimiters:
         Raises:
             ServiceError: too many.
         """
-        self.of_address.note(address, "tries to sign in from one address")
-        self.of_member.note(member, "tries to sign in as one member")
+        self.of_address.note(address, "sign-in attempts from one address")
+        self.of_member.note(member, "sign-in attempts as one member")
 
 
 class ConcurrencyLimiter:

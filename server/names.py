@@ -1,4 +1,4 @@
-"""Names that people choose: how they are shown, compared, and kept from looking like another's."""
+"""Names that people choose: how they are shown and compared, and how names that look alike are refused."""
 
 import re
 import unicodedata

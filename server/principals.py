@@ -20,7 +20,7 @@ class Principal:
         member_id: whose token it is; None: shared by the team.
         member_name: name of that member.
         leads_team: whether members may be invited and removed.
-        judge_name: of a judge's token: under which marks and conflicts of interest are kept.
+        judge_name: of a judge's token: under which marks and conflicts of interest are stored.
         contest: of an organizer of one competition: its name; None: of the whole service.
     """
 

@@ -79,7 +79,7 @@ class Settings(BaseSettings):
     )
     database_wait_s: PositiveFloat = Field(
         default=30.0,
-        description="At the start, a database that does not answer at all is waited for so long; one that recovers or "
+        description="At the start, how long to wait for a database that does not answer at all; one that recovers or "
         "restarts, without limit.",
     )
     state_dir: Path = Field(
@@ -97,7 +97,7 @@ class Settings(BaseSettings):
     )
     storage_url: str | None = Field(
         default=None,
-        description="Where uploads are kept: s3://bucket/prefix or file:///folder. Not set: in the state directory.",
+        description="Where uploads are stored: s3://bucket/prefix or file:///folder. Not set: in the state directory.",
     )
     session_key: SecretStr | None = Field(
         default=None,
@@ -135,7 +135,8 @@ class Settings(BaseSettings):
     )
     sign_ins_per_hour: PositiveInt = Field(
         default=60,
-        description="Most tries to sign in with a password of one client address in an hour; of one member a quarter.",
+        description="Maximum sign-in attempts with a password from one client address in an hour; a quarter of it for "
+        "one member.",
     )
     token_lifetime_days: PositiveInt = 365
     limits: Limits = Field(
@@ -162,7 +163,7 @@ class Settings(BaseSettings):
     )
     contacts_kept_days: PositiveInt | None = Field(
         default=None,
-        description="So long after the end of the competition the addresses of teams and members are kept. Not set: "
+        description="How long after the end of the competition the addresses of teams and members are stored. Not set: "
         "without limit.",
     )
     log_bytes: PositiveInt = Field(
@@ -172,13 +173,13 @@ class Settings(BaseSettings):
     )
     uploads_at_once: PositiveInt = Field(default=2, description="Uploads that one team may send at the same time.")
     upload_idle_timeout_s: PositiveFloat = Field(
-        default=30.0, description="An upload that sends nothing for so long is given up."
+        default=30.0, description="After this time without data, an upload is given up."
     )
     unfinished_uploads: PositiveInt = Field(
         default=4, description="Uploads in pieces that one team may have begun and not finished."
     )
     upload_kept_h: PositiveInt = Field(
-        default=24, description="An upload in pieces that gets no further piece for so long is removed."
+        default=24, description="After this time without a further piece, an upload in pieces is removed."
     )
     event_streams: PositiveInt = Field(default=200, description="Event streams that a server keeps open.")
 
@@ -198,7 +199,7 @@ class Settings(BaseSettings):
     )
 
     lease_s: PositiveFloat = Field(
-        default=6.0, description="A shard whose worker does not renew its lease for so long is given to another one."
+        default=6.0, description="After this time without a renewed lease, a shard is given to another worker."
     )
     lease_renewal_s: PositiveFloat = Field(
         default=1.0, description="How often a worker renews its shard; bounds the time a cancel takes."
@@ -208,11 +209,12 @@ class Settings(BaseSettings):
         default=3, description="How often a shard is started without any progress before the evaluation fails by name."
     )
     shard_idle_timeout_s: PositiveFloat = Field(
-        default=1800.0, description="A shard's process that finishes no episode for so long is ended and tried again."
+        default=1800.0,
+        description="After this time without a finished episode, a shard's process is ended and tried again.",
     )
     worker_heartbeat_s: PositiveFloat = 2.0
     worker_lost_after_s: PositiveFloat = Field(
-        default=15.0, description="A worker without a heartbeat for so long is lost."
+        default=15.0, description="After this time without a heartbeat, a worker counts as lost."
     )
     worker_slots: PositiveInt = Field(default=1, description="Shards that one worker process runs at the same time.")
     finished_jobs_kept_h: PositiveInt = 24

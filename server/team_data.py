@@ -113,14 +113,14 @@ def erase(session: Session, by: Principal, team: Team) -> None:
 
 
 def _rename_in_final_results(session: Session, team: Team) -> None:
-    """Write a team's present name into winners and boards that were kept at the end of the competition."""
+    """Write a team's present name into winners and boards that were stored at the end of the competition."""
     own = {str(found) for found in session.scalars(select(Submission.id).where(Submission.team_id == team.id))}
     for name in sorted(contest.name for contest in Contest.read_all(session)):
         _rename_in_results(Contest.lock(session, name).row, team.name, own)
 
 
 def _rename_in_results(row: Competition, name: str, own: Collection[str]) -> None:
-    """Write a name into what was kept of the submissions of a team, by their ids."""
+    """Write a name into what was stored of the submissions of a team, by their ids."""
     if not row.boards:
         return
     before = {entry["team"] for board in row.boards for entry in board["entries"] if entry["submission_id"] in own}

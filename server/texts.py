@@ -6,7 +6,7 @@ TEXT_LENGTH = 4000
 
 
 def clean_text(text: str, *, what: str) -> str:
-    """Return a text as it is kept: plain, without controls and characters that draw nothing.
+    """Return a text as it is stored: plain, without controls and characters that draw nothing.
 
     Raises:
         ServiceError: it is empty or too long, or has such characters.

@@ -1,4 +1,4 @@
-"""API tokens: made from 256 random bits, shown once, kept as SHA-256, with expiry and revocation."""
+"""API tokens: made from 256 random bits, shown once, stored as SHA-256, with expiry and revocation."""
 
 import hashlib
 import re
@@ -236,7 +236,7 @@ def new_token_view(issued: IssuedToken) -> NewTokenView:
 
 
 def hash_secret(secret: str) -> str:
-    """Return what is kept of a secret: a plain hash is enough for 256 random bits."""
+    """Return what is stored of a secret: a plain hash is enough for 256 random bits."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 

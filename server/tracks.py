@@ -58,7 +58,7 @@ def playback_family_of(track: str, task: str) -> Family:
 
 
 def known_track(name: str) -> Track | None:
-    """Return a track by the name that a submission has kept; None where its track file is gone."""
+    """Return a track by the name that a submission has stored; None where its track file is gone."""
     try:
         return load_track(name)
     except UnknownTrack:
@@ -66,7 +66,7 @@ def known_track(name: str) -> Track | None:
 
 
 def known_task(track: str, task: str) -> Task | None:
-    """Return a task by the name that a submission has kept; None where its track file is gone, or has it no longer."""
+    """Return a task by the name stored with a submission; None where its track file is gone or no longer has it."""
     found = known_track(track)
     return found.tasks.get(task) if found is not None else None
 

@@ -67,7 +67,7 @@ def is_sealed(evaluation: Evaluation) -> bool:
 def played_list_kind(evaluation: Evaluation) -> ListKind:
     """Return who could know the episodes while they were played: of a stage's sealed list, or of the track file's.
 
-    Of an older evaluation, for which it was not kept, the track file of today tells; a list that was removed with its
+    Of an older evaluation, for which it was not stored, the track file of today tells; a list that was removed with its
     track or task counts as sealed, as nobody can tell.
     """
     if evaluation.commitment is not None:
@@ -84,7 +84,7 @@ def _list_kind_in_file(evaluation: Evaluation) -> ListKind:
 
 
 def has_lists(evaluation: Evaluation) -> bool:
-    """Return whether it is known what list an evaluation plays: of a stage, as kept, or in today's track file."""
+    """Return whether it is known what list an evaluation plays: of a stage, as stored, or in today's track file."""
     submission = evaluation.submission
     is_kept = evaluation.commitment is not None or evaluation.list_kind is not None
     return is_kept or all(known_task(submission.track, task) for task in submission.tasks)

@@ -7,25 +7,25 @@ from time import monotonic
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from markupsafe import Markup
-from vitac.server.kept import Kept
+from vitac.server.cache import Cache
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
 
 ValueT = TypeVar("ValueT")
-MAX_KEPT = 8192
+MAX_FRAGMENTS = 8192
 """Rows of boards are about 1 kB each."""
 
 
 class Fragments:
     """The parts of pages that were asked for last."""
 
-    def __init__(self, *, at_most: int = MAX_KEPT) -> None:
-        self._kept: Kept[Hashable, Markup] = Kept(at_most=at_most)
+    def __init__(self, *, at_most: int = MAX_FRAGMENTS) -> None:
+        self._cache: Cache[Hashable, Markup] = Cache(at_most=at_most)
 
     def get(self, key: Hashable, make: Callable[[], str]) -> Markup:
-        """Return the part under a key, which names all that it depends on; rendered only where it is not kept."""
-        return self._kept.get(key, lambda: Markup(make()))  # noqa: S704 - a rendered template, whose values are escaped
+        """Return the part under a key, which names all that it depends on; rendered only where it is not cached."""
+        return self._cache.get(key, lambda: Markup(make()))  # noqa: S704 - a rendered template, whose values are escaped
 
 
 class Recent(Generic[ValueT]):

@@ -38,7 +38,7 @@ def limit_rows(limits: Limits) -> tuple[LimitRow, ...]:
         "Size of one written file": size(limits.file_size_bytes),
         "Files in /tmp": size(limits.tmp_bytes),
         "Shared memory": size(limits.shm_bytes),
-        "Output kept for the team": size(limits.output_kept_bytes),
+        "Output stored for the team": size(limits.output_kept_bytes),
         "Output at which the policy is stopped": size(limits.output_killed_bytes),
         "Network": "none",
     }

@@ -16,8 +16,8 @@ from starlette.responses import HTMLResponse, RedirectResponse
 from vitac.envs.errors import VitacError
 from vitac.server import tokens
 from vitac.server.api.conditional import answer
+from vitac.server.cache import Cache
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.kept import Kept
 from vitac.server.principals import VISITOR
 
 from .fragments import Fragments, Recent
@@ -81,9 +81,9 @@ class Site:
     preview_font: Path | None = None
     fragments: Fragments = field(default_factory=Fragments)
     plots: Fragments = field(default_factory=lambda: Fragments(at_most=MAX_PLOTS))
-    maps: Kept[Hashable, EpisodeMap] = field(default_factory=lambda: Kept(at_most=MAX_MAPS))
+    maps: Cache[Hashable, EpisodeMap] = field(default_factory=lambda: Cache(at_most=MAX_MAPS))
     front: Recent[Front] = field(default_factory=lambda: Recent(kept_s=FRONT_KEPT_S))
-    previews: Kept[str, bytes] = field(default_factory=lambda: Kept(at_most=MAX_PLOTS))
+    previews: Cache[str, bytes] = field(default_factory=lambda: Cache(at_most=MAX_PLOTS))
 
     def address(self, request: Request) -> str:
         """Return the address to use on the command line."""

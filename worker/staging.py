@@ -15,7 +15,7 @@ from vitac.server.storage.blobs import BlobStore
 from vitac.server.storage.scratch import remove_leftovers, scratch_folder
 
 KEPT_IDLE = 2
-"""Unpacked submissions that are kept although no shard of them runs: the next shard is often of the same one."""
+"""Unpacked submissions that stay although no shard of them runs: the next shard is often of the same one."""
 WORKER_FOLDER = "worker"
 
 

@@ -1,4 +1,4 @@
-"""Changes of the admin commands: asked about where they are for good, made in one transaction, taken back in a dry run.
+"""Changes of the admin commands: confirmed where they cannot be undone, in one transaction, undone in a dry run.
 
 Called by the nouns.
 """
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 ShownT = TypeVar("ShownT")
 
 Yes = Annotated[bool, typer.Option("--yes", help="Do not ask.")]
-"""The option of a command that changes something for good."""
+"""The option of a command whose change cannot be undone."""
 
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Only say what would change.")]
 """The option of every command that changes something."""
@@ -45,7 +45,7 @@ NOTHING_CHANGED = "Dry run: nothing was changed."
 
 
 class ConsentMissing(VitacError):
-    """The command changes something for good, and nobody is there to ask: give --yes."""
+    """The change cannot be undone, and nobody is there to ask: give --yes."""
 
 
 class ChangedMeanwhile(VitacError):
@@ -116,7 +116,7 @@ def change_transaction(*, dry_run: bool, question: str | None = None, yes: bool 
 
     Args:
         dry_run: take the change back at the end of the block, and ask nothing.
-        question: asked first, of a change for good.
+        question: asked first where the change cannot be undone.
         yes: do not ask.
 
     Raises:
@@ -139,7 +139,7 @@ def take_back(session: "Session") -> None:
 
 
 def require_consent(question: str, *, yes: bool) -> None:
-    """Ask before something is changed for good.
+    """Ask before a change that cannot be undone.
 
     Raises:
         ConsentMissing: nobody can be asked.

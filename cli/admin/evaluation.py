@@ -75,7 +75,7 @@ def requeue(
     from vitac.server.submissions import runs
     from vitac.server.submissions.listing import get
 
-    question = f"Run the submission of evaluation {evaluation} once more?"
+    question = f"Run the submission of evaluation {evaluation} again?"
     with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
         submission = runs.run_again(session, CONSOLE, listing.find(session, evaluation).submission_id).id
         shown = get(session, load_settings(), CONSOLE, submission).model_dump(mode="json")

@@ -75,7 +75,7 @@ def requeue(
     from vitac.server.principals import CONSOLE
     from vitac.server.submissions import listing, runs
 
-    question = f"Evaluate submission {submission} once more?"
+    question = f"Evaluate submission {submission} again?"
     with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
         runs.run_again(session, CONSOLE, submission)
         shown = listing.get(session, load_settings(), CONSOLE, submission).model_dump(mode="json")

@@ -174,7 +174,7 @@ def data(team: TeamName, as_json: AsJson = False) -> None:
 
 @app.command()
 def delete(team: TeamName, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
-    """Remove a team's name, people, texts and uploads for good; its scores stay."""
+    """Remove a team's name, people, texts and uploads permanently; its scores stay."""
     from vitac.server.principals import CONSOLE
     from vitac.server.team_data import erase
 

@@ -49,7 +49,7 @@ def add(
     if (team is not None) + organizer + judge != 1:
         raise typer.BadParameter("give one of TEAM, --organizer and --judge")
     if judge and label is None:
-        raise typer.BadParameter("name the judge with --label: marks and conflicts of interest are kept under it")
+        raise typer.BadParameter("name the judge with --label: marks and conflicts of interest are stored under it")
     if contest is not None and not organizer:
         raise typer.BadParameter("--contest is for --organizer: only an organizer's token is for one competition")
     role = Role.ORGANIZER if organizer else Role.JUDGE if judge else Role.TEAM
@@ -91,7 +91,7 @@ def revoke(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """End a token at once, for good."""
+    """Revoke a token; this cannot be undone."""
     from vitac.server import tokens
     from vitac.server.principals import CONSOLE
 

@@ -17,7 +17,7 @@ FILE = "vitac/credentials.json"
 
 
 class CredentialsUnusable(VitacError):
-    """The file with the kept tokens cannot be read or written; the message names it."""
+    """The file with the stored tokens cannot be read or written; the message names it."""
 
 
 def path() -> Path:
@@ -27,7 +27,7 @@ def path() -> Path:
 
 
 def token_for(server: str) -> str | None:
-    """Return the token that is kept for a service, or None."""
+    """Return the token that is stored for a service, or None."""
     token = _load()["tokens"].get(server)
     return token if isinstance(token, str) else None
 
@@ -40,19 +40,19 @@ def last_server() -> str | None:
 
 def keep(server: str, token: str) -> None:
     """Keep a token, and take its service as the one meant where none is named."""
-    kept = _load()
-    kept["tokens"][server] = token
-    _store({"server": server, "tokens": kept["tokens"]})
+    stored = _load()
+    stored["tokens"][server] = token
+    _store({"server": server, "tokens": stored["tokens"]})
 
 
 def forget(server: str) -> bool:
     """Remove the token of a service; return whether there was one."""
-    kept = _load()
-    if kept["tokens"].pop(server, None) is None:
+    stored = _load()
+    if stored["tokens"].pop(server, None) is None:
         return False
-    if kept["server"] == server:
-        kept["server"] = None
-    _store(kept)
+    if stored["server"] == server:
+        stored["server"] = None
+    _store(stored)
     return True
 
 
@@ -63,7 +63,9 @@ def _load() -> dict[str, Any]:
     except FileNotFoundError:
         return {"server": None, "tokens": {}}
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CredentialsUnusable(f"The kept tokens in {path()} cannot be read ({error}); remove the file.") from error
+        raise CredentialsUnusable(
+            f"The stored tokens in {path()} cannot be read ({error}); remove the file."
+        ) from error
 
 
 def _store(content: dict[str, Any]) -> None:
@@ -80,4 +82,4 @@ def _store(content: dict[str, Any]) -> None:
             Path(draft).unlink()
             raise
     except OSError as error:
-        raise CredentialsUnusable(f"The token cannot be kept in {target}: {error.strerror}.") from error
+        raise CredentialsUnusable(f"The token cannot be stored in {target}: {error.strerror}.") from error

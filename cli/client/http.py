@@ -74,7 +74,7 @@ class Client:
         return self.call("POST", "/api/v1/teams", {key: value for key, value in new.items() if value is not None})
 
     def revoke(self, token_id: str) -> None:
-        """End a token for good."""
+        """Revoke a token."""
         self.send("DELETE", f"/api/v1/tokens/{token_id}")
 
     def submission(self, submission_id: str) -> Json:

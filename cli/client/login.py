@@ -29,4 +29,4 @@ def command(
         token = sys.stdin.readline().strip()
     me = replace(client, token=token).me()
     credentials.keep(client.server, token)
-    print(f"logged in at {client.server} as {format_owner(me)}; the token is kept in {credentials.path()}")
+    print(f"logged in at {client.server} as {format_owner(me)}; the token is stored in {credentials.path()}")

@@ -1,4 +1,4 @@
-"""`vitac logout`: forgets the kept token, and ends it if asked to."""
+"""`vitac logout`: deletes the stored token, and revokes it with `--revoke`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from .http import make_client
 
 def command(
     server: Annotated[str | None, typer.Option(help="Address of the service; default: that of the last login.")] = None,
-    revoke: Annotated[bool, typer.Option("--revoke", help="End the token for good, wherever it is used.")] = False,
+    revoke: Annotated[bool, typer.Option("--revoke", help="Revoke the token, wherever it is used.")] = False,
 ) -> None:
-    """Remove the kept token from this machine; the team and its other tokens stay."""
+    """Remove the stored token from this machine; the team and its other tokens stay."""
     client = make_client(server, None, with_token=False)
     token = credentials.token_for(client.server)
     if token is None:

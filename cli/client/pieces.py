@@ -63,7 +63,7 @@ class PieceSender:
         """Upload, and return the submission.
 
         Raises:
-            RequestRefused: the service refuses it for good.
+            RequestRefused: the service refuses it.
             ServiceUnreachable: nobody answered at the start, or there was no progress for about a minute.
         """
         failures, furthest, is_begun = 0, -1, False

@@ -14,7 +14,7 @@ from .http import make_client
 
 
 class LoggedIn(VitacError):
-    """A token is kept for the service already: log out first, which leaves the team as it is."""
+    """A token for this service is stored already: log out first; the team stays."""
 
 
 def command(
@@ -30,7 +30,7 @@ def command(
         raise LoggedIn(f"You are logged in at {client.server}; `vitac whoami` shows as whom, `vitac logout` ends it.")
     answer = client.register(name, contact=contact, invite=invite)
     secret = answer["token"]["secret"]
-    # Before the token is kept, which may fail: it is shown only now.
+    # Before the token is stored, which may fail: it is shown only now.
     if as_json:
         print_json(answer)
     else:
@@ -39,5 +39,5 @@ def command(
     if as_json:
         return
     print(
-        f"\nThe token is kept in {credentials.path()}, for `vitac submit` and the others. Sign in to the pages with it."
+        f"\nThe token is stored in {credentials.path()}, for `vitac submit` and others. Sign in to the pages with it."
     )

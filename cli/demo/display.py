@@ -86,8 +86,8 @@ class DemoDisplay:
         self.console.print(Text(f"{' ' * INDENT}{self._bullet} {sentence}", style="dim"), soft_wrap=True)
 
     def interrupted(self) -> None:
-        """Print what is kept after Ctrl-C."""
-        self.note(f"Stopped. Finished episodes are kept; {program_name()} demo runs the rest.")
+        """Print what is stored after Ctrl-C."""
+        self.note(f"Stopped. Finished episodes are stored; {program_name()} demo runs the rest.")
 
     def leaderboard(self, board: Json, team: str) -> None:
         """Print the leaderboard, the demo team's line in bold, and its rate for each task or each shape."""
@@ -125,7 +125,7 @@ class DemoDisplay:
 
     def stopped(self, state_dir: Path) -> None:
         """Print that the service has stopped."""
-        self.note(f"The service has stopped. Everything is kept in {state_dir}.")
+        self.note(f"The service has stopped. All data is stored in {state_dir}.")
 
     def _entry(self, entry: Json) -> tuple[str | Text, ...]:
         rank = "-" if entry["rank"] is None else str(entry["rank"])

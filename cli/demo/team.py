@@ -1,4 +1,4 @@
-"""The demo's own team and its token, kept between runs in the state directory. Called by `demo`."""
+"""The demo's own team and its token, stored between runs in the state directory. Called by `demo`."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def team_token(database: Database, state_dir: Path) -> str:
     """Return a valid token of the team `demo`; create team and token if missing or no longer valid."""
     path = state_dir / TOKEN_FILE
     with database.transaction() as session:
-        kept = path.read_text().strip() if path.exists() else ""
-        if kept and _is_valid(session, kept):
-            return kept
+        stored = path.read_text().strip() if path.exists() else ""
+        if stored and _is_valid(session, stored):
+            return stored
         secret = _issue(session)
     _write_private(path, secret)
     return secret

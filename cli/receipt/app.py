@@ -77,7 +77,7 @@ def audit(
     ] = None,
     key: Key = None,
     receipt: Annotated[
-        list[Path] | None, typer.Option(help="A receipt that you kept; it must be in the chain. May be repeated.")
+        list[Path] | None, typer.Option(help="A receipt that you stored; it must be in the chain. May be repeated.")
     ] = None,
     noted: Annotated[
         list[str] | None,

@@ -85,7 +85,7 @@ class Destination:
 
         Args:
             frames: one for a PNG, any number for the others; of none, nothing is written.
-            end_ms: so long, at least, an animation shows its last picture [ms].
+            end_ms: minimum time for which an animation shows its last picture [ms].
 
         Raises:
             PicturesNotWritable: the disk is full, or the place has gone.

@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 
 _NAME = "kernels"
-# A folder that no process has read or written for so long [s] is removed.
+# A folder that no process has read or written for this time [s] is removed.
 _UNUSED_S = 30 * 86400.0
 # A folder's time of use is written at most so often [s].
 _USE_NOTED_S = 86400.0

@@ -15,7 +15,7 @@ NextAction = Callable[[Observation, dict[str, Any]], NDArray[np.float32] | None]
 MAX_PICTURES = 100
 """Of an animation; in a longer episode, pictures of some env steps are left out."""
 ENV_STEP_MS, END_MS = 100, 2500
-"""So long a picture of an animation is shown [ms]; an env step of most environments is 50 ms of simulated time."""
+"""How long a picture of an animation is shown [ms]; an env step of most environments is 50 ms of simulated time."""
 _LINE, _MARGIN = 1.9, 0.5
 """Height of a line of text and what is left free beside it, as parts of the font's size."""
 _SMALLEST_PX = 12.0

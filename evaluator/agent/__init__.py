@@ -13,7 +13,7 @@ Who starts whom (pids as the sandbox sees them):
 What joins them:
 
     channel   socketpair evaluator <-> 2, 3, 4    questions and answers (`protocol`), the only way in or out for data
-    output    pipe       2, 3, 4 -> evaluator     standard output and error, kept for the team (`isolation.output`)
+    output    pipe       2, 3, 4 -> evaluator     standard output and error, stored for the team (`isolation.output`)
     status    pipe       1 -> evaluator           how each process ended; 0 says that the sandbox works
     info      pipe       bwrap -> evaluator       the pid of 1 outside
 

@@ -1,4 +1,4 @@
-"""What a policy runs with, as the sandbox itself tells it; called by `vitac sandbox` and by workers at their start."""
+"""What a policy runs with, as measured inside the sandbox; called by `vitac sandbox` and by workers at their start."""
 
 from typing import Final
 
@@ -59,7 +59,7 @@ class SandboxDescription(StrictModel):
 
 
 def describe_sandbox(limits: Limits | None = None) -> SandboxDescription:
-    """Return what a policy finds in this machine's sandbox, by running one that tells it.
+    """Return what a policy finds in this machine's sandbox, by running a program in it.
 
     Raises:
         SandboxFailed: the sandbox does not work here.

@@ -42,7 +42,7 @@ class Limits:
     """Waiting for the policy in all episodes of a shard together, with every load."""
 
     output_kept_bytes: int = 64 * KIB
-    """The end of the policy's output, kept for its team."""
+    """Length of the end of the policy's output that is stored for its team."""
     output_killed_bytes: int = 4 * MIB
     """Output of one start or one episode at which the policy is stopped."""
 

@@ -22,7 +22,7 @@ from ..shards.result import ShardEnd, ShardResult
 from ..submission_kinds import SubmissionKind
 from ..tracks import Task, Track
 from ..tracks.cut import Shard, cut
-from .kept import KeptShards
+from .stored_shards import StoredShards
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ def evaluate(
     sensor: Path | None = None,
     figures: FigureChoice = FigureChoice.NONE,
     coefficients: Coefficients | None = None,
-    kept: KeptShards | None = None,
+    stored: StoredShards | None = None,
     on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
 ) -> Evaluation:
     """Evaluate a submission in processes of its own, one shard at a time in each.
@@ -85,7 +85,7 @@ def evaluate(
         sensor: folder with a sensor of a team's own, in place of the challenge's.
         figures: which of the sensor's figures the blind run measures.
         coefficients: of the standard estimator for the sensor; it is calibrated without them.
-        kept: shards that need not be played again, and where those that are played are kept.
+        stored: finished shards, which are not played again; new ones are added.
         on_episode: gets each record, in the order in which episodes end.
 
     Raises:
@@ -112,7 +112,7 @@ def evaluate(
     ]
     records = []
     with ShardProcesses() as processes:
-        pool = _ShardPool(processes, orders, min(workers, len(orders)), kept)
+        pool = _ShardPool(processes, orders, min(workers, len(orders)), stored)
         with closing(pool.run()) as finished:
             for record in finished:
                 records.append(record)
@@ -131,10 +131,10 @@ class _ShardPool:
     """Threads that each wait for one shard process after another."""
 
     def __init__(
-        self, processes: ShardProcesses, orders: Sequence[ShardOrder], workers: int, kept: KeptShards | None
+        self, processes: ShardProcesses, orders: Sequence[ShardOrder], workers: int, stored: StoredShards | None
     ) -> None:
         self.results: list[ShardResult] = []
-        self._kept = kept
+        self._stored = stored
         self._coefficients: Coefficients | None = None
         """Of a shard that is over, so that the shards after it need not learn the same."""
         self._processes = processes
@@ -179,7 +179,7 @@ class _ShardPool:
         self._queue.put(None)
 
     def _run_order(self, order: ShardOrder, slot: int) -> None:
-        known = self._kept.load(order) if self._kept else None
+        known = self._stored.load(order) if self._stored else None
         result = self._play(order, slot) if known is None else known.result
         self._coefficients = result.coefficients or self._coefficients
         for record in () if known is None else known.records:
@@ -198,8 +198,8 @@ class _ShardPool:
             # Shards before this one continue; later ones cannot change how the evaluation ends.
             with self._lock:
                 self._orders.clear()
-        elif self._kept:
-            self._kept.store(order, records, process.result)
+        elif self._stored:
+            self._stored.store(order, records, process.result)
         return process.result
 
     def _register(self, slot: int, process: ShardProcess) -> None:

@@ -16,8 +16,8 @@ from ..sensors.check import accepted_sensor
 from ..sensors.made import MadeSensor, made_sensor
 from ..strict_model import StrictModel
 from ..tracks import Player, load_track
-from .kept import KeptShards
 from .local import Evaluation, evaluate
+from .stored_shards import StoredShards
 
 TRACK = "track_3"
 
@@ -96,7 +96,7 @@ def evaluate_sensor(
         episodes: numbers to play; all by default.
         workers: processes at once.
         figures: which of the sensor's figures are measured, too.
-        keep: folder where finished shards are kept and looked for; None keeps none.
+        keep: folder where finished shards are stored and looked for; None keeps none.
         on_episode: gets each record of both runs.
 
     Raises:
@@ -119,7 +119,7 @@ def evaluate_sensor(
             workers=workers,
             sensor=path,
             figures=figures,
-            kept=None if keep is None else KeptShards(keep, of=made.digest),
+            stored=None if keep is None else StoredShards(keep, of=made.digest),
             on_episode=on_episode,
         )
         standard = run(task=tasks[Player.ESTIMATOR])

@@ -55,7 +55,7 @@ def explain_impossible(
         expected: values that the header's manifest must have.
         task: task that the log must be of.
         header: header of the log.
-        records: episodes of the log; read one at a time, none is kept in memory.
+        records: episodes of the log; read one at a time, none stays in memory.
         episodes: numbers of the required episodes; the whole list by default.
     """
     for key in _KEYS_THAT_MUST_AGREE:

@@ -43,7 +43,7 @@ class SensorCheck:
 
     @property
     def ok(self) -> bool:
-        """Every rule is kept."""
+        """Whether the sensor follows every rule."""
         return self.design is not None
 
 

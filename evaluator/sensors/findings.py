@@ -70,10 +70,10 @@ class Finding:
 
     Attributes:
         rule: the rule.
-        ok: it is kept.
+        ok: the sensor follows it.
         value: what was measured.
         limit: what it may be.
-        problem: what to do where it is not kept.
+        problem: what to do where the sensor breaks it.
         is_warning: the sensor is scored all the same, but the problem should be known.
     """
 

@@ -95,7 +95,7 @@ class MadeSensor(StrictModel):
 
 
 def made_sensor(found: SensorCheck) -> MadeSensor:
-    """Return the sensor of a check that found every rule kept."""
+    """Return the sensor of a check without problems."""
     meshed, design = found.meshed, found.design
     if meshed is None or design is None:
         raise ValueError("expected a sensor that keeps to every rule")

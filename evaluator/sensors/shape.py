@@ -22,7 +22,7 @@ Check = Callable[[DrawnSurface, SensorLimits], Finding]
 
 
 class ShapeCheck:
-    """The findings about one gel.stl, and its surface if all rules are kept.
+    """The findings about one gel.stl, and its surface if it follows all rules.
 
     Attributes:
         findings: in the order of the checks; after a broken rule come only those that do not rest on it.

@@ -52,7 +52,7 @@ def run_shard(
 ) -> ShardResult:
     """Play the episodes of a shard, each in a fresh process of the policy.
 
-    The order is secret: a policy cannot be kept from the clock, and in a known order the time would tell it which
+    The order is secret: a policy can always read the clock, and in a known order the time would tell it which
     episode it plays.
 
     Args:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Preparation:
-    """Environment and loaded policy, made when a shard first asks for them and kept until an order needs others.
+    """Environment and loaded policy, made when a shard first asks for them and used until an order needs others.
 
     Every episode runs in a fresh copy of the loaded policy and in a fresh scene, whichever shard it belongs to, so
     that shards have no more in common than the episodes of one shard.

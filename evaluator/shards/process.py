@@ -27,7 +27,7 @@ from .result import ShardResult
 
 COMMAND = (sys.executable, "-P", "-m", "vitac.evaluator.shards.host")
 IDLE_KEPT_S = 3.0
-"""So long a process waits for another shard of its submission; meanwhile its policy takes memory."""
+"""How long a process waits for another shard of its submission; meanwhile its policy takes memory."""
 CLOSING_LIMIT_S = 5.0
 """A process that does not end by itself within this time is killed."""
 
@@ -378,7 +378,7 @@ class _Fork:
                 signal.pidfd_send_signal(self._pidfd, signal.SIGKILL)
 
     def wait(self, limit_s: float | None = None) -> bool:
-        """Wait until it has ended, or so long [s]; return whether it has."""
+        """Wait until it has ended, at most this time [s]; return whether it has."""
         if self._pidfd is None:
             return True
         ended = select.poll()

@@ -116,7 +116,7 @@ def get_team_data(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -
 
 @router.delete("/{team_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
 def delete_team(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> None:
-    """Remove a team's name, people, texts and uploads for good; scores stay. For organizers."""
+    """Remove a team's name, people, texts and uploads permanently; scores stay. For organizers."""
     with services.database.transaction() as session:
         team_data.erase(session, principal, _team(session, principal, team_id))
 

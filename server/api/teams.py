@@ -94,7 +94,7 @@ def list_tokens(services: ServicesOf, principal: PrincipalOf) -> TokenListView:
 
 @router.delete("/tokens/{token_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
 def delete_token(services: ServicesOf, principal: PrincipalOf, token_id: UUID) -> None:
-    """End a token at once."""
+    """Revoke a token."""
     with services.database.transaction() as session:
         tokens.revoke(session, principal, token_id)
 

@@ -13,7 +13,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, Track, list_tracks, load_track
 
 Instant = Annotated[AwareDatetime, AfterValidator(lambda when: when.astimezone(UTC))]
-"""A moment with its time zone, kept in UTC."""
+"""A moment with its time zone, stored in UTC."""
 
 
 class RankingKey(StrEnum):
@@ -202,7 +202,7 @@ class CompetitionDefinition(StrictModel):
         default=None, description="From then on boards show no new results to anybody but organizers."
     )
     appeal_days: PositiveInt | None = Field(
-        default=None, description="So long after the end of an evaluation its team may appeal; null: no appeals."
+        default=None, description="How long after the end of an evaluation its team may appeal; null: no appeals."
     )
     anonymous: bool = Field(
         default=False, description="Teams see each other under random names until the competition is final."

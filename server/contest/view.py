@@ -91,7 +91,7 @@ def competition_view(session: Session, name: str | None = None, *, at: datetime 
 
 
 def disqualified_since_the_end(contest: Contest) -> list[DisqualifiedTeamView]:
-    """Return the teams among the kept winners and boards that were disqualified later, or whose entry was.
+    """Return the teams among the stored winners and boards that were disqualified later, or whose entry was.
 
     There are none before the end.
     """

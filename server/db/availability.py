@@ -37,7 +37,7 @@ def once_available(database: Database, work: Callable[[Database], None], *, pati
         patience_s: how long nobody may answer there [s].
 
     Raises:
-        DatabaseUnreachable: nobody answered for so long, or the server refused us.
+        DatabaseUnreachable: nobody answered in time, or the server refused us.
     """
     refusals = 0
     while True:

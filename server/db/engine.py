@@ -46,7 +46,7 @@ class Database:
     Args:
         address: with which the service works.
         owner_address: of the role that owns the tables, to migrate and restore; None: that of the service.
-        pool_size: of connections that are kept.
+        pool_size: number of open connections.
     """
 
     def __init__(self, address: str, *, owner_address: str | None = None, pool_size: int = 10) -> None:

@@ -16,7 +16,7 @@ from .differences import report_difference
 from .provenance import note_packages
 
 OUTPUT_CHARACTERS = 4096
-"""So much of the end of what a policy prints in one episode is kept for its team."""
+"""Length of the end of a policy's output in one episode that is stored for its team."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ def store_scores(
 ) -> None:
     """Write the score of each task into the row of an evaluation; one that is not only proposed enters the boards.
 
-    The tasks that count are kept with them, so that no later track file changes the result.
+    The tasks that count are stored with them, so that no later track file changes the result.
     """
     evaluation.scores = [
         {"task": task, "result_hash": hashes[task], **score.model_dump(mode="json")} for task, score in scores.items()
@@ -73,7 +73,7 @@ def combination_of(evaluation: Evaluation, scores: Mapping[str, Score]) -> Combi
 def counted_tasks(evaluation: Evaluation) -> Collection[str]:
     """Return the tasks that are combined: those that counted when it was scored, before that those of the track file.
 
-    None of an older result whose track was removed before this was kept, as nobody can tell which would count.
+    None for an older result whose track was removed before this was stored, as nobody can tell which would count.
     """
     kept = evaluation.counted_tasks
     return kept if kept is not None else _tasks_that_count(evaluation.submission)

@@ -11,10 +11,10 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.package_sets import digest_of_packages
 from vitac.evaluator.tracks import ListKind
 
+from ..cache import Cache
 from ..db.models import EpisodeResult, Evaluation
 from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
 from ..errors import TRACK_REMOVED
-from ..kept import Kept
 from ..principals import Principal
 from ..queue.workers import WorkersAlive
 from ..tracks import known_task
@@ -49,7 +49,7 @@ PROGRESS_STEPS = 10
 SEALED_DETAILS = "The list is sealed; the details are shown once its secret is published."
 
 
-_complete: Kept[tuple[UUID, bool, ListKind], EvaluationView] = Kept(at_most=5000)
+_complete: Cache[tuple[UUID, bool, ListKind], EvaluationView] = Cache(at_most=5000)
 """Completed evaluations as a list shows them: these do not change. By whether episodes are hidden, and kind of list."""
 
 
@@ -234,7 +234,7 @@ def _packages(evaluation: Evaluation) -> list[PackagesView]:
 
 
 def _output(session: Session, evaluation: Evaluation) -> str:
-    """Return what was kept at the end; while it runs, the output of the last episode that the policy failed in."""
+    """Return the output stored at the end; while it runs, the output of the last episode that the policy failed in."""
     submission = evaluation.submission
     if evaluation.state in TERMINAL_EVALUATION_STATES:
         return evaluation.log_tail

@@ -288,7 +288,7 @@ def _total(rubric: Judging, success_rate: float, mark: float | None, figures: fl
 
 
 def _judge(session: Session, by: Principal, named: str | None, contest: str | None = None) -> str:
-    """Return the name under which marks are kept: that of the judge's token, or whom the organizer names."""
+    """Return the name under which marks are stored: that of the judge's token, or whom the organizer names."""
     if by.judge_name is not None:
         return by.judge_name
     by.require_organizer(contest)

@@ -11,8 +11,8 @@ from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.version import evaluator_version
 
+from ..cache import Cache
 from ..db.models import BoardChange
-from ..kept import Kept
 
 ValueT = TypeVar("ValueT")
 
@@ -22,7 +22,7 @@ NOTES_KEPT = 1000
 _SEEN = select(func.count(), func.sum(BoardChange.mark))
 """Marks are random: other changes do not have the same number and sum. A copy of a database has them, though."""
 
-_kept: Kept[Hashable, Any] = Kept(at_most=200)
+_cache: Cache[Hashable, Any] = Cache(at_most=200)
 
 
 def kept_until_change(session: Session, key: Hashable, read: Callable[[], ValueT]) -> ValueT:
@@ -34,10 +34,10 @@ def kept_until_change(session: Session, key: Hashable, read: Callable[[], ValueT
         read: reads the value, which nobody may change.
     """
     seen = session.execute(_SEEN).one()
-    return cast(ValueT, _kept.get((session.get_bind().engine.url, *seen, evaluator_version(), key), read))
+    return cast(ValueT, _cache.get((session.get_bind().engine.url, *seen, evaluator_version(), key), read))
 
 
 def forget_old_notes(session: Session) -> None:
-    """Remove all but the newest notes; whatever is kept is read once more."""
+    """Remove all but the newest notes; whatever is cached is read again."""
     newest = select(func.max(BoardChange.id)).scalar_subquery()
     session.execute(delete(BoardChange).where(BoardChange.id <= newest - NOTES_KEPT))

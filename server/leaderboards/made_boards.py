@@ -1,4 +1,4 @@
-"""Boards as they were last made: kept by this process until a new entry changes them.
+"""Boards as they were last made: cached by this process until a new entry changes them.
 
 An entry never changes, since a completed evaluation and its submission's name do not. So the ids of the entries, and
 under which names teams are shown, say whether a board that was made before is still right.

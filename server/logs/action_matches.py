@@ -15,11 +15,11 @@ from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.logs.action_match import EpisodeMatch, compare_actions
 from vitac.evaluator.submission_kinds import SubmissionKind
 
+from ..cache import Cache
 from ..db.models import EpisodeResult, Evaluation, Submission
 from ..db.states import EvaluationState
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation
-from ..kept import Kept
 from ..principals import Principal
 from ..views.logs import ActionMatchView, MatchedEpisodeView
 from ..visibility import sight_of, visible
@@ -30,7 +30,7 @@ MAX_MODELS = 20
 
 ActionsByEpisode = dict[int, ActionSequence]
 
-_matches: Kept[tuple[UUID, UUID], ActionMatchView] = Kept(at_most=2000)
+_matches: Cache[tuple[UUID, UUID], ActionMatchView] = Cache(at_most=2000)
 """By the evaluations of log and model. They do not change: a completed evaluation has all its episodes."""
 
 

@@ -1,4 +1,4 @@
-"""What an uploaded log says of itself: kept with its submission, shown beside what its re-simulation gave."""
+"""What an uploaded log says of itself: stored with its submission, shown beside the result of its re-simulation."""
 
 from collections.abc import Collection
 from typing import Any, Self

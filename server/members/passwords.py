@@ -1,4 +1,4 @@
-"""Passwords of members, kept as argon2id hashes. Called by `members` and by the sign-in page."""
+"""Passwords of members, stored as argon2id hashes. Called by `members` and by the sign-in page."""
 
 import threading
 
@@ -16,7 +16,7 @@ _NOBODYS_HASH = "$argon2id$v=19$m=65536,t=3,p=4$0K49dMvkXYAqxV0QBqWYMA$9V2Ji0zl4
 
 
 def hashed(password: str) -> str:
-    """Return what is kept of a password.
+    """Return the hash of a password.
 
     Raises:
         ServiceError: it is too short or too long.

@@ -1,4 +1,4 @@
-"""Sums of the instruments of all processes, kept in the database: what a process has counted outlives it.
+"""Sums of the instruments of all processes, stored in the database: what a process has counted outlives it.
 
 Housekeeping adds what its process has counted since the last time, so any server knows what all workers did.
 """

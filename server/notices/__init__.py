@@ -1,1 +1,1 @@
-"""Notices to teams by e-mail and webhook: what happened, kept until it is sent."""
+"""Notices to teams by e-mail and webhook: what happened, stored until it is sent."""

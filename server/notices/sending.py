@@ -28,7 +28,7 @@ MAX_ATTEMPTS = 8
 FIRST_PAUSE = timedelta(seconds=30)
 """After the first try; each further pause is three times as long, together about 18 hours."""
 CLAIMED = timedelta(minutes=2)
-"""So long nobody else sends a notice that somebody has begun to send; longer than any sending takes."""
+"""How long a notice belongs to the process that has begun to send it; longer than any sending takes."""
 KEPT = timedelta(days=30)
 LOOK_FOR_DEADLINES_EVERY_S = 600.0
 PROBLEM_LENGTH = 500

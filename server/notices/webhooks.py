@@ -27,7 +27,7 @@ from . import addresses
 MAX_WEBHOOKS = 5
 TIMEOUT_S = 10.0
 WHOLE_TIMEOUT_S = 20.0
-"""A receiver that answers byte by byte is cut off after so long."""
+"""A receiver that answers byte by byte is cut off after this time."""
 
 
 class Undelivered(Exception):

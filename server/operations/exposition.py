@@ -22,7 +22,7 @@ from ..views.operations import OperationsView
 from .state import operations
 
 KEPT_S = 5.0
-"""So long one answer serves all that ask: several Prometheus servers cost the database no more than one."""
+"""How long one answer serves all requests: several Prometheus servers cost the database no more than one."""
 
 LOST = "lost"
 

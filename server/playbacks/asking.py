@@ -37,7 +37,7 @@ NOBODY_DRAWS = "no running worker can draw ManiSkill’s environments, which tak
 """Why nobody makes a film of ManiSkill."""
 
 FAILED_KEPT = timedelta(hours=1)
-"""So long a failed playback is not tried again."""
+"""How long a failed playback is not tried again."""
 
 
 def find_episode(session: Session, by: Principal, submission_id: UUID, task: str, number: int) -> EpisodeResult:

@@ -25,7 +25,7 @@ from .asking import playback_queue
 logger = structlog.get_logger(__name__)
 
 UNMADE_KEPT = timedelta(hours=1)
-"""So long a playback waits for a worker that can make it, after it was asked for and after the last such worker."""
+"""How long a playback waits for a worker that can make it, after it was asked for and after the last such worker."""
 
 
 @dataclass(frozen=True, kw_only=True)

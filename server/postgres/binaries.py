@@ -61,7 +61,7 @@ def inspect_bin_dir(folder: Path) -> PostgresBinaries | None:
 
 
 def copy_binaries(binaries: PostgresBinaries, destination: Path) -> PostgresBinaries:
-    """Copy a self-contained installation to where the database's user can run it; an earlier complete copy is kept.
+    """Copy a self-contained installation to where the database's user can run it, unless that was done before.
 
     Args:
         binaries: what to copy.

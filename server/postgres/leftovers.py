@@ -13,7 +13,7 @@ logger = structlog.get_logger(__name__)
 
 NOTICE_EVERY_S = 10.0
 ORPHAN_LIMIT_S = 20.0
-"""A backend without its server has nothing to save; one that has not ended by itself after so long is killed."""
+"""A backend without its server has nothing to save; one that has not ended by itself after this time is killed."""
 
 _PROGRAM = "postgres"
 

@@ -124,7 +124,7 @@ def finalize_again(session: Session, by: Principal, name: str | None = None) -> 
 
     Raises:
         ServiceError: not an organizer, there is no competition or it is not final, a track file is missing, it was
-            final before boards were kept and a board has results of another evaluator version, or a judged track has
+            final before boards were stored and a board has results of another evaluator version, or a judged track has
             an entry without a total.
     """
     contest = Contest.lock_held(session, by, name)

@@ -32,7 +32,7 @@ from .jobs import (
 logger = structlog.get_logger(__name__)
 
 IDLE_LIMIT = "10s"
-"""The database ends a sweep whose process does nothing for so long, and another one takes over."""
+"""The database ends a sweep whose process does nothing for this time, and another one takes over."""
 
 GiveUp = Callable[[Session, Evaluation, str], None]
 """Ends an evaluation, locked, whose shard was lost in all its attempts; the text says what was lost."""

@@ -129,7 +129,7 @@ def audit(
     Args:
         path: the export.
         public_key: of the service [hex], from elsewhere; None: that of the export.
-        held: receipts that were kept elsewhere and must be in the chain.
+        held: receipts that were stored elsewhere and must be in the chain.
         noted: digests of links by their number, noted elsewhere, such as that of the last one on a past day.
         episodes: how many are run again.
         seed: chooses them.
@@ -146,7 +146,9 @@ def audit(
         chain = _check_chain(reader.links(), described.public_key, found)
         for receipt in held:
             if chain.get(receipt.link.number) != receipt.link:
-                found.findings.append(f"Receipt {receipt.link.number}, which was kept elsewhere, is not in the chain.")
+                found.findings.append(
+                    f"Receipt {receipt.link.number}, which was stored elsewhere, is not in the chain."
+                )
         for number, digest in noted.items():
             found.findings += check_noted(chain, number, digest)
         found.findings += check_head(described, chain)

@@ -46,7 +46,7 @@ class RejudgedSubmission:
         state: of the new evaluation.
         changes: whether score or rank would be another one; False before the end.
         keeps_result: whether it keeps its present result: machines failed it, it was cancelled, or the submission was
-            evaluated once more since the rejudgement began.
+            evaluated again since the rejudgement began.
     """
 
     team: str

@@ -118,7 +118,7 @@ def apply(
 ) -> list[RejudgedSubmission]:
     """Make the new results those of their submissions, with a receipt each; the present ones leave the boards.
 
-    What machines failed or somebody cancelled keeps its present result, and so does what was evaluated once more since
+    What machines failed or somebody cancelled keeps its present result, and so does what was evaluated again since
     the rejudgement began: that result is the newer one.
 
     Args:

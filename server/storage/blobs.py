@@ -112,7 +112,7 @@ class BlobStore:
         return self._stored_at(sha256) is not None
 
     def is_older_than(self, sha256: str, age: timedelta) -> bool:
-        """Return whether a file of that digest was stored at least so long ago.
+        """Return whether a file of that digest was stored at least this long ago.
 
         Raises:
             ServiceError: the store cannot be read.
@@ -131,7 +131,7 @@ class BlobStore:
             self._delete(key_of(sha256))
 
     def list_older_than(self, age: timedelta) -> list[str]:
-        """Return the digests of all files that were stored at least so long ago.
+        """Return the digests of all files that were stored at least this long ago.
 
         Raises:
             ServiceError: the store cannot be read.
@@ -179,7 +179,7 @@ class BlobStore:
                 self._delete([meta["path"] for meta in batch])
 
     def uploads_with_parts(self, age: timedelta) -> set[str]:
-        """Return the uploads of which a part was stored at least so long ago.
+        """Return the uploads of which a part was stored at least this long ago.
 
         Raises:
             ServiceError: the store cannot be read.

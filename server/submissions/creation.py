@@ -44,7 +44,7 @@ def create(
 
     The same content of the same team is one submission. While its evaluation is active or completed nothing new is
     started, unless `again` asks for a run that uses no stored episodes; after a cancel the run is taken up where it
-    ended, after a failure a new run begins. The sensor made of the upload is kept with a run that is started: whatever
+    ended, after a failure a new run begins. The sensor made of the upload is stored with its run: whatever
     another mesher would make of the same content, a run that is active or completed keeps the one it is scored with.
 
     Args:

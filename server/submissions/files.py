@@ -1,4 +1,4 @@
-"""Stored files of submissions besides their uploads: added with a submission, found again, kept by housekeeping."""
+"""Stored files of submissions besides their uploads: added with a submission, found, spared by housekeeping."""
 
 from collections.abc import Iterable
 from uuid import UUID

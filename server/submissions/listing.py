@@ -6,12 +6,12 @@ from uuid import UUID
 from sqlalchemy import select, tuple_
 from sqlalchemy.orm import Session, joinedload
 
+from ..cache import Cache
 from ..contest.contest import Contest
 from ..db.models import EpisodeResult, Evaluation, Submission
 from ..db.states import EvaluationState
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import histories, newest_evaluation, newest_state
-from ..kept import Kept
 from ..principals import Principal
 from ..settings import Settings
 from ..sharing.public_pages import readable
@@ -20,7 +20,7 @@ from ..views.submissions import EpisodeView, SubmissionListView, SubmissionView
 from ..visibility import sight_of, visible
 from .view import submission_views
 
-_ends: Kept[UUID, Sequence[EpisodeView]] = Kept(at_most=128)
+_ends: Cache[UUID, Sequence[EpisodeView]] = Cache(at_most=128)
 """Episodes by evaluation, about 150 kB each. They do not change: a completed evaluation has all its episodes."""
 
 

@@ -14,7 +14,7 @@ from ..settings import Settings
 
 
 def forget_contacts(session: Session, settings: Settings, at: datetime | None = None) -> int:
-    """Forget the addresses of people so long after the end of all competitions; of how many. `at`: None is now."""
+    """Remove people's addresses when all competitions ended long enough ago; return how many. `at`: None is now."""
     days, ends = settings.contacts_kept_days, [one.row.finalized_at for one in Contest.read_all(session)]
     over = [end for end in ends if end is not None]
     if days is None or len(over) < len(ends) or (at or datetime.now(UTC)) < max(over) + timedelta(days=days):

@@ -28,7 +28,7 @@ TRUNCATED = "truncated"
 MAX_PROBLEMS = 100
 """Maximum number that is stored; the last one says how many more there are."""
 MAX_CHARACTERS = 200
-"""So much of one problem is kept."""
+"""Maximum length of one problem that is stored."""
 
 
 def check_text_log(received: ReceivedFile, owner: str, settings: Settings) -> CheckedUpload:

@@ -96,7 +96,7 @@ class WinnerView(View):
 
 
 class DisqualifiedTeamView(View):
-    """A team that was disqualified after the end, or whose entry was, by its name in winners and kept boards."""
+    """A team that was disqualified after the end, or whose entry was, by its name in stored winners and boards."""
 
     team: str
     disqualified_at: datetime

@@ -242,7 +242,7 @@ def _is_combined(track: Track, task: str | None) -> bool:
 
 
 def _dates(request: Request, board: LeaderboardView, viewer: Viewer | None) -> Markup:
-    """Return the plot of ranked entries against dates, kept until the board changes; nothing for a single one."""
+    """Return the plot of ranked entries against dates, cached until the board changes; nothing for a single one."""
     ranked = [entry for entry in board.entries if entry.rank is not None]
     if len(ranked) < 2:
         return Markup()

@@ -146,7 +146,7 @@ def reveal(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Publish the secret of a stage's sealed list, for good, after the stage has closed."""
+    """Publish the secret of a stage's sealed list after the stage has closed; this cannot be undone."""
     from vitac.server.contest.contest import Contest
     from vitac.server.contest.sealing import reveal as reveal_list
     from vitac.server.principals import CONSOLE

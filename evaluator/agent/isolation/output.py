@@ -1,4 +1,4 @@
-"""What a policy prints: the end is kept for its team, all of it is counted."""
+"""Output of a policy: its end is stored for the team, all of it is counted."""
 
 import os
 from typing import Final
@@ -33,7 +33,7 @@ class OutputTail:
         return self._counted
 
     def restart_count(self) -> None:
-        """Count from zero and forget what was kept, at the start of an episode."""
+        """Count from zero and forget the stored output, at the start of an episode."""
         self.read_available()
         self._counted = 0
         self._kept.clear()
@@ -52,7 +52,7 @@ class OutputTail:
             del self._kept[: -self._kept_bytes]
 
     def text(self) -> str:
-        """Return the kept end as text that is safe to print."""
+        """Return the stored end as text that is safe to print."""
         return printable(bytes(self._kept).decode("utf-8", "replace"))
 
     def close(self) -> None:

@@ -160,7 +160,7 @@ _decode_answer_header = msgspec.json.Decoder(AnswerHeader).decode
 class FrameReader:
     """Puts answers together from whatever pieces the socket gives, and refuses everything else early.
 
-    Sizes are checked on the prefix, so a frame that is too large is refused before its first buffer byte is kept.
+    Sizes are checked on the prefix, so a frame that is too large is refused before its first buffer byte is stored.
     """
 
     message_bytes: int

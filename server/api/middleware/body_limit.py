@@ -10,7 +10,7 @@ LIMIT_BYTES = 64 * 1024
 TOO_LARGE = 413
 TOO_SLOW = 408
 BODY_TIMEOUT_S = 30.0
-"""A body that is not there after so long is given up, however steadily it trickles."""
+"""A body that has not arrived after this time is given up, however steadily it trickles."""
 
 
 class BodyLimit:

@@ -85,7 +85,7 @@ class Member(Base):
 
 
 class Invitation(Base):
-    """A code with which one person joins a team; only its SHA-256 is kept."""
+    """A code with which one person joins a team; only its SHA-256 is stored."""
 
     __tablename__ = "invitations"
     __table_args__ = (
@@ -113,7 +113,7 @@ class TeamQuota(Base):
 
 
 class ApiToken(Base):
-    """A secret by which a client proves who it is; only its SHA-256 is kept.
+    """A secret by which a client proves who it is; only its SHA-256 is stored.
 
     One without a member is shared by the team. An organizer's with a `contest` is for that competition only. One that
     `is_session` stands for a browser that signed in with a password; nobody has its secret.

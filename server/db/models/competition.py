@@ -21,7 +21,7 @@ class Competition(Base):
         finalized_at: since then winners and boards change only by `finalize_again`, and where a team is erased.
         winners: as they were finalized, or finalized again.
         reopened: each time that the end was taken back, with its reason.
-        boards: as they were then (`LeaderboardView`); NULL before, and of one that was final before they were kept.
+        boards: as they were then (`LeaderboardView`); NULL before, and of one that was final before they were stored.
     """
 
     __tablename__ = "competition"

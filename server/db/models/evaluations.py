@@ -46,7 +46,7 @@ class Evaluation(Base):
     where it costs nothing. `asked_by_team`: organizers did not start it. `packages`: lists of the packages that the
     policy saw, versions by name, each list once (`Shard.packages_digest` names one); nothing of episodes stored before.
     `list_kind` says who could know the episodes when it began, `counted_tasks` which tasks were combined when it was
-    scored. NULL: as the track file says that is there, as it was before they were kept.
+    scored. NULL: as the track file says that is there, as it was before they were stored.
     """
 
     __tablename__ = "evaluations"

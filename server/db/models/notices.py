@@ -12,7 +12,7 @@ from .base import Base, closed_set
 
 
 class Webhook(Base):
-    """Where a team's own program gets notices. The secret signs them, so it is kept as it is."""
+    """Where a team's own program gets notices. The secret signs them, so it is stored in clear."""
 
     __tablename__ = "webhooks"
     __table_args__ = (CheckConstraint("length(secret) = 64", name="secret_is_long"),)

@@ -32,6 +32,7 @@ from vitac.evaluator.tracks import find_task
 from vitac.evaluator.tracks.versions import hash_of, version_of
 from vitac.evaluator.version import evaluator_hash, evaluator_version, platform_class
 from vitac.server import tokens
+from vitac.server.cache import Cache
 from vitac.server.db.engine import Database
 from vitac.server.db.models import BoardResult, EpisodeResult, Evaluation, Shard, Submission, Team
 from vitac.server.db.states import EvaluationState, Role, ShardState
@@ -39,7 +40,6 @@ from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.episode_store import row_values, store_episodes
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.scores import store_scores
-from vitac.server.kept import Kept
 from vitac.server.leaderboards import changes, log_boards, standings
 from vitac.server.leaderboards.made_boards import MadeBoards
 from vitac.server.logs.claims import LogClaim
@@ -73,7 +73,7 @@ def make_settings(**values: Any) -> Settings:
 
 def forget_boards() -> None:
     """Lets this process read all boards anew: also those of a copy of a database, and after changes without a note."""
-    changes._kept = Kept(at_most=200)
+    changes._cache = Cache(at_most=200)
     standings._made_boards = MadeBoards()
     log_boards._made_boards = MadeBoards()
 

@@ -49,7 +49,7 @@ def test_check_prints_every_rule_with_value_and_limit(run: Run, folder: Path) ->
     assert "4.000 mm" in out
     assert "2 to 8 mm" in out
     assert "48 of 48 attached" in out
-    assert out.splitlines()[-1].startswith("All rules are kept. Mesh digest ")
+    assert out.splitlines()[-1].startswith("The sensor follows all rules. Mesh digest ")
 
 
 def test_check_of_a_bare_stl_as_json(run: Run, folder: Path) -> None:
@@ -152,7 +152,7 @@ def test_evaluate_plays_the_estimator_with_and_without_sight_of_the_markers(
     run: Run, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shard_process, "COMMAND", short_calibration.COMMAND)
-    monkeypatch.setattr(sensor_command, "_kept_folder", lambda: tmp_path / "kept")
+    monkeypatch.setattr(sensor_command, "_stored_shards_folder", lambda: tmp_path / "kept")
     out_file = tmp_path / "report.json"
     command = ("evaluate", folder, "--episodes", "1:2", "--workers", 1, "--json", out_file, "--figures", "quick")
     code, out, _ = run(*command)

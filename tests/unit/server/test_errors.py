@@ -81,5 +81,5 @@ def test_a_full_disk_is_told_with_what_to_do() -> None:
     error = storage_full()
     assert (error.code, error.status) == (ProblemCode.STORAGE_FULL, HTTPStatus.INSUFFICIENT_STORAGE)
     assert error.detail == (
-        "The disk of the service is full. Nothing of this request was kept; tell the organizers, and try again later."
+        "The disk of the service is full. Nothing of this request was stored. Tell the organizers; try again later."
     )

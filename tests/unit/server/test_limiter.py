@@ -133,9 +133,9 @@ def test_tries_to_sign_in_are_counted_for_the_address_and_for_the_member(tmp_pat
     )
     limiters.note("here", "ann")
     limiters.note("there", "ann")
-    with pytest.raises(ServiceError, match="2 tries to sign in as one member"):
+    with pytest.raises(ServiceError, match="2 sign-in attempts as one member"):
         limiters.note("elsewhere", "ann")
     limiters.note("here", "bob")
     limiters.note("here", "cat")
-    with pytest.raises(ServiceError, match="3 tries to sign in from one address"):
+    with pytest.raises(ServiceError, match="3 sign-in attempts from one address"):
         limiters.note("here", "dan")

@@ -68,7 +68,7 @@ def _of_task(found: SubmissionView, score: TaskScoreView, title: str, episodes: 
 def history_figures(
     request: Request, found: SubmissionView, titles: dict[str, str], past: Sequence[PastResultView]
 ) -> Markup:
-    """Return the history of the team in each task in which it has more than one result, kept until it has another."""
+    """Return the history of the team in each task in which it has more than one result, cached until it has another."""
 
     def make() -> str:
         figures = _histories(found, titles, past)

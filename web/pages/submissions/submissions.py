@@ -102,7 +102,7 @@ async def submission(request: Request) -> Response:
     try:
         values = await _values(request, viewer)
     except UnknownTrack:
-        return await _kept_score(request, viewer)
+        return await _page_of_removed_track(request, viewer)
     refresh = request.query_params.get("refresh") != "off"
     plots, history = _plots(request, values)
     found: SubmissionView = values["submission"]
@@ -120,7 +120,7 @@ async def submission(request: Request) -> Response:
     )
 
 
-async def _kept_score(request: Request, viewer: Viewer | None) -> Response:
+async def _page_of_removed_track(request: Request, viewer: Viewer | None) -> Response:
     """Show what is known of a submission whose track was removed."""
     found = (await _read_detail(request, viewer)).submission
     is_own = viewer is not None and viewer.may_see(found.team.name, found.contest)
@@ -221,7 +221,7 @@ async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
 
 
 def task_part(site: Site, found: SubmissionView, task: str, ends: Sequence[EpisodeView]) -> TaskPart:
-    """Return the part of the page for one task of a submission; the map of a complete evaluation is kept."""
+    """Return the part of the page for one task of a submission; the map of a complete evaluation is cached."""
     evaluation, of_task = found.evaluation, {end.episode: end for end in ends if end.task == task}
 
     def make() -> EpisodeMap:

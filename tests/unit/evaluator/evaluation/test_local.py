@@ -6,8 +6,8 @@ from evaluation_records import make_manifest
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.estimator.regression import Coefficients
-from vitac.evaluator.evaluation.kept import FinishedShard
 from vitac.evaluator.evaluation.local import Evaluation, evaluate
+from vitac.evaluator.evaluation.stored_shards import FinishedShard
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcessFailed
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
@@ -70,7 +70,7 @@ def test_unknown_episode_is_refused_before_anything_runs() -> None:
         run("exit_early", episodes=[271])
 
 
-class KeptFirstShard:
+class FirstShardStored:
     """What an ended evaluation left: its first shard, with what the estimator had learned."""
 
     def __init__(self, learned: Coefficients) -> None:
@@ -88,13 +88,13 @@ class KeptFirstShard:
 
 
 @pytest.mark.usefixtures("one_fake_host")
-@pytest.mark.parametrize("from_where", ["a shard that was kept", "the run before"])
+@pytest.mark.parametrize("from_where", ["a shard that was stored", "the run before"])
 def test_estimator_is_not_calibrated_to_a_sensor_that_it_knows(from_where: str, tmp_path: Path) -> None:
     """The fake calibrates for ever."""
     learned = Coefficients(mesh_hash="0" * 64, starts=7, regressions=())
     options: dict[str, Any] = {"coefficients": learned}
-    if from_where == "a shard that was kept":
-        options = {"kept": KeptFirstShard(learned)}
+    if from_where == "a shard that was stored":
+        options = {"stored": FirstShardStored(learned)}
     track = load_track("track_3")
     found = evaluate(
         submission_dir=Path("succeed"),

@@ -301,7 +301,7 @@ def test_a_whole_new_chain_is_found_by_its_key_and_by_a_receipt_that_was_kept(
     assert audited(database, tmp_path, *statements).findings == [], "in itself the new chain is right"
     assert "Expected the key" in audit(tmp_path / "board.zip", episodes=0, public_key=key).findings[0]
     told = audit(tmp_path / "board.zip", episodes=0, held=[read_receipt(kept)]).findings
-    assert told == ["Receipt 2, which was kept elsewhere, is not in the chain."]
+    assert told == ["Receipt 2, which was stored elsewhere, is not in the chain."]
 
 
 def test_what_is_no_export_is_refused(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Keeps what takes long to make and does not change: the last ones asked for, in this process, for any thread."""
+"""Caches what takes long to make and does not change: the last values asked for, in this process, for any thread."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -9,7 +9,7 @@ KeyT = TypeVar("KeyT", bound=Hashable)
 ValueT = TypeVar("ValueT")
 
 
-class Kept(Generic[KeyT, ValueT]):
+class Cache(Generic[KeyT, ValueT]):
     """Values by keys that name all that they depend on.
 
     Args:
@@ -22,7 +22,7 @@ class Kept(Generic[KeyT, ValueT]):
         self._values: OrderedDict[KeyT, ValueT] = OrderedDict()
 
     def find(self, key: KeyT) -> ValueT | None:
-        """Return the value under a key; None where it is not kept."""
+        """Return the value under a key; None where it is not cached."""
         with self._lock:
             found = self._values.get(key)
             if found is not None:
@@ -38,7 +38,7 @@ class Kept(Generic[KeyT, ValueT]):
                 self._values.popitem(last=False)
 
     def get(self, key: KeyT, make: Callable[[], ValueT]) -> ValueT:
-        """Return the value under a key; made only where it is not kept, perhaps by two threads at once."""
+        """Return the value under a key; made only where it is not cached, perhaps by two threads at once."""
         with self._lock:
             if key in self._values:
                 self._values.move_to_end(key)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 from vitac.evaluator.episodes.records import EpisodeRecord
-from vitac.evaluator.evaluation import kept as kept_module
-from vitac.evaluator.evaluation.kept import FinishedShard, KeptShards
+from vitac.evaluator.evaluation import stored as kept_module
 from vitac.evaluator.evaluation.local import Evaluation, evaluate
+from vitac.evaluator.evaluation.stored_shards import FinishedShard, StoredShards
 from vitac.evaluator.figures.figures import FigureChoice
 from vitac.evaluator.shards import process as shard_process
 from vitac.evaluator.shards.order import ShardOrder
@@ -30,9 +30,9 @@ def play(
     episodes: tuple[int, ...] = (1, 2, 61),
     figures: FigureChoice = FigureChoice.NONE,
 ) -> Evaluation:
-    kept = KeptShards(folder, of="digest of a sensor")
+    stored = StoredShards(folder, of="digest of a sensor")
     return evaluate(
-        submission_dir=Path(behaviour), track=TRACK, task=TASK, episodes=episodes, kept=kept, figures=figures
+        submission_dir=Path(behaviour), track=TRACK, task=TASK, episodes=episodes, stored=stored, figures=figures
     )
 
 
@@ -52,14 +52,14 @@ def test_ended_evaluation_goes_on_where_it_was(tmp_path: Path, monkeypatch: pyte
     whole = play(tmp_path)
     assert len(list(tmp_path.iterdir())) == 2
     monkeypatch.setattr(shard_process, "COMMAND", (sys.executable, "-c", "raise SystemExit(1)"))
-    kept = KeptShards(tmp_path, of="digest of a sensor")
+    stored = StoredShards(tmp_path, of="digest of a sensor")
     again = evaluate(
         submission_dir=Path("elsewhere"),
         track=TRACK,
         task=TASK,
         episodes=(1, 2, 61),
         workers=2,
-        kept=kept,
+        stored=stored,
         on_episode=told.append,
     )
     assert again.result_hash == whole.result_hash != first.result_hash
@@ -78,43 +78,43 @@ def test_only_the_same_shard_of_the_same_sensor_and_evaluator_is_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shard = finished(tmp_path)
-    kept = KeptShards(tmp_path, of="a")
-    kept.store(ORDER, shard.records, shard.result)
+    stored = StoredShards(tmp_path, of="a")
+    stored.store(ORDER, shard.records, shard.result)
     for same in (ORDER, ORDER.model_copy(update={"submission": Path("/b"), "sensor": Path("/s"), "slot": 3})):
-        assert kept.load(same) == shard
+        assert stored.load(same) == shard
     for other in ({"episodes": (1, 2)}, {"shard": 1}, {"task": "lock-opening"}, {"track": "track_3"}):
-        assert kept.load(ORDER.model_copy(update=other)) is None
-    assert KeptShards(tmp_path, of="b").load(ORDER) is None
+        assert stored.load(ORDER.model_copy(update=other)) is None
+    assert StoredShards(tmp_path, of="b").load(ORDER) is None
     monkeypatch.setattr(kept_module, "version_of", lambda _: "another")
-    assert kept.load(ORDER) is None
+    assert stored.load(ORDER) is None
 
 
 @pytest.mark.usefixtures("one_fake_host")
 def test_damaged_file_is_played_again(tmp_path: Path) -> None:
     shard = finished(tmp_path)
-    kept = KeptShards(tmp_path, of="a")
-    kept.store(ORDER, shard.records, shard.result)
+    stored = StoredShards(tmp_path, of="a")
+    stored.store(ORDER, shard.records, shard.result)
     (file,) = tmp_path.iterdir()
     for content in (file.read_bytes()[:-9], b"", b"[]", b"\xff"):
         file.write_bytes(content)
-        assert kept.load(ORDER) is None
-    kept.store(ORDER, shard.records, shard.result)
-    assert kept.load(ORDER) == shard
+        assert stored.load(ORDER) is None
+    stored.store(ORDER, shard.records, shard.result)
+    assert stored.load(ORDER) == shard
 
 
 @pytest.mark.usefixtures("one_fake_host")
 def test_what_nobody_used_for_a_month_is_removed(tmp_path: Path) -> None:
     shard = finished(tmp_path)
-    kept = KeptShards(tmp_path, of="a")
+    stored = StoredShards(tmp_path, of="a")
     for number in (0, 1):
-        kept.store(ORDER.model_copy(update={"shard": number}), shard.records, shard.result)
+        stored.store(ORDER.model_copy(update={"shard": number}), shard.records, shard.result)
     old_s = time.time() - 31 * 86400
     for file in tmp_path.iterdir():
         os.utime(file, (old_s, old_s))
-    assert kept.load(ORDER) == shard
-    KeptShards(tmp_path, of="a")
+    assert stored.load(ORDER) == shard
+    StoredShards(tmp_path, of="a")
     assert len(list(tmp_path.iterdir())) == 1
-    assert kept.load(ORDER) == shard
+    assert stored.load(ORDER) == shard
 
 
 @pytest.mark.usefixtures("one_fake_host")
@@ -129,7 +129,7 @@ def test_a_run_that_measures_no_figures_is_found_whichever_were_asked_for(tmp_pa
 def test_a_file_of_another_shard_is_played_again(tmp_path: Path) -> None:
     shard = finished(tmp_path)
     (record,) = shard.records
-    kept = KeptShards(tmp_path, of="a")
+    stored = StoredShards(tmp_path, of="a")
     for records, index in (
         ((), 0),
         ((record,), 1),
@@ -137,13 +137,13 @@ def test_a_file_of_another_shard_is_played_again(tmp_path: Path) -> None:
         ((record.model_copy(update={"episode": 2}),), 0),
         ((record.model_copy(update={"task": "lock-opening"}),), 0),
     ):
-        kept.store(ORDER, records, shard.result.model_copy(update={"index": index}))
-        assert kept.load(ORDER) is None
-    kept.store(ORDER, shard.records, shard.result)
-    assert kept.load(ORDER) == shard
+        stored.store(ORDER, records, shard.result.model_copy(update={"index": index}))
+        assert stored.load(ORDER) is None
+    stored.store(ORDER, shard.records, shard.result)
+    assert stored.load(ORDER) == shard
     all_of_it = ORDER.model_copy(update={"episodes": None})
-    kept.store(all_of_it, shard.records, shard.result)
-    assert kept.load(all_of_it) is None, "it does not say which episodes there must be"
+    stored.store(all_of_it, shard.records, shard.result)
+    assert stored.load(all_of_it) is None, "it does not say which episodes there must be"
 
 
 @pytest.mark.usefixtures("one_fake_host")
@@ -159,16 +159,16 @@ def test_files_of_the_users_own_are_never_removed(tmp_path: Path, monkeypatch: p
         f"{digest.upper()}.json",
     )
     for name in (*own, f"{digest}.json"):
-        (tmp_path / name).write_text("kept for years")
+        (tmp_path / name).write_text("stored for years")
     (tmp_path / f"{digest[::-1]}.json").mkdir()
     with monkeypatch.context() as killed:  # before the file has its name
         killed.setattr(Path, "replace", lambda *_: None)
-        KeptShards(tmp_path, of="a").store(ORDER, shard.records, shard.result)
+        StoredShards(tmp_path, of="a").store(ORDER, shard.records, shard.result)
     assert len(list(tmp_path.iterdir())) == len(own) + 3
     old_s = time.time() - 31 * 86400
     for path in tmp_path.iterdir():
         os.utime(path, (old_s, old_s))
-    KeptShards(tmp_path, of="a")
+    StoredShards(tmp_path, of="a")
     assert {path.name for path in tmp_path.iterdir()} == {*own, f"{digest[::-1]}.json"}
 
 
@@ -176,4 +176,4 @@ def test_files_of_the_users_own_are_never_removed(tmp_path: Path, monkeypatch: p
 def test_folder_that_cannot_be_written_keeps_nothing(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     whole = play(tmp_path / "file" / "folder")
-    assert whole.result_hash == play(tmp_path / "kept").result_hash
+    assert whole.result_hash == play(tmp_path / "stored").result_hash

@@ -1,15 +1,15 @@
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from vitac.server.kept import Kept
+from vitac.server.cache import Cache
 
 
 def test_makes_a_value_once_and_drops_what_was_not_asked_for_longest() -> None:
-    kept: Kept[str, int] = Kept(at_most=2)
+    cache: Cache[str, int] = Cache(at_most=2)
     made: list[str] = []
 
     def ask(key: str) -> int:
-        return kept.get(key, lambda: made.append(key) or len(made))  # type: ignore[func-returns-value]
+        return cache.get(key, lambda: made.append(key) or len(made))  # type: ignore[func-returns-value]
 
     assert [ask(key) for key in ("a", "b", "a", "c", "a")] == [1, 2, 1, 3, 1]
     assert ask("b") == 4
@@ -17,24 +17,24 @@ def test_makes_a_value_once_and_drops_what_was_not_asked_for_longest() -> None:
 
 
 def test_what_was_made_with_others_is_kept_and_found() -> None:
-    kept: Kept[str, int] = Kept(at_most=2)
+    cache: Cache[str, int] = Cache(at_most=2)
     for key, value in (("a", 1), ("b", 2)):
-        kept.keep(key, value)
-    assert kept.find("a") == 1
-    kept.keep("c", 3)
-    assert [kept.find(key) for key in ("a", "b", "c")] == [1, None, 3]
-    assert kept.get("c", lambda: 4) == 3
+        cache.keep(key, value)
+    assert cache.find("a") == 1
+    cache.keep("c", 3)
+    assert [cache.find(key) for key in ("a", "b", "c")] == [1, None, 3]
+    assert cache.get("c", lambda: 4) == 3
 
 
 def test_a_value_that_could_not_be_made_is_asked_for_again() -> None:
-    kept: Kept[str, int] = Kept(at_most=2)
+    cache: Cache[str, int] = Cache(at_most=2)
     with pytest.raises(ZeroDivisionError):
-        kept.get("a", lambda: 1 // 0)
-    assert kept.get("a", lambda: 2) == 2
+        cache.get("a", lambda: 1 // 0)
+    assert cache.get("a", lambda: 2) == 2
 
 
 def test_many_threads_may_ask_at_once() -> None:
-    kept: Kept[int, int] = Kept(at_most=3)
+    cache: Cache[int, int] = Cache(at_most=3)
     with ThreadPoolExecutor(8) as threads:
-        found = list(threads.map(lambda n: kept.get(n % 5, lambda: n % 5), range(2000)))
+        found = list(threads.map(lambda n: cache.get(n % 5, lambda: n % 5), range(2000)))
     assert found == [n % 5 for n in range(2000)]

@@ -18,7 +18,7 @@ from ..strict_model import StrictModel
 from ..tracks.versions import version_of
 from ..version import platform_class
 
-# A shard that was neither finished nor used again for so long [s] is removed.
+# A shard that was neither finished nor used again for this time [s] is removed.
 _UNUSED_S = 30 * 86400.0
 # What a result depends on is in the name of what is played; these say only where it lies, which process plays it, and
 # what would be learned again.
@@ -41,7 +41,7 @@ class FinishedShard(StrictModel):
         return self.result.index == order.shard and played == {(order.task, it) for it in order.episodes or ()}
 
 
-class KeptShards:
+class StoredShards:
     """Finished shards in a folder, one file each, named by all that decides what is in it.
 
     Args:
