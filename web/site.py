@@ -291,8 +291,8 @@ def navigation(site: Site, viewer: Viewer | None) -> tuple[tuple[str, str], ...]
             links.append(("/team", "Team"))
         if viewer.principal.reads_all_teams or viewer.organizes_something:
             links.append(("/judging", "Judging"))
+        if viewer.organizes_something:
+            links.append(("/desk", "Desk"))
         if viewer.is_organizer:
-            links += [("/desk", "Desk"), ("/operations", "Operations")]
-        elif viewer.organizes_something:
-            links += [("/appeals", "Appeals"), ("/rejudging", "Rejudging")]
+            links.append(("/operations", "Operations"))
     return tuple(links)

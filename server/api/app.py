@@ -16,7 +16,20 @@ from ..notices.sending import NoticeSender
 from ..operations.exposition import Exposition
 from ..services import Services, open_services
 from ..settings import Settings
-from . import appeals, health, judging, members, messages, metrics, problems, receipts, submissions, teams, tracks
+from . import (
+    appeals,
+    competitions,
+    health,
+    judging,
+    members,
+    messages,
+    metrics,
+    problems,
+    receipts,
+    submissions,
+    teams,
+    tracks,
+)
 from . import rejudging as rejudgements
 from .middleware.body_limit import BodyLimit
 from .middleware.request_head import RequestHead
@@ -132,6 +145,7 @@ def _routes() -> Sequence[BaseRoute]:
         judging.router,
         uploads.router,
         tracks.router,
+        competitions.router,
     ):
         together.include_router(router, prefix=API_PREFIX)
     return together.routes

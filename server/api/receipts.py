@@ -16,16 +16,18 @@ router = APIRouter(tags=["receipts"], responses=RESPONSES)
 PAGE_LINKS = 1000
 
 
+@router.get("/competitions/{contest}/receipts")
 @router.get("/receipts")
 def get_chain(
     services: ServicesOf,
     *,
+    contest: str | None = None,
     after: Annotated[int, Query(ge=0, le=2**53, description="`next_after` of the page before.")] = 0,
     limit: Annotated[int, Query(ge=1, le=PAGE_LINKS)] = PAGE_LINKS,
 ) -> ChainView:
-    """Return the public key that signs receipts, and the chain that they make. `vitac receipt verify` reads it."""
+    """Return the public key that signs receipts, and the chain that they make, or a competition's links of it."""
     with services.database.transaction() as session:
-        return receipts.chain_view(session, after=after, limit=limit)
+        return receipts.chain_view(session, after=after, limit=limit, contest=contest)
 
 
 @router.get("/submissions/{submission_id}/receipts")

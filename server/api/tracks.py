@@ -1,16 +1,12 @@
-"""Routes that anybody may read: tracks, competition and leaderboards."""
+"""Routes that anybody may read: tracks and leaderboards."""
 
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
-from ..contest.view import competition_list_view, competition_view
 from ..leaderboards.made_boards import MadeBoard
 from ..leaderboards.shown import shown_leaderboard, shown_log_boards
-from ..publishing.archive import archive_view
 from ..tracks import load_known_track, track_file, track_view, track_views
-from ..views.archive import ArchiveView
-from ..views.contest import CompetitionListView, CompetitionView
 from ..views.leaderboards import LeaderboardView, LogBoardsView
 from ..views.tracks import TrackListView, TrackView
 from .access import ReaderOf, ServicesOf
@@ -41,29 +37,6 @@ def get_track(services: ServicesOf, track: str) -> TrackView:
 def get_track_file(track: str) -> Response:
     """Return the file of a track as YAML text, with which its episodes can be played and its results audited."""
     return Response(track_file(track), media_type="application/yaml")
-
-
-@router.get("/competitions")
-def list_competitions(services: ServicesOf) -> CompetitionListView:
-    """Return the competitions of this service, the one that opened last first."""
-    with services.database.reading() as session:
-        return competition_list_view(session)
-
-
-@router.get("/competitions/{contest}")
-@router.get("/competition")
-def get_competition(services: ServicesOf, contest: str | None = None) -> CompetitionView:
-    """Return a competition: schedule, rules, prizes, commitments, at the end winners; without a name the last one."""
-    with services.database.reading() as session:
-        return competition_view(session, contest)
-
-
-@router.get("/competitions/{contest}/archive")
-@router.get("/competition/archive")
-def get_archive(services: ServicesOf, contest: str | None = None) -> ArchiveView:
-    """Return winners and boards as they were when a competition was finalized, and how to cite; before that 404."""
-    with services.database.reading() as session:
-        return archive_view(session, contest)
 
 
 @router.get("/competitions/{contest}/leaderboards/{track}", response_model=LeaderboardView, responses=UNCHANGED)

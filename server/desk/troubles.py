@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from uuid import UUID
 
-from sqlalchemy import exists, func, or_, select
+from sqlalchemy import ColumnElement, exists, func, or_, select
 from sqlalchemy.orm import Session, selectinload
 
 from ..contest.contest import Contest
@@ -14,6 +14,7 @@ from ..contest.stages import Stage
 from ..db.models import EpisodeDifference, Evaluation, LogCopy, Qualification, Submission
 from ..evaluations.readiness import count_running
 from ..evaluations.verdicts import ServiceVerdict
+from ..principals import Principal
 
 SHOWN = 20
 
@@ -59,14 +60,20 @@ class StageState:
     over: bool
 
 
-def troubles(session: Session) -> list[Trouble]:
-    """Return the newest evaluations that machines failed, that gave other results when run again, or are copies."""
+def troubles(session: Session, by: Principal) -> list[Trouble]:
+    """Return an organizer's newest evaluations that machines failed, that gave other results again, or are copies.
+
+    Raises:
+        ServiceError: forbidden.
+    """
+    by.require_organizer(by.contest)
     differs = exists().where(EpisodeDifference.evaluation_id == Evaluation.id)
     copied = exists().where(LogCopy.evaluation_id == Evaluation.id)
     failed = Evaluation.verdict_code == ServiceVerdict.MACHINE_FAILED.value
     rows = session.execute(
         select(Evaluation, failed, differs, copied)
-        .where(or_(failed, differs, copied))
+        .join(Evaluation.submission)
+        .where(or_(failed, differs, copied), *_own(by))
         .order_by(Evaluation.created_at.desc(), Evaluation.id)
         .limit(SHOWN)
         .options(selectinload(Evaluation.submission).selectinload(Submission.team))
@@ -86,8 +93,13 @@ def troubles(session: Session) -> list[Trouble]:
     ]
 
 
-def stages(session: Session, at: datetime | None = None) -> Sequence[StageState]:
-    """Return the stages of all competitions; `at` is the moment, None: now."""
+def stages(session: Session, by: Principal, at: datetime | None = None) -> Sequence[StageState]:
+    """Return the stages of an organizer's competitions; `at` is the moment, None: now.
+
+    Raises:
+        ServiceError: forbidden.
+    """
+    by.require_organizer(by.contest)
     now, contests = at or datetime.now(UTC), Contest.read_all(session)
     return [
         StageState(
@@ -102,8 +114,14 @@ def stages(session: Session, at: datetime | None = None) -> Sequence[StageState]
             over=stage.is_over(now),
         )
         for contest in contests
+        if by.organizes(contest.name)
         for stage in contest.stages_held_here
     ]
+
+
+def _own(by: Principal) -> tuple[ColumnElement[bool], ...]:
+    """Return the condition that a submission belongs to the organizer's competition; none for the whole service."""
+    return () if by.is_organizer else (Submission.contest == by.contest,)
 
 
 def _words(*, by_machines: bool, differing: bool, copy: bool) -> str:

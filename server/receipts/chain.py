@@ -29,6 +29,7 @@ from .receipt import (
     SubmissionReceipt,
     TaskResult,
     board_name,
+    end_name,
     receipt_of,
     sign,
     team_commitment,
@@ -128,16 +129,14 @@ def chain_state(session: Session) -> ChainState:
     return ChainState(public_key=ensure_key(session).public_key, receipts=number, last=last)
 
 
-def links(session: Session, *, after: int = 0, limit: int | None = None) -> list[Link]:
-    """Return the links of the chain that come after a number, as they are stored."""
-    rows = session.scalars(
-        select(ReceiptRow)
-        .where(ReceiptRow.number > after)
-        .options(defer(ReceiptRow.content))
-        .order_by(ReceiptRow.number)
-        .limit(limit)
-    )
-    return [_link(row) for row in rows]
+def links(session: Session, *, after: int = 0, limit: int | None = None, contest: str | None = None) -> list[Link]:
+    """Return the links of the chain that come after a number, as they are stored; `contest` None: of all."""
+    query = select(ReceiptRow).where(ReceiptRow.number > after).options(defer(ReceiptRow.content))
+    if contest is not None:
+        query = query.where(
+            or_(ReceiptRow.board.startswith(f"{contest}/", autoescape=True), ReceiptRow.board == end_name(contest))
+        )
+    return [_link(row) for row in session.scalars(query.order_by(ReceiptRow.number).limit(limit))]
 
 
 def receipts_of_board(session: Session, stage: Stage, kind: SubmissionKind) -> Sequence[Receipt | SubmissionReceipt]:

@@ -169,12 +169,17 @@ class End(Content):
     @property
     def board(self) -> str:
         """Which competition it ends, as the chain names it."""
-        return f"end of {self.contest}"
+        return end_name(self.contest)
 
 
 def team_commitment(salt: str, name: str) -> str:
     """Return the SHA-256 [hex] by which a receipt names a team: its name cannot be read from it, only compared."""
     return hashlib.sha256(canonical_json({"salt": salt, "team": name})).hexdigest()
+
+
+def end_name(contest: str) -> str:
+    """Return how the chain names the end of a competition."""
+    return f"end of {contest}"
 
 
 def board_name(contest: str, track: str, stage: str, kind: SubmissionKind) -> str:

@@ -4,6 +4,7 @@ from uuid import UUID
 
 from sqlalchemy.orm import Session
 
+from ..contest.contest import Contest
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
 from ..receipts import chain
@@ -45,12 +46,23 @@ def newest_receipt(session: Session, by: Principal, submission_id: UUID) -> Rece
     return found[-1]
 
 
-def chain_view(session: Session, *, after: int, limit: int) -> ChainView:
-    """Return a page of the chain, which anybody may read: its links tell no result."""
+def chain_view(session: Session, *, after: int, limit: int, contest: str | None = None) -> ChainView:
+    """Return a page of the chain, which anybody may read: its links tell no result.
+
+    Args:
+        session: of the transaction.
+        after: number of the last link of the page before.
+        limit: maximum number of links.
+        contest: name of the competition whose links are listed; None: all links.
+
+    Raises:
+        ServiceError: there is no such competition.
+    """
+    name = None if contest is None else Contest.find(session, contest).name
     state = chain.chain_state(session)
-    found = chain.links(session, after=after, limit=limit)
-    items = [LinkView(**link.model_dump(), digest=link.digest) for link in found]
-    is_end = not items or items[-1].number >= state.receipts
+    found = chain.links(session, after=after, limit=limit + 1, contest=name)
+    items = [LinkView(**link.model_dump(), digest=link.digest) for link in found[:limit]]
+    is_end = not items or len(found) <= limit
     return ChainView(
         public_key=state.public_key,
         receipts=state.receipts,

@@ -22,10 +22,10 @@ class LinkView(View):
 
 
 class ChainView(View):
-    """A page of the chain, from its beginning."""
+    """A page of the chain, or of the links of one competition, from the beginning."""
 
     public_key: str = Field(description="Ed25519 key of this service (32 bytes, hexadecimal); keep a copy of it.")
-    receipts: int = Field(description="How many there are.")
-    last: str | None = Field(description="Digest of the last link; null without one.")
+    receipts: int = Field(description="Length of the whole chain.")
+    last: str | None = Field(description="Digest of the last link of the whole chain; null without one.")
     items: list[LinkView]
     next_after: int | None = Field(description="Give this as `after` for the next page; null on the last one.")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from vitac.server.appeals import appeals
 
 from ..site import page, require_viewer, site_of
-from .addresses import contest_in
+from .addresses import competition_address, contest_in
 from .forms import act, id_in, number_in
 
 if TYPE_CHECKING:
@@ -27,7 +27,15 @@ async def list_appeals(request: Request) -> Response:
     by, contest = viewer.principal, contest_in(request)
     found = await site_of(request).ask(lambda session: appeals.visible(session, by, contest))
     given = request.query_params.get("submission", "")
-    return page(request, "appeals.html", viewer=viewer, section=ADDRESS, found=found, submission=given)
+    return page(
+        request,
+        "appeals.html",
+        viewer=viewer,
+        section=ADDRESS,
+        found=found,
+        submission=given,
+        appeals_address=_address(request),
+    )
 
 
 async def open_appeal(request: Request) -> Response:
@@ -39,11 +47,18 @@ async def open_appeal(request: Request) -> Response:
         text = fields.get("text", "")
         return appeals.open_appeal(session, by, id_in(fields, "submission"), text, task=task, episode=episode)
 
-    return await act(request, opened, back=ADDRESS)
+    return await act(request, opened, back=_address(request))
 
 
 async def withdraw(request: Request) -> Response:
     """Take an appeal back."""
     return await act(
-        request, lambda session, by, fields: appeals.withdraw(session, by, number_in(fields, "id")), back=ADDRESS
+        request,
+        lambda session, by, fields: appeals.withdraw(session, by, number_in(fields, "id")),
+        back=_address(request),
     )
+
+
+def _address(request: Request) -> str:
+    contest = contest_in(request)
+    return ADDRESS if contest is None else f"{competition_address(contest)}{ADDRESS}"

@@ -40,7 +40,7 @@ N_ENTRIES = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Desk:
-    """What organizers look at often.
+    """What organizers look at often; those of one competition see its submissions, appeals and stages.
 
     Attributes:
         waiting: teams that wait to be accepted.
@@ -68,18 +68,18 @@ async def desk(request: Request) -> Response:
         ServiceError: the visitor is none.
     """
     viewer = await require_viewer(request)
-    by = viewer.principal
+    by, serves_all = viewer.principal, viewer.is_organizer
 
     def read(session: Session) -> Desk:
-        by.require_organizer()
+        by.require_organizer(by.contest)
         return Desk(
-            waiting=[teams.organizer_team_view(session, team) for team in teams.waiting(session)],
-            troubles=troubles(session),
-            asked=questions.visible(session, by, open_only=True),
+            waiting=[teams.organizer_team_view(session, team) for team in teams.waiting(session)] if serves_all else (),
+            troubles=troubles(session, by),
+            asked=questions.visible(session, by, open_only=True) if serves_all else (),
             appealed=appeals.visible(session, by, open_only=True),
-            stages=stages(session),
-            said=announcements.shown(session),
-            entries=[entry_view(entry) for entry in newest_entries(session, N_ENTRIES)],
+            stages=stages(session, by),
+            said=announcements.shown(session) if serves_all else (),
+            entries=[entry_view(entry) for entry in newest_entries(session, N_ENTRIES)] if serves_all else (),
         )
 
     found = await site_of(request).ask(read)

@@ -8,7 +8,7 @@ from starlette.responses import Response
 from vitac.server.submissions import receipts as of_submissions
 
 from ..site import page, require_viewer, site_of, viewer_of
-from .addresses import as_id
+from .addresses import as_id, contest_in
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -16,12 +16,16 @@ if TYPE_CHECKING:
 
 async def receipts(request: Request) -> Response:
     """Show the public key, how long the chain is, its end, and how to check a receipt."""
+    contest = contest_in(request)
     return page(
         request,
         "receipts.html",
         viewer=await viewer_of(request),
         section="/receipts",
-        chain=await site_of(request).ask(lambda session: of_submissions.chain_view(session, after=0, limit=0)),
+        contest=contest,
+        chain=await site_of(request).ask(
+            lambda session: of_submissions.chain_view(session, after=0, limit=0, contest=contest)
+        ),
     )
 
 

@@ -11,12 +11,12 @@ PAGES_OF_ROLES = {
     "visitor": (
         *("/announcements", "/competition", "/join", "/sign-in", BOARD, "PUBLIC", "SUBMISSION"),
         *("/competitions", COMPETITION),
-        *(f"{COMPETITION}/tracks/track_1", f"{COMPETITION}/tracks/track_1/logs"),
+        *(f"{COMPETITION}/tracks/track_1", f"{COMPETITION}/tracks/track_1/logs", f"{COMPETITION}/receipts"),
     ),
     "other": ("/appeals", "PUBLIC", "SUBMISSION"),
     "judge": ("/appeals", "/judging", BOARD, "SUBMISSION"),
     "participant": ("/team", "/announcements", "/appeals", f"{COMPETITION}/appeals", BOARD, "SUBMISSION"),
-    "organizer": ("/desk", "/appeals", "/judging", "/rejudging", "/operations", BOARD, "SUBMISSION"),
+    "organizer": (COMPETITION, "/desk", "/appeals", "/judging", "/rejudging", "/operations", BOARD, "SUBMISSION"),
 }
 """What each role looks at in a service (`test_people_in_browser`).
 

@@ -6,11 +6,13 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
+from vitac.server.contest import freezing
 from vitac.server.contest.view import competition_list_view, competition_view
 from vitac.server.messages import announcements
 
-from ...site import page, site_of, viewer_of
+from ...site import page, principal_of, site_of, viewer_of
 from ..addresses import board_address, competition_address, contest_in
+from ..forms import act
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,5 +57,22 @@ async def competition(request: Request) -> Response:
         board_address=partial(board_address, contest),
         has_others=n_competitions > 1,
         said=said[:N_SAID],
+        is_organizer=contest is not None and principal_of(viewer).organizes(contest),
         now=datetime.now(UTC),
+    )
+
+
+async def freeze(request: Request) -> Response:
+    """Freeze the boards for everybody but organizers."""
+    contest = contest_in(request)
+    return await act(
+        request, lambda session, by, _: freezing.freeze(session, by, contest), back=competition_address(contest)
+    )
+
+
+async def unfreeze(request: Request) -> Response:
+    """Show all results on the boards again."""
+    contest = contest_in(request)
+    return await act(
+        request, lambda session, by, _: freezing.unfreeze(session, by, contest), back=competition_address(contest)
     )

@@ -78,6 +78,11 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", f"{COMPETITION}/leaderboards/{{track}}"): EVERYBODY,
     ("get", f"{COMPETITION}/leaderboards/{{track}}/logs"): EVERYBODY,
     ("get", f"{COMPETITION}/appeals"): SIGNED_IN,
+    ("get", f"{COMPETITION}/receipts"): EVERYBODY,
+    ("post", f"{COMPETITION}/freeze"): ORGANIZERS,
+    ("post", f"{COMPETITION}/unfreeze"): ORGANIZERS,
+    ("post", f"{COMPETITION}/finalize"): ORGANIZERS,
+    ("post", f"{COMPETITION}/reopen"): ORGANIZERS,
     ("get", "/api/v1/receipts"): EVERYBODY,
     ("get", "/api/v1/leaderboards/{track}"): EVERYBODY,
     ("get", "/api/v1/leaderboards/{track}/logs"): EVERYBODY,
@@ -309,6 +314,8 @@ BODIES: dict[tuple[str, str], Options] = {
     ("post", "/api/v1/teams/join"): lambda setting, _: {
         "json": {"code": setting.new_invitation()[1], "name": uuid4().hex[:12]}
     },
+    ("post", f"{COMPETITION}/finalize"): lambda *_: {"json": {}},
+    ("post", f"{COMPETITION}/reopen"): lambda *_: {"json": {"reason": "An appeal was upheld."}},
     ("patch", TEAM): lambda *_: {"json": {"accepted": True}},
     ("post", f"{TEAM}/merge"): lambda setting, _: {"json": {"into": setting.new_team()}},
     ("put", f"{TEAM}/captain"): lambda setting, _: {"json": {"member_id": setting.captain()}},

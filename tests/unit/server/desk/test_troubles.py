@@ -13,6 +13,7 @@ from vitac.server.db.states import EvaluationState
 from vitac.server.desk import troubles as module
 from vitac.server.desk.troubles import StageState, stages, troubles
 from vitac.server.evaluations.verdicts import ServiceVerdict
+from vitac.server.principals import CONSOLE
 
 from competitions import CLOSES, FIRST, LATER_CLOSES, SECOND, make_competition, put_in_place
 
@@ -62,12 +63,12 @@ class Desk:
 def test_each_trouble_is_said_once_and_the_newest_comes_first(session: Session) -> None:
     desk = Desk(session)
     good, twice, both = desk.evaluation(1), desk.evaluation(2), desk.evaluation(3)
-    assert troubles(session) == []
+    assert troubles(session, CONSOLE) == []
     for episode in (1, 2, 3):
         desk.differs(twice, episode)
     desk.differs(both)
     desk.is_copy(both, of=good)
-    found = troubles(session)
+    found = troubles(session, CONSOLE)
     assert [one.submission_id for one in found] == [both.submission_id, twice.submission_id]
     assert [one.problem for one in found] == [
         "an episode gave another result when it was run again; a log with the states of another team's",
@@ -79,10 +80,10 @@ def test_each_trouble_is_said_once_and_the_newest_comes_first(session: Session) 
         ("Team A", titled, BEGIN + timedelta(minutes=2), twice.submission.name),
     ]
     put_in_place(session, make_competition())
-    assert {one.track_title for one in troubles(session)} == {"Touch"}, "as the competition calls it"
+    assert {one.track_title for one in troubles(session, CONSOLE)} == {"Touch"}, "as the competition calls it"
     good.submission.track = both.submission.track = "gone"
     session.flush()
-    assert [one.track_title for one in troubles(session)] == ["gone", "Touch"]
+    assert [one.track_title for one in troubles(session, CONSOLE)] == ["gone", "Touch"]
 
 
 def test_a_failure_of_the_machines_is_a_trouble_and_one_of_the_policy_is_none(session: Session) -> None:
@@ -96,7 +97,7 @@ def test_a_failure_of_the_machines_is_a_trouble_and_one_of_the_policy_is_none(se
         )  # fmt: skip
         session.add(failed)
     session.flush()
-    (found,) = troubles(session)
+    (found,) = troubles(session, CONSOLE)
     assert (found.problem, found.at) == ("the machines failed", BEGIN + timedelta(minutes=2))
 
 
@@ -106,7 +107,7 @@ def test_so_many_are_shown_at_most(session: Session, monkeypatch: pytest.MonkeyP
     for evaluation in made:
         desk.differs(evaluation)
     monkeypatch.setattr(module, "SHOWN", 3)
-    assert [one.submission_id for one in troubles(session)] == [one.submission_id for one in made[:0:-1]]
+    assert [one.submission_id for one in troubles(session, CONSOLE)] == [one.submission_id for one in made[:0:-1]]
 
 
 def state_of(found: StageState) -> tuple[str, str, int | None, int, int, bool]:
@@ -114,7 +115,7 @@ def state_of(found: StageState) -> tuple[str, str, int | None, int, int, bool]:
 
 
 def test_stages_tell_how_far_they_are(session: Session) -> None:
-    assert stages(session) == []
+    assert stages(session, CONSOLE) == []
     put_in_place(session, make_competition())
     desk = Desk(session)
     for minute in range(3):
@@ -125,18 +126,18 @@ def test_stages_tell_how_far_they_are(session: Session) -> None:
     session.add(Qualification(contest="cup", track="track_2", stage=SECOND, team_id=desk.team.id))
     session.flush()
     before, at_the_end, after = CLOSES - timedelta(seconds=1), CLOSES, LATER_CLOSES
-    assert [state_of(one) for one in stages(session, before)] == [
+    assert [state_of(one) for one in stages(session, CONSOLE, before)] == [
         (TRACK, FIRST, None, 3, 0, False),
         (TRACK, SECOND, 1, 0, 0, False),
     ]
-    assert [(one.track_title, one.stage.title) for one in stages(session)] == [
+    assert [(one.track_title, one.stage.title) for one in stages(session, CONSOLE)] == [
         ("Touch", "Simulation"),
         ("Touch", "Final"),
     ]
-    assert [one.over for one in stages(session, at_the_end)] == [True, False]
-    assert [one.over for one in stages(session, after)] == [True, True]
+    assert [one.over for one in stages(session, CONSOLE, at_the_end)] == [True, False]
+    assert [one.over for one in stages(session, CONSOLE, after)] == [True, True]
 
 
 def test_stages_that_are_held_elsewhere_are_not_shown(session: Session) -> None:
     put_in_place(session, make_competition(taken_here=False))
-    assert stages(session, CLOSES) == []
+    assert stages(session, CONSOLE, CLOSES) == []

@@ -88,15 +88,15 @@ def test_submissions_in_trouble_and_stages_are_listed(service: CliService) -> No
     shown = visitor_of_role(service, Role.ORGANIZER).get("/desk").text
     assert '<a href="/tracks/track_1?stage=stage2">Touch, Final</a>' in shown
     with service.database.transaction() as session:
-        state = {one.stage.name: (one.qualified, one.submissions, one.over) for one in stages(session)}
+        state = {one.stage.name: (one.qualified, one.submissions, one.over) for one in stages(session, CONSOLE)}
         assert state == {"stage1": (None, 0, False), "stage2": (0, 0, False)}
         session.execute(update(Team).values(disqualified_at=None, disqualified_for=None))
         content = make_competition()
         content["tracks"] = {"mail": content["tracks"]["track_1"] | {"taken_here": False}}
         put_in_place(session, content)
-        assert list(stages(session)) == []
+        assert list(stages(session, CONSOLE)) == []
         submission = submit(session, make_principal(session, "Wasps"), "differs")
-        assert troubles(session) == []
+        assert troubles(session, CONSOLE) == []
         evaluation = newest_evaluation(session, submission)
         session.add(
             EpisodeDifference(
@@ -108,5 +108,5 @@ def test_submissions_in_trouble_and_stages_are_listed(service: CliService) -> No
             )
         )
         session.flush()
-        (found,) = troubles(session)
+        (found,) = troubles(session, CONSOLE)
         assert (found.team, "another result" in found.problem) == ("Wasps", True)

@@ -95,10 +95,58 @@ def test_an_organizer_of_one_competition_is_led_to_what_belongs_to_it(
     assert f'<a href="/competitions/{CLASS}">The &lt;class&gt;</a>' in shown
     assert f'href="{BOARDS[CLASS]}?stage=stage1"' in shown
     assert class_organizer.get(f"/submissions/{other}").status_code == 404
-    for refused in ("/desk", "/operations"):
-        assert class_organizer.get(refused).status_code in {403, 404}
-        assert f'href="{refused}"' not in listed
+    assert class_organizer.get("/operations").status_code in {403, 404}
+    assert 'href="/operations"' not in listed
     assert class_organizer.get(f"/competitions/{CLASS}/appeals").status_code == 200
+
+
+def test_the_desk_of_an_organizer_of_one_competition_has_only_what_belongs_to_it(
+    service: CliService, class_organizer: PageVisitor
+) -> None:
+    desk = class_organizer.get("/desk").text
+    assert f'href="{BOARDS[CLASS]}?stage=stage1"' in desk
+    assert f'href="{BOARDS[MAIN]}?stage=stage1"' not in desk
+    for of_the_service in ('id="waiting"', 'id="questions"', 'id="announce"', 'id="audit"'):
+        assert of_the_service not in desk
+        assert of_the_service in visitor_of_role(service, Role.ORGANIZER).get("/desk").text
+    assert team_visitor(service).get("/desk").status_code == 403
+
+
+def test_an_organizer_freezes_the_boards_of_the_own_competition_on_its_page(
+    service: CliService, class_organizer: PageVisitor
+) -> None:
+    page = f"/competitions/{CLASS}"
+    rows = lambda: len(visitor(service).get(f"{BOARDS[CLASS]}/leaderboard.csv").text.splitlines())  # noqa: E731
+    before = rows()
+    assert class_organizer.send(page, f"{page}/freeze", id=CLASS).headers["location"] == page
+    assert (before, rows()) == (2, 2), "results of before stay"
+    assert "Others do not see new results" in class_organizer.get(page).text
+    assert class_organizer.send(page, f"{page}/unfreeze", id=CLASS).status_code == 303
+    assert "Freeze the leaderboards" in class_organizer.get(page).text
+    refused = class_organizer.send(page, f"/competitions/{MAIN}/unfreeze", id=MAIN)
+    assert refused.status_code == 403
+    assert f"/competitions/{MAIN}/unfreeze" not in class_organizer.get(f"/competitions/{MAIN}").text
+    assert "/freeze" not in team_visitor(service).get(page).text
+
+
+def test_the_links_of_a_competition_are_those_of_its_receipts(service: CliService) -> None:
+    links = {
+        name: visitor(service).get(f"/api/v1/competitions/{name}/receipts").json()["items"] for name in (MAIN, CLASS)
+    }
+    assert {link["board"].split("/")[0] for link in links[MAIN]} == {MAIN}
+    assert {link["board"].split("/")[0] for link in links[CLASS]} == {CLASS}
+    whole = visitor(service).get("/api/v1/receipts").json()
+    assert len(whole["items"]) == whole["receipts"] == sum(map(len, links.values()))
+    first = visitor(service).get(f"/api/v1/competitions/{CLASS}/receipts?limit=1").json()
+    assert first["items"] == links[CLASS][:1]
+    assert first["next_after"] == (links[CLASS][0]["number"] if len(links[CLASS]) > 1 else None)
+    assert f"/api/v1/competitions/{CLASS}/receipts" in visitor(service).get(f"/competitions/{CLASS}/receipts").text
+    assert visitor(service).get("/competitions/cap/receipts").status_code == 404
+
+
+def test_an_appeal_made_on_the_page_of_a_competition_leads_back_to_it(service: CliService) -> None:
+    page = f"/competitions/{CLASS}/appeals"
+    assert f'action="{page}/open"' in team_visitor(service, "Ants").get(page).text
 
 
 def test_the_desk_names_the_competition_of_each_stage(service: CliService) -> None:

@@ -1,0 +1,93 @@
+"""Routes of competitions: what everybody may read, and the freezing and the end for their organizers."""
+
+from http import HTTPStatus
+
+from fastapi import APIRouter, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..contest import freezing
+from ..contest.view import competition_list_view, competition_view
+from ..prizes import finishing
+from ..publishing.archive import archive_view
+from ..teams.teams import REASON_LENGTH
+from ..views.archive import ArchiveView
+from ..views.contest import CompetitionListView, CompetitionView
+from .access import PrincipalOf, ServicesOf
+from .problems import RESPONSES
+
+router = APIRouter(tags=["competitions"], responses=RESPONSES)
+
+
+class FinalEnd(BaseModel):
+    """How a competition is ended."""
+
+    model_config = ConfigDict(extra="forbid")
+    confirm: list[str] = Field(
+        default=[], max_length=100, description="Names of what is not settled and is meant; a refusal lists them."
+    )
+    again: bool = Field(
+        default=False, description="Decide the winners of a final competition again, without disqualified teams."
+    )
+
+
+class Reopening(BaseModel):
+    """Why the end of a competition is taken back."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: str = Field(max_length=REASON_LENGTH, description="For everybody to read.")
+
+
+@router.get("/competitions")
+def list_competitions(services: ServicesOf) -> CompetitionListView:
+    """Return the competitions of this service, the one that opened last first."""
+    with services.database.reading() as session:
+        return competition_list_view(session)
+
+
+@router.get("/competitions/{contest}")
+@router.get("/competition")
+def get_competition(services: ServicesOf, contest: str | None = None) -> CompetitionView:
+    """Return a competition: schedule, rules, prizes, commitments, at the end winners; without a name the last one."""
+    with services.database.reading() as session:
+        return competition_view(session, contest)
+
+
+@router.get("/competitions/{contest}/archive")
+@router.get("/competition/archive")
+def get_archive(services: ServicesOf, contest: str | None = None) -> ArchiveView:
+    """Return winners and boards as they were when a competition was finalized, and how to cite; before that 404."""
+    with services.database.reading() as session:
+        return archive_view(session, contest)
+
+
+@router.post("/competitions/{contest}/freeze", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
+def freeze(services: ServicesOf, principal: PrincipalOf, contest: str) -> None:
+    """Freeze the boards of a competition for everybody but its organizers."""
+    with services.database.transaction() as session:
+        freezing.freeze(session, principal, contest)
+
+
+@router.post("/competitions/{contest}/unfreeze", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
+def unfreeze(services: ServicesOf, principal: PrincipalOf, contest: str) -> None:
+    """Show all results on the boards of a competition again."""
+    with services.database.transaction() as session:
+        freezing.unfreeze(session, principal, contest)
+
+
+@router.post("/competitions/{contest}/finalize")
+def finalize(services: ServicesOf, principal: PrincipalOf, contest: str, end: FinalEnd) -> CompetitionView:
+    """End a competition with the winners as they are now, or decide the winners of a final one again."""
+    with services.database.transaction() as session:
+        if end.again:
+            finishing.finalize_again(session, principal, contest)
+        else:
+            finishing.finalize(session, principal, contest, confirmed=end.confirm)
+        return competition_view(session, contest)
+
+
+@router.post("/competitions/{contest}/reopen")
+def reopen(services: ServicesOf, principal: PrincipalOf, contest: str, reopening: Reopening) -> CompetitionView:
+    """Take the end of a competition back; everybody reads the reason."""
+    with services.database.transaction() as session:
+        finishing.reopen(session, principal, reopening.reason, contest)
+        return competition_view(session, contest)
