@@ -622,7 +622,7 @@ def test_serves_from_a_folder_that_cannot_be_written_to(checkout: Checkout) -> N
     ran = checkout.run(*serve)
     assert (ran.returncode, ran.stdout.startswith("<serve>")) == (7, True)
     assert ran.stderr.count("no permission to write in") == 2
-    assert "Going on without the 3D player" in ran.stderr
+    assert "Continuing without the 3D player" in ran.stderr
     assert "continuing without it" in ran.stderr
 
 

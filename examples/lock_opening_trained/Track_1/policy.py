@@ -43,7 +43,7 @@ class Opening:
 
     Attributes:
         env_steps: played.
-        pulled_mm: how far the gripper was told to go outwards.
+        pulled_mm: how far outwards the gripper was commanded.
     """
 
     def __init__(self, weights: FloatArray) -> None:

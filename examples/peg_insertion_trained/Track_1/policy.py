@@ -72,8 +72,8 @@ class History:
 
     def features(self) -> FloatArray:
         """Return what the network gets, shape [HISTORY_SIZE]."""
-        told = history_features(np.array(self.felt), np.array(self.motions), np.array(self.actions).reshape(-1, 3))
-        return np.asarray(told[-1])
+        features = history_features(np.array(self.felt), np.array(self.motions), np.array(self.actions).reshape(-1, 3))
+        return np.asarray(features[-1])
 
 
 def history_features(felt: FloatArray, motions: FloatArray, actions: FloatArray) -> FloatArray:
@@ -94,12 +94,12 @@ def history_features(felt: FloatArray, motions: FloatArray, actions: FloatArray)
             known,
         ]
     )
-    told = np.zeros((count, HISTORY_SIZE), dtype=np.float32)
+    features = np.zeros((count, HISTORY_SIZE), dtype=np.float32)
     for number in range(min(count, MAX_STEPS)):
-        told[number, :MOMENT_SIZE] = moments[number]
-        told[number, MOMENT_SIZE : (number + 2) * MOMENT_SIZE] = moments[: number + 1].ravel()
-        told[number, (MAX_STEPS + 1) * MOMENT_SIZE + number] = 1.0
-    return told
+        features[number, :MOMENT_SIZE] = moments[number]
+        features[number, MOMENT_SIZE : (number + 2) * MOMENT_SIZE] = moments[: number + 1].ravel()
+        features[number, (MAX_STEPS + 1) * MOMENT_SIZE + number] = 1.0
+    return features
 
 
 def start_angles_deg(motions: FloatArray, actions: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -98,7 +98,7 @@ def head_upload(
     upload_id: UUID,
     tus_resumable: ProtocolVersion = None,  # noqa: ARG001
 ) -> None:
-    """Return in `Upload-Offset` where the upload continues."""
+    """Send in `Upload-Offset` where the upload continues."""
     upload = _find(services, principal, upload_id)
     response.headers.update({"Upload-Length": str(upload.total_bytes), "Cache-Control": "no-store"})
     _tell(response, upload.received_bytes, upload.expires_at)

@@ -81,7 +81,7 @@ def test_stopping_says_how_to_go_on(
         Path(recipe).write_text("task: lock-opening\nseed: 1\n")
     found = vitac("train", verb, recipe, "--out", str(tmp_path / "run"))
     assert found.exit_code == 130
-    assert f"stopped; run the same command to go on from {tmp_path / 'run'}" in found.stderr
+    assert f"stopped; run the same command to continue from {tmp_path / 'run'}" in found.stderr
     assert found.stdout == ""
 
 

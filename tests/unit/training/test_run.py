@@ -17,7 +17,7 @@ from vitac.training.charts import FOLDER, Charts
 from vitac.training.files import FileDamaged
 from vitac.training.learning.network import Learner, TrainingDiverged
 from vitac.training.recipe import AssessorRecipe, CriticRecipe, Recipe, StudentRecipe
-from vitac.training.run import Folder, OtherRun, RoundResult, Run, best, results_of, told
+from vitac.training.run import Folder, OtherRun, RoundResult, Run, best, format_rate, results_of
 from vitac.training.streams import StreamRefused, Use, stream
 
 RECIPE = Recipe(
@@ -283,7 +283,7 @@ def test_best_round_solves_the_most_and_is_the_latest_of_equals() -> None:
 
 
 def test_rates_are_told_with_their_interval() -> None:
-    assert told(rate(7, 10)) == "7 of 10 (70.0 % [39.7, 89.2])"
+    assert format_rate(rate(7, 10)) == "7 of 10 (70.0 % [39.7, 89.2])"
 
 
 def test_log_has_a_line_for_each_round(tmp_path: Path) -> None:

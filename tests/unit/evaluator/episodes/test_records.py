@@ -371,10 +371,10 @@ def test_the_json_has_no_blanks_and_sorted_keys_inside_too() -> None:
         ("More than 3 GiB were used. (act() raised MemoryError.)", "MemoryError.) The entry point"),
     ],
 )
-def test_a_failure_is_told_in_sentences_with_what_to_do(message: str, told: str) -> None:
+def test_a_failure_is_reported_in_sentences_with_what_to_do(message: str, told: str) -> None:
     failure = PolicyFailure(stage=FailureStage.LOAD, code=VerdictCode.IMPORT_ERROR, message=message)
-    assert told in failure.told
-    assert failure.told.endswith(VerdictCode.IMPORT_ERROR.sentence)
+    assert told in failure.sentence
+    assert failure.sentence.endswith(VerdictCode.IMPORT_ERROR.sentence)
 
 
 def test_one_env_step_is_told_as_one() -> None:
