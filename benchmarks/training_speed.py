@@ -87,8 +87,8 @@ def main() -> None:
         reset, step = shares(env_id, chosen.episodes)
         rate = vector_rate(env_id, chosen.envs, chosen.env_steps)
         print(env_id)
-        print(f"  reset    {reset.told()}")
-        print(f"  env step {step.told()}, {step.calls / chosen.episodes:.1f} per episode")
+        print(f"  reset    {reset.sentence()}")
+        print(f"  env step {step.sentence()}, {step.calls / chosen.episodes:.1f} per episode")
         print(f"  {step.calls / (reset.cpu_s + step.cpu_s):.0f} env steps per CPU second, resets included")
         print(f"  {rate:.0f} env steps per second in {chosen.envs} forked processes")
 

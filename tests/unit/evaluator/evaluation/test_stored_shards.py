@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from vitac.evaluator.episodes.records import EpisodeRecord
-from vitac.evaluator.evaluation import stored as kept_module
+from vitac.evaluator.evaluation import stored_shards
 from vitac.evaluator.evaluation.local import Evaluation, evaluate
 from vitac.evaluator.evaluation.stored_shards import FinishedShard, StoredShards
 from vitac.evaluator.figures.figures import FigureChoice
@@ -85,7 +85,7 @@ def test_only_the_same_shard_of_the_same_sensor_and_evaluator_is_found(
     for other in ({"episodes": (1, 2)}, {"shard": 1}, {"task": "lock-opening"}, {"track": "track_3"}):
         assert stored.load(ORDER.model_copy(update=other)) is None
     assert StoredShards(tmp_path, of="b").load(ORDER) is None
-    monkeypatch.setattr(kept_module, "version_of", lambda _: "another")
+    monkeypatch.setattr(stored_shards, "version_of", lambda _: "another")
     assert stored.load(ORDER) is None
 
 

@@ -116,7 +116,10 @@ def test_an_organizer_freezes_the_boards_of_the_own_competition_on_its_page(
     service: CliService, class_organizer: PageVisitor
 ) -> None:
     page = f"/competitions/{CLASS}"
-    rows = lambda: len(visitor(service).get(f"{BOARDS[CLASS]}/leaderboard.csv").text.splitlines())  # noqa: E731
+
+    def rows() -> int:
+        return len(visitor(service).get(f"{BOARDS[CLASS]}/leaderboard.csv").text.splitlines())
+
     before = rows()
     assert class_organizer.send(page, f"{page}/freeze", id=CLASS).headers["location"] == page
     assert (before, rows()) == (2, 2), "results of before stay"
