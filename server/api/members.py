@@ -126,7 +126,6 @@ def change_team(services: ServicesOf, principal: PrincipalOf, team_id: UUID, cha
     """Rename a team, or accept or refuse one that waits; for organizers."""
     with services.database.transaction() as session:
         team = _team(session, principal, team_id)
-        principal.require_organizer()
         if changes.name is not None:
             teams.rename(session, principal, team, changes.name)
         if changes.accepted is not None:
@@ -142,8 +141,7 @@ def merge_team(services: ServicesOf, principal: PrincipalOf, team_id: UUID, merg
     """Merge a team with another one, which keeps its name; for organizers."""
     with services.database.transaction() as session:
         team = _team(session, principal, team_id)
-        principal.require_organizer()
-        into = teams.find(session, merge.into)
+        into = teams.find_as_organizer(session, principal, merge.into)
         merging.merge(session, principal, team, into)
         return members.own_team_view(session, principal, into)
 

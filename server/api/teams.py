@@ -116,8 +116,7 @@ def get_me(services: ServicesOf, principal: PrincipalOf) -> MeView:
 
 def _owner_of_new_token(session: Session, principal: Principal, new: NewToken) -> Team | None:
     if new.team is not None:
-        principal.require_organizer()
-        return teams.find(session, new.team)
+        return teams.find_as_organizer(session, principal, new.team)
     return None if principal.is_organizer else teams.own(session, principal)
 
 

@@ -69,8 +69,9 @@ def withdraw_unplayed(session: Session, by: Principal, contest: Contest) -> None
     """Take the lists of stages out of play that the competition's file no longer has.
 
     Raises:
-        ServiceError: an evaluation plays one of the lists.
+        ServiceError: not an organizer, or an evaluation plays one of the lists.
     """
+    by.require_organizer(contest.name)
     known = {(stage.track, stage.name) for stage in contest.stages}
     for found in sealed_lists(session, contest):
         if (found.track, found.stage) not in known and found.withdrawn_at is None:

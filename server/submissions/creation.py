@@ -134,7 +134,7 @@ def owner(session: Session, by: Principal, team: str | None) -> Team:
         return teams.own(session, by)
     if team is None:
         raise ServiceError(ProblemCode.TEAM_REQUIRED, "An organizer's token belongs to no team; name one with `team`.")
-    return teams.find(session, team)
+    return teams.find_as_organizer(session, by, team)
 
 
 def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: Stage) -> tuple[Submission, bool]:

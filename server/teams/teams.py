@@ -174,6 +174,16 @@ def find(session: Session, name_or_id: str) -> Team:
     return team
 
 
+def find_as_organizer(session: Session, by: Principal, name_or_id: str) -> Team:
+    """Return the team of that name or id; others than organizers do not learn whether there is one.
+
+    Raises:
+        ServiceError: not an organizer of the service, or there is none.
+    """
+    by.require_organizer()
+    return find(session, name_or_id)
+
+
 def own(session: Session, by: Principal) -> Team:
     """Return the principal's team.
 

@@ -5,13 +5,11 @@ The forms call the same functions as `vitac admin`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from starlette.exceptions import HTTPException
 from vitac.server.appeals import appeals
-from vitac.server.audit import entry_view, newest_entries
-from vitac.server.desk.troubles import stages, troubles
+from vitac.server.desk.desk import read_desk
 from vitac.server.messages import announcements, questions
 from vitac.server.teams import teams
 
@@ -20,45 +18,17 @@ from .addresses import board_address
 from .forms import act, id_in, number_in
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
     from sqlalchemy.orm import Session
     from starlette.requests import Request
     from starlette.responses import Response
     from vitac.server.db.models import Team
-    from vitac.server.desk.troubles import StageState, Trouble
     from vitac.server.principals import Principal
-    from vitac.server.views.appeals import AppealView
-    from vitac.server.views.messages import AnnouncementView, QuestionView
-    from vitac.server.views.teams import AuditEntryView, OrganizerTeamView
 
     Change = Callable[[Session, Principal, Mapping[str, str]], object]
 
 ADDRESS = "/desk"
-N_ENTRIES = 20
-
-
-@dataclass(frozen=True, kw_only=True)
-class Desk:
-    """What organizers look at often; those of one competition see its submissions, appeals and stages.
-
-    Attributes:
-        waiting: teams that wait to be accepted.
-        troubles: submissions that somebody has to look at.
-        asked: questions without an answer.
-        appealed: appeals without a ruling.
-        stages: of the competition, with who may take part.
-        said: announcements that everybody sees.
-        entries: the last lines of the audit log.
-    """
-
-    waiting: Sequence[OrganizerTeamView]
-    troubles: Sequence[Trouble]
-    asked: Sequence[QuestionView]
-    appealed: Sequence[AppealView]
-    stages: Sequence[StageState]
-    said: Sequence[AnnouncementView]
-    entries: Sequence[AuditEntryView]
 
 
 async def desk(request: Request) -> Response:
@@ -68,21 +38,7 @@ async def desk(request: Request) -> Response:
         ServiceError: the visitor is none.
     """
     viewer = await require_viewer(request)
-    by, serves_all = viewer.principal, viewer.is_organizer
-
-    def read(session: Session) -> Desk:
-        by.require_organizer(by.contest)
-        return Desk(
-            waiting=[teams.organizer_team_view(session, team) for team in teams.waiting(session)] if serves_all else (),
-            troubles=troubles(session, by),
-            asked=questions.visible(session, by, open_only=True) if serves_all else (),
-            appealed=appeals.visible(session, by, open_only=True),
-            stages=stages(session, by),
-            said=announcements.shown(session) if serves_all else (),
-            entries=[entry_view(entry) for entry in newest_entries(session, N_ENTRIES)] if serves_all else (),
-        )
-
-    found = await site_of(request).ask(read)
+    found = await site_of(request).ask(lambda session: read_desk(session, viewer.principal))
     return page(request, "desk.html", viewer=viewer, section=ADDRESS, found=found, board_address=board_address)
 
 
@@ -95,8 +51,7 @@ async def change(request: Request) -> Response:
 
 
 def _team(session: Session, by: Principal, fields: Mapping[str, str]) -> Team:
-    by.require_organizer()
-    return teams.find(session, str(id_in(fields, "id")))
+    return teams.find_as_organizer(session, by, str(id_in(fields, "id")))
 
 
 def _answer(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
