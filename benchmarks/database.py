@@ -179,7 +179,7 @@ def idle_figures(services: Services) -> dict[str, float]:
     """Return what one process of each kind costs PostgreSQL while nothing happens, per second [ms]."""
     settings, database = services.settings, services.database
     worker_id = register(database)
-    disk = workers.disk_of(settings.scratch_dir)
+    disk = workers.measure_disk(settings.scratch_dir)
     totals = TotalsWriter(Instruments())
     totals.write(database)
 

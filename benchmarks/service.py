@@ -27,14 +27,14 @@ from uuid import UUID, uuid4
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
-from vitac.evaluator.agent.isolation.process_tree import cpu_s, descendants, reaped_cpu_s, text_of
+from vitac.evaluator.agent.isolation.process_tree import cpu_s, descendants, read_text_file, reaped_cpu_s
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.scoring.score import score
 from vitac.evaluator.shards.process import IDLE_KEPT_S
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.db.models import Evaluation, Shard, Worker
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState, Role
-from vitac.server.evaluations.episode_store import EpisodeKey, records_of, store_episodes
+from vitac.server.evaluations.episode_store import EpisodeKey, read_stored_records, store_episodes
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.housekeeping import Housekeeping
 from vitac.server.principals import CONSOLE, Principal
@@ -128,7 +128,7 @@ def evaluation_figures(services: Services, principal: Principal, example: Path, 
         raise SystemExit(f"The evaluation ended as {done.state}: {done.verdict_code} {done.verdict_message}")
     with services.database.transaction() as session:
         task = done.submission.tasks[0]
-        records = records_of(session, EpisodeKey.of(done, done.submission), task)
+        records = read_stored_records(session, EpisodeKey.of(done, done.submission), task)
         machines = list(session.scalars(select(Worker.platform_class).distinct()))
         idle_at_end_s = idle_after_last_start_s(session, done, n_slots)
     wall_s = (done.finished_at - done.started_at).total_seconds()
@@ -166,7 +166,7 @@ def cpu_by_kind() -> dict[str, float]:
     times = {"benchmark": time.process_time()}
     for pid in descendants(os.getpid()):
         with suppress(OSError):  # it has ended meanwhile
-            kind = kind_of(text_of(f"/proc/{pid}/cmdline"))
+            kind = kind_of(read_text_file(f"/proc/{pid}/cmdline"))
             times[kind] = times.get(kind, 0.0) + cpu_s(pid) + reaped_cpu_s(pid)
     return times
 

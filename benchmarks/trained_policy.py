@@ -26,7 +26,7 @@ from vitac.training.files import load
 from vitac.training.learners import Learners
 from vitac.training.learning.critic import Critic
 from vitac.training.recipe import Recipe
-from vitac.training.run import Folder, best, results_of
+from vitac.training.run import Folder, best, read_results
 from vitac.training.streams import Use, stream
 from vitac.training.submission.policy import History
 
@@ -75,7 +75,7 @@ class KnowsTruth:
         recipe = Recipe.model_validate(json.loads((folder / "run.json").read_text())["recipe"])
         kept = Folder(path=folder)
         learners = Learners(recipe, np.random.default_rng(0))
-        learners.restore(load(kept.networks(best(results_of(kept)).number)))
+        learners.restore(load(kept.networks(best(read_results(kept)).number)))
         networks: Networks = learners.networks()
         critic = Critic.of_state(networks.plan, networks.critic)
         self._actor: Actor = critic_actor(critic, 0.0)(np.random.default_rng(0))

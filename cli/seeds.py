@@ -15,9 +15,9 @@ SecretFile = Annotated[Path, typer.Argument(help="File with the secret.")]
 @app.command()
 def new(secret: Annotated[Path, typer.Argument(help="New file for the secret; keep it out of submissions.")]) -> None:
     """Make a secret, and print the commitment to publish before its list is used."""
-    from vitac.evaluator.tracks.sealed import commitment_of, new_secret
+    from vitac.evaluator.tracks.sealed import make_commitment, new_secret
 
-    print(f"commitment {commitment_of(new_secret(secret))}")
+    print(f"commitment {make_commitment(new_secret(secret))}")
 
 
 @app.command()
@@ -31,15 +31,15 @@ def verify(
 
     The exit code is 0 if they agree. `vitac evaluate --secret` plays the list.
     """
-    from vitac.evaluator.tracks.sealed import commitment_of, load_played_track, read_secret
+    from vitac.evaluator.tracks.sealed import load_played_track, make_commitment, read_secret
 
     found = read_secret(secret)
-    agrees = commitment_of(found) == commitment.strip().lower()
+    agrees = make_commitment(found) == commitment.strip().lower()
     tasks = load_played_track(track, found).tasks
     digests = {name: task.digest() for name, task in tasks.items()}
     if as_json:
-        print_json({"agrees": agrees, "commitment": commitment_of(found), "track": track, "task_hashes": digests})
+        print_json({"agrees": agrees, "commitment": make_commitment(found), "track": track, "task_hashes": digests})
     else:
-        print_pairs({"commitment": commitment_of(found), "agrees": "yes" if agrees else "no", **digests})
+        print_pairs({"commitment": make_commitment(found), "agrees": "yes" if agrees else "no", **digests})
     if not agrees:
         raise typer.Exit(1)

@@ -71,10 +71,10 @@ def export(
 ) -> None:
     """Make a submission of the best round."""
     from vitac.training.export import export as exported
-    from vitac.training.run import Folder, best, results_of
+    from vitac.training.run import Folder, best, read_results
 
     kept = Folder(path=folder)
-    chosen = best(results_of(kept))
+    chosen = best(read_results(kept))
     print_pairs({"round": chosen.number, "submission": exported(kept, chosen, submission)})
 
 

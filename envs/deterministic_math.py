@@ -32,9 +32,9 @@ def natural_log(x: float) -> float:
     """
     if not (2.2250738585072014e-308 <= x <= 1.7976931348623157e308):
         return np.nan
-    bits: int = _bits_of(x)  # type: ignore[call-arg]
+    bits: int = _to_bits(x)  # type: ignore[call-arg]
     exponent = ((bits >> 52) & 0x7FF) - 1022
-    mantissa = _float_of((bits & 0x000FFFFFFFFFFFFF) | 0x3FE0000000000000)
+    mantissa = _from_bits((bits & 0x000FFFFFFFFFFFFF) | 0x3FE0000000000000)
     if mantissa < _SQRT_HALF:
         mantissa = 2.0 * mantissa
         exponent -= 1
@@ -93,7 +93,7 @@ def normal_pairs(uniform: FloatArray) -> FloatArray:
 
 
 @numba.extending.intrinsic
-def _bits_of(typing_context, x):  # type: ignore[no-untyped-def]  # noqa: ARG001 - numba's intrinsic protocol
+def _to_bits(typing_context, x):  # type: ignore[no-untyped-def]  # noqa: ARG001 - numba's intrinsic protocol
     def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]  # noqa: ARG001
         return builder.bitcast(arguments[0], context.get_value_type(numba.types.int64))
 
@@ -101,7 +101,7 @@ def _bits_of(typing_context, x):  # type: ignore[no-untyped-def]  # noqa: ARG001
 
 
 @numba.extending.intrinsic
-def _float_of(typing_context, bits):  # type: ignore[no-untyped-def]  # noqa: ARG001 - numba's intrinsic protocol
+def _from_bits(typing_context, bits):  # type: ignore[no-untyped-def]  # noqa: ARG001 - numba's intrinsic protocol
     def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]  # noqa: ARG001
         return builder.bitcast(arguments[0], context.get_value_type(numba.types.float64))
 

@@ -106,7 +106,7 @@ def explain(model: type[BaseModel], error: ValidationError) -> str:
 def _sentence(model: type[BaseModel], problem: dict[str, Any]) -> str:
     place = ".".join(str(part) for part in problem["loc"])[:_SHOWN_CHARS] or "the document"
     if problem["type"] == "extra_forbidden":
-        return f"Unknown key {place!r}; {_nearest(str(problem['loc'][-1]), _keys_at(model, problem['loc'][:-1]))}"
+        return f"Unknown key {place!r}; {_nearest(str(problem['loc'][-1]), _list_keys(model, problem['loc'][:-1]))}"
     if problem["type"] == "missing":
         return f"Missing key {place!r}; add it."
     if problem["type"] == "model_type" and not problem["loc"]:
@@ -138,7 +138,7 @@ def _nearest(key: str, valid: list[str]) -> str:
     return f"did you mean {close[0]!r}?" if close else f"valid keys are {', '.join(valid)}."
 
 
-def _keys_at(model: type[BaseModel], place: tuple[int | str, ...]) -> list[str]:
+def _list_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> list[str]:
     """Return the valid keys of the (nested) model that a location inside a document points to."""
     if not place:
         return sorted(model.model_fields)
@@ -146,18 +146,18 @@ def _keys_at(model: type[BaseModel], place: tuple[int | str, ...]) -> list[str]:
     if field is None:
         return []
     keys: list[str] = []
-    for inner in _models_in(field.annotation):
+    for inner in _list_models(field.annotation):
         # A mapping or list of models has one more location part: its key or index.
         rest = place[2:] if inner is not field.annotation and len(place) > 1 else place[1:]
-        keys.extend(_keys_at(inner, rest))
+        keys.extend(_list_keys(inner, rest))
     return keys
 
 
-def _models_in(annotation: object) -> Iterator[type[BaseModel]]:
+def _list_models(annotation: object) -> Iterator[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for argument in get_args(annotation):
-        yield from _models_in(argument)
+        yield from _list_models(argument)
 
 
 def _one_line(error: object) -> str:

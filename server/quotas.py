@@ -138,7 +138,7 @@ def check_stage(session: Session, by: Principal, team: Team, stage: Stage) -> No
 def exceeded(team: str, quota: Quota, limit: int) -> ServiceError:
     """Return the refusal of one thing more."""
     now = datetime.now(UTC)
-    opens_at = _opens_at(quota, now)
+    opens_at = _find_opening(quota, now)
     times: dict[str, object] = {}
     if opens_at is not None:
         times = {"opens_at": opens_at.isoformat(), "retry_after_s": max(1, round((opens_at - now).total_seconds()))}
@@ -160,7 +160,7 @@ def uses(session: Session, quotas: Quotas, team_id: UUID) -> list[QuotaUse]:
             quota=quota,
             limit=limit_of(session, quotas, team_id, quota),
             used=_used(session, team_id, quota),
-            opens_at=_opens_at(quota, now),
+            opens_at=_find_opening(quota, now),
         )
         for quota in Quota
     ]
@@ -234,12 +234,12 @@ def _tokens(team_id: UUID) -> Select[int]:
     return select(func.count()).select_from(ApiToken).where(ApiToken.team_id == team_id, ~ApiToken.is_session, is_good)
 
 
-def _evaluations_of(team_id: UUID) -> Select[int]:
+def _select_counted_evaluations(team_id: UUID) -> Select[int]:
     return select(func.count()).select_from(Evaluation).join(Submission).where(Submission.team_id == team_id)
 
 
 def _evaluations(team_id: UUID, quota: Quota) -> Select[int]:
-    query = _evaluations_of(team_id)
+    query = _select_counted_evaluations(team_id)
     if quota is Quota.QUEUED_AT_ONCE:
         return query.where(Evaluation.state.in_(ACTIVE_EVALUATION_STATES), Evaluation.charged_at.is_not(None))
     today = query.where(Evaluation.charged_at >= _day_start(datetime.now(UTC)))
@@ -253,11 +253,11 @@ def _used_in_stage(session: Session, team: Team, stage: Stage, quota: str) -> in
     if quota == "scored_runs":  # what has seen a sealed list was worth a run, also where it was given up
         begun = exists().where(OF_EVALUATION).correlate(Evaluation, Submission)
         counted = or_(counted, and_(Evaluation.commitment.is_not(None), begun))
-    of_team = _evaluations_of(team.id).where(stage.submissions, Evaluation.charged_at.is_not(None), counted)
+    of_team = _select_counted_evaluations(team.id).where(stage.submissions, Evaluation.charged_at.is_not(None), counted)
     return session.scalars(of_team).one()
 
 
-def _opens_at(quota: Quota, now: datetime) -> datetime | None:
+def _find_opening(quota: Quota, now: datetime) -> datetime | None:
     return _day_start(now) + timedelta(days=1) if quota in DAILY else None
 
 

@@ -46,15 +46,15 @@ def require_task(track: Track, task: str) -> None:
         raise ServiceError(ProblemCode.UNKNOWN_TASK, str(error), tasks=list(track.tasks)) from error
 
 
-def family_of(track: str, task: str) -> Family:
+def find_family(track: str, task: str) -> Family:
     """Return what a task needs to run; the tactile family where its track file is gone, whose workers then say so."""
     known = known_task(track, task)
     return known.definition.family if known else Family.TACTILE
 
 
-def playback_family_of(track: str, task: str) -> Family:
+def find_playback_family(track: str, task: str) -> Family:
     """Return what the playback of an episode needs: ManiSkill's are drawn, whatever their policies observe."""
-    return Family.TACTILE if family_of(track, task) is Family.TACTILE else Family.MANISKILL_PICTURES
+    return Family.TACTILE if find_family(track, task) is Family.TACTILE else Family.MANISKILL_PICTURES
 
 
 def known_track(name: str) -> Track | None:

@@ -10,7 +10,7 @@ from vitac.envs.errors import VitacError
 from .episodes import TASK
 from .files import load, write_bytes, write_text
 from .learners import part
-from .learning.student import weights_of
+from .learning.student import make_weights
 from .run import Folder, RoundResult
 from .submission import policy
 
@@ -43,7 +43,7 @@ def export(folder: Folder, chosen: RoundResult, destination: Path) -> Path:
     if destination.exists():
         raise NotExportable(f"{destination} is there already; expected a new folder.")
     state = load(folder.networks(chosen.number))
-    kept = {**weights_of(part(state, "student")), "belief": state["belief"]}
+    kept = {**make_weights(part(state, "student")), "belief": state["belief"]}
     packed = io.BytesIO()
     np.savez_compressed(packed, **{name: array.astype(np.float16) for name, array in kept.items()})  # type: ignore[arg-type]
     if len(packed.getvalue()) > LARGEST_BYTES:

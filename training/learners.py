@@ -12,7 +12,7 @@ from .learning.assessor import Assessor, assessed
 from .learning.belief import fit_belief
 from .learning.critic import Critic
 from .learning.network import FloatArray
-from .learning.student import Student, histories_of, weights_of
+from .learning.student import Student, make_histories, make_weights
 from .recipe import Recipe
 
 Known = Sequence[tuple[ActorKind, Episodes]]
@@ -48,12 +48,12 @@ class Learners:
             self._learn_of_critic(known, random, tell)
         else:
             self._learn_of_assessor(known, played, random, tell)
-        self._belief = fit_belief(weights_of(self._student.state()), _of_actors_without_truth(known))
+        self._belief = fit_belief(make_weights(self._student.state()), _of_actors_without_truth(known))
 
     def networks(self) -> Networks:
         """Return what actors act by."""
         plan = self._recipe.critic.plan()
-        return Networks(plan=plan, critic=self._critic.state(), student=weights_of(self._student.state()))
+        return Networks(plan=plan, critic=self._critic.state(), student=make_weights(self._student.state()))
 
     def state(self) -> dict[str, FloatArray]:
         """Return the state that the next round continues from."""
@@ -70,25 +70,25 @@ class Learners:
 
     def _learn_of_critic(self, known: Known, random: np.random.Generator, tell: TellTurn) -> None:
         """Give the student the values of one who will know the truth from now on."""
-        histories = histories_of(_of_actors_without_truth(known))
+        histories = make_histories(_of_actors_without_truth(known))
 
-        def value_of(rows: Any, actions: FloatArray) -> FloatArray:
+        def estimate_value(rows: Any, actions: FloatArray) -> FloatArray:
             return self._critic.log_odds(histories.states[rows], actions)
 
-        self._student.learn(histories, value_of, random, lambda turn, loss: tell("student", turn, loss))
+        self._student.learn(histories, estimate_value, random, lambda turn, loss: tell("student", turn, loss))
 
     def _learn_of_assessor(self, known: Known, played: Episodes, random: np.random.Generator, tell: TellTurn) -> None:
         """Update the student's values to those of its own policy, which changes what it does."""
-        histories, transitions = histories_of(_of_actors_without_truth(known)), assessed(played)
+        histories, transitions = make_histories(_of_actors_without_truth(known)), assessed(played)
         inputs = np.concatenate([histories.states, histories.felt], axis=1)
 
-        def value_of(rows: Any, actions: FloatArray) -> FloatArray:
+        def estimate_value(rows: Any, actions: FloatArray) -> FloatArray:
             return self._assessor.log_odds(inputs[rows], actions)
 
         for _ in range(self._recipe.assessments):
             following = self._student.best(transitions.felt, random)
             self._assessor.learn(transitions, following, random, lambda turn, loss: tell("assessor", turn, loss))
-            self._student.learn(histories, value_of, random, lambda turn, loss: tell("student", turn, loss))
+            self._student.learn(histories, estimate_value, random, lambda turn, loss: tell("student", turn, loss))
 
 
 def _of_actors_without_truth(known: Known) -> Episodes:

@@ -279,7 +279,7 @@ def _difference(path: Path, now: Mapping[str, Any]) -> str:
     return ", ".join(differing_parts({**now["made_by"], "vitac.training": now["trained_by"]}, parts))
 
 
-def results_of(folder: Folder) -> list[RoundResult]:
+def read_results(folder: Folder) -> list[RoundResult]:
     """Read what the rounds of a run found.
 
     Raises:

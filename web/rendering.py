@@ -85,11 +85,11 @@ def static_url(name: str) -> str:
 
 def static_digest(name: str) -> str:
     """Return the beginning of the SHA-256 [hex] of a static file as it is now."""
-    return _digest_of(name, (STATIC / name).stat().st_mtime_ns)
+    return _compute_digest(name, (STATIC / name).stat().st_mtime_ns)
 
 
 @cache
-def _digest_of(name: str, changed_ns: int) -> str:
+def _compute_digest(name: str, changed_ns: int) -> str:
     del changed_ns  # a file that changes has another digest
     return sha256((STATIC / name).read_bytes()).hexdigest()[:12]
 

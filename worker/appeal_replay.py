@@ -16,7 +16,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.sealed import write_secret
 from vitac.server.appeals import appeals
-from vitac.server.contest.sealing import played_track, secret_of
+from vitac.server.contest.sealing import find_secret, played_track
 from vitac.server.db.models import Submission
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import Principal
@@ -64,7 +64,7 @@ def replay(
         submission = evaluation.submission
         _require_policy(submission)
         track = played_track(session, submission.track, evaluation.commitment)
-        secret = None if evaluation.commitment is None else secret_of(session, evaluation.commitment)
+        secret = None if evaluation.commitment is None else find_secret(session, evaluation.commitment)
     with ExitStack() as stack:
         folder = stack.enter_context(scratch_folder(services.settings.scratch_dir, "replay"))
         archive = corrected or _fetched(services.blobs, submission, folder)

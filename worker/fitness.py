@@ -10,14 +10,14 @@ from vitac.evaluator.tracks.versions import current_versions, version_of
 from vitac.evaluator.version import evaluator_version
 from vitac.server.queue.declared import explain_other_tracks
 from vitac.server.queue.jobs import queue_name
-from vitac.server.tracks import family_of
+from vitac.server.tracks import find_family
 
 from .families import families_here
 
 
 def queues_here() -> list[str]:
     """Return the queues that the worker takes shards from."""
-    unfit = {queue for track in tracks_with_other_packages() for queue in _queues_of(load_track(track))}
+    unfit = {queue for track in tracks_with_other_packages() for queue in _list_queues(load_track(track))}
     names = (queue_name(version, family) for version in sorted(current_versions()) for family in families_here())
     return [name for name in names if name not in unfit]
 
@@ -42,7 +42,7 @@ def tracks_with_other_packages() -> dict[str, str]:
     """Return by track why its policies would not see here the packages that it declares."""
     families, reasons = set(families_here()), {}
     for track in map(load_track, list_tracks()):
-        if not families.intersection(family_of(track.name, task) for task in track.tasks):
+        if not families.intersection(find_family(track.name, task) for task in track.tasks):
             continue
         different = package_differences(shown_sets(track.packages), installed_packages(track.packages).versions)
         if different:
@@ -53,5 +53,5 @@ def tracks_with_other_packages() -> dict[str, str]:
     return reasons
 
 
-def _queues_of(track: Track) -> Iterator[str]:
-    return (queue_name(version_of(track.name), family_of(track.name, task)) for task in track.tasks)
+def _list_queues(track: Track) -> Iterator[str]:
+    return (queue_name(version_of(track.name), find_family(track.name, task)) for task in track.tasks)

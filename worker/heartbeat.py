@@ -96,7 +96,7 @@ class Heartbeat:
         try:
             with self._services.database.transaction() as session:
                 declared = declared_versions(session)
-                disk = workers.disk_of(self._services.settings.scratch_dir)
+                disk = workers.measure_disk(self._services.settings.scratch_dir)
                 message = self._message or explain_unfit(declared)
                 workers.heartbeat(session, self.worker_id, state, disk, message)
         except (SQLAlchemyError, OSError) as error:

@@ -39,7 +39,7 @@ def probe_isolation(run: RunProbes = run_probes, describe: Describe = describe_s
             f"Policies would see other packages than the locked ones: {'; '.join(different)}. Install the expected "
             "versions beside the worker.",
         )
-    return IsolationReport(level=_level_of(outcomes), problems=problems, sandbox=sandbox)
+    return IsolationReport(level=_find_level(outcomes), problems=problems, sandbox=sandbox)
 
 
 def _sentences(outcomes: Iterable[Outcome]) -> Iterable[str]:
@@ -48,7 +48,7 @@ def _sentences(outcomes: Iterable[Outcome]) -> Iterable[str]:
             yield f"{outcome.name}: {outcome.state} ({outcome.detail})"
 
 
-def _level_of(outcomes: Iterable[Outcome]) -> str:
+def _find_level(outcomes: Iterable[Outcome]) -> str:
     levels = [outcome.isolation for outcome in outcomes if outcome.isolation is not None]
     if not levels:
         return "none"

@@ -17,7 +17,7 @@ from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks.sealed import write_secret
-from vitac.server.contest.sealing import secret_of
+from vitac.server.contest.sealing import find_secret
 from vitac.server.errors import ServiceError
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episodes, stored_episodes
 from vitac.server.evaluations.lifecycle import finish_shard, report_broken_machine
@@ -168,7 +168,7 @@ class ShardRun(LeasedRun[RunningShard]):
         commitment = self._lease.commitment
         if commitment is None:
             return None
-        secret = self._database(lambda session: secret_of(session, commitment))
+        secret = self._database(lambda session: find_secret(session, commitment))
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="sealed-", dir=self._stage.folder))
         file = Path(folder) / "secret"
         write_secret(file, secret)

@@ -70,13 +70,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of the stream of fresh starts")
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "baselines.md")
     chosen = parser.parse_args()
-    rows = [row for task in BASELINES for row in rows_of(task, chosen.seed, chosen.starts)]
+    rows = [row for task in BASELINES for row in make_rows(task, chosen.seed, chosen.starts)]
     head = HEAD.format(stream=stream(chosen.seed, Use.REPORT), starts=chosen.starts)
     seeds = "".join(seed_line(task, name, seed, found) for task, name, seed, found in training_seeds())
     chosen.out.write_text(head + "".join(line(row) for row in rows) + SEEDS + seeds)
 
 
-def rows_of(task: str, seed: int, starts: int) -> list[Row]:
+def make_rows(task: str, seed: int, starts: int) -> list[Row]:
     """Return the figures of all baselines of a task."""
     env: Any = make_environment(load_track("track_1").tasks[task])
     rows = []

@@ -29,7 +29,7 @@ from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.estimator.calibration import calibrate
 from vitac.evaluator.estimator.playing import EstimatorSession
 from vitac.evaluator.figures.reference import design_of_gel, reference_design
-from vitac.evaluator.sensors.made import design_in
+from vitac.evaluator.sensors.made import read_design
 from vitac.evaluator.tracks import find_task
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "support" / "envs"))
@@ -131,7 +131,7 @@ def flat_gel(cells: GelCells) -> SensorDesign:
 def chosen(arguments: argparse.Namespace) -> Iterable[tuple[str, SensorDesign]]:
     """Yield the sensors that the command names."""
     for folder in arguments.folders:
-        yield str(folder), design_in(folder)
+        yield str(folder), read_design(folder)
     for name in DRAWN if arguments.drawn == "all" else filter(None, [arguments.drawn]):
         yield name, DRAWN[name]()
     if not arguments.folders and arguments.drawn is None:

@@ -98,12 +98,12 @@ def change_as_shown(
             raise ChangedMeanwhile("Something changed while you were asked, and nothing was done. Run it again.")
 
 
-def base_of(base: str | None, *, yes: bool) -> str | None:
+def resolve_base(base: str | None, *, yes: bool) -> str | None:
     """Return what a change was made against: nothing, where it is made without a question and without saying so."""
     return "" if base is None and yes else base
 
 
-def confirmed_of(confirmed: "Sequence[str] | None", *, yes: bool) -> "Sequence[str] | None":
+def resolve_confirmed(confirmed: "Sequence[str] | None", *, yes: bool) -> "Sequence[str] | None":
     """Return the names of the warnings that are confirmed; None where somebody is asked about them, or in a dry run."""
     return (confirmed or ()) if yes else None
 

@@ -27,10 +27,10 @@ def rubric(
 ) -> None:
     """Show the criteria and weights of a track."""
     from vitac.server.contest.contest import Contest
-    from vitac.server.judging.judging import rubric_of
+    from vitac.server.judging.judging import find_rubric
 
     with transaction() as session:
-        found = rubric_of(Contest.find(session, contest, track=track), track)
+        found = find_rubric(Contest.find(session, contest, track=track), track)
     if as_json:
         print_json(found.model_dump(mode="json"))
         return

@@ -26,7 +26,7 @@ def path() -> Path:
     return (Path(folder) if folder else Path.home() / ".config") / FILE
 
 
-def token_for(server: str) -> str | None:
+def find_stored_token(server: str) -> str | None:
     """Return the token that is stored for a service, or None."""
     token = _load()["tokens"].get(server)
     return token if isinstance(token, str) else None

@@ -212,7 +212,7 @@ def make_client(server: str | None, token_file: Path | None, *, with_token: bool
     if token_file is not None:
         return Client(server=address, token=read_token(token_file))
     from_environment = None if last else os.environ.get("VITAC_TOKEN")
-    return Client(server=address, token=from_environment or credentials.token_for(address))
+    return Client(server=address, token=from_environment or credentials.find_stored_token(address))
 
 
 def read_token(token_file: Path) -> str:

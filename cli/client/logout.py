@@ -17,7 +17,7 @@ def command(
 ) -> None:
     """Remove the stored token from this machine; the team and its other tokens stay."""
     client = make_client(server, None, with_token=False)
-    token = credentials.token_for(client.server)
+    token = credentials.find_stored_token(client.server)
     if token is None:
         print(f"not logged in at {client.server}")
         return

@@ -29,7 +29,7 @@ TRANSIENT = frozenset(
     {"database_unavailable", "not_found", "service_stopping", "storage_unavailable", "too_many_requests"}
     | {"upload_conflict", "upload_incomplete", "upload_truncated"}
 )
-"""Refusals that may go away. An upload that is not found has expired, and a new one is begun."""
+"""Refusals that may go away; `not_found` only of an upload, which has expired then, so that a new one is begun."""
 MISPLACED = frozenset({"not_found", "upload_conflict", "upload_incomplete"})
 """Refusals after which the client asks again for the offset of the upload."""
 PROXY_STATUSES = frozenset({408, 502, 503, 504})
@@ -67,10 +67,12 @@ class PieceSender:
             ServiceUnreachable: nobody answered at the start, or there was no progress for about a minute.
         """
         failures, furthest, is_begun = 0, -1, False
+        place: str | None = None  # path of the upload since the service answered that it has one
         sent: str | None = None  # path of an upload all bytes of which have arrived
         while True:
             try:
                 if sent is None:
+                    place = None
                     place, offset = self._begin()
                     is_begun = True
                     if offset > furthest:
@@ -83,8 +85,7 @@ class PieceSender:
                 if failures == (len(PAUSES_S) if is_begun else FIRST_PAUSES):
                     raise
             except RequestRefused as error:
-                is_transient = error.code in TRANSIENT or (error.code == NO_CODE and error.status in PROXY_STATUSES)
-                if not is_transient or failures == len(PAUSES_S):
+                if not _is_transient(error, has_upload=place is not None) or failures == len(PAUSES_S):
                     raise
                 if error.code in MISPLACED:
                     sent = None
@@ -119,3 +120,10 @@ class PieceSender:
                 yield chunk
                 position += len(chunk)
                 self.on_position(position)
+
+
+def _is_transient(error: RequestRefused, *, has_upload: bool) -> bool:
+    """Return whether a refusal may go away; what is not found before there is an upload is named wrongly."""
+    if error.code == "not_found":
+        return has_upload
+    return error.code in TRANSIENT or (error.code == NO_CODE and error.status in PROXY_STATUSES)

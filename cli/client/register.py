@@ -26,7 +26,7 @@ def command(
 ) -> None:
     """Register a team, print its token, which is shown only now, and keep it for the other commands."""
     client = make_client(server, None, with_token=False)
-    if credentials.token_for(client.server) is not None:
+    if credentials.find_stored_token(client.server) is not None:
         raise LoggedIn(f"You are logged in at {client.server}; `vitac whoami` shows as whom, `vitac logout` ends it.")
     answer = client.register(name, contact=contact, invite=invite)
     secret = answer["token"]["secret"]

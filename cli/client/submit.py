@@ -54,7 +54,7 @@ def command(
     """
     client = make_client(server, token_file)
     kind = kind or kind_of(submission)
-    track = track or _track_of(submission, kind)
+    track = track or _find_track(submission, kind)
     with packed(submission) as archive, upload_bar(archive.stat().st_size, shown=not as_json) as on_position:
         answer = client.upload(
             archive,
@@ -76,7 +76,7 @@ def command(
         show_when_ended(client, answer["id"], as_json=as_json)
 
 
-def _track_of(submission: Path, kind: SubmissionKind) -> str | None:
+def _find_track(submission: Path, kind: SubmissionKind) -> str | None:
     """Return the track that a model's manifest or the header of one of our logs names; None of a 2025 text log.
 
     The service knows which of its tracks a text log is of.

@@ -190,7 +190,7 @@ class Demo:
 
         deadline = time.monotonic() + WORKER_START_LIMIT_S
         while time.monotonic() < deadline:
-            for worker in workers_of(service):
+            for worker in read_workers(service):
                 if worker.state is WorkerState.READY:
                     return short_isolation(worker.isolation)
                 if worker.state is WorkerState.REFUSING:
@@ -250,7 +250,7 @@ def short_isolation(level: str) -> str:
     return ", ".join(level.split(", ")[:2])
 
 
-def workers_of(service: RunningService) -> list[Worker]:
+def read_workers(service: RunningService) -> list[Worker]:
     """Return the workers that this demo started, as the database knows them."""
     from vitac.server.queue import workers
 

@@ -257,10 +257,10 @@ def _render(playback: "Playback", title: str, mode: str, *, width_px: int, momen
     """
     from vitac.envs.drawing.camera_view import rendered_sheet
     from vitac.envs.vision.rendering.modes import RenderMode
-    from vitac.envs.vision.rendering.renderer import renderer_of
+    from vitac.envs.vision.rendering.renderer import make_renderer
 
     seen = _seen(playback, moments)
-    render = renderer_of(RenderMode(mode)).picture
+    render = make_renderer(RenderMode(mode)).picture
     return (
         rendered_sheet(sight, render(sight), f"{title}, env step {step}", mode=RenderMode(mode), width_px=width_px)
         for step, sight in seen

@@ -41,13 +41,13 @@ def film(
     """
     from vitac.envs.drawing.files import Frame
     from vitac.envs.maniskill.env import ManiSkillEnv
-    from vitac.envs.maniskill.film import END_MS, ENV_STEP_MS, captioned, env_steps_between, play, shots
+    from vitac.envs.maniskill.film import END_MS, ENV_STEP_MS, captioned, play, select_env_steps, shots
 
     assert start.listed is not None  # noqa: S101 - the ids of ManiSkill are no starts of their own
     task, _ = start.listed
     env = ManiSkillEnv(task.env_id, max_steps=task.max_steps, settings=dict(task.settings), draws=True)
     is_one = destination.kind is destination.kind.PNG
-    every = env_steps_between(task.max_steps) if destination.kind.is_animated and not each_step else 1
+    every = select_env_steps(task.max_steps) if destination.kind.is_animated and not each_step else 1
     n_digits = max(2, len(str(task.max_steps)))
     last: Moment
 

@@ -12,9 +12,9 @@ def existing(path: Path | None) -> Path | None:
         BadParameter: it does not exist.
     """
     if path is not None and not path.exists():
-        from vitac.evaluator.submission.names import contents_of
+        from vitac.evaluator.submission.names import describe_contents
 
-        raise typer.BadParameter(f"{path} does not exist; {contents_of(path.parent)}.")
+        raise typer.BadParameter(f"{path} does not exist; {describe_contents(path.parent)}.")
     return path
 
 
@@ -25,7 +25,7 @@ def existing_file(path: Path | None) -> Path | None:
         BadParameter: it does not exist, or is a folder.
     """
     if path is not None and path.is_dir():
-        from vitac.evaluator.submission.names import contents_of
+        from vitac.evaluator.submission.names import describe_contents
 
-        raise typer.BadParameter(f"expected a file; {contents_of(path)}.")
+        raise typer.BadParameter(f"expected a file; {describe_contents(path)}.")
     return existing(path)

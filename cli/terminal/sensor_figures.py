@@ -2,7 +2,7 @@
 
 from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.figures.reference import reference_figures
-from vitac.evaluator.figures.table import rows_of
+from vitac.evaluator.figures.table import make_rows
 
 from .output import print_table
 
@@ -10,7 +10,7 @@ from .output import print_table
 def print_figures(figures: SensorFigures) -> None:
     """Print all figures of a sensor, and their digest."""
     rows = [
-        (row.name, _text(row.value), _text(row.reference), row.unit) for row in rows_of(figures, reference_figures())
+        (row.name, _text(row.value), _text(row.reference), row.unit) for row in make_rows(figures, reference_figures())
     ]
     print_table(("figure", "sensor", "reference gel", "unit"), rows, none="")
     print(f"{figures.starts} starts; digest of the figures {figures.digest}")

@@ -65,15 +65,15 @@ def _imports(module: Path, envs: Path) -> frozenset[Path]:
     paths: set[Path] = set()
     for node in ast.walk(ast.parse(read_source(module))):
         if isinstance(node, ast.ImportFrom):
-            paths.update(_files_of(node, module, envs))
+            paths.update(_list_source_files(node, module, envs))
         elif isinstance(node, ast.Import):
             for alias in node.names:
                 if alias.name.startswith(f"{_PACKAGE}."):
-                    paths.update(_file_of(envs.joinpath(*alias.name.split(".")[2:])))
+                    paths.update(_find_source_file(envs.joinpath(*alias.name.split(".")[2:])))
     return frozenset(paths)
 
 
-def _files_of(node: ast.ImportFrom, module: Path, envs: Path) -> Iterator[Path]:
+def _list_source_files(node: ast.ImportFrom, module: Path, envs: Path) -> Iterator[Path]:
     """Return the files of `from package import a, b`: of the package, and of a and b where these are modules."""
     names = (node.module or "").split(".") if node.module else []
     if node.level:
@@ -82,12 +82,12 @@ def _files_of(node: ast.ImportFrom, module: Path, envs: Path) -> Iterator[Path]:
         base = envs.joinpath(*names[2:])
     else:
         return
-    yield from _file_of(base)
+    yield from _find_source_file(base)
     for alias in node.names:
-        yield from _file_of(base / alias.name)
+        yield from _find_source_file(base / alias.name)
 
 
-def _file_of(base: Path) -> Iterator[Path]:
+def _find_source_file(base: Path) -> Iterator[Path]:
     for path in (base.with_name(f"{base.name}.py"), base / "__init__.py"):
         if path.is_file():
             yield path

@@ -89,10 +89,10 @@ def _is_ear(points: NDArray[np.float64], ring: list[int], i: int) -> bool:
     a, b, c = _corner(ring, i)
     if orientation(points[a], points[b], points[c]) <= 0:
         return False
-    return not any(_in_triangle(points, a, b, c, other) for other in set(ring) - {a, b, c})
+    return not any(_is_in_triangle(points, a, b, c, other) for other in set(ring) - {a, b, c})
 
 
-def _in_triangle(points: NDArray[np.float64], a: int, b: int, c: int, other: int) -> bool:
+def _is_in_triangle(points: NDArray[np.float64], a: int, b: int, c: int, other: int) -> bool:
     """Return whether a point lies in the closed triangle."""
     return all(orientation(points[i], points[j], points[other]) >= 0 for i, j in ((a, b), (b, c), (c, a)))
 

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..tasks.settings import settings_from
+from ..tasks.settings import read_task_settings
 from .definition import PREFIX, ManiSkillSettings
 from .env import ManiSkillEnv, made
 
@@ -55,7 +55,7 @@ class Batch:
         observation_keys: Sequence[str] | None = None,
         settings: Mapping[str, Any] | None = None,
     ) -> None:
-        chosen = settings_from(ManiSkillSettings, dict(settings or {}))
+        chosen = read_task_settings(ManiSkillSettings, dict(settings or {}))
         self._env = made(env_id.removeprefix(PREFIX), chosen, n_scenes=chosen.batch_size)
         self._changed = Condition()
         self._playing: set[int] = set()

@@ -7,7 +7,7 @@ from typing import Any
 from ..errors import VitacError
 from ..observable import Observable
 from ..tasks.definition import ActionComponent, Family, TaskDefinition
-from ..tasks.settings import nearest, settings_from
+from ..tasks.settings import nearest, read_task_settings
 from .catalogue import MODES, Described, catalogue
 
 PREFIX = "ManiSkill/"
@@ -51,14 +51,14 @@ def is_maniskill(env_id: str) -> bool:
     return env_id.startswith(PREFIX)
 
 
-def definition_of(env_id: str, settings: Mapping[str, Any]) -> TaskDefinition:
+def find_definition(env_id: str, settings: Mapping[str, Any]) -> TaskDefinition:
     """Return the task of an environment, from the catalogue; ManiSkill need not be installed.
 
     Raises:
         ManiSkillTaskRejected: the environment is unknown or cannot be a task, or a mode is not one of its own.
         SettingsError: a setting is unknown or of a wrong type.
     """
-    chosen = settings_from(ManiSkillSettings, dict(settings))
+    chosen = read_task_settings(ManiSkillSettings, dict(settings))
     described = _described(env_id)
     return TaskDefinition(
         env_id=env_id,

@@ -24,9 +24,9 @@ from ..extras import install_command
 from ..tasks.definition import chosen_observables
 from ..tasks.ending import EndReason
 from ..tasks.options import RNG_SEED, refuse_unknown, seeded_generator
-from ..tasks.settings import settings_from
+from ..tasks.settings import read_task_settings
 from .catalogue import catalogue
-from .definition import CPU, PREFIX, ManiSkillSettings, definition_of, needs_driver
+from .definition import CPU, PREFIX, ManiSkillSettings, find_definition, needs_driver
 from .driver import has_cuda, has_driver, replace_materials
 from .observations import flattened, unbatched
 from .state import StateReader
@@ -85,8 +85,8 @@ class ManiSkillEnv:
         clock: Callable[[], float] = process_time,
     ) -> None:
         self._clock = clock
-        self._settings = settings_from(ManiSkillSettings, dict(settings or {}))
-        self._task = definition_of(env_id, settings or {})
+        self._settings = read_task_settings(ManiSkillSettings, dict(settings or {}))
+        self._task = find_definition(env_id, settings or {})
         listed = self._task.observables
         self._observed = listed if observation_keys is None else chosen_observables(listed, observation_keys)
         self._name = env_id.removeprefix(PREFIX)

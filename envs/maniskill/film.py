@@ -98,7 +98,7 @@ def shots(env: ManiSkillEnv, moments: Iterator[Moment], is_wanted: Callable[[int
         yield Shot(moment=moment, picture=env.picture())
 
 
-def env_steps_between(max_steps: int) -> int:
+def select_env_steps(max_steps: int) -> int:
     """Return how many env steps lie between two pictures, so that the longest episode has no more than it may."""
     return -(-max_steps // MAX_PICTURES)
 

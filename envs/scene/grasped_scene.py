@@ -155,7 +155,7 @@ class GraspedScene:
         for part in range(1, ipc_steps + 1):
             if not self.solved:
                 return
-            self._step_to(start.towards(goal, part, ipc_steps))
+            self._step_towards(start.towards(goal, part, ipc_steps))
 
     def capture_references(self) -> None:
         """Take what both sensors see now as their undisturbed view."""
@@ -246,7 +246,7 @@ class GraspedScene:
             friction=physics.gel_friction,
         )
 
-    def _step_to(self, pose: GripperPose) -> None:
+    def _step_towards(self, pose: GripperPose) -> None:
         self._measured = _Measurements()
         with self._clocks.physics:
             report = self._scene.step(driven_targets_m=self._gripper.driven_targets_m(pose))

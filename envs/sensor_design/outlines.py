@@ -58,7 +58,7 @@ def _pieces(lines: list[Line], half_mm: PlanePoint) -> Pieces:
         first, second = ends[2 * index], ends[2 * index + 1]
         if any(a == b and abs(a) == h for a, b, h in zip(first, second, half_mm, strict=True)):
             continue
-        between = _points_on(points, np.array(first), np.array(second)).tolist()
+        between = _sample_points(points, np.array(first), np.array(second)).tolist()
         for a, b in pairwise(between):
             piece = frozenset((tuple(a), tuple(b)))
             pieces[piece] = line.is_wall or pieces.get(piece, False)
@@ -80,7 +80,7 @@ def _snapped(ends: list[PlanePoint], half_mm: PlanePoint) -> list[PlanePoint]:
     return [found[end] for end in ends]
 
 
-def _points_on(points: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
+def _sample_points(points: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the points on a line in the order from its first end to its second, both included, shape [n, 2]."""
     along = second - first
     squared = float((along * along).sum())

@@ -151,7 +151,7 @@ class PlaneMesh:
     def _split(self, edge: Edge) -> None:
         """Cut a segment at the point that lies on it, else halve it: halving alone would creep up to that point."""
         (ax, ay), (bx, by) = self._ends(edge)
-        middle = self._point_on(edge)
+        middle = self._interpolate_point(edge)
         if middle is None:
             middle = self.add_point(((ax + bx) // 2, (ay + by) // 2))
         is_wall = self._segments.pop(edge)
@@ -160,7 +160,7 @@ class PlaneMesh:
         self.add_segment(edge[0], middle, is_wall=is_wall)
         self.add_segment(middle, edge[1], is_wall=is_wall)
 
-    def _point_on(self, edge: Edge) -> int | None:
+    def _interpolate_point(self, edge: Edge) -> int | None:
         """Return the first point between the ends of a segment and exactly on it; None where there is none."""
         if edge in self._apex or edge[::-1] in self._apex:
             return None

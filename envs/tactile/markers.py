@@ -324,7 +324,7 @@ def _attach(
     count = 0
     for i in range(grid.shape[0]):
         x, y = grid[i, 0], grid[i, 1]
-        if not _in_hull(x, y, hull):
+        if not _is_in_hull(x, y, hull):
             continue
         near = _nearest(x, y, centroids)
         chosen[count] = near[0]
@@ -340,7 +340,7 @@ def _attach(
 
 
 @kernel
-def _in_hull(x: float, y: float, hull: FloatArray) -> bool:
+def _is_in_hull(x: float, y: float, hull: FloatArray) -> bool:
     for i in range(hull.shape[0]):
         ax, ay = hull[i - 1, 0], hull[i - 1, 1]
         bx, by = hull[i, 0], hull[i, 1]

@@ -24,7 +24,7 @@ class Randomization(StrEnum):
     """Those that have a published training range are drawn from it (challenge-facts 3)."""
 
 
-def randomization_of(value: str) -> Randomization:
+def find_randomization(value: str) -> Randomization:
     """Return the randomization that an argument names.
 
     Raises:

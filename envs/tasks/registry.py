@@ -42,7 +42,7 @@ def added_tasks() -> tuple[EntryPoint, ...]:
     return tuple(sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: (point.name, point.value)))
 
 
-def package_of(env_id: str) -> str | None:
+def find_package(env_id: str) -> str | None:
     """Return the package that adds the task of an environment; None for our own, and for what no package adds."""
     own = {task.env_id for task in _own_tasks()}
     if env_id in own:

@@ -13,7 +13,7 @@ class SettingsError(VitacError):
     """A task setting is unknown or out of range; the message names it and what it may be."""
 
 
-def settings_from(kind: type[Settings], overrides: dict[str, Any]) -> Settings:
+def read_task_settings(kind: type[Settings], overrides: dict[str, Any]) -> Settings:
     """Return the settings with some values replaced.
 
     Raises:

@@ -29,8 +29,8 @@ from .contact_model import with_contact_model
 from .definition import TaskDefinition, chosen_observables, with_tables
 from .ending import EndReason, Flags
 from .options import RNG_SEED, chosen_shapes, refuse_unknown, seeded_generator
-from .randomization import Randomization, Ranges, drawn_settings, randomization_of
-from .settings import require, settings_from
+from .randomization import Randomization, Ranges, drawn_settings, find_randomization
+from .settings import read_task_settings, require
 from .snapshot import EpisodeSnapshot, Generators
 
 FloatArray = NDArray[np.float64]
@@ -134,7 +134,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         render_mode: str | None = None,
         **overrides: Any,
     ) -> None:
-        self.settings: SettingsT = with_contact_model(settings_from(self.settings_type, overrides), contact_model)
+        self.settings: SettingsT = with_contact_model(read_task_settings(self.settings_type, overrides), contact_model)
         own = self.task.observables if privileged else self.task.public_observables
         if observation_keys is not None:
             own = chosen_observables(own, observation_keys)
@@ -144,7 +144,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
             entry.with_nodes(nodes) for entry in (*own, *observables)
         )
         self._shapes: tuple[Any, ...] = chosen_shapes(self.env_id, self.shape_type, shapes)
-        self._randomization = randomization_of(randomization)
+        self._randomization = find_randomization(randomization)
         require(render_mode in (None, *self.metadata["render_modes"]), "render_mode", render_mode, "None or rgb_array")
         self.render_mode = render_mode
         self._still: StillCamera | None = None

@@ -86,7 +86,7 @@ class Sight:
         """`Label` of every pixel, shape [480, 640]."""
         return segmentation_picture(self._view, self._surfaces)
 
-    def triangles_of(self, label: Label) -> tuple[FloatArray, FloatArray]:
+    def list_triangles(self, label: Label) -> tuple[FloatArray, FloatArray]:
         """Return corners [m], shape [t, 3, 3], and outward unit normals, shape [t, 3], of a class in the world."""
         triangles = self._surfaces.triangles[self._surfaces.labels == label]
         return self._vertices_m[triangles], unit_normals(self._vertices_m, triangles)

@@ -71,9 +71,9 @@ SEGMENTATION: Observable[HasSight] = Observable(
 
 
 def _tactile_pictures(scene: HasGrasp, random: "np.random.Generator") -> "NDArray[np.uint8]":
-    from .tactile_picture import pictures_of
+    from .tactile_picture import draw_tactile_pictures
 
-    return pictures_of(scene.grasped, random)
+    return draw_tactile_pictures(scene.grasped, random)
 
 
 RGB_IMAGES: Observable[HasGrasp] = Observable(

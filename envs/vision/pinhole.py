@@ -28,7 +28,7 @@ class CameraPose:
 
     def in_camera(self, points_m: FloatArray) -> FloatArray:
         """Return the world positions in the camera's frame [m], shape [n, 3]."""
-        return _in_frame(points_m, self.world_from_camera, self.position_m)
+        return _is_in_frame(points_m, self.world_from_camera, self.position_m)
 
     def moved_right(self, distance_m: float) -> "CameraPose":
         """Make the pose with the same directions, moved to the right of the picture [m]."""
@@ -37,7 +37,7 @@ class CameraPose:
 
 
 @allocating_kernel
-def _in_frame(points_m: FloatArray, rotation: FloatArray, origin_m: FloatArray) -> FloatArray:
+def _is_in_frame(points_m: FloatArray, rotation: FloatArray, origin_m: FloatArray) -> FloatArray:
     out = np.empty((points_m.shape[0], 3))
     for i in range(points_m.shape[0]):
         x = points_m[i, 0] - origin_m[0]

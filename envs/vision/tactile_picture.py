@@ -100,7 +100,7 @@ class TactileCamera:
         return np.where(view.depth_m > 0.0, view.depth_m, self._beyond_gel_m)
 
 
-def pictures_of(scene: GraspedScene, random: np.random.Generator) -> TactilePicture:
+def draw_tactile_pictures(scene: GraspedScene, random: np.random.Generator) -> TactilePicture:
     """Return the pictures of the left and the right sensor, shape [2, 240, 320, 3], blue, green, red.
 
     Args:

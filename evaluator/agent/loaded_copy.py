@@ -191,7 +191,7 @@ class LoadedCopy:
         try:
             with os.scandir(f"/proc/{self.pid}/fd") as links:
                 for link in links:
-                    lines = process_tree.text_of(f"/proc/{self.pid}/fdinfo/{link.name}").splitlines()
+                    lines = process_tree.read_text_file(f"/proc/{self.pid}/fdinfo/{link.name}").splitlines()
                     info = dict(line.split(":", 1) for line in lines if line.startswith(("pos:", "flags:")))
                     state = link.stat()
                     files.append(
@@ -234,7 +234,7 @@ class LoadedCopy:
     def _pending_signals(self) -> list[str]:
         """Return the pending signals of the frozen process as /proc shows them; they count against its user's limit."""
         try:
-            lines = process_tree.text_of(f"/proc/{self.pid}/status").splitlines()
+            lines = process_tree.read_text_file(f"/proc/{self.pid}/status").splitlines()
         except FileNotFoundError as error:
             raise TracedProcessGone from error
         return [line for line in lines if line.startswith(("SigQ:", "SigPnd:", "ShdPnd:"))]

@@ -7,10 +7,10 @@ from typing import Any, Final, cast
 import numpy as np
 
 from ..episodes.episode import Environment, make_environment
-from ..sensors.made import design_in
+from ..sensors.made import read_design
 from ..tracks import Task
 from .controller import Vector, in_gripper_frame, with_motion
-from .features import features_of
+from .features import compute_features
 from .regression import Coefficients, fit
 
 SEED: Final = 20_250_131
@@ -55,7 +55,7 @@ def calibrated(task: Task, sensor: Path) -> Coefficients:
     """Return the coefficients of the sensor in a folder or file, calibrated once in a process and its copies."""
     key = task.env_id, sensor
     if key not in _calibrated:
-        _calibrated[key] = calibrate(make_environment(task, sensor=design_in(sensor)), task)
+        _calibrated[key] = calibrate(make_environment(task, sensor=read_design(sensor)), task)
     return _calibrated[key]
 
 
@@ -78,7 +78,7 @@ def _episode(env: Environment, task: Task, number: int) -> Iterator[Sample]:
         if info["end_reason"] is not None:
             return
         offset = in_gripper_frame(_floats(info["gt_offset_mm_deg"]))
-        yield env_step, with_motion(features_of(cast(Any, observation["marker_flow"])), motion, scale), offset
+        yield env_step, with_motion(compute_features(cast(Any, observation["marker_flow"])), motion, scale), offset
         if env_step == ENV_STEPS - 1:
             return
         action = _action(offset, scale, random)

@@ -14,7 +14,7 @@ COUNT = 2 * 2 * _TERMS
 """Two sensors, two directions, six terms."""
 
 
-def features_of(marker_flow: NDArray[np.float32], *, at_rest: bool = False) -> list[float]:
+def compute_features(marker_flow: NDArray[np.float32], *, at_rest: bool = False) -> list[float]:
     """Return the coefficients of the motion of the markers in both pictures [pixel].
 
     In each picture, motion is fitted by the terms 1, x, y, x^2, x y, y^2 of the reference position, which is 0 in the

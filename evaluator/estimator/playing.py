@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..agent.protocol.frames import CloudSpec
 from .controller import Controller, Vector
-from .features import features_of
+from .features import compute_features
 from .regression import Coefficients
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ class EstimatorPolicy:
     def act(self, observation: "Observation") -> NDArray[np.float32]:
         """Return the action for an observation."""
         started = process_time()
-        features = features_of(cast(Any, observation["marker_flow"]), at_rest=self._is_blind)
+        features = compute_features(cast(Any, observation["marker_flow"]), at_rest=self._is_blind)
         action = np.array(self._controller.act(features), dtype=np.float32)
         self.cpu_s += process_time() - started
         return action

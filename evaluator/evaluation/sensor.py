@@ -9,7 +9,7 @@ from pathlib import Path
 from ..episodes.records import EpisodeRecord
 from ..estimator.regression import Coefficients
 from ..figures.figures import FigureChoice, SensorFigures, merged
-from ..figures.table import missing_of
+from ..figures.table import list_missing_rows
 from ..scoring.gain import SensingGain, sensing_gain
 from ..scoring.score import Rate
 from ..sensors.check import accepted_sensor
@@ -77,7 +77,7 @@ class SensorEvaluation:
         problems = (part.problem for part in self.blind.figures if part.problem is not None)
         yield from dict.fromkeys(problems)
         if self.figures is not None:
-            yield from missing_of(self.figures)
+            yield from list_missing_rows(self.figures)
 
 
 def evaluate_sensor(

@@ -15,14 +15,14 @@ class FigureRow(NamedTuple):
     unit: str
 
 
-def rows_of(figures: SensorFigures, reference: SensorFigures) -> Iterator[FigureRow]:
+def make_rows(figures: SensorFigures, reference: SensorFigures) -> Iterator[FigureRow]:
     """Yield every figure of a sensor."""
     values, others = _values(figures), _values(reference)
     for name, (value, unit) in values.items():
         yield FigureRow(name, value, others.get(name, (None, unit))[0], unit)
 
 
-def missing_of(figures: SensorFigures) -> Iterator[str]:
+def list_missing_rows(figures: SensorFigures) -> Iterator[str]:
     """Yield a sentence for every figure that is not there: what it is, and why."""
     touch, unmeasured = figures.touch, "no start was measured"
     if None in (touch.normal_px_n, touch.shear_px_n, touch.pin_mm, *touch.edge_mm):

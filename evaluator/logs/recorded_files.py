@@ -12,7 +12,7 @@ from ..strict_model import DocumentRejected, validate
 from ..tracks import Task
 from .log import MAX_LINE_BYTES, LogReader, is_log
 from .packing import open_log
-from .recordings import Recording, RecordingRejected, episode_at, make_recording, recorded_actions
+from .recordings import Recording, RecordingRejected, find_recorded_episode, make_recording, recorded_actions
 from .text_2025 import TextLogRejected, is_text_log, read_text_log, summarize, to_json_lines
 from .text_2025.scripts import all_scripts
 
@@ -63,10 +63,10 @@ def read_recordings(
             yield from _recordings_of_text(stream, task, on_problems)
             return
         lines = enumerate(iter(lambda: stream.readline(MAX_LINE_BYTES + 1), b""), start=1)
-        yield from (_recording_in(line, number, task) for number, line in lines)
+        yield from (_find_recording(line, number, task) for number, line in lines)
 
 
-def _recording_in(line: bytes, number: int, task: Task) -> Recording:
+def _find_recording(line: bytes, number: int, task: Task) -> Recording:
     place = f"Line {number}"
     try:
         content = json.loads(line)
@@ -106,7 +106,7 @@ def _recording_of_2025(content: _EpisodeOf2025, place: str, task: Task) -> Recor
     if start is not None:  # The log shows it relative to the hole, in the books of its era.
         shape, offset = start.part, start.true_offset
     return Recording(
-        episode=episode_at(task, content.episode, shape, offset, place),
+        episode=find_recorded_episode(task, content.episode, shape, offset, place),
         actions=recorded_actions(task, [step.action for step in content.steps], place),
         infos=tuple(step.model_dump(mode="json", exclude={"action"}, exclude_none=True) for step in content.steps),
         success=None if content.result is None else content.result == "SUCCESS",

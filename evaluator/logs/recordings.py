@@ -41,14 +41,14 @@ def make_recording(record: EpisodeRecord, task: Task) -> Recording:
     if record.task != task.name:
         raise RecordingRejected(f"{place} is of task {record.task!r}, expected {task.name!r}.")
     return Recording(
-        episode=episode_at(task, record.episode, record.shape, record.initial_offset, place),
+        episode=find_recorded_episode(task, record.episode, record.shape, record.initial_offset, place),
         actions=recorded_actions(task, record.actions.to_array().tolist(), place),
         infos=record.infos,
         success=record.success,
     )
 
 
-def episode_at(task: Task, number: int, shape: str, offset: tuple[float, ...], place: str) -> Episode:
+def find_recorded_episode(task: Task, number: int, shape: str, offset: tuple[float, ...], place: str) -> Episode:
     """Return the start as recorded; it may differ from the one in the task's list.
 
     Raises:

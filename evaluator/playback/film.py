@@ -27,11 +27,11 @@ def make_film(
     """
     from vitac.envs.drawing.files import Destination, Frame
     from vitac.envs.maniskill.env import ManiSkillEnv
-    from vitac.envs.maniskill.film import END_MS, ENV_STEP_MS, captioned, env_steps_between, shots
+    from vitac.envs.maniskill.film import END_MS, ENV_STEP_MS, captioned, select_env_steps, shots
 
     env = ManiSkillEnv(task.env_id, max_steps=task.max_steps, settings=dict(task.settings), draws=True)
     moments = _as_recorded(env, task, record, on_step, list_seed)
-    every = env_steps_between(task.max_steps)
+    every = select_env_steps(task.max_steps)
     title = f"{task.title}, episode {record.episode}"
     last: Frame | None = None
 

@@ -146,7 +146,7 @@ def load_made_sensor(path: Path) -> MadeSensor:
 
 
 @cache
-def design_in(path: Path) -> "SensorDesign":
+def read_design(path: Path) -> "SensorDesign":
     """Return the design of a folder or of a made sensor's file, which is read once in a process and its copies.
 
     Raises:

@@ -21,7 +21,7 @@ class MakingAnswer(StrictModel):
     refused: str | None = None
 
 
-def answer_for(folder: Path) -> MakingAnswer:
+def make_answer(folder: Path) -> MakingAnswer:
     """Check and mesh the sensor in a folder."""
     from .check import accepted_sensor
 
@@ -44,7 +44,7 @@ def main() -> None:
     """Answer on standard output."""
     folder, kernels = map(Path, sys.argv[1:])
     use_kernels(kernels)
-    sys.stdout.write(answer_for(folder).model_dump_json(exclude_none=True) + "\n")
+    sys.stdout.write(make_answer(folder).model_dump_json(exclude_none=True) + "\n")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from ..estimator.calibration import calibrated
 from ..estimator.playing import EstimatorSession
 from ..figures.figures import FigureChoice, FiguresPart, StartFigures
 from ..figures.starts import Measurement, measured_episodes
-from ..sensors.made import design_in
+from ..sensors.made import read_design
 from ..tracks import Player, Task, Track
 from ..tracks.cut import Shard
 from .order import ShardOrder
@@ -43,7 +43,7 @@ def run_estimator(
     if order.sensor is None:
         raise NoSensor(f"Expected a sensor for {task.name}, got none.")
     coefficients = order.coefficients or calibrated(task, order.sensor)
-    design = design_in(order.sensor)
+    design = read_design(order.sensor)
     session = EstimatorSession(coefficients, task.definition.action_scale, is_blind=task.player is Player.BLIND)
 
     def load(_folder: Path, _limits: object, _slot: int) -> nullcontext[EstimatorSession]:

@@ -12,7 +12,7 @@ from ..agent.isolation.interpreter import installed_packages
 from ..episodes.episode import make_environment
 from ..episodes.reading import make_reading
 from ..episodes.records import EpisodeRecord
-from ..sensors.made import design_in
+from ..sensors.made import read_design
 from ..submission.manifest import load_manifest
 from ..submission_kinds import SubmissionKind
 from ..tracks import Player, Task, Track
@@ -61,7 +61,7 @@ def execute(order: ShardOrder, answer: IO[str], preparation: Preparation) -> Non
         answer.flush()
 
     try:
-        result = _result_of(order, preparation, send)
+        result = _make_result(order, preparation, send)
     except VitacError as error:
         preparation.forget()  # whoever reads the error kills this process, which could not clear up itself
         send(ShardMessage(error=f"{type(error).__name__}: {error}"))
@@ -69,7 +69,7 @@ def execute(order: ShardOrder, answer: IO[str], preparation: Preparation) -> Non
         send(ShardMessage(result=result))
 
 
-def _result_of(order: ShardOrder, preparation: Preparation, send: Callable[[ShardMessage], None]) -> ShardResult:
+def _make_result(order: ShardOrder, preparation: Preparation, send: Callable[[ShardMessage], None]) -> ShardResult:
     track = load_played_track(order.track, read_secret(order.secret) if order.secret else None)
     task = track.tasks[order.task]
     shard = next(shard for shard in cut(task, order.episodes) if shard.index == order.shard)
@@ -108,7 +108,7 @@ def _run_estimator(ordered: OrderedShard, _: Preparation, on_episode: OnEpisode)
 
 
 def _sensor_of(order: ShardOrder) -> "SensorDesign | None":
-    return design_in(order.sensor) if order.sensor else None
+    return read_design(order.sensor) if order.sensor else None
 
 
 def _run_log(ordered: OrderedShard, _: Preparation, on_episode: OnEpisode) -> ShardResult:

@@ -30,7 +30,7 @@ from vitac.envs.maniskill.definition import is_maniskill
 from ..episodes.episode import make_environment
 from ..estimator.calibration import calibrated, is_calibrated, take
 from ..estimator.regression import Coefficients
-from ..sensors.made import design_in
+from ..sensors.made import read_design
 from ..tracks import Player, Task
 from ..tracks.registry import list_tracks, load_track
 from ..version import evaluator_hash
@@ -179,7 +179,7 @@ class SimulationHost:
             listed = load_track(track).tasks[task]
             if is_maniskill(listed.env_id):
                 return  # ManiSkill starts threads, which a copy would not have: each shard loads it for itself.
-            env = make_environment(listed, assets_dir, sensor=design_in(sensor) if sensor else None)
+            env = make_environment(listed, assets_dir, sensor=read_design(sensor) if sensor else None)
             env.reset(options=listed.episodes[0].options)
             env.step(np.zeros(len(listed.actions), dtype=np.float32))
             env.mesh_hash()  # which needs the parts of every shape
@@ -190,7 +190,7 @@ class SimulationHost:
         """Do work in the forked process, which never returns."""
         exit_code = 1
         try:
-            _die_with(host_pid)
+            _exit_with_parent(host_pid)
             os.setsid()
             self._control.close()
             self._selector.close()
@@ -263,7 +263,7 @@ def _read_line(connection: socket.socket) -> bytes:
     return line
 
 
-def _die_with(parent: int) -> None:
+def _exit_with_parent(parent: int) -> None:
     """Ask the kernel to kill this process when its parent ends."""
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:  # It ended before the request.

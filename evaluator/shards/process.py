@@ -258,7 +258,7 @@ class ShardProcess:
         self._forked()
         try:
             with self._connection.makefile("rb") as answers:
-                yield from self._records_in(answers)
+                yield from self._read_records(answers)
         except (OSError, ValidationError) as error:  # It was killed, perhaps in the middle of a line.
             raise ShardProcessFailed(f"The process of a shard ended with exit code {self._exit_code()}.") from error
         _ = self.result
@@ -313,7 +313,7 @@ class ShardProcess:
             self._connection.close()
             os.close(self._exit_pipe)
 
-    def _records_in(self, answers: BinaryIO) -> Iterator[EpisodeRecord]:
+    def _read_records(self, answers: BinaryIO) -> Iterator[EpisodeRecord]:
         for line in answers:
             message = ShardMessage.model_validate_json(line)
             if message.error is not None:

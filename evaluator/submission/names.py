@@ -79,7 +79,7 @@ def is_ignored(path: str) -> bool:
     return bool(IGNORED_FOLDERS.intersection(parts)) or name in IGNORED_FILES or name.endswith(IGNORED_SUFFIXES)
 
 
-def contents_of(folder: Path) -> str:
+def describe_contents(folder: Path) -> str:
     """Return the end of a sentence that says what a folder holds, for someone who named something else."""
     if not folder.is_dir():
         return f"folder {folder} does not exist"

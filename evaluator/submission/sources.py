@@ -23,7 +23,7 @@ from .manifest import (
     parse_manifest,
     renaming,
 )
-from .names import MANIFEST_NAME, NamedEntry, check_names, contents_of, is_ignored, link, listed, special_file
+from .names import MANIFEST_NAME, NamedEntry, check_names, describe_contents, is_ignored, link, listed, special_file
 
 
 class NoSubmission(VitacError):
@@ -37,12 +37,12 @@ def find_submission(path: Path) -> Path:
         NoSubmission: there is none.
     """
     if not path.exists():
-        raise NoSubmission(f"{path} does not exist; {contents_of(path.parent)}.")
+        raise NoSubmission(f"{path} does not exist; {describe_contents(path.parent)}.")
     for folder in (path, *(path / top for top in archive_folders())):
         if (folder / MANIFEST_NAME).is_file():
             return folder
     mend = renaming(each.name for each in path.glob("*")) or _unknown_track(path)
-    raise NoSubmission(f"Expected {MANIFEST_NAME} or a zip, {contents_of(path)}; {mend}.")
+    raise NoSubmission(f"Expected {MANIFEST_NAME} or a zip, {describe_contents(path)}; {mend}.")
 
 
 def _unknown_track(path: Path) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from vitac.envs.errors import VitacError
-from vitac.envs.maniskill.definition import definition_of, is_maniskill
+from vitac.envs.maniskill.definition import find_definition, is_maniskill
 from vitac.envs.tasks.definition import TaskDefinition
 from vitac.envs.tasks.registry import task_definitions
 
@@ -21,7 +21,7 @@ def environment_definition(env_id: str, settings: Mapping[str, Any]) -> TaskDefi
         VitacError: it cannot be a task with these settings.
     """
     if is_maniskill(env_id):
-        return definition_of(env_id, settings)
+        return find_definition(env_id, settings)
     if env_id not in task_definitions():
         raise UnknownEnvironment(f"env_id is {env_id!r}, expected one of {', '.join(sorted(task_definitions()))}.")
     return task_definitions()[env_id]

@@ -68,12 +68,12 @@ def further_track_files() -> Mapping[str, Path]:
 
 
 def _track_files() -> Mapping[str, Path]:
-    return _files_with(os.environ.get(TRACKS_FOLDER_VARIABLE))
+    return _find_track_files(os.environ.get(TRACKS_FOLDER_VARIABLE))
 
 
 @cache
 def _tracks(further: str | None) -> tuple[Track, ...]:
-    found = map(_read, _files_with(further).values())
+    found = map(_read, _find_track_files(further).values())
     return tuple(sorted(found, key=lambda track: (track.has_maniskill, track.name)))
 
 
@@ -89,7 +89,7 @@ def _tracks_by_task(further: str | None) -> Mapping[str, Track]:
 
 
 @cache
-def _files_with(further: str | None) -> Mapping[str, Path]:
+def _find_track_files(further: str | None) -> Mapping[str, Path]:
     """Return the files by track; looked for once in a process, as the evaluator's version is."""
     own = _files_in(Path(__file__).parent)
     if not further:

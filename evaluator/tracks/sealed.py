@@ -75,7 +75,7 @@ def read_secret(path: Path) -> bytes:
     return bytes.fromhex(text)
 
 
-def commitment_of(secret: bytes) -> str:
+def make_commitment(secret: bytes) -> str:
     """Return the SHA-256 [hex] that is published before a list is used: it fixes the list and tells nothing of it."""
     return hashlib.sha256(_COMMITTED + secret).hexdigest()
 
@@ -125,7 +125,7 @@ def _derived(track: Track, task: Task, secret: bytes) -> EpisodeList:
         list_seed=int.from_bytes(seed[:8], "big") >> 1,
         offset_option=public.offset_option,
         blocks=tuple(blocks),
-        commitment=commitment_of(secret),
+        commitment=make_commitment(secret),
     )
 
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
-from vitac.envs.tasks.registry import package_of
+from vitac.envs.tasks.registry import find_package
 
 from ..version import evaluator_hash, evaluator_parts, evaluator_version, sources_hash, version_with
 from .registry import further_track_files, list_tracks, load_track
@@ -59,6 +59,6 @@ def _added_parts(track: str) -> Mapping[str, str]:
 
 @cache
 def _parts_of_file(track: str, file: Path) -> Mapping[str, str]:
-    packages = {package_of(task.env_id) for task in load_track(track).tasks.values()}
+    packages = {find_package(task.env_id) for task in load_track(track).tasks.values()}
     parts = {package: sources_hash(package) for package in packages if package}
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest(), **parts}

@@ -324,11 +324,11 @@ def _claimed_sha256(request: Request) -> str | None:
     for part in request.headers.get("content-digest", "").split(","):
         name, _, value = part.strip().partition("=")
         if name == "sha-256":
-            return _hex_of(value)
+            return _parse_hex(value)
     return None
 
 
-def _hex_of(value: str) -> str:
+def _parse_hex(value: str) -> str:
     try:
         return base64.b64decode(value.strip(":"), validate=True).hex()
     except binascii.Error as error:

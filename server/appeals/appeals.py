@@ -284,11 +284,11 @@ def _require_time(session: Session, evaluation: Evaluation) -> None:
         )
     if days is None:
         raise ServiceError(ProblemCode.APPEAL_TOO_LATE, "This service takes no appeals; ask the organizers a question.")
-    until = (_counts_since(session, evaluation) or evaluation.finished_at) + timedelta(days=days)
+    until = (_count_since(session, evaluation) or evaluation.finished_at) + timedelta(days=days)
     if datetime.now(UTC) >= until:
         raise ServiceError(ProblemCode.APPEAL_TOO_LATE, f"Appeals were possible until {until:%F %T} UTC, {days} days.")
 
 
-def _counts_since(session: Session, evaluation: Evaluation) -> datetime | None:
+def _count_since(session: Session, evaluation: Evaluation) -> datetime | None:
     """Return when the rejudgement that made an evaluation was applied; until then nobody saw its result."""
     return session.scalar(select(Rejudgement.applied_at).where(Rejudgement.id == evaluation.rejudgement_id))

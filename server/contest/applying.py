@@ -99,7 +99,7 @@ def apply(
             "the competition",
             base=base,
             revision=contest.revision,
-            difference=lambda: _difference_since(contest, base, definition),
+            difference=lambda: _describe_difference_since(contest, base, definition),
         )
         require_confirmed(list_concerns(session, definition), confirmed)
     if not contest.is_held:
@@ -144,7 +144,7 @@ def warnings_about(definition: CompetitionDefinition, changes: Sequence[Change])
     return found
 
 
-def _difference_since(contest: Contest, base: str | None, definition: CompetitionDefinition) -> str:
+def _describe_difference_since(contest: Contest, base: str | None, definition: CompetitionDefinition) -> str:
     """Return what was changed since a revision; where nobody knows that, what the file would change."""
     known = (
         content

@@ -234,9 +234,9 @@ class Contest:
 
     def takes_submissions(self, track: str, at: datetime) -> bool:
         """Return whether a moment lies in the time of a stage of a track."""
-        return any(stage.is_in_time(at) for stage in self.stages_of(track))
+        return any(stage.is_in_time(at) for stage in self.list_stages(track))
 
-    def stages_of(self, track: str) -> tuple[Stage, ...]:
+    def list_stages(self, track: str) -> tuple[Stage, ...]:
         """Return the stages of a track that are held here; outside of a competition that is one for practice."""
         found = tuple(stage for stage in self.stages_held_here if stage.track == track)
         return found or (self.stored_stage(track, PRACTICE),)
@@ -271,7 +271,7 @@ class Contest:
             ServiceError: there is no such track or stage.
         """
         load_known_track(track)
-        stages = self.stages_of(track)
+        stages = self.list_stages(track)
         if wanted is None:
             return _last_opened(stages, at or datetime.now(UTC)) or stages[0]
         names = [stage.name for stage in stages if not stage.is_practice]
@@ -289,7 +289,7 @@ class Contest:
         Raises:
             ServiceError: none does, or its episodes are published.
         """
-        stages = self.stages_of(track)
+        stages = self.list_stages(track)
         found = next((stage for stage in stages if stage.is_in_time(at)), None)
         if found is None and by.is_organizer:
             found = _last_opened(stages, at)
@@ -361,7 +361,7 @@ def stage_of(session: Session, row: Submission | Rejudgement) -> Stage:
     return Contest.read(session, row.contest).stored_stage(row.track, row.stage)
 
 
-def contest_to_submit_to(session: Session, track: str, at: datetime, name: str | None = None) -> Contest:
+def choose_contest(session: Session, track: str, at: datetime, name: str | None = None) -> Contest:
     """Return the contest to which a submission to a track belongs.
 
     Args:
@@ -389,7 +389,7 @@ def contest_to_submit_to(session: Session, track: str, at: datetime, name: str |
     return (taking or contests)[0]
 
 
-def contests_to_choose_from(session: Session, at: datetime) -> Sequence[Contest]:
+def list_contest_choices(session: Session, at: datetime) -> Sequence[Contest]:
     """Return the contests that take submissions to a track to which another one takes them too; else none."""
     contests = Contest.read_all(session)
     taking = {

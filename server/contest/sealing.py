@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from sqlalchemy import exists, func, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import Track
-from vitac.evaluator.tracks.sealed import SECRET_BYTES, commitment_of, load_played_track
+from vitac.evaluator.tracks.sealed import SECRET_BYTES, load_played_track, make_commitment
 
 from ..audit import record
 from ..db.models import Evaluation, SealedList
@@ -36,10 +36,10 @@ def seal(session: Session, by: Principal, stage: Stage, secret: bytes | None = N
         ServiceError: not an organizer, or another secret was committed to.
     """
     by.require_organizer(stage.contest)
-    found = session.scalar(select(SealedList).where(*stage.rows_of(SealedList)))
+    found = session.scalar(select(SealedList).where(*stage.make_rows(SealedList)))
     if found is None:
         return _make_list(session, by, stage, secret or secrets.token_bytes(SECRET_BYTES))
-    if secret is not None and commitment_of(secret) != found.commitment:
+    if secret is not None and make_commitment(secret) != found.commitment:
         raise ServiceError(
             ProblemCode.LIST_SEALED,
             f"Stage {stage.name} of {stage.track} is committed to {found.commitment}, expected the secret of that; "
@@ -98,7 +98,7 @@ def refuse_reopening(contest: Contest, definition: CompetitionDefinition, at: da
 
 def _make_list(session: Session, by: Principal, stage: Stage, secret: bytes) -> SealedList:
     made = SealedList(
-        commitment=commitment_of(secret),
+        commitment=make_commitment(secret),
         contest=stage.contest,
         track=stage.track,
         stage=stage.name,
@@ -129,7 +129,7 @@ def reveal(session: Session, by: Principal, stage: Stage) -> SealedList:
         ServiceError: not an organizer, there is no such list, or an evaluation of it has not ended.
     """
     by.require_organizer(stage.contest)
-    of_stage = *stage.rows_of(SealedList), SealedList.withdrawn_at.is_(None)
+    of_stage = *stage.make_rows(SealedList), SealedList.withdrawn_at.is_(None)
     found = session.scalar(select(SealedList).where(*of_stage).with_for_update())
     if found is None:
         raise not_found("sealed list of", f"{stage.track}/{stage.name}")
@@ -153,17 +153,17 @@ def sealed_lists(session: Session, contest: Contest) -> list[SealedList]:
     return list(session.scalars(of_contest.order_by(SealedList.track, SealedList.stage)))
 
 
-def secret_of(session: Session, commitment: str) -> bytes:
+def find_secret(session: Session, commitment: str) -> bytes:
     """Return the secret that belongs to a commitment, for the worker that plays the list."""
     return bytes.fromhex(session.get_one(SealedList, commitment).secret)
 
 
 def played_track(session: Session, track: str, commitment: str | None) -> Track:
     """Return a track with the lists that were played: by the secret of a commitment, or the public ones for None."""
-    return load_played_track(track, None if commitment is None else secret_of(session, commitment))
+    return load_played_track(track, None if commitment is None else find_secret(session, commitment))
 
 
-def list_seed_of(session: Session, commitment: str, track: str, task: str) -> int | None:
+def derive_list_seed(session: Session, commitment: str, track: str, task: str) -> int | None:
     """Return the seed of a sealed list, with which its episodes are played again; None for the public one (empty)."""
     if not commitment:
         return None

@@ -104,7 +104,7 @@ class Stage:
         """Since when its results are final; None: they are not."""
         return None if self.is_practice else self.competition.finalized_at
 
-    def rows_of(
+    def make_rows(
         self, table: type[Submission] | type[Qualification] | type[SealedList]
     ) -> tuple[ColumnElement[bool], ...]:
         """Return the conditions by which rows of a table belong to this stage."""
@@ -113,19 +113,19 @@ class Stage:
     @property
     def submissions(self) -> ColumnElement[bool]:
         """The condition by which a query takes the submissions to this stage."""
-        return and_(*self.rows_of(Submission))
+        return and_(*self.make_rows(Submission))
 
     @property
     def qualifications(self) -> ColumnElement[bool]:
         """The condition by which a query takes what the organizers confirmed for this stage."""
-        return and_(*self.rows_of(Qualification))
+        return and_(*self.make_rows(Qualification))
 
     @property
     def sealed_list(self) -> SealedList | None:
         """The list that only organizers know; None where the public one is played."""
         if self.is_practice:
             return None
-        of_stage = select(SealedList).where(*self.rows_of(SealedList))
+        of_stage = select(SealedList).where(*self.make_rows(SealedList))
         return self.session.scalar(of_stage.where(SealedList.withdrawn_at.is_(None)))
 
     @property

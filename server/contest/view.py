@@ -21,7 +21,7 @@ from ..views.contest import (
     WinnerView,
     WithdrawnListView,
 )
-from .contest import Contest, contests_to_choose_from
+from .contest import Contest, list_contest_choices
 from .sealing import sealed_lists
 from .stages import Stage
 
@@ -50,7 +50,7 @@ def competition_list_view(session: Session, *, at: datetime | None = None) -> Co
 
 def competitions_to_choose_from(session: Session) -> Sequence[CompetitionSummaryView]:
     """Return the competitions between which an upload has to choose; empty where no track has several now."""
-    names = {contest.name for contest in contests_to_choose_from(session, datetime.now(UTC))}
+    names = {contest.name for contest in list_contest_choices(session, datetime.now(UTC))}
     return [view for view in competition_list_view(session).items if view.name in names]
 
 
@@ -122,7 +122,7 @@ def track_stages(
         ServiceError: there is no such competition, or it does not hold the track.
     """
     contest = Contest.find_by_track(session, track, name)
-    stages = [stage for stage in contest.stages_of(track) if not stage.is_practice]
+    stages = [stage for stage in contest.list_stages(track) if not stage.is_practice]
     lists, now = _lists(contest) if stages else {}, at or datetime.now(UTC)
     return [_stage(stage, lists, now) for stage in stages]
 

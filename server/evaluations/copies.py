@@ -109,7 +109,7 @@ def _beginnings(session: Session, episodes: Collection[int]) -> dict[int, bytes]
     return {episode: (found[: (len(found) + 1) // 2] + 0.0).tobytes() for episode, found in actions.items()}
 
 
-def copies_among(session: Session, evaluations: Collection[UUID], names: ShownNames) -> dict[UUID, LogCopyView]:
+def find_copies(session: Session, evaluations: Collection[UUID], names: ShownNames) -> dict[UUID, LogCopyView]:
     """Return what was found of these evaluations, with the teams under the names that are shown."""
     if not evaluations:
         return {}

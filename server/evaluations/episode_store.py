@@ -189,7 +189,7 @@ def missing_episodes(session: Session, lease: Lease) -> list[int]:
     return sorted(set(lease.episodes).difference(stored))
 
 
-def records_of(session: Session, key: EpisodeKey, task: str) -> list[EpisodeRecord]:
+def read_stored_records(session: Session, key: EpisodeKey, task: str) -> list[EpisodeRecord]:
     """Return all stored records of one task, by episode."""
     rows = session.scalars(
         select(EpisodeResult.record)

@@ -26,10 +26,10 @@ from ..queue.leases import Lease, end_shard, hand_back, lock_held
 from ..queue.turns import next_turn
 from ..receipts.chain import issue_for_result
 from ..settings import Settings
-from ..tracks import family_of
+from ..tracks import find_family
 from ..visibility import played_list_kind
 from .copies import flag_copies
-from .episode_store import EpisodeKey, count_stored, missing_episodes, records_of
+from .episode_store import EpisodeKey, count_stored, missing_episodes, read_stored_records
 from .provenance import manifest_of
 from .scores import combine_hashes, combined_result, store_scores
 from .verdicts import ServiceVerdict
@@ -105,7 +105,7 @@ def start(
         evaluation.episodes_reused = count_stored(session, EpisodeKey.of(evaluation, submission))
     for task in submission.tasks:
         ids = [shard.id for shard in evaluation.shards if shard.task == task]
-        queue = queue_name(evaluation.evaluator_version, family_of(submission.track, task))
+        queue = queue_name(evaluation.evaluator_version, find_family(submission.track, task))
         enqueue_shards(session, ids, queue, priority=-evaluation.turn)
     return evaluation
 
@@ -220,7 +220,7 @@ def _conclude(session: Session, evaluation: Evaluation) -> None:
     submission = evaluation.submission
     track = load_track(submission.track)
     key = EpisodeKey.of(evaluation, submission)
-    records = {task: records_of(session, key, task) for task in submission.tasks}
+    records = {task: read_stored_records(session, key, task) for task in submission.tasks}
     evaluation.log_tail = _output_of(records)
     for task in submission.tasks:
         failure = breaking_failure(cut(track.task(task)), records[task])

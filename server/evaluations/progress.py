@@ -23,7 +23,7 @@ _TURN = (Evaluation.turn, Evaluation.created_at, Evaluation.id)
 """The order of the queue."""
 
 
-def progress_of(evaluation: Evaluation, submission: Submission, counts: EpisodeCounts = _NONE) -> ProgressView:
+def make_progress_view(evaluation: Evaluation, submission: Submission, counts: EpisodeCounts = _NONE) -> ProgressView:
     """Return the finished episodes, by task.
 
     Args:

@@ -30,7 +30,7 @@ def store_scores(
 
 def add_to_boards(evaluation: Evaluation, finished_at: datetime) -> None:
     """Write what a scored evaluation is ranked by on each board, from a moment on."""
-    scores = scores_of(evaluation)
+    scores = make_score_views(evaluation)
     evaluation.board_results = [_board_result(evaluation, task, score, finished_at) for task, score in scores.items()]
     combined = combined_score(evaluation)
     if combined is not None and evaluation.submission.kind.form.runs_policy:
@@ -45,7 +45,7 @@ def combine_hashes(hashes: Mapping[str, str]) -> str:
     return hashlib.sha256(lines.encode()).hexdigest()
 
 
-def scores_of(evaluation: Evaluation) -> dict[str, Score]:
+def make_score_views(evaluation: Evaluation) -> dict[str, Score]:
     """Return the stored score of each task; empty before the end."""
     return {
         row["task"]: Score.model_validate({key: row[key] for key in Score.model_fields})
@@ -55,7 +55,7 @@ def scores_of(evaluation: Evaluation) -> dict[str, Score]:
 
 def combined_score(evaluation: Evaluation) -> CombinedScore | None:
     """Return the score over all tasks that count; None without a score."""
-    return combination_of(evaluation, scores_of(evaluation))
+    return combine_scores(evaluation, make_score_views(evaluation))
 
 
 def combined_result(evaluation: Evaluation) -> CombinedResult | None:
@@ -64,7 +64,7 @@ def combined_result(evaluation: Evaluation) -> CombinedResult | None:
     return CombinedResult(success_rate=found.success_rate, mean_steps=found.mean_steps) if found else None
 
 
-def combination_of(evaluation: Evaluation, scores: Mapping[str, Score]) -> CombinedScore | None:
+def combine_scores(evaluation: Evaluation, scores: Mapping[str, Score]) -> CombinedScore | None:
     """Return the same for scores that are read already; None, too, where none of the tasks that count was played."""
     counting = counted_tasks(evaluation)
     return combine(counting, scores) if not scores.keys().isdisjoint(counting) else None
@@ -81,7 +81,7 @@ def counted_tasks(evaluation: Evaluation) -> Collection[str]:
 
 def score_views(evaluation: Evaluation) -> list[TaskScoreView]:
     """Return the score of each task as it is shown."""
-    return task_views(evaluation, scores_of(evaluation))
+    return task_views(evaluation, make_score_views(evaluation))
 
 
 def task_views(evaluation: Evaluation, scores: Mapping[str, Score]) -> list[TaskScoreView]:

@@ -35,13 +35,13 @@ from .progress import (
     EpisodeCounts,
     episode_counts,
     episodes_ahead,
+    make_progress_view,
     mean_episode_s,
-    progress_of,
     queue_positions,
     seconds_to_end,
 )
 from .provenance import isolation_levels
-from .scores import bounds, combination_of, counted_tasks, scores_of, task_views
+from .scores import bounds, combine_scores, counted_tasks, make_score_views, task_views
 from .verdicts import sentence_of
 
 PROGRESS_STEPS = 10
@@ -144,9 +144,9 @@ def _key(evaluation: Evaluation, hidden: Collection[UUID]) -> tuple[UUID, bool, 
 
 def _view(evaluation: Evaluation, workers: Callable[[str], WorkersAlive], rows: EvaluationRows) -> EvaluationView:
     """Return an evaluation as a list shows it to teams."""
-    scores = scores_of(evaluation)
-    combined, shown_scores = combination_of(evaluation, scores), task_views(evaluation, scores)
-    progress = progress_of(evaluation, evaluation.submission, rows.counts.get(evaluation.id, {}))
+    scores = make_score_views(evaluation)
+    combined, shown_scores = combine_scores(evaluation, scores), task_views(evaluation, scores)
+    progress = make_progress_view(evaluation, evaluation.submission, rows.counts.get(evaluation.id, {}))
     verdict, is_hidden = verdict_view(evaluation), evaluation.id in rows.hidden
     if is_hidden:
         progress, verdict = _coarse(progress, shown_scores), _without_details(verdict, evaluation)

@@ -92,7 +92,7 @@ def give_marks(
     # The end, and the same judge's marks from elsewhere, wait for these.
     contest = Contest.lock(session, submission.contest)
     contest.require_not_final()
-    rubric = rubric_of(contest, submission.track)
+    rubric = find_rubric(contest, submission.track)
     _require_ranked_task(session, submission)
     _require_whole(rubric, marks)
     conflict = session.get(JudgingConflict, (submission.team_id, name))
@@ -152,7 +152,7 @@ def judged(session: Session, by: Principal, stage: Stage) -> list[JudgedTeam]:
         ServiceError: not an organizer, or the track is not judged.
     """
     by.require_organizer(stage.contest)
-    rubric = rubric_of(Contest.read(session, stage.contest), stage.track)
+    rubric = find_rubric(Contest.read(session, stage.contest), stage.track)
     return _by_total(session, rubric, leaderboard(session, stage, live=True).view.entries)
 
 
@@ -164,7 +164,7 @@ def ranked_by_total(session: Session, stage: Stage) -> list[tuple[LeaderboardEnt
     """
     board = leaderboard(session, stage, live=True).view.entries
     entries = {entry.submission_id: entry for entry in board if entry.rank is not None}
-    rubric = rubric_of(Contest.read(session, stage.contest), stage.track)
+    rubric = find_rubric(Contest.read(session, stage.contest), stage.track)
     found = _by_total(session, rubric, list(entries.values()))
     if missing := [f"{team.team} ({_missing(rubric, team)})" for team in found if team.total is None]:
         raise ServiceError(
@@ -175,7 +175,7 @@ def ranked_by_total(session: Session, stage: Stage) -> list[tuple[LeaderboardEnt
     return [(entries[team.submission], team.total) for team in found if team.total is not None]
 
 
-def rubric_of(contest: Contest, track: str) -> Judging:
+def find_rubric(contest: Contest, track: str) -> Judging:
     """Return how a track of a contest is judged.
 
     Raises:

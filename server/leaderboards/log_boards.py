@@ -18,7 +18,7 @@ from vitac.evaluator.tracks import Track
 
 from ..contest.stages import CountedResults, Stage
 from ..db.models import BoardResult, Evaluation, Team
-from ..evaluations.copies import copies_among
+from ..evaluations.copies import find_copies
 from ..evaluations.scores import score_views
 from ..logs.claims import LogClaim
 from ..logs.view import verification_of
@@ -96,9 +96,9 @@ def _found(
     until = Board.of(stage, counted).until
     named = {"track": stage.track, "stage": stage.name, "until": until, "at_most": MAX_TEXT_LOGS}
     text_logs = session.scalars(_newest_text_logs(), named).all()
-    copies = copies_among(session, [entry.evaluation_id for entries in best.values() for entry in entries], shown_names)
+    copies = find_copies(session, [entry.evaluation_id for entries in best.values() for entry in entries], shown_names)
     ranked = [part for task, entries in best.items() for part in (task, *entries)]
-    names = f"{teams.last_named_at(session)} {shown_names.hidden}"
+    names = f"{teams.find_last_naming(session)} {shown_names.hidden}"
     revision = revision_of(
         f"logs of {stage.track} {stage.name} {counted} {names} {rule}", [*ranked, *sorted(copies.items()), *text_logs]
     )

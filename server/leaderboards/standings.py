@@ -14,7 +14,7 @@ from vitac.evaluator.tracks import ListKind, Track
 
 from ..contest.stages import CountedResults, Stage
 from ..db.models import Evaluation, Submission
-from ..evaluations.scores import bounds, combination_of, scores_of, task_views
+from ..evaluations.scores import bounds, combine_scores, make_score_views, task_views
 from ..principals import CONSOLE, VISITOR
 from ..teams import teams
 from ..teams.shown_names import ShownNames
@@ -62,7 +62,7 @@ def leaderboard(
     best, named_at = kept_until_change(
         session,
         ("best entries", board),
-        lambda: (best_entries(session, board), teams.last_named_at(session)),
+        lambda: (best_entries(session, board), teams.find_last_naming(session)),
     )
     played = track.tasks[task or next(iter(track.tasks))].episode_list.kind
     list_kind = ListKind.SEALED if stage.is_sealed else played
@@ -184,9 +184,9 @@ def completed_evaluations(session: Session, ids: Collection[UUID]) -> Mapping[UU
 
 def _entry(entry: BestEntry, evaluation: Evaluation, *, board: Board, names: ShownNames) -> LeaderboardEntryView | None:
     """Return an entry as it is shown; None for one in tasks of which none counts."""
-    submission, found, task = evaluation.submission, scores_of(evaluation), board.task
+    submission, found, task = evaluation.submission, make_score_views(evaluation), board.task
     scores = [score for score in task_views(evaluation, found) if task in {None, score.task}]
-    ranked_by = combination_of(evaluation, found) if task is None else found[task]
+    ranked_by = combine_scores(evaluation, found) if task is None else found[task]
     if ranked_by is None:
         return None
     return LeaderboardEntryView(

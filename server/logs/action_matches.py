@@ -40,10 +40,10 @@ def action_matches(session: Session, by: Principal, submission_id: UUID) -> list
     Raises:
         ServiceError: there is no such submission.
     """
-    return matches_of(session, by, newest_evaluation(session, visible(session, by, submission_id)))
+    return read_matches(session, by, newest_evaluation(session, visible(session, by, submission_id)))
 
 
-def matches_of(session: Session, by: Principal, evaluation: Evaluation) -> list[ActionMatchView]:
+def read_matches(session: Session, by: Principal, evaluation: Evaluation) -> list[ActionMatchView]:
     """Return the same by the newest evaluation of the log; nothing where its episodes are not shown."""
     log = evaluation.submission
     if not log.kind.form.is_verified or evaluation.state is not EvaluationState.COMPLETED:

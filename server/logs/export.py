@@ -8,7 +8,7 @@ from vitac.evaluator.logs.log import LogHeader, write_log
 
 from ..db.states import EvaluationState
 from ..errors import ProblemCode, ServiceError
-from ..evaluations.episode_store import EpisodeKey, records_of
+from ..evaluations.episode_store import EpisodeKey, read_stored_records
 from ..evaluations.history import newest_evaluation
 from ..evaluations.provenance import manifest_of
 from ..principals import Principal
@@ -54,5 +54,5 @@ def export_log(session: Session, by: Principal, submission_id: UUID, task: str |
         manifest=manifest_of(session, evaluation, chosen),
     )
     stream = BytesIO()
-    write_log(stream, header, records_of(session, EpisodeKey.of(evaluation, submission), chosen))
+    write_log(stream, header, read_stored_records(session, EpisodeKey.of(evaluation, submission), chosen))
     return stream.getvalue()

@@ -52,7 +52,7 @@ def log_view(
     )
 
 
-def findings_of(session: Session, evaluations: Collection[Evaluation]) -> dict[UUID, LogFinding]:
+def make_finding_views(session: Session, evaluations: Collection[Evaluation]) -> dict[UUID, LogFinding]:
     """Return what was found first, in list order, against each log whose evaluation ended by it.
 
     A shard may have found something where the evaluation ended otherwise, as by machines that failed at an earlier one.

@@ -154,7 +154,7 @@ def hand_over(session: Session, by: Principal, member: Member) -> None:
     """
     by.require_leader(member.team_id)
     _lock_present(session, by, member)
-    old = captain_of(session, member.team)
+    old = find_captain(session, member.team)
     if old.id == member.id:
         return
     old.role = MemberRole.MEMBER
@@ -266,7 +266,7 @@ def find_by_name(session: Session, team: Team, name: str) -> Member:
     return found
 
 
-def captain_of(session: Session, team: Team) -> Member:
+def find_captain(session: Session, team: Team) -> Member:
     """Return who leads a team."""
     leads = Member.team_id == team.id, Member.role == MemberRole.CAPTAIN, Member.left_at.is_(None)
     return session.scalars(select(Member).where(*leads)).one()

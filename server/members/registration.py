@@ -49,7 +49,7 @@ def register(session: Session, settings: Settings, by: Principal | None, new: Ne
     waits = not by_organizer and settings.registration is Registration.APPROVAL
     team = teams.register(session, by, name=new.name, contact=new.contact, waits=waits)
     lifetime = timedelta(days=settings.token_lifetime_days)
-    return team, tokens.issue_to_member(session, CONSOLE, members.captain_of(session, team), lifetime)
+    return team, tokens.issue_to_member(session, CONSOLE, members.find_captain(session, team), lifetime)
 
 
 def _require_open(session: Session, settings: Settings, invite: str | None) -> None:

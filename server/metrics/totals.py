@@ -51,7 +51,7 @@ class TotalsWriter:
             DBAPIError: the database is unavailable; what was counted is written the next time.
         """
         with self._lock:
-            counted = samples_of(self._instruments)
+            counted = list_samples(self._instruments)
             added = {key: value - self._written.get(key, 0.0) for key, value in counted.items()}
             with database.transaction() as session:
                 # New series also at zero: of a histogram, all buckets have to be there from the start.
@@ -59,7 +59,7 @@ class TotalsWriter:
             self._written = counted
 
 
-def samples_of(instruments: Instruments) -> dict[SeriesKey, float]:
+def list_samples(instruments: Instruments) -> dict[SeriesKey, float]:
     """Return the current samples without the times at which they were created."""
     return {
         SeriesKey(sample.name, json.dumps(sample.labels, sort_keys=True)): sample.value

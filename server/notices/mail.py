@@ -26,7 +26,7 @@ _SENTENCES = {
 }
 
 
-def message_of(notice: Notice, settings: Settings) -> EmailMessage:
+def make_message(notice: Notice, settings: Settings) -> EmailMessage:
     """Return a notice as an e-mail; the same notice has the same Message-ID, by which receivers see a repeat."""
     made = EmailMessage()
     text = _SENTENCES[notice.kind].format_map(_untitled(notice.facts) | notice.facts)
@@ -60,7 +60,7 @@ def send(notice: Notice, settings: Settings) -> None:
         raise Undelivered("VITAC_MAIL_URL is not set, so no e-mail is sent.")
     parts = urlsplit(settings.mail_url.get_secret_value())
     try:
-        message = message_of(notice, settings)
+        message = make_message(notice, settings)
         if parts.scheme == "file":
             _write(message, Path(unquote(parts.path)), str(notice.id))
             return

@@ -81,7 +81,7 @@ def list_webhooks(session: Session, by: Principal, team: Team) -> list[WebhookVi
     return [WebhookView.model_validate(one, from_attributes=True) for one in found]
 
 
-def body_of(notice: Notice) -> bytes:
+def make_body(notice: Notice) -> bytes:
     """Return what a webhook gets: the same bytes each time a notice is sent."""
     content = {
         "id": str(notice.id),
@@ -104,7 +104,7 @@ def send(notice: Notice, address: str, secret: str, *, inside_allowed: bool) -> 
     Raises:
         Undelivered: the address leads inside, does not answer, or answers with anything but 2xx.
     """
-    body, now = body_of(notice), int(time.time())
+    body, now = make_body(notice), int(time.time())
     headers = {
         "Content-Type": "application/json",
         "User-Agent": "ViTac-Arena",

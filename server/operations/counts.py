@@ -8,7 +8,7 @@ from ..views.operations import CountsView
 SHARE = 0.95
 
 
-def counts_of(totals: Mapping[SeriesKey, float]) -> CountsView:
+def make_counts_view(totals: Mapping[SeriesKey, float]) -> CountsView:
     """Return the sums; what nobody has counted yet is zero."""
     requests = "vitac_request_seconds"
     failed = [
@@ -24,13 +24,13 @@ def counts_of(totals: Mapping[SeriesKey, float]) -> CountsView:
         leases_lost=_sum(totals, "vitac_leases_lost_total"),
         requests=_sum(totals, f"{requests}_count"),
         requests_failed=int(sum(failed)),
-        requests_within_s=bound_of(totals, requests),
-        claims_within_s=bound_of(totals, "vitac_claim_seconds"),
-        shard_waits_within_s=bound_of(totals, "vitac_shard_wait_seconds"),
+        requests_within_s=estimate_bound(totals, requests),
+        claims_within_s=estimate_bound(totals, "vitac_claim_seconds"),
+        shard_waits_within_s=estimate_bound(totals, "vitac_shard_wait_seconds"),
     )
 
 
-def bound_of(totals: Mapping[SeriesKey, float], histogram: str) -> float | None:
+def estimate_bound(totals: Mapping[SeriesKey, float], histogram: str) -> float | None:
     """Return the smallest bound of a bucket [s] that holds `SHARE` of all observations.
 
     None without observations; infinite if they took longer than the last bound.

@@ -15,8 +15,8 @@ from sqlalchemy.exc import DBAPIError
 
 from ..db.states import WorkerState
 from ..metrics.instruments import Instruments
-from ..metrics.totals import SeriesKey, samples_of, totals
-from ..queue.workers import Disk, disk_of
+from ..metrics.totals import SeriesKey, list_samples, totals
+from ..queue.workers import Disk, measure_disk
 from ..services import Services
 from ..views.operations import OperationsView
 from .state import operations
@@ -49,7 +49,7 @@ class Exposition:
             return self._text
 
     def _families(self) -> list[Metric]:
-        disk = disk_of(self._services.settings.state_dir)
+        disk = measure_disk(self._services.settings.state_dir)
         try:
             with self._services.database.transaction() as session:
                 counted = totals(session)
@@ -121,7 +121,7 @@ def worker_families(state: OperationsView) -> Iterator[Metric]:
 def total_families(counted: Mapping[SeriesKey, float]) -> Iterator[Metric]:
     """Yield the totals in the families of the instruments, with zeros where nothing was counted yet."""
     instruments = Instruments()
-    values = {**samples_of(instruments), **counted}
+    values = {**list_samples(instruments), **counted}
     for family in instruments.registry.collect():
         names = {f"{family.name}{suffix}" for suffix in ("_total", "_bucket", "_count", "_sum")}
         of_family = [key for key in values if key.name in names]

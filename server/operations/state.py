@@ -24,7 +24,7 @@ from ..metrics.totals import SeriesKey
 from ..queue.workers import worker_view
 from ..settings import Settings
 from ..views.operations import MachineWorkerView, OperationsView, QueueView, StorageView
-from .counts import counts_of
+from .counts import make_counts_view
 
 StateT = TypeVar("StateT", bound=StrEnum)
 
@@ -43,8 +43,8 @@ def operations(session: Session, settings: Settings, counted: Mapping[SeriesKey,
             MachineWorkerView(worker=worker_view(worker), is_lost=_is_lost(worker, now, settings))
             for worker in session.scalars(recent)
         ],
-        episodes_in_5_minutes=_episodes_since(session, now - RATE_WINDOW),
-        counts=counts_of(counted),
+        episodes_in_5_minutes=_count_episodes(session, now - RATE_WINDOW),
+        counts=make_counts_view(counted),
         at=now,
     )
 
@@ -98,7 +98,7 @@ def _is_lost(worker: Worker, now: datetime, settings: Settings) -> bool:
     return is_late and worker.state is not WorkerState.STOPPED
 
 
-def _episodes_since(session: Session, moment: datetime) -> int:
+def _count_episodes(session: Session, moment: datetime) -> int:
     tasks = {task for track in list_tracks() for task in load_track(track).tasks}  # named, so that the index is used
     query = select(func.count()).where(EpisodeResult.task.in_(tasks), EpisodeResult.created_at > moment)
     return session.scalars(query).one()

@@ -29,7 +29,7 @@ from ..queue.workers import fleet
 from ..settings import Settings
 from ..sharing.public_pages import readable
 from ..teams.shown_names import ShownNames
-from ..tracks import playback_family_of
+from ..tracks import find_playback_family
 from ..views.playbacks import PlaybackView, ShownEpisodeView
 from ..visibility import sight_of
 
@@ -101,7 +101,7 @@ def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeRes
 
 def playback_queue(evaluator_version: str, track: str, task: str) -> str:
     """Return the queue from which those workers take playbacks of a task that can make them."""
-    return queue_name(evaluator_version, playback_family_of(track, task))
+    return queue_name(evaluator_version, find_playback_family(track, task))
 
 
 def playback_key(episode: EpisodeResult) -> str:
@@ -154,7 +154,7 @@ def shown_episode(
 def playback_view(session: Session, settings: Settings, playback: Playback) -> PlaybackView:
     """Return a playback as the pages show it."""
     is_open = playback.state in OPEN_PLAYBACK_STATES
-    family = playback_family_of(playback.episode.track, playback.episode.task)
+    family = find_playback_family(playback.episode.track, playback.episode.task)
     alive = fleet(session, settings).alive(playback.evaluator_version, family).alive if is_open else None
     return PlaybackView(
         key=playback.key,
@@ -177,7 +177,7 @@ def _may_retry(playback: Playback) -> bool:
 
 def _require_somebody_who_draws(session: Session, settings: Settings, episode: EpisodeResult) -> None:
     """Refuse a film that no running worker can make; most machines never can, and it would count as waiting."""
-    family = playback_family_of(episode.track, episode.task)
+    family = find_playback_family(episode.track, episode.task)
     if family is not Family.TACTILE and not fleet(session, settings).alive(version_of(episode.track), family).alive:
         raise ServiceError(ProblemCode.INVALID_REQUEST, f"There is no playback of this episode, as {NOBODY_DRAWS}.")
 

@@ -13,13 +13,13 @@ from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord
 
-from ..contest.sealing import list_seed_of
+from ..contest.sealing import derive_list_seed
 from ..db.models import EpisodeResult, Playback, Submission, SubmissionFile, Worker
 from ..db.states import OPEN_PLAYBACK_STATES, FileRole, PlaybackState, WorkerState
 from ..queue.jobs import enqueue_playback, forget_jobs_of_ended_playbacks, has_waiting_playback_job
 from ..queue.leases import LeaseLost, lease_end
 from ..settings import Settings
-from ..tracks import playback_family_of
+from ..tracks import find_playback_family
 from .asking import playback_queue
 
 logger = structlog.get_logger(__name__)
@@ -65,7 +65,7 @@ def claim(session: Session, playback_id: int, lease_s: float) -> PlaybackLease |
         evaluator_version=playback.evaluator_version,
         track=episode.track,
         record=EpisodeRecord.model_validate(episode.record),
-        list_seed=list_seed_of(session, episode.commitment, episode.track, episode.task),
+        list_seed=derive_list_seed(session, episode.commitment, episode.track, episode.task),
         sensor_sha256=_sensor_of(session, episode),
     )
 
@@ -177,7 +177,7 @@ def _give_up_unmade(session: Session, now: datetime) -> None:
     rows = session.execute(select(Worker.evaluator_version, Worker.families).where(*there)).all()
     made = {(version, family) for version, families in rows for family in families}
     for playback in waiting:
-        needed = (playback.evaluator_version, playback_family_of(playback.episode.track, playback.episode.task))
+        needed = (playback.evaluator_version, find_playback_family(playback.episode.track, playback.episode.task))
         if needed not in made:
             _give_up(playback, now, "No worker that can make it was running.")
 

@@ -25,9 +25,9 @@ def wait_for_leftovers(data_dir: Path) -> None:
     writes its last checkpoint or recovers has to do it all again. Backends whose server was killed are ended.
     """
     began = noticed = time.monotonic()
-    while pids := set(processes_in(data_dir)):
+    while pids := set(list_processes(data_dir)):
         now = time.monotonic()
-        server = _server_of(data_dir)
+        server = _find_server(data_dir)
         if server in pids:
             _send(signal.SIGINT, {server})
         else:
@@ -44,7 +44,7 @@ def forget_lock_files(data_dir: Path, socket: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def processes_in(data_dir: Path) -> Iterator[int]:
+def list_processes(data_dir: Path) -> Iterator[int]:
     """Yield the PostgreSQL processes whose working directory is the data directory: the server and its backends.
 
     Even root may not look up another user's working directory where it lacks CAP_SYS_PTRACE, as in many containers.
@@ -63,7 +63,7 @@ def processes_in(data_dir: Path) -> Iterator[int]:
             continue  # it has ended
     servers = {int(process.name) for process in hidden if _is_server_in(data_dir, process)}
     yield from servers
-    yield from (int(process.name) for process in hidden if _parent_of(process) in servers)
+    yield from (int(process.name) for process in hidden if _read_parent(process) in servers)
 
 
 def _is_server_in(data_dir: Path, process: Path) -> bool:
@@ -76,14 +76,14 @@ def _is_server_in(data_dir: Path, process: Path) -> bool:
     return is_postgres and any(Path(each).resolve() == data_dir for each in arguments if each)
 
 
-def _parent_of(process: Path) -> int | None:
+def _read_parent(process: Path) -> int | None:
     try:
         return int((process / "stat").read_text(errors="replace").rpartition(")")[2].split()[1])
     except OSError:
         return None
 
 
-def _server_of(data_dir: Path) -> int | None:
+def _find_server(data_dir: Path) -> int | None:
     try:
         first = (data_dir / "postmaster.pid").read_text().partition("\n")[0]
     except FileNotFoundError:

@@ -195,7 +195,7 @@ def judged_entries(session: Session, contest: Contest) -> tuple[JudgedEntry, ...
     )
 
 
-def boards_of(session: Session, contest: Contest) -> list[LeaderboardView]:
+def make_boards(session: Session, contest: Contest) -> list[LeaderboardView]:
     """Return the board of every stage that is held here, as organizers see it now."""
     return [leaderboard(session, stage, live=True).view for stage in contest.stages_held_here]
 
@@ -206,14 +206,14 @@ def _winners_now(session: Session, contest: Contest) -> list[Winner]:
     for stage in contest.last_stages:
         if contest.row.boards is None:
             require_current(session, stage)
-        found += _winners_of(session, stage, contest.definition.currency)
+        found += _find_winners(session, stage, contest.definition.currency)
     return found
 
 
 def _store(session: Session, contest: Contest, found: Sequence[Winner]) -> None:
     """Write winners, and the boards as they are for organizers."""
     contest.row.winners = [asdict(winner) for winner in found]
-    contest.row.boards = [board.model_dump(mode="json") for board in boards_of(session, contest)]
+    contest.row.boards = [board.model_dump(mode="json") for board in make_boards(session, contest)]
 
 
 def _issue_receipt(session: Session, contest: Contest, *, reason: str | None = None) -> None:
@@ -234,7 +234,7 @@ def _issue_receipt(session: Session, contest: Contest, *, reason: str | None = N
     issue(session, make)
 
 
-def _winners_of(session: Session, stage: Stage, currency: str) -> list[Winner]:
+def _find_winners(session: Session, stage: Stage, currency: str) -> list[Winner]:
     """Return the winners by the board of a stage; of fewer teams than prizes all win."""
     prizes = _single_prizes(stage.track_rules.prizes)
     return [

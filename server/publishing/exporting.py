@@ -20,7 +20,7 @@ from ..db.among import among
 from ..db.models import BoardResult, Evaluation
 from ..db.states import FileRole
 from ..errors import ProblemCode, ServiceError
-from ..evaluations.episode_store import EpisodeKey, records_of
+from ..evaluations.episode_store import EpisodeKey, read_stored_records
 from ..evaluations.provenance import manifest_of
 from ..leaderboards.standings import leaderboard
 from ..prizes.finishing import judged_entries, winning_entries
@@ -150,7 +150,7 @@ def _write_played(session: Session, blobs: BlobStore, archive: zipfile.ZipFile, 
     ):
         archive.writestr(sensor_name(evaluation.id), blobs.read(sensor.sha256))
     for task in submission.tasks:
-        records = records_of(session, EpisodeKey.of(evaluation, submission), task)
+        records = read_stored_records(session, EpisodeKey.of(evaluation, submission), task)
         if not records:
             continue
         policy = submission.digest if submission.kind.form.runs_policy else None

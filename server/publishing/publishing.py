@@ -16,7 +16,7 @@ from ..contest.contest import Contest
 from ..contest.definition import CompetitionDefinition
 from ..contest.view import disqualified_since_the_end
 from ..errors import ProblemCode, ServiceError
-from ..prizes.finishing import Winner, boards_of, winners
+from ..prizes.finishing import Winner, make_boards, winners
 from ..views.leaderboards import LeaderboardView
 
 _COLUMNS = (
@@ -126,7 +126,7 @@ def result_files(session: Session, name: str | None = None) -> Mapping[str, str]
             disqualified after the end.
     """
     contest, found = Contest.find(session, name), winners(session, name)
-    boards, final_since = boards_of(session, contest), contest.row.finalized_at
+    boards, final_since = make_boards(session, contest), contest.row.finalized_at
     _require_qualified(contest, found)
     final_on = None if final_since is None else f"{final_since.astimezone(UTC):%F}"
     return {

@@ -19,7 +19,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from ..db.models import Evaluation, Shard, SubmissionFile
 from ..db.row_locks import lock_evaluation
 from ..db.states import EvaluationState, FileRole, ShardState
-from ..tracks import family_of
+from ..tracks import find_family
 from .jobs import RETRY_PRIORITY, enqueue_shards, queue_name
 
 
@@ -60,7 +60,7 @@ def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> L
 
     A running shard is not taken away here: the sweep queues it again when its lease has run out.
     """
-    evaluation = _lock_evaluation_of(session, shard_id)
+    evaluation = _lock_evaluation(session, shard_id)
     if evaluation is None:
         return None
     shard = session.get(Shard, shard_id, with_for_update=True, populate_existing=True)
@@ -156,7 +156,7 @@ def end_shard(session: Session, lease: Lease, state: ShardState, result: ShardRe
         lease,
         state=state,
         manifest=result.manifest.model_dump(mode="json"),
-        isolation=_isolation_of(result),
+        isolation=_read_isolation(result),
         finding=result.finding.model_dump(mode="json") if result.finding else None,
         lease_expires_at=None,
         finished_at=func.clock_timestamp(),
@@ -178,18 +178,18 @@ def hand_back(session: Session, lease: Lease, *, counts_as_attempt: bool, delay_
         worker_id=None,
         queued_at=func.clock_timestamp(),
     )
-    queue = queue_name(lease.evaluator_version, family_of(lease.track, lease.task))
+    queue = queue_name(lease.evaluator_version, find_family(lease.track, lease.task))
     enqueue_shards(session, [lease.shard_id], queue, delay_s=delay_s, priority=RETRY_PRIORITY)
 
 
-def _isolation_of(result: ShardResult) -> str | None:
+def _read_isolation(result: ShardResult) -> str | None:
     """Return the level of isolation as one string; None when no policy ran because all episodes were stored."""
     if result.isolation is None:
         return None
     return ", ".join(f"{name.replace('_', ' ')}: {value}" for name, value in asdict(result.isolation).items())
 
 
-def _lock_evaluation_of(session: Session, shard_id: int) -> Evaluation | None:
+def _lock_evaluation(session: Session, shard_id: int) -> Evaluation | None:
     evaluation_id = session.scalar(select(Shard.evaluation_id).where(Shard.id == shard_id))
     return lock_evaluation(session, evaluation_id) if evaluation_id is not None else None
 

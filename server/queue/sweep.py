@@ -19,7 +19,7 @@ from ..db.models import Evaluation, Shard, Submission
 from ..db.row_locks import try_lock_evaluation, unless_held
 from ..db.states import ShardState
 from ..settings import Settings
-from ..tracks import family_of
+from ..tracks import find_family
 from .jobs import (
     RETRY_PRIORITY,
     enqueue_shards,
@@ -99,7 +99,7 @@ def _queue_again(session: Session, shard: Shard, evaluation: Evaluation) -> None
     shard.lease_expires_at = None
     shard.queued_at = now
     session.flush()
-    queue = queue_name(evaluation.evaluator_version, family_of(evaluation.submission.track, shard.task))
+    queue = queue_name(evaluation.evaluator_version, find_family(evaluation.submission.track, shard.task))
     enqueue_shards(session, [shard.id], queue, priority=RETRY_PRIORITY)
 
 
@@ -116,7 +116,7 @@ def _enqueue_missing_jobs(session: Session, settings: Settings) -> int:
     rows = session.execute(shards_without_job(settings)).all()
     by_turn: dict[tuple[str, int], list[int]] = {}
     for shard_id, version, turn, track, task in rows:
-        by_turn.setdefault((queue_name(version, family_of(track, task)), turn), []).append(shard_id)
+        by_turn.setdefault((queue_name(version, find_family(track, task)), turn), []).append(shard_id)
     for (queue, turn), shard_ids in by_turn.items():
         enqueue_shards(session, shard_ids, queue, priority=-turn)
     return len(rows)

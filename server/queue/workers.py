@@ -73,7 +73,7 @@ class Disk:
     free_bytes: int
 
 
-def disk_of(folder: Path) -> Disk:
+def measure_disk(folder: Path) -> Disk:
     """Return the disk that a folder is on."""
     usage = shutil.disk_usage(folder)
     return Disk(total_bytes=usage.total, free_bytes=usage.free)

@@ -27,7 +27,7 @@ from vitac.evaluator.scoring.score import score
 from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.evaluator.tracks import Track, load_track
 from vitac.evaluator.tracks.registry import TRACKS_FOLDER_VARIABLE
-from vitac.evaluator.tracks.sealed import commitment_of, load_played_track
+from vitac.evaluator.tracks.sealed import load_played_track, make_commitment
 from vitac.evaluator.tracks.versions import version_of
 
 from ..views.leaderboards import LeaderboardEntryView
@@ -165,7 +165,7 @@ def audit(
             (found.findings if is_wrong else found.unchecked).append(sentence)
         found.unusual += check_repeated_end(ends)
         _check_results(described, arrivals, receipts, found)
-        with _track_of(reader, found):
+        with _find_track(reader, found):
             logs = list(_check_logs(reader, receipts, found))
             _resimulate(reader, logs, count=episodes, seed=seed, found=found, on_episode=on_episode)
         return found
@@ -241,7 +241,7 @@ def _check_results(
 
 
 @contextmanager
-def _track_of(reader: ExportReader, found: Audit) -> Iterator[None]:
+def _find_track(reader: ExportReader, found: Audit) -> Iterator[None]:
     """Know the board's track while the block runs, also where its file is in the export and not on this machine."""
     name = reader.description.board.track
     content = reader.track_file(name)
@@ -414,7 +414,7 @@ def _track(described: ExportDescription, result: Result) -> Track | None:
     """Return the track with the list that a result was made on; None where its secret is not known."""
     if result.commitment is None:
         return load_track(result.track)
-    if described.secret is None or commitment_of(bytes.fromhex(described.secret)) != result.commitment:
+    if described.secret is None or make_commitment(bytes.fromhex(described.secret)) != result.commitment:
         return None
     return load_played_track(result.track, bytes.fromhex(described.secret))
 

@@ -30,7 +30,7 @@ from .receipt import (
     TaskResult,
     board_name,
     end_name,
-    receipt_of,
+    parse_receipt,
     sign,
     team_commitment,
 )
@@ -178,7 +178,7 @@ def new_salt() -> str:
 
 
 def _receipts(session: Session, query: Select[ReceiptRow]) -> list[AnyReceipt]:
-    return [receipt_of(_link(row), row.content) for row in session.scalars(query.order_by(ReceiptRow.number))]
+    return [parse_receipt(_link(row), row.content) for row in session.scalars(query.order_by(ReceiptRow.number))]
 
 
 def _link(row: ReceiptRow) -> Link:

@@ -8,7 +8,7 @@ from typing import Any, Final
 from uuid import UUID
 
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks.sealed import commitment_of
+from vitac.evaluator.tracks.sealed import make_commitment
 
 from ..views.leaderboards import LeaderboardEntryView
 from .export import ExportDescription, ExportedTeam
@@ -112,7 +112,7 @@ def check_secret(described: ExportDescription, results: Iterable[Result]) -> Ite
     """Yield a finding where the published secret is not the one that was committed to."""
     if described.secret is None:
         return
-    made = commitment_of(bytes.fromhex(described.secret))
+    made = make_commitment(bytes.fromhex(described.secret))
     if described.commitment != made:
         yield f"The published secret has the commitment {made}, expected {described.commitment}."
     for commitment in sorted({result.commitment for result in results if result.commitment} - {made}):

@@ -301,7 +301,7 @@ class EndReceipt(SignedContent[End]):
 AnyReceipt = SubmissionReceipt | Receipt | EndReceipt
 
 
-def receipt_of(link: Link, content: str) -> AnyReceipt:
+def parse_receipt(link: Link, content: str) -> AnyReceipt:
     """Return the receipt of a link and its content as JSON text."""
     match link.content:
         case LinkContent.SUBMISSION:

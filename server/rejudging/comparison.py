@@ -66,7 +66,7 @@ def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmi
     before an upgrade can be compared with the one after it. Of a rejudgement that has ended, results are compared as
     they were then, among the teams that take part now.
     """
-    new, kept = newest_of(session, rejudgement), _evaluated_since(session, rejudgement)
+    new, kept = find_newest_evaluations(session, rejudgement), _find_newer_evaluations(session, rejudgement)
     stage = stage_of(session, rejudgement)
     present, keys = _present(session, rejudgement, stage), stage.ranking
     replaced = {submission: run for submission, run in new.items() if not _keeps_result(run, kept)}
@@ -91,7 +91,7 @@ def revision_of(rows: Sequence[RejudgedSubmission]) -> str:
     return hashlib.sha256(canonical_json(content)).hexdigest()
 
 
-def _evaluated_since(session: Session, rejudgement: Rejudgement) -> frozenset[UUID]:
+def _find_newer_evaluations(session: Session, rejudgement: Rejudgement) -> frozenset[UUID]:
     """Return the submissions with an evaluation of their own, or by an applied rejudgement, that began after it."""
     proposed, newer = aliased(Evaluation), aliased(Evaluation)
     rows = session.scalars(
@@ -106,7 +106,7 @@ def _evaluated_since(session: Session, rejudgement: Rejudgement) -> frozenset[UU
     return frozenset(rows)
 
 
-def newest_of(session: Session, rejudgement: Rejudgement) -> Mapping[UUID, Evaluation]:
+def find_newest_evaluations(session: Session, rejudgement: Rejudgement) -> Mapping[UUID, Evaluation]:
     """Return the newest evaluation of each submission in a rejudgement: one may have begun again after an upgrade."""
     rows = session.scalars(
         select(Evaluation)
@@ -120,7 +120,7 @@ def newest_of(session: Session, rejudgement: Rejudgement) -> Mapping[UUID, Evalu
 
 def _present(session: Session, rejudgement: Rejudgement, stage: Stage) -> Mapping[UUID, Evaluation]:
     """Return the newest result of each model of the stage whose team takes part, beside this rejudgement's own."""
-    ended = _ended_at(rejudgement)
+    ended = _find_end(rejudgement)
     rows = session.scalars(
         select(Evaluation)
         .join(Submission)
@@ -142,14 +142,14 @@ def _present(session: Session, rejudgement: Rejudgement, stage: Stage) -> Mappin
 def _counted(evaluation: type[Evaluation], rejudgement: Rejudgement) -> tuple[ColumnElement[bool], ...]:
     """Return whether an evaluation is no other rejudgement's proposal and not of this one: now, or at its end."""
     conditions = (~evaluation.is_proposed, evaluation.rejudgement_id.is_distinct_from(rejudgement.id))
-    ended = _ended_at(rejudgement)
+    ended = _find_end(rejudgement)
     if ended is None:
         return conditions
     applied_later = exists().where(Rejudgement.id == evaluation.rejudgement_id, Rejudgement.applied_at > ended)
     return (*conditions, evaluation.created_at < ended, ~applied_later)
 
 
-def _ended_at(rejudgement: Rejudgement) -> datetime | None:
+def _find_end(rejudgement: Rejudgement) -> datetime | None:
     return rejudgement.applied_at or rejudgement.discarded_at
 
 

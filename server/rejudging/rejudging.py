@@ -28,7 +28,7 @@ from ..notices.outbox import announce_evaluation
 from ..principals import Principal
 from ..receipts.chain import issue_for_result
 from ..tracks import load_known_track
-from .comparison import RejudgedSubmission, comparison, newest_of, revision_of
+from .comparison import RejudgedSubmission, comparison, find_newest_evaluations, revision_of
 
 REASON_LENGTH = 500
 
@@ -153,7 +153,7 @@ def apply(
         )
     now = datetime.now(UTC)
     # By id: an evaluation of another rejudgement is locked in the same order.
-    chosen = sorted(newest_of(session, found).values(), key=lambda evaluation: evaluation.id)
+    chosen = sorted(find_newest_evaluations(session, found).values(), key=lambda evaluation: evaluation.id)
     keeping = {row.submission for row in rows if row.keeps_result}
     replacing = [lock_evaluation(session, one.id) for one in chosen if one.submission_id not in keeping]
     completed = [evaluation for evaluation in replacing if evaluation.state is EvaluationState.COMPLETED]
@@ -180,7 +180,7 @@ def discard(session: Session, by: Principal, rejudgement_id: UUID) -> None:
         ServiceError: not an organizer, no such rejudgement, or it has ended.
     """
     found = _lock_open(session, by, rejudgement_id)
-    for evaluation in sorted(newest_of(session, found).values(), key=lambda evaluation: evaluation.id):
+    for evaluation in sorted(find_newest_evaluations(session, found).values(), key=lambda evaluation: evaluation.id):
         locked = lock_evaluation(session, evaluation.id)
         if locked.state in ACTIVE_EVALUATION_STATES:
             lifecycle.cancel(session, locked)

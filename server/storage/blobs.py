@@ -69,7 +69,7 @@ class BlobStore:
             ServiceError: the store cannot be written.
         """
         with _working():
-            stored_at = self._stored_at(sha256)
+            stored_at = self._find_stored_time(sha256)
             if stored_at is None or stored_at <= datetime.now(UTC) - LATELY:
                 with path.open("rb") as file:
                     obstore.put(self._store, key_of(sha256), file, chunk_size=PART_BYTES, max_concurrency=PARTS_AT_ONCE)
@@ -109,7 +109,7 @@ class BlobStore:
 
     def holds(self, sha256: str) -> bool:
         """Return whether a file of that digest is stored."""
-        return self._stored_at(sha256) is not None
+        return self._find_stored_time(sha256) is not None
 
     def is_older_than(self, sha256: str, age: timedelta) -> bool:
         """Return whether a file of that digest was stored at least this long ago.
@@ -118,7 +118,7 @@ class BlobStore:
             ServiceError: the store cannot be read.
         """
         with _working():
-            stored_at = self._stored_at(sha256)
+            stored_at = self._find_stored_time(sha256)
         return stored_at is not None and stored_at <= datetime.now(UTC) - age
 
     def delete(self, sha256: str) -> None:
@@ -224,7 +224,7 @@ class BlobStore:
         except ServiceError as error:
             checking.set_exception(error)
 
-    def _stored_at(self, sha256: str) -> datetime | None:
+    def _find_stored_time(self, sha256: str) -> datetime | None:
         try:
             return obstore.head(self._store, key_of(sha256))["last_modified"]
         except (NotFoundError, FileNotFoundError):

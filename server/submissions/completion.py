@@ -83,7 +83,7 @@ def _in_time_at(session: Session, upload: PartialUpload, track: str) -> datetime
     at = upload.completed_at
     named = upload.contest
     contests = Contest.read_by_track(session, track) if named is None else [Contest.find(session, named)]
-    stages = [stage for contest in contests for stage in contest.stages_of(track)]
+    stages = [stage for contest in contests for stage in contest.list_stages(track)]
     was_open = at is not None and any(stage.is_open(at) for stage in stages)
     return at if was_open else None
 

@@ -7,7 +7,7 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
 from ..audit import record
-from ..contest.contest import Contest, contest_to_submit_to
+from ..contest.contest import Contest, choose_contest
 from ..contest.stages import Stage
 from ..db.models import Submission, Team
 from ..db.states import NoticeKind, Quota
@@ -66,7 +66,7 @@ def create(
     teams.lock(session, team_row)
     teams.require_taking_part(team_row)
     now = at or datetime.now(UTC)
-    stage = contest_to_submit_to(session, upload.track, now, contest).open_stage(upload.track, by, now)
+    stage = choose_contest(session, upload.track, now, contest).open_stage(upload.track, by, now)
     stage.require_accepts(team_row, upload.kind)
     check_file_name(upload.file_name, team=team_row.name, stage=stage)
     submission, is_new = _find_or_add(session, team_row, upload, stage)
@@ -113,7 +113,7 @@ def expect_upload(
     """
     found = owner(session, by, team)
     if track is not None:
-        contest_to_submit_to(session, track, datetime.now(UTC), contest)
+        choose_contest(session, track, datetime.now(UTC), contest)
     elif contest is not None:
         Contest.find(session, contest)
     known = select(Submission.id).where(Submission.team_id == found.id, Submission.archive_sha256 == sha256).limit(1)

@@ -53,7 +53,7 @@ def coefficients_digest(session: Session, submission_id: UUID, evaluation_id: UU
 
 def is_played_by_estimator(lease: Lease) -> bool:
     """Return whether our standard estimator plays a shard, seeing or blind."""
-    return _player_of(lease) is not Player.POLICY
+    return _find_player(lease) is not Player.POLICY
 
 
 def is_measured_by(lease: Lease) -> bool:
@@ -134,7 +134,7 @@ def figures_of(
     return merged(parts, [start.offset for start in measured.episode_list.starts])
 
 
-def _player_of(lease: Lease) -> Player:
+def _find_player(lease: Lease) -> Player:
     """Return who plays a shard; without a sensor that is always the submission."""
     return Player.POLICY if lease.sensor_sha256 is None else load_track(lease.track).task(lease.task).player
 

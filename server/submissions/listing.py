@@ -80,10 +80,10 @@ def episodes(session: Session, by: Principal, submission_id: UUID) -> Sequence[E
     Raises:
         ServiceError: there is no such submission.
     """
-    return episodes_of(session, by, newest_evaluation(session, readable(session, by, submission_id)))
+    return list_episodes(session, by, newest_evaluation(session, readable(session, by, submission_id)))
 
 
-def episodes_of(session: Session, by: Principal, evaluation: Evaluation) -> Sequence[EpisodeView]:
+def list_episodes(session: Session, by: Principal, evaluation: Evaluation) -> Sequence[EpisodeView]:
     """Return how each finished episode of an evaluation ended, in order; none where they are not shown."""
     if not sight_of(by, evaluation).episodes:
         return ()

@@ -13,18 +13,18 @@ from ..contest.contest import stage_of
 from ..contest.stages import Stage
 from ..db.models import Evaluation, Submission
 from ..db.states import EvaluationState
-from ..evaluations.copies import copies_among
+from ..evaluations.copies import find_copies
 from ..evaluations.scores import counted_tasks
 from ..evaluations.view import EvaluationRows, evaluation_view, summary_view
 from ..leaderboards.best_entries import Board, PlacesOfBoards, places
 from ..leaderboards.outdated import explain_unranked_submission
-from ..logs.view import findings_of
+from ..logs.view import make_finding_views
 from ..principals import Principal
 from ..queue.workers import Fleet, fleet
 from ..settings import Settings
 from ..teams.shown_names import ShownNames
 from ..teams.teams import team_view
-from ..tracks import family_of
+from ..tracks import find_family
 from ..uploads.kinds import SERVED_KINDS
 from ..views.logs import LogCopyView
 from ..views.submissions import RankView, SubmissionView
@@ -61,8 +61,8 @@ def submission_views(
         evaluations=rows,
         by=by,
         names=names,
-        findings=findings_of(session, [found for found in newest if found.id not in rows.hidden]),
-        copies=copies_among(
+        findings=make_finding_views(session, [found for found in newest if found.id not in rows.hidden]),
+        copies=find_copies(
             session, [found.id for found in newest if found.submission.kind is SubmissionKind.LOG], names
         ),
         fleet=known_workers,
@@ -151,7 +151,7 @@ def _explain_unranked(newest: Evaluation, shown: _Shown) -> str | None:
 def _workers(known: Fleet, evaluator_version: str, track: str, tasks: tuple[str, ...]) -> WorkersView:
     """Return who can run some tasks, which may be of several families, each with workers of its own."""
     any_family = known.alive(evaluator_version)
-    families = sorted({family_of(track, task) for task in tasks})
+    families = sorted({find_family(track, task) for task in tasks})
     alive = {family: known.alive(evaluator_version, family).alive for family in families}
     missing = next((family for family in families if not alive[family]), None)
     return WorkersView(

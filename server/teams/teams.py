@@ -211,7 +211,7 @@ def lock(session: Session, team: Team) -> None:
         raise _removed()
 
 
-def last_named_at(session: Session) -> datetime | None:
+def find_last_naming(session: Session) -> datetime | None:
     """Return when a team was last shown under another name; None: there is no team."""
     return session.scalar(select(func.max(Team.named_at)))
 

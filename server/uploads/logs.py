@@ -36,7 +36,7 @@ def check_log(received: ReceivedFile, owner: str, settings: Settings) -> Checked
         with open_log(received.path, settings.log_bytes) as stream:
             reader = LogReader(stream)
             require_own_team(reader.header.team, owner)
-            claim = _claim_of(reader)
+            claim = _make_claim(reader)
             digest = reader.digest
     except LogRejected as error:
         raise rejected(str(error), error.problem, error.line) from error
@@ -86,7 +86,7 @@ def impossible(found: Impossibility, line: int | None) -> ServiceError:
     )
 
 
-def _claim_of(reader: LogReader) -> LogClaim:
+def _make_claim(reader: LogReader) -> LogClaim:
     track, task = _track_and_task(reader.header.manifest)
     kept: list[EpisodeRecord] = []
     records = _keeping(kept, reader.records())

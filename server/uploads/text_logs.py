@@ -53,7 +53,7 @@ def check_text_log(received: ReceivedFile, owner: str, settings: Settings) -> Ch
     require_own_team(log.team, owner)
     track, task = _task_of(script)
     _require_whole(log, script, task)
-    digest = _digest_of(received, settings.log_bytes)
+    digest = _compute_digest(received, settings.log_bytes)
     return CheckedUpload(
         kind=SubmissionKind.TEXT_LOG,
         track=track,
@@ -62,7 +62,7 @@ def check_text_log(received: ReceivedFile, owner: str, settings: Settings) -> Ch
         digest=digest,
         archive_sha256=received.sha256,
         archive_bytes=received.n_bytes,
-        manifest=LogClaim.from_text_log(summary, _first_of(summary.problems)).stored(),
+        manifest=LogClaim.from_text_log(summary, _find_first(summary.problems)).stored(),
     )
 
 
@@ -86,13 +86,13 @@ def _require_whole(log: TextLog, script: Script, task: Task) -> None:
         raise rejected("The log ends without its totals; it was cut off.", TRUNCATED, None)
 
 
-def _digest_of(received: ReceivedFile, limit_bytes: int) -> str:
+def _compute_digest(received: ReceivedFile, limit_bytes: int) -> str:
     """Return the SHA-256 [hex] of the unpacked text, equal for a log and its packed copy."""
     with open_log(received.path, limit_bytes) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _first_of(problems: tuple[str, ...]) -> tuple[str, ...]:
+def _find_first(problems: tuple[str, ...]) -> tuple[str, ...]:
     more = len(problems) - MAX_PROBLEMS
     first = tuple(problem[:MAX_CHARACTERS] for problem in problems[:MAX_PROBLEMS])
     return first if more <= 0 else (*first, f"and {more} more")

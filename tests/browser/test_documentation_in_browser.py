@@ -11,6 +11,8 @@ from playwright.sync_api import Browser, expect
 from site_under_test import SiteUnderTest
 from vitac.web.pages.documentation import SITE
 
+pytestmark = pytest.mark.slow
+
 TUTORIAL, ENVIRONMENTS = "tutorials/train_a_policy/train_a_policy.html", "reference/environments.html"
 PAGES = (
     "",

@@ -15,6 +15,8 @@ from vitac.server.db.states import EvaluationState, PlaybackState
 from vitac.web.pages.episodes.page import player_script
 from waiting import until, wait_for_rest
 
+pytestmark = pytest.mark.slow
+
 HOUR_S = 3600  # later than a page of which only the clock is told to go on can be
 PEG, LOCK, FUSION = "peg-insertion", "lock-opening", "fusion-insertion"
 

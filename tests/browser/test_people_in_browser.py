@@ -86,6 +86,7 @@ def secrets(service: CliService) -> dict[str, str]:
         }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("role", PAGES_OF_ROLES)
 def test_each_role_sees_its_pages_without_a_barrier(
     page: Page, service: CliService, secrets: dict[str, str], role: str

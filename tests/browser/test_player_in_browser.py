@@ -14,6 +14,8 @@ from real_browser import SOFTWARE_WEBGL, launched
 from site_under_test import SiteUnderTest
 from waiting import LIMIT_S, PIXELS_AT_REST, resize, until, wait_for_rest
 
+pytestmark = pytest.mark.slow
+
 COUNTED = """
     window.counted = { pictures: 0, uploads: 0 };
     const { clear, bufferSubData } = WebGL2RenderingContext.prototype;

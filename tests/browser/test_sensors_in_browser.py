@@ -12,6 +12,8 @@ from site_under_test import SiteUnderTest
 from vitac.server.db.states import EvaluationState
 from waiting import resize, wait_for_rest
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:

@@ -81,6 +81,7 @@ def cold(cold_cache: Path) -> Run:
     return run_with(clone(cold_cache.parent / "first"), play, VITAC_CACHE_DIR=str(cold_cache), **ANY_CPU)
 
 
+@pytest.mark.slow
 def test_a_cold_cache_and_a_build_for_any_cpu_change_no_bit(cold: Run, digests: dict[str, str]) -> None:
     assert cold.result["surroundings"]["compiled_for"] == "generic"
     assert cold.result["digests"] == digests

@@ -42,6 +42,7 @@ def entries(info: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     return ((key, value) for key, value in info.items() if value.dtype != object or key == "end_reason")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env_id", ENV_IDS)
 def test_all_kinds_play_the_same_episodes_through_autoreset(env_id: str) -> None:
     runs = []
@@ -62,6 +63,7 @@ def test_all_kinds_play_the_same_episodes_through_autoreset(env_id: str) -> None
                 np.testing.assert_array_equal(value, other[-1][key], err_msg=key)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env_id", ENV_IDS)
 def test_infos_have_one_shape_through_two_hundred_steps_of_mixed_shapes(env_id: str) -> None:
     shapes: dict[str, set[tuple[int, ...]]] = {}

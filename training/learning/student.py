@@ -75,7 +75,7 @@ class Student:
     def learn(
         self,
         histories: Histories,
-        value_of: ValueOf,
+        estimate_value: ValueOf,
         random: np.random.Generator,
         after_epoch: Callable[[int, float], None],
     ) -> None:
@@ -86,7 +86,9 @@ class Student:
         """
         for epoch in range(self._plan.epochs):
             rate = self._plan.rate * 0.1 ** (epoch / self._plan.epochs)
-            losses = [self._epoch(learner, histories, value_of, random, rate) for learner in self._ensemble.learners]
+            losses = [
+                self._epoch(learner, histories, estimate_value, random, rate) for learner in self._ensemble.learners
+            ]
             after_epoch(epoch, float(np.mean(losses)))
 
     def best(self, felt: FloatArray, random: np.random.Generator) -> FloatArray:
@@ -107,34 +109,34 @@ class Student:
         self._ensemble.restore(state)
 
     def _epoch(
-        self, learner: Learner, histories: Histories, value_of: ValueOf, random: np.random.Generator, rate: float
+        self, learner: Learner, histories: Histories, estimate_value: ValueOf, random: np.random.Generator, rate: float
     ) -> float:
         losses, order = [], random.permutation(len(histories.felt))
         for start in range(0, len(order), self._plan.batch):
             rows = order[start : start + self._plan.batch]
-            actions = self._actions(rows, value_of, random)
-            targets = probability(value_of(rows, actions))
+            actions = self._actions(rows, estimate_value, random)
+            targets = probability(estimate_value(rows, actions))
             felt, actions = HISTORY.drawn(histories.felt[rows], actions, histories.turnable[rows], random)
             losses.append(learner.learn(felt, actions, targets, rate=rate))
         return float(np.mean(losses))
 
-    def _actions(self, rows: NDArray[np.int64], value_of: ValueOf, random: np.random.Generator) -> FloatArray:
+    def _actions(self, rows: NDArray[np.int64], estimate_value: ValueOf, random: np.random.Generator) -> FloatArray:
         """Draw the actions whose values are learned: a third of them near the best by these values."""
         near = self._plan.actions // 3
         drawn = random.uniform(-1, 1, (len(rows), self._plan.actions, 3)).astype(np.float32)
-        best = drawn[np.arange(len(rows)), value_of(rows, drawn).argmax(axis=1)]
+        best = drawn[np.arange(len(rows)), estimate_value(rows, drawn).argmax(axis=1)]
         noise = 0.25 * random.standard_normal((len(rows), near, 3)).astype(np.float32)
         drawn[:, :near] = np.clip(best[:, None] + noise, -1, 1)
         return drawn
 
 
-def weights_of(state: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def make_weights(state: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Return the networks of a student's state as `submission.policy.values` takes them."""
     named = {tuple(name.split(".")): value for name, value in state.items()}
     return {f"{number}_{name[1]}": value for (number, *name), value in named.items() if name[0] == "p"}
 
 
-def histories_of(episodes: Episodes) -> Histories:
+def make_histories(episodes: Episodes) -> Histories:
     """Return what a student learns from episodes: every moment at which an action was chosen."""
     shapes = np.repeat(episodes.shapes, episodes.lengths)
     states = states_of(episodes.truths[episodes.observations], shapes, episodes.step)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from vitac.evaluator.figures.reference import reference_figures
-from vitac.evaluator.figures.table import rows_of
+from vitac.evaluator.figures.table import make_rows
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.judging import judging as marking
 from vitac.server.judging.sheet import sheets
@@ -75,4 +75,4 @@ def _mark(text: str) -> float:
 
 
 def _rows(figures: SensorFigures) -> list[FigureRow]:
-    return list(rows_of(figures, reference_figures()))
+    return list(make_rows(figures, reference_figures()))

@@ -11,7 +11,7 @@ from vitac.server.sharing.public_pages import public_among
 
 from ..site import page, principal_of, site_of, viewer_of
 from .addresses import board_address, board_data_address, competition_address, contest_in
-from .contest.stages import stage_tabs, title_of
+from .contest.stages import find_stage_title, stage_tabs
 from .paging import PAGE_ENTRIES, board_page
 from .tracks import accepts_logs, board_query, contest_tabs, entry_rows, known_track, tabs, track_tabs
 
@@ -62,7 +62,7 @@ async def logs(request: Request) -> Response:
         tabs=tabs(track, None, logs=True, stage=stage, contest=contest),
         found=found,
         stage=stage,
-        stage_title=title_of(stages, found.stage),
+        stage_title=find_stage_title(stages, found.stage),
         stage_tabs=stage_tabs(stages, found.stage, lambda other: f"{address}{board_query(None, other)}"),
         query=board_query(None, stage),
         search=text_logs.search,

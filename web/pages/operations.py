@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.metrics.totals import totals
 from vitac.server.operations import state
-from vitac.server.queue.workers import disk_of
+from vitac.server.queue.workers import measure_disk
 
 from ..site import page, require_viewer, site_of
 
@@ -28,5 +28,5 @@ async def operations(request: Request) -> Response:
     site = site_of(request)
     settings = site.services.settings
     found = await site.ask(lambda session: state.operations(session, settings, totals(session)))
-    disk = disk_of(settings.state_dir)
+    disk = measure_disk(settings.state_dir)
     return page(request, "operations.html", viewer=viewer, section="/operations", found=found, disk=disk)

@@ -103,7 +103,7 @@ def pages() -> APIRouter:
         (upload.ADDRESS, upload.upload, "POST"),
         ("/submissions/{submission_id}", submissions.submission, "GET"),
         *(
-            (f"/submissions/{{submission_id}}/{table.name}.{form}", tables.table_of(table, form), "GET")
+            (f"/submissions/{{submission_id}}/{table.name}.{form}", tables.make_table_page(table, form), "GET")
             for table in tables.TABLES
             for form in Format
         ),

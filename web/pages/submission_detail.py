@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from vitac.server.evaluations.history import histories
 from vitac.server.leaderboards.history import past_results
-from vitac.server.logs.action_matches import matches_of
+from vitac.server.logs.action_matches import read_matches
 from vitac.server.sharing.public_pages import readable
 from vitac.server.submissions import listing, output
 from vitac.server.submissions.view import submission_views
@@ -54,8 +54,8 @@ def read_detail(session: Session, settings: Settings, by: Principal, submission_
     shown, is_own = evaluations[submission_id][0], by.may_see(found.team_id, found.contest)
     return SubmissionDetail(
         submission=submission_views(session, settings, evaluations, by, with_output=True)[0],
-        episodes=listing.episodes_of(session, by, shown),
-        action_matches=matches_of(session, by, shown) if is_own else (),
+        episodes=listing.list_episodes(session, by, shown),
+        action_matches=read_matches(session, by, shown) if is_own else (),
         episodes_with_output=output.episodes_with_output(session, by, shown),
         past=past_results(session, by, shown) if is_own else (),
     )

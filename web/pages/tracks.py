@@ -21,7 +21,7 @@ from ..plots.dates import DatedRate, rates_by_date
 from ..rendering import STATIC, render, steps, words
 from ..site import Tab, page, principal_of, site_of, viewer_of
 from .addresses import board_address, board_data_address, competition_address, contest_in
-from .contest.stages import stage_tabs, title_of
+from .contest.stages import find_stage_title, stage_tabs
 from .paging import BoardPage, EntryT, board_page
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ async def leaderboard(request: Request) -> Response:
         board_data=board_data_address(contest, track.name),
         contest_tabs=others,
         stage=stage,
-        stage_title=title_of(stages, board.stage),
+        stage_title=find_stage_title(stages, board.stage),
         shown=shown,
         table=_table(request, board, viewer, public, shown.entries),
         dates=_dates(request, board, viewer),
@@ -143,11 +143,11 @@ async def rules(request: Request) -> Response:
         accepts_logs=accepts_logs(track),
         log_size=size(settings.log_bytes),
         track_tabs=track_tabs(site, track, "/rules"),
-        pictures={name: found for name, task in track.tasks.items() if (found := picture_of(task))},
+        pictures={name: found for name, task in track.tasks.items() if (found := find_picture(task))},
     )
 
 
-def picture_of(task: Task) -> Picture | None:
+def find_picture(task: Task) -> Picture | None:
     """Return the picture of a task; None where it has none."""
     if not is_maniskill(task.env_id):
         return PICTURES.get(task.name)

@@ -124,7 +124,7 @@ def _written(offset: tuple[float, ...]) -> str:
     return f"({', '.join(f'{value:g}' for value in offset)})"
 
 
-def outcomes_of(ends: Sequence[EpisodeView]) -> list[EpisodeOutcome]:
+def count_outcomes(ends: Sequence[EpisodeView]) -> list[EpisodeOutcome]:
     """Return the outcomes that occur, the most frequent first: the key of the maps."""
     return [EpisodeOutcome(outcome) for outcome, _ in Counter(end.outcome for end in ends).most_common()]
 

@@ -114,7 +114,7 @@ def sensitivity_maps(key: str, drawn: SensitivityMap, largest: tuple[float, floa
     )
 
 
-def largest_of(*rows: Sequence[Sequence[float | None]]) -> float:
+def find_largest(*rows: Sequence[Sequence[float | None]]) -> float:
     """Return the largest number in maps; 0 where there is none."""
     return max((value for of in rows for row in of for value in row if value is not None), default=0.0)
 

@@ -7,7 +7,7 @@ import typer
 
 from ...service.database import transaction
 from ...terminal.output import AsJson, percent, print_json, print_table, warn
-from ..consent import Base, DryRun, Yes, base_of, change_as_shown
+from ..consent import Base, DryRun, Yes, change_as_shown, resolve_base
 from .contest import ContestName, StageName, TrackName
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def confirm(
 
     def change(session: "Session") -> list[str]:
         found = Contest.find(session, contest, track=track).stage(track, stage)
-        made_from = base_of(base, yes=yes and not dry_run)
+        made_from = resolve_base(base, yes=yes and not dry_run)
         return confirm_teams(session, CONSOLE, found, add=add or (), without=without or (), base=made_from)
 
     def show(found: list[str]) -> None:

@@ -8,7 +8,7 @@ import typer
 
 from ...service.database import transaction
 from ...terminal.output import AsJson, moment, print_json, print_pairs, print_record, print_records, print_table, warn
-from ..consent import Base, Confirmed, DryRun, Yes, base_of, change_as_shown, change_transaction, confirmed_of
+from ..consent import Base, Confirmed, DryRun, Yes, change_as_shown, change_transaction, resolve_base, resolve_confirmed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -75,7 +75,10 @@ def apply(
 
     def change(session: "Session") -> "tuple[list[Change], list[Concern], str]":
         revision, concerns = Contest.read(session, definition.name).revision, list_concerns(session, definition)
-        made_from, confirmed = base_of(base, yes=without_question), confirmed_of(confirm, yes=without_question)
+        made_from, confirmed = (
+            resolve_base(base, yes=without_question),
+            resolve_confirmed(confirm, yes=without_question),
+        )
         found = apply_definition(session, CONSOLE, definition, base=made_from, confirmed=confirmed)
         return found, concerns, revision
 

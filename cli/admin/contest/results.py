@@ -8,7 +8,7 @@ import typer
 
 from ...service.database import transaction
 from ...terminal.output import AsJson, percent, print_done, print_json, print_records, warn
-from ..consent import Confirmed, DryRun, Yes, change_as_shown, change_transaction, confirmed_of
+from ..consent import Confirmed, DryRun, Yes, change_as_shown, change_transaction, resolve_confirmed
 from .contest import ContestName
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def finalize(
     from vitac.server.prizes.finishing import finalize as finalize_results
 
     def change(session: "Session") -> "tuple[list[Winner], list[str], list[Concern]]":
-        confirmed, concerns = confirmed_of(confirm, yes=yes and not dry_run), []
+        confirmed, concerns = resolve_confirmed(confirm, yes=yes and not dry_run), []
         if again:
             found = finalize_again(session, CONSOLE, contest)
         else:

@@ -248,7 +248,7 @@ class Scene:
         """Solve in one or more parts, by escaping a saddle, relaxing or continuing; how, and in how many parts."""
         s = self._solver
         if isinstance(s, CutOffSolverSettings):
-            is_solved = self._solve_to(attempt, attempt.target, iterations=s.iterations_per_step) == SOLVED
+            is_solved = self._solve_motion(attempt, attempt.target, iterations=s.iterations_per_step) == SOLVED
             return (StepStatus.CONVERGED if is_solved else StepStatus.CUT_OFF), 1
         unstable: tuple[FloatArray, int] | None = None
         for parts in (2**level for level in range(s.first_division_level, s.division_levels + 1)):
@@ -262,7 +262,7 @@ class Scene:
             if self._escape_saddles(attempt):
                 return StepStatus.ESCAPED_SADDLE, parts
         self._x[:] = attempt.start
-        if self._solve_to(attempt, attempt.target, relaxes=True) == SOLVED:
+        if self._solve_motion(attempt, attempt.target, relaxes=True) == SOLVED:
             return StepStatus.RELAXED, 1
         return (StepStatus.CONTINUED if self._continue_from_start(attempt) else StepStatus.NOT_CONVERGED), 1
 
@@ -274,15 +274,15 @@ class Scene:
         self._x[:] = attempt.start
         for part in range(1, parts):
             waypoint = attempt.start + (part / parts) * (attempt.target - attempt.start)
-            if self._solve_to(attempt, waypoint) != SOLVED:
+            if self._solve_motion(attempt, waypoint) != SOLVED:
                 return UNSOLVED
-        return self._solve_to(attempt, attempt.target)
+        return self._solve_motion(attempt, attempt.target)
 
     def _escape_saddles(self, attempt: _Attempt) -> bool:
         """Leave the unstable equilibrium that the scene is in, and any that this leads to."""
         for _ in range(self._solver.saddle_escapes):
             attempt.saddle_escapes += 1
-            outcome = self._solve_to(attempt, attempt.target, escapes_saddle=True)
+            outcome = self._solve_motion(attempt, attempt.target, escapes_saddle=True)
             if outcome != UNSTABLE:
                 return outcome == SOLVED
         return False
@@ -300,7 +300,7 @@ class Scene:
             before, following = self._x.copy(), min(1.0, part + stride)
             waypoint = attempt.start + following * (attempt.target - attempt.start)
             attempt.held, shortest = (1.0 - following) * unbalanced, stride <= _SHORTEST_STRIDE
-            if self._solve_to(attempt, waypoint, relaxes=shortest, residual_n=residual_n) == SOLVED:
+            if self._solve_motion(attempt, waypoint, relaxes=shortest, residual_n=residual_n) == SOLVED:
                 part, stride, solved_before = following, 2.0 * stride if solved_before else stride, True
             elif shortest:
                 break
@@ -309,9 +309,9 @@ class Scene:
             if part == 1.0:
                 return True
         attempt.held = np.zeros_like(unbalanced)
-        return self._solve_to(attempt, attempt.target) == SOLVED
+        return self._solve_motion(attempt, attempt.target) == SOLVED
 
-    def _solve_to(
+    def _solve_motion(
         self,
         attempt: _Attempt,
         waypoint: FloatArray,

@@ -3,7 +3,7 @@
 from ...geometry.bases import RIM_MM
 from ..ending import Flags
 from ..insertion.offset import is_beyond
-from ..insertion.state import InsertionState, flags_of
+from ..insertion.state import InsertionState, compute_flags
 from .variation import LARGEST_THETA_DEG, LARGEST_X_MM, LARGEST_Y_MM, LARGEST_Z_MM, FusionOffset
 
 # Only a peg in the right hole is as near as this to it.
@@ -14,7 +14,7 @@ SUCCESS_THETA_DEG = 10.0
 def judge_flags(state: InsertionState[FusionOffset], *, max_steps: int, insertion_depth_mm: float) -> Flags:
     """Return the flags of an env step; success asks for depth, for the right hole, and for no flag."""
     reached = state.is_deeper_than(insertion_depth_mm) and _is_at_target(state.offset)
-    return flags_of(state, max_steps=max_steps, left_range=_left_range(state.offset), reached=reached)
+    return compute_flags(state, max_steps=max_steps, left_range=_left_range(state.offset), reached=reached)
 
 
 def _left_range(offset: FusionOffset) -> bool:

@@ -33,7 +33,7 @@ class InsertionState(Generic[OffsetT]):
         return bool((self.peg_relative_z_mm < -depth_mm).all())
 
 
-def flags_of(state: InsertionState[OffsetT], *, max_steps: int, left_range: bool, reached: bool) -> Flags:
+def compute_flags(state: InsertionState[OffsetT], *, max_steps: int, left_range: bool, reached: bool) -> Flags:
     """Return the flags of an env step; the goal counts as reached only where no other flag is raised.
 
     A large surface motion is such a flag rather than a threshold of its own [D7].

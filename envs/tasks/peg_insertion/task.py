@@ -2,7 +2,7 @@
 
 from ..ending import Flags
 from ..insertion.offset import PegOffset, is_beyond
-from ..insertion.state import InsertionState, flags_of
+from ..insertion.state import InsertionState, compute_flags
 from .variation import LARGEST_THETA_DEG, LARGEST_XY_MM
 
 SUCCESS_DEPTH_MM = 0.3
@@ -23,4 +23,4 @@ def judge_flags(state: InsertionState[PegOffset], *, max_steps: int, z_step_mm: 
     )
     deep_enough = state.env_steps * z_step_mm > SUCCESS_COMMANDED_DEPTH_MM
     reached = deep_enough and state.is_deeper_than(SUCCESS_DEPTH_MM)
-    return flags_of(state, max_steps=max_steps, left_range=left_range, reached=reached)
+    return compute_flags(state, max_steps=max_steps, left_range=left_range, reached=reached)

@@ -20,9 +20,9 @@ def rendered_picture(mode: RenderMode) -> Observable[HasSight]:
     """
 
     def read(scene: HasSight, _: "np.random.Generator") -> "NDArray[np.uint8]":
-        from .renderer import renderer_of
+        from .renderer import make_renderer
 
-        return renderer_of(mode).picture(scene.sight())
+        return make_renderer(mode).picture(scene.sight())
 
     return Observable(
         name=f"rgb_{mode}",

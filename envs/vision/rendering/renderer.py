@@ -80,7 +80,7 @@ class Renderer:
     def _body(self, sight: Sight, label: Label) -> Any:
         """Return the entity of one class: each triangle has corners and a normal of its own, for hard edges."""
         render = self._sapien.render
-        corners, normals = sight.triangles_of(label)
+        corners, normals = sight.list_triangles(label)
         numbers = np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)
         material = render.RenderMaterial(base_color=_COLOURS[label], specular=0.8, roughness=0.5, metallic=0.1)
         shape = render.RenderShapeTriangleMesh(
@@ -119,7 +119,7 @@ class Renderer:
 
 
 @cache
-def renderer_of(mode: RenderMode) -> Renderer:
+def make_renderer(mode: RenderMode) -> Renderer:
     """Return the renderer of a mode, made at the first call in a process.
 
     Raises:

@@ -98,7 +98,7 @@ def _expose(
             if _is_lit(projector, a, y, z, triangle):
                 n = normals[triangle]
                 towards = -(n[0] * a + n[1] * y + n[2]) / np.sqrt(a * a + y * y + 1.0)
-                brightness += max(towards, 0.0) * _pattern_at(projector.pattern, a, y) / 255.0
+                brightness += max(towards, 0.0) * _sample_pattern(projector.pattern, a, y) / 255.0
             pixel = np.uint64(j * width + i)
             speckle = 1.0 + SPECKLE_SD * _normal(noise_key, np.uint64(2) * pixel)
             thermal = THERMAL_SD_GREY * _normal(noise_key, np.uint64(2) * pixel + np.uint64(1))
@@ -121,7 +121,7 @@ def _is_lit(projector: Projector, a: float, b: float, z: float, triangle: int) -
 
 
 @kernel
-def _pattern_at(pattern: NDArray[np.uint8], a: float, b: float) -> float:
+def _sample_pattern(pattern: NDArray[np.uint8], a: float, b: float) -> float:
     """Return the brightness in direction (a, b), interpolated between four texels; 0 beyond the pattern."""
     texels = pattern.shape[0]
     column = (a + HALF_WIDTH) / (2.0 * HALF_WIDTH) * texels - 0.5

@@ -146,7 +146,7 @@ def command(
         *("--ro-bind", str(submission.resolve()), INSIDE_SUBMISSION, "--chdir", INSIDE_SUBMISSION, "--remount-ro", "/"),
         *_environment(interpreter),
         "--",
-        *_drop_to(uid),
+        *_drop_privileges(uid),
         *_process_limits(limits),
         *_python(interpreter, limits, descriptors),
     ]
@@ -191,7 +191,7 @@ def tool_command(
         *_environment(interpreter),
         *("--setenv", "PYTHONPATH", python_path, "--setenv", "VITAC_CACHE_DIR", "/tmp/cache"),  # noqa: S108
         "--",
-        *_drop_to(uid),
+        *_drop_privileges(uid),
         *_process_limits(limits),
         *("/usr/bin/prlimit", f"--cpu={math.ceil(limits.start_cpu_s)}", "--"),
         *(str(interpreter.executable), "-P", "-s", "-B", "-m", tool.module, INSIDE_SUBMISSION, INSIDE_KERNELS),
@@ -262,7 +262,7 @@ def _environment(interpreter: Interpreter) -> list[str]:
     return [part for name, value in variables.items() for part in ("--setenv", name, value)]
 
 
-def _drop_to(uid: int) -> list[str]:
+def _drop_privileges(uid: int) -> list[str]:
     if current_user_isolation() is UserIsolation.USER_NAMESPACE:
         return []
     # The change of uid clears the parent-death signal that bubblewrap has set, so it is set again.

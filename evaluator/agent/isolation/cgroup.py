@@ -67,17 +67,17 @@ class ControlGroup:
 
     def out_of_memory_kills(self) -> int:
         """Return how many processes the kernel has killed for lack of memory."""
-        return _number_after("oom_kill", self._memory_counter.content())
+        return _read_number("oom_kill", self._memory_counter.content())
 
     def refused_forks(self) -> int:
         """Return how often a process or thread was refused."""
-        return _number_after("max", self._pids_counter.content())
+        return _read_number("max", self._pids_counter.content())
 
     def cpu_s(self) -> float:
         """Return CPU time used by everything that was ever in the group [s]."""
         content = self._cpu_counter.content()
         if self._is_v2:
-            return _number_after("usage_usec", content) * 1e-6
+            return _read_number("usage_usec", content) * 1e-6
         return int(content) * 1e-9
 
     @cached_property
@@ -152,10 +152,10 @@ def sweep(parent: Path) -> None:
     for folder in parent.glob(f"{_PREFIX}*"):
         owner = folder.name.removeprefix(_PREFIX).partition("-")[0]
         if owner.isdigit() and not Path("/proc", owner).exists() and not _remove(folder):
-            _kill_processes_in(folder)
+            _kill_processes(folder)
 
 
-def _kill_processes_in(folder: Path) -> None:
+def _kill_processes(folder: Path) -> None:
     """Kill the processes of a group; those of another pid namespace have the number 0 here and are left alone."""
     with contextlib.suppress(OSError):
         for pid in map(int, (folder / "cgroup.procs").read_text().split()):
@@ -244,7 +244,7 @@ def _remove(folder: Path) -> bool:
     return True
 
 
-def _number_after(name: str, content: str) -> int:
+def _read_number(name: str, content: str) -> int:
     for line in content.splitlines():
         found, _, value = line.partition(" ")
         if found == name:

@@ -17,7 +17,7 @@ _GONE: Final = (FileNotFoundError, ProcessLookupError)
 """What reading /proc raises for a process that has ended."""
 
 
-def text_of(file: str) -> str:
+def read_text_file(file: str) -> str:
     """Return what a file of /proc says; read several times for each episode, and `read_text` takes four times as long.
 
     Raises:
@@ -44,7 +44,7 @@ def _children(pid: int) -> list[int]:
     with contextlib.suppress(*_GONE):
         for task in Path(f"/proc/{pid}/task").iterdir():
             with contextlib.suppress(*_GONE):
-                children += map(int, text_of(f"{task}/children").split())
+                children += map(int, read_text_file(f"{task}/children").split())
     return children
 
 
@@ -65,7 +65,7 @@ def reaped_cpu_s(pid: int) -> float:
     Children that end while their parent ignores SIGCHLD are in nobody's count.
     """
     with contextlib.suppress(*_GONE):
-        fields = text_of(f"/proc/{pid}/stat").rpartition(")")[2].split()
+        fields = read_text_file(f"/proc/{pid}/stat").rpartition(")")[2].split()
         return sum(map(int, fields[_CHILDREN_TIMES])) / _TICKS_PER_S
     return 0.0
 
@@ -73,7 +73,7 @@ def reaped_cpu_s(pid: int) -> float:
 def resident_bytes(pid: int) -> int:
     """Return resident memory of a process, 0 where it has ended."""
     with contextlib.suppress(*_GONE):
-        return int(text_of(f"/proc/{pid}/statm").split()[1]) * _PAGE_BYTES
+        return int(read_text_file(f"/proc/{pid}/statm").split()[1]) * _PAGE_BYTES
     return 0
 
 
@@ -83,7 +83,7 @@ def proportional_bytes(pid: int) -> int:
     A process may hide this from its own user; then shared pages are counted in full.
     """
     try:
-        lines = text_of(f"/proc/{pid}/smaps_rollup").splitlines()
+        lines = read_text_file(f"/proc/{pid}/smaps_rollup").splitlines()
     except (PermissionError, *_GONE):
         return resident_bytes(pid)
     return sum(int(line.split()[1]) * 1024 for line in lines if line.startswith("Pss:"))
@@ -96,7 +96,7 @@ def inside_pid(pid: int) -> int:
         ProcessLookupError: it has ended.
     """
     try:
-        lines = text_of(f"/proc/{pid}/status").splitlines()
+        lines = read_text_file(f"/proc/{pid}/status").splitlines()
     except FileNotFoundError as error:
         raise ProcessLookupError(pid) from error
     return next(int(line.split()[-1]) for line in lines if line.startswith("NSpid:"))

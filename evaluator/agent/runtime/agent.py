@@ -311,7 +311,7 @@ def report_children(status: int) -> None:
         os.write(status, STATUS.pack(pid, wait_status))
 
 
-def gaps_between(kept: list[int]) -> list[tuple[int, int]]:
+def list_gaps(kept: list[int]) -> list[tuple[int, int]]:
     """Return the ranges of descriptors above the standard streams that are not kept."""
     starts = [3, *(descriptor + 1 for descriptor in kept)]
     return list(zip(starts, [*kept, 1 << 16], strict=True))
@@ -324,7 +324,7 @@ def main(arguments: list[str]) -> None:
     # What the machine's own Python has installed besides would differ from machine to machine.
     sys.path[:] = [*packages, *(folder for folder in sys.path if not folder.endswith("-packages"))]
     sys.argv = ["policy"]
-    for first, last in gaps_between(sorted((channel, status))):
+    for first, last in list_gaps(sorted((channel, status))):
         os.closerange(first, last)
     pid = os.fork()
     if pid == 0:

@@ -28,19 +28,19 @@ class RequestTimes:
         async def measured(message: Message) -> None:
             if message["type"] == "http.response.start":
                 services: Services = scope["app"].state.services
-                labels = (method_of(scope), route_of(scope), f"{message['status'] // 100}xx")
+                labels = (find_method(scope), find_route(scope), f"{message['status'] // 100}xx")
                 services.instruments.requests_s.labels(*labels).observe(time.perf_counter() - begun)
             await send(message)
 
         await self._app(scope, receive, measured)
 
 
-def method_of(scope: Scope) -> str:
+def find_method(scope: Scope) -> str:
     """Return the method, or `unknown` for one that HTTP does not have."""
     return scope["method"] if scope["method"] in _METHODS else UNKNOWN
 
 
-def route_of(scope: Scope) -> str:
+def find_route(scope: Scope) -> str:
     """Return the path of the route that answered, with names for its parameters: `/submissions/{submission_id}`."""
     if "endpoint" not in scope:
         return UNKNOWN

@@ -16,7 +16,7 @@ from vitac.evaluator.evaluation.local import Evaluation, evaluate
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.logs.verification import verify
-from vitac.evaluator.sensors.made import design_in
+from vitac.evaluator.sensors.made import read_design
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcesses
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -233,7 +233,7 @@ def test_sensor_of_a_team_is_played_in_every_shard_with_its_own_mesh_hash(
     assert [record.episode for record in first.records] == [1, 28]
     assert first.result_hash == again.result_hash
     assert first.manifest.mesh_hash != drifted.manifest.mesh_hash
-    assert first.manifest.mesh_hash == make_environment(TASK, sensor=design_in(dome)).mesh_hash()
+    assert first.manifest.mesh_hash == make_environment(TASK, sensor=read_design(dome)).mesh_hash()
 
 
 @pytest.mark.usefixtures("shared_simulation")

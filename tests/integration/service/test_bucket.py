@@ -86,6 +86,7 @@ def test_files_go_into_the_bucket_and_come_back_whole(
         blobs.fetch(digest, tmp_path / "other copy")
 
 
+@pytest.mark.slow
 def test_kill_in_the_middle_of_storing_leaves_no_file_and_the_next_attempt_succeeds(
     s3: S3Server, blobs: BlobStore, tmp_path: Path
 ) -> None:

@@ -58,6 +58,7 @@ def submission(live: Service) -> str:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", GenerationMode)
 def test_no_request_of_a_description_meets_an_error_of_the_server(
     live: Service, submission: str, mode: GenerationMode

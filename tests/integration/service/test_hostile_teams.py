@@ -66,6 +66,7 @@ def evaluation(live: Service, submission: str, token: str) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 def test_hostile_policies_meet_their_verdicts_and_leave_other_teams_and_the_server_alone(
     small_limits: None, live: Service, start_worker: StartWorker, undisturbed_hash: str
 ) -> None:

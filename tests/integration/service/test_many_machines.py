@@ -23,6 +23,8 @@ from service_factories import TASK, TRACK
 from short_evaluation import EPISODES
 from worker_fakes import eventually
 
+pytestmark = pytest.mark.slow
+
 MAIN = "from vitac.cli.main import main; main()"
 SERVE = f"import short_evaluation; short_evaluation.shorten(); {MAIN}"
 N_WORKERS, N_SERVERS = 3, 2

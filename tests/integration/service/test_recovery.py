@@ -74,6 +74,7 @@ def test_server_and_local_evaluation_give_the_same_hash(attempt: Attempt, start_
     ]
 
 
+@pytest.mark.slow
 def test_two_workers_give_the_same_hash(attempt: Attempt, start_worker: StartWorker) -> None:
     start_worker()
     start_worker()
@@ -102,6 +103,7 @@ def test_kill_of_the_database_in_the_middle_changes_nothing(attempt: Attempt) ->
     attempt.assert_same_result()
 
 
+@pytest.mark.slow
 def test_kill_of_the_shards_own_process_in_the_middle_changes_nothing(
     attempt: Attempt, worker: "subprocess.Popen[bytes]"
 ) -> None:
@@ -109,6 +111,7 @@ def test_kill_of_the_shards_own_process_in_the_middle_changes_nothing(
     attempt.assert_same_result()
 
 
+@pytest.mark.slow
 def test_kill_of_the_process_that_forks_shards_changes_nothing(
     attempt: Attempt, worker: "subprocess.Popen[bytes]"
 ) -> None:
@@ -116,6 +119,7 @@ def test_kill_of_the_process_that_forks_shards_changes_nothing(
     attempt.assert_same_result()
 
 
+@pytest.mark.slow
 def test_stopped_worker_leaves_the_rest_to_the_next_one(
     attempt: Attempt, worker: "subprocess.Popen[bytes]", start_worker: StartWorker
 ) -> None:
@@ -126,6 +130,7 @@ def test_stopped_worker_leaves_the_rest_to_the_next_one(
     attempt.assert_same_result()
 
 
+@pytest.mark.slow
 def test_kill_of_the_worker_in_the_middle_of_a_log_changes_nothing(
     live: Service, start_worker: StartWorker, undisturbed: Evaluation, undisturbed_hash: str
 ) -> None:

@@ -78,6 +78,7 @@ def test_it_is_drawn(tmp_path: Path) -> None:
     assert (tmp_path / "toy.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_it_stands_on_a_board() -> None:
     output = vitac("demo", "--exit", "--submission", SUBMISSION, VITAC_STATE_DIR=str(state_directory()), VITAC_PORT="0")
     assert "3 of 3 episodes, 3 successes" in output

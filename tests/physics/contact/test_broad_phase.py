@@ -60,12 +60,12 @@ def test_every_pair_within_reach_is_listed_once(probe: Probe, reach: float) -> N
 def test_listed_pairs_carry_their_friction_and_mollifier_threshold(probe: Probe) -> None:
     candidates = probe.candidates(probe.x_m, 2e-4)
     s = probe.model.surfaces
-    body_of = np.searchsorted(s.point_start, np.arange(s.point_start[-1]), side="right") - 1
+    make_body = np.searchsorted(s.point_start, np.arange(s.point_start[-1]), side="right") - 1
     friction = {tuple(pair): value for pair, value in zip(s.pairs.tolist(), s.pair_friction, strict=True)}
     rest = {tuple(edge): length for edge, length in zip(s.edges.tolist(), s.edge_squared_length_m2, strict=True)}
     for k in range(len(candidates.pair_type)):
         p = candidates.points[k]
-        bodies = tuple(sorted((int(body_of[p[0]]), int(body_of[p[3]]))))
+        bodies = tuple(sorted((int(make_body[p[0]]), int(make_body[p[3]]))))
         assert candidates.friction[k] == friction[bodies]
         if candidates.pair_type[k] == EDGE_EDGE:
             expected = 1e-3 * rest[(int(p[0]), int(p[1]))] * rest[(int(p[2]), int(p[3]))]

@@ -10,6 +10,8 @@ pytest.importorskip("ipctk", reason="the IPC Toolkit, which the oracle is made o
 
 from slow_oracle import FIXED, HELD, LEFT_GEL, RIGHT_GEL, SlowOracle
 
+pytestmark = pytest.mark.slow
+
 # Ten times the last move at which the engine stops.
 AGREEMENT_M = 1e-7
 

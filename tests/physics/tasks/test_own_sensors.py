@@ -63,6 +63,7 @@ def test_flat_gels_touch_at_the_same_grasp_travel() -> None:
     assert max(middle_mm) - min(middle_mm) < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["4 mm", "dome", "ridge", "gable", "pyramids"])
 def test_refining_a_gel_changes_its_surface_motion_little(name: str) -> None:
     """By under 5 % in the median over starts, at the first env step: by another mesh, and by halving its edges."""

@@ -100,7 +100,7 @@ def run_estimator(order: ShardOrder, _track: object, task: Task, shard: Shard, _
 
 if __name__ == "__main__":
     host.calibrated = calibrated  # type: ignore[attr-defined, assignment]
-    host.design_in = lambda _: None  # type: ignore[attr-defined, assignment]
+    host.read_design = lambda _: None  # type: ignore[attr-defined, assignment]
     execution.run_estimator = run_estimator  # type: ignore[attr-defined, assignment]
     execution.load_in_sandbox = load_policy  # type: ignore[attr-defined, assignment]
     for module in (execution, host):

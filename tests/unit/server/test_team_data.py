@@ -128,7 +128,7 @@ def test_a_removed_team_leaves_its_scores_and_nothing_else(database: Database) -
         mine = submit(session, ants, "mine")
         submission_id, public = mine.id, questions.ask(session, ants, "Public?", public=True).id
         questions.ask(session, ants, "Private?", public=False)
-        members.set_email(session, CONSOLE, members.captain_of(session, teams.own(session, ants)), "a@example.org")
+        members.set_email(session, CONSOLE, members.find_captain(session, teams.own(session, ants)), "a@example.org")
         with refused(ProblemCode.INVALID_REQUEST):
             team_data.erase(session, CONSOLE, teams.own(session, ants))
     for submission in (*shared, mine):

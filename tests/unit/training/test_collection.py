@@ -10,7 +10,7 @@ from vitac.training.actors import ActorKind
 from vitac.training.collection import FILE_EPISODES, Batch, Networks, _versions, collect
 from vitac.training.episodes import TASK
 from vitac.training.learning.critic import Critic, CriticPlan
-from vitac.training.learning.student import Student, StudentPlan, weights_of
+from vitac.training.learning.student import Student, StudentPlan, make_weights
 from vitac.training.streams import Use, stream
 
 BATCH = Batch(kind=ActorKind.RANDOM, seed=1, use=Use.COLLECT, first=0, count=FILE_EPISODES + 10)
@@ -20,7 +20,7 @@ PLAN = CriticPlan(networks=1, hidden=8)
 def networks(seed: int = 0) -> Networks:
     random = np.random.default_rng(seed)
     critic, student = Critic(PLAN, random), Student(StudentPlan(networks=1, hidden=8), random)
-    return Networks(plan=PLAN, critic=critic.state(), student=weights_of(student.state()))
+    return Networks(plan=PLAN, critic=critic.state(), student=make_weights(student.state()))
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -45,15 +45,15 @@ def test_student_learns_of_the_critic_first_and_of_the_assessor_later(number: in
 
 
 def test_student_never_learns_from_an_actor_that_knows_the_truth(monkeypatch: pytest.MonkeyPatch) -> None:
-    from vitac.training.learning.student import histories_of
+    from vitac.training.learning.student import make_histories
 
     counts: list[int] = []
 
     def counted(episodes: Any) -> Any:
         counts.append(len(episodes))
-        return histories_of(episodes)
+        return make_histories(episodes)
 
-    monkeypatch.setattr("vitac.training.learners.histories_of", counted)
+    monkeypatch.setattr("vitac.training.learners.make_histories", counted)
     for number in (1, 2):
         learned(number, known(12), [])
     assert counts == [12, 12]

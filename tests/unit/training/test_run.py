@@ -17,7 +17,7 @@ from vitac.training.charts import FOLDER, Charts
 from vitac.training.files import FileDamaged
 from vitac.training.learning.network import Learner, TrainingDiverged
 from vitac.training.recipe import AssessorRecipe, CriticRecipe, Recipe, StudentRecipe
-from vitac.training.run import Folder, OtherRun, RoundResult, Run, best, format_rate, results_of
+from vitac.training.run import Folder, OtherRun, RoundResult, Run, best, format_rate, read_results
 from vitac.training.streams import StreamRefused, Use, stream
 
 RECIPE = Recipe(
@@ -58,7 +58,7 @@ def test_each_round_is_assessord_and_logged(tmp_path: Path) -> None:
     lines: list[str] = []
     results = run(tmp_path, lines=lines).go()
     assert [result.number for result in results] == [1, 2]
-    assert results_of(Folder(path=tmp_path)) == results
+    assert read_results(Folder(path=tmp_path)) == results
     assert results[1].env_steps > results[0].env_steps
     assert [result.student.episodes for result in results] == [10, 10]
     assert any(line.startswith("round 2 of 2: student ") for line in lines)
@@ -120,7 +120,7 @@ def test_log_never_gets_shorter_and_what_is_in_it_is_not_judged_again(
 
     with pytest.raises(Stopped):
         Run(recipe=RECIPE, folder=Folder(path=tmp_path), tell=stop).go()
-    assert [result.number for result in results_of(Folder(path=tmp_path))] == [1]
+    assert [result.number for result in read_results(Folder(path=tmp_path))] == [1]
     finished = run(tmp_path).go()
     log = (tmp_path / "log.jsonl").read_bytes()
     heard: list[bytes] = []
@@ -138,7 +138,7 @@ def test_damaged_log_is_told_and_made_again_from_what_is_kept(tmp_path: Path, to
     before, episodes = files(tmp_path), len(toy[0].resets)
     log = tmp_path / "log.jsonl"
     log.write_text('{"round": 1}\n')
-    for use in (run(tmp_path).go, lambda: results_of(Folder(path=tmp_path))):
+    for use in (run(tmp_path).go, lambda: read_results(Folder(path=tmp_path))):
         with pytest.raises(FileDamaged, match=r"log.jsonl does not hold what was written; delete it and run it again"):
             use()
     log.unlink()
@@ -248,7 +248,7 @@ def test_folder_of_other_training_code_is_refused(tmp_path: Path, monkeypatch: p
 def test_results_of_an_unfinished_run_are_refused(tmp_path: Path) -> None:
     run(tmp_path).collect_first()
     with pytest.raises(OtherRun, match="holds no finished round; train first"):
-        results_of(Folder(path=tmp_path))
+        read_results(Folder(path=tmp_path))
 
 
 def test_diverging_round_keeps_those_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -262,7 +262,7 @@ def test_diverging_round_keeps_those_before(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(Learner, "learn", diverging)
     with pytest.raises(TrainingDiverged):
         run(tmp_path).go()
-    assert [result.number for result in results_of(Folder(path=tmp_path))] == [1]
+    assert [result.number for result in read_results(Folder(path=tmp_path))] == [1]
     assert not (tmp_path / "round-002.npz").exists()
 
 
@@ -325,7 +325,7 @@ def test_what_a_kill_left_out_of_the_log_is_charted_when_the_run_goes_on(
     chart_until(1)
     with pytest.raises(Stopped):
         run(tmp_path).go()
-    assert [result.number for result in results_of(Folder(path=tmp_path))] == [1]
+    assert [result.number for result in read_results(Folder(path=tmp_path))] == [1]
     chart_until(2)
     run(tmp_path).go()
     assert charted == [1, 2]

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from vitac.server.views.contest import StageView
 
 
-def title_of(stages: Sequence[StageView], name: str | None) -> str | None:
+def find_stage_title(stages: Sequence[StageView], name: str | None) -> str | None:
     """Return the title of a stage; its name where the competition's file has just lost it, None outside of stages."""
     return next((stage.title for stage in stages if stage.name == name), name)
 

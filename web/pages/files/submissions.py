@@ -54,7 +54,7 @@ class Table:
     rows: Callable[[SubmissionDetail], Rows]
 
 
-def table_of(table: Table, form: Format) -> Page:
+def make_table_page(table: Table, form: Format) -> Page:
     """Return the page that answers with a table of a submission in a format."""
 
     @open_to_all

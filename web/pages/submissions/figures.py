@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from markupsafe import Markup
 
 from ...plots.dates import DatedRate, rates_by_date
-from ...plots.episodes import offset_maps, outcomes_of, steps_histogram, success_by_shape
+from ...plots.episodes import count_outcomes, offset_maps, steps_histogram, success_by_shape
 from ...rendering import render
 from ...site import site_of
 
@@ -60,7 +60,7 @@ def _of_task(found: SubmissionView, score: TaskScoreView, title: str, episodes: 
     return TaskFigures(
         title=title,
         maps=offset_maps(found.track, score.task, {end.episode: end for end in ends}) if known else (),
-        outcomes=outcomes_of(ends),
+        outcomes=count_outcomes(ends),
         figures=(success_by_shape(score), *([steps_histogram(score.task, ends)] if ends else [])),
     )
 

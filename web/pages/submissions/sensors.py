@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from starlette.responses import JSONResponse, Response
 from vitac.evaluator.figures.reference import reference_figures
-from vitac.evaluator.figures.table import rows_of
+from vitac.evaluator.figures.table import make_rows
 from vitac.evaluator.sensors.appearance import appearance
 from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.server.submissions import sensors
 from vitac.server.visibility import visible
 
-from ...plots.sensors import largest_of, marker_picture, quality_histogram, sensitivity_maps, still
+from ...plots.sensors import find_largest, marker_picture, quality_histogram, sensitivity_maps, still
 from ...site import page, require_viewer, site_of
 from ..addresses import as_id
 from ..episodes.page import player_script
@@ -134,20 +134,22 @@ def _part(number: int, shown: ShownSensor, largest: tuple[float, float]) -> Part
 def _largest(figures: Sequence[SensorFigures | None]) -> tuple[float, float]:
     """Return the ends of the scales that all maps of the page share."""
     maps = [found.touch.sensitivity for found in figures if found is not None]
-    return largest_of(*(drawn.normal_px_n for drawn in maps)), largest_of(*(drawn.shear_px_n for drawn in maps))
+    return find_largest(*(drawn.normal_px_n for drawn in maps)), find_largest(*(drawn.shear_px_n for drawn in maps))
 
 
 def _rows(figures: Sequence[SensorFigures | None]) -> list[tuple[str, ...]]:
     """Return the table of the figures: name and unit, the value of each sensor, and that of the reference gel."""
     reference = reference_figures()
-    columns = [{} if found is None else {row.name: row.value for row in rows_of(found, reference)} for found in figures]
+    columns = [
+        {} if found is None else {row.name: row.value for row in make_rows(found, reference)} for found in figures
+    ]
     return [
         (
             f"{row.name} [{row.unit}]" if row.unit else row.name,
             *(_text(column.get(row.name)) for column in columns),
             _text(row.value),
         )
-        for row in rows_of(reference, reference)
+        for row in make_rows(reference, reference)
     ]
 
 

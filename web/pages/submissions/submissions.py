@@ -22,7 +22,7 @@ from ...plots.map import episode_map, title_of_task
 from ...rendering import render
 from ...site import open_to_all, page, principal_of, require_viewer, signed_in_form, site_of, viewer_of
 from ..addresses import as_id, board_address
-from ..contest.stages import title_of
+from ..contest.stages import find_stage_title
 from ..submission_detail import read_detail
 from ..tracks import board_query
 from .figures import episode_figures, history_figures
@@ -115,7 +115,7 @@ async def submission(request: Request) -> Response:
         refresh=refresh,
         plots=plots,
         history=history,
-        stage_title=title_of(stages, found.stage),
+        stage_title=find_stage_title(stages, found.stage),
         **values,
     )
 

@@ -158,7 +158,7 @@ async def join(request: Request) -> Response:
 def _self(session: Session, by: Principal) -> Member:
     """Return the member who asks; who has the shared token of a captain without one of their own is the captain."""
     own = teams.own(session, by)
-    return members.find(session, by, own.id, by.member_id or members.captain_of(session, own).id)
+    return members.find(session, by, own.id, by.member_id or members.find_captain(session, own).id)
 
 
 def _change_self(session: Session, by: Principal, fields: Mapping[str, str]) -> None:

@@ -177,7 +177,7 @@ def there_is(service: CliService, name: str, tmp_path: Path) -> str:
     if name == "NOTICE":
         with service.database.transaction() as session:
             own = teams.find(session, "Team A")
-            members.set_email(session, CONSOLE, members.captain_of(session, own), "a@example.org")
+            members.set_email(session, CONSOLE, members.find_captain(session, own), "a@example.org")
             announce(session, NoticeKind.FINISHED, own.id, "evaluation:1", {"page": "/"})
             session.execute(update(Notice).values(given_up_at=func.now()))
             return str(session.scalars(select(Notice.id)).one())

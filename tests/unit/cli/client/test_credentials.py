@@ -16,20 +16,20 @@ def configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_each_service_has_a_token_and_the_last_login_is_meant() -> None:
-    assert (credentials.token_for(FIRST), credentials.last_server()) == (None, None)
+    assert (credentials.find_stored_token(FIRST), credentials.last_server()) == (None, None)
     credentials.keep(FIRST, "vitac_1")
     credentials.keep(SECOND, "vitac_2")
-    assert (credentials.token_for(FIRST), credentials.token_for(SECOND)) == ("vitac_1", "vitac_2")
+    assert (credentials.find_stored_token(FIRST), credentials.find_stored_token(SECOND)) == ("vitac_1", "vitac_2")
     assert credentials.last_server() == SECOND
     credentials.keep(FIRST, "vitac_3")
-    assert (credentials.token_for(FIRST), credentials.last_server()) == ("vitac_3", FIRST)
+    assert (credentials.find_stored_token(FIRST), credentials.last_server()) == ("vitac_3", FIRST)
 
 
 def test_a_forgotten_token_is_gone_and_its_service_no_longer_meant() -> None:
     credentials.keep(FIRST, "vitac_1")
     credentials.keep(SECOND, "vitac_2")
     assert credentials.forget(FIRST)
-    assert (credentials.token_for(FIRST), credentials.last_server()) == (None, SECOND)
+    assert (credentials.find_stored_token(FIRST), credentials.last_server()) == (None, SECOND)
     assert credentials.forget(SECOND)
     assert credentials.last_server() is None
     assert not credentials.forget(SECOND)
@@ -52,7 +52,8 @@ def test_without_a_configuration_folder_the_file_is_in_the_home(
 
 @pytest.mark.parametrize("content", ["", "[]", "null", "{}", '{"server": null}', '{"server": "a", "tokens": ["b"]}'])
 @pytest.mark.parametrize(
-    "use", [credentials.last_server, lambda: credentials.token_for(FIRST), lambda: credentials.keep(FIRST, "vitac_1")]
+    "use",
+    [credentials.last_server, lambda: credentials.find_stored_token(FIRST), lambda: credentials.keep(FIRST, "vitac_1")],
 )
 def test_a_damaged_file_is_named_and_left_as_it_is(content: str, use: Callable[[], object]) -> None:
     file = credentials.path()
@@ -67,7 +68,7 @@ def test_values_that_are_no_text_are_no_token() -> None:
     file = credentials.path()
     file.parent.mkdir(parents=True)
     file.write_text('{"server": 5, "tokens": {"http://first.test": 7}}')
-    assert (credentials.token_for(FIRST), credentials.last_server()) == (None, None)
+    assert (credentials.find_stored_token(FIRST), credentials.last_server()) == (None, None)
 
 
 def test_a_file_that_cannot_be_replaced_keeps_its_content_and_no_draft_is_left(
@@ -82,7 +83,7 @@ def test_a_file_that_cannot_be_replaced_keeps_its_content_and_no_draft_is_left(
         patch.setattr(Path, "replace", full)
         with pytest.raises(CredentialsUnusable, match="No space left"):
             credentials.keep(SECOND, "vitac_2")
-    assert (credentials.token_for(FIRST), credentials.token_for(SECOND)) == ("vitac_1", None)
+    assert (credentials.find_stored_token(FIRST), credentials.find_stored_token(SECOND)) == ("vitac_1", None)
     assert list(credentials.path().parent.iterdir()) == [credentials.path()]
 
 

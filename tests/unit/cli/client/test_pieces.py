@@ -225,8 +225,8 @@ def test_progress_starts_the_count_of_failures_anew(tmp_path: Path) -> None:
     assert len(pauses) == 5 * len(PAUSES_S)
 
 
-@pytest.mark.parametrize("code", ["archive_rejected", "too_many_uploads", "invalid_credentials"])
-def test_a_refusal_for_good_is_not_tried_again(tmp_path: Path, code: str) -> None:
+@pytest.mark.parametrize("code", ["archive_rejected", "too_many_uploads", "invalid_credentials", "not_found"])
+def test_a_refusal_that_does_not_go_away_is_not_tried_again(tmp_path: Path, code: str) -> None:
     def answer(_: str) -> httpx.Response:
         raise RequestRefused(status=400, code=code, detail="No.", request_id=None)
 

@@ -148,7 +148,7 @@ def test_stays_until_ctrl_c(demo: DemoRun) -> None:
     assert process.returncode == 0
 
 
-def test_ctrl_c_during_the_evaluation_says_what_is_kept(demo: DemoRun) -> None:
+def test_ctrl_c_during_the_evaluation_says_what_is_stored(demo: DemoRun) -> None:
     demo.warm_up = "import time; time.sleep(600)"
     with demo.start("--exit") as process:
         assert process.stdout is not None
@@ -156,7 +156,7 @@ def test_ctrl_c_during_the_evaluation_says_what_is_kept(demo: DemoRun) -> None:
             if "Physics" in line:
                 break
         process.send_signal(signal.SIGINT)
-        assert "Finished episodes are kept" in process.stdout.read()
+        assert "Finished episodes are stored" in process.stdout.read()
     assert process.returncode == 130
 
 

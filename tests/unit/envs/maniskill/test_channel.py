@@ -2,7 +2,7 @@
 
 import numpy as np
 from vitac.envs.maniskill.catalogue import MODES, catalogue
-from vitac.envs.maniskill.definition import definition_of
+from vitac.envs.maniskill.definition import find_definition
 from vitac.evaluator.agent.protocol.frames import array_code
 
 LARGEST_MB = 2.2
@@ -13,7 +13,7 @@ def test_every_observation_is_of_types_and_a_size_that_the_channel_carries() -> 
     for name, described in catalogue().environments.items():
         control_mode = next(iter(described.control_modes))
         for mode in MODES:
-            rows = definition_of(f"ManiSkill/{name}", {"obs_mode": mode, "control_mode": control_mode}).observables
+            rows = find_definition(f"ManiSkill/{name}", {"obs_mode": mode, "control_mode": control_mode}).observables
             arrays = [np.zeros(row.shape, row.dtype) for row in rows]
             assert all(array_code(value) for value in arrays)
             assert sum(value.nbytes for value in arrays) < LARGEST_MB * 1e6, (name, mode)

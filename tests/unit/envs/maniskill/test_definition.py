@@ -2,7 +2,7 @@
 
 import pytest
 from vitac.envs.maniskill.catalogue import MODES, catalogue
-from vitac.envs.maniskill.definition import ManiSkillTaskRejected, definition_of, is_maniskill
+from vitac.envs.maniskill.definition import ManiSkillTaskRejected, find_definition, is_maniskill
 from vitac.envs.tasks.definition import Family
 from vitac.envs.tasks.settings import SettingsError
 
@@ -15,7 +15,7 @@ NAMED = (
 @pytest.mark.parametrize("name", NAMED)
 def test_the_tasks_of_the_challenge_are_in_the_catalogue_with_all_modes(name: str) -> None:
     for mode in MODES:
-        task = definition_of(f"ManiSkill/{name}", {"obs_mode": mode})
+        task = find_definition(f"ManiSkill/{name}", {"obs_mode": mode})
         assert task.family is (Family.MANISKILL if mode == "state" else Family.MANISKILL_PICTURES)
         assert task.repeats
         assert task.pictures_repeat == (mode == "state")
@@ -36,7 +36,7 @@ def test_no_environment_is_both_usable_and_refused_and_every_refusal_is_a_senten
 
 
 def test_the_state_vector_is_one_key_whose_parts_are_named_with_their_places() -> None:
-    (state,) = definition_of("ManiSkill/PickCube-v1", {}).observables
+    (state,) = find_definition("ManiSkill/PickCube-v1", {}).observables
     assert (state.name, state.shape, state.dtype) == ("state", (42,), "float32")
     for part in ("0 to 8 agent_qpos", "9 to 17 agent_qvel", "18 extra_is_grasped", "19 to 25 extra_tcp_pose"):
         assert part in state.meaning
@@ -56,21 +56,21 @@ def test_the_state_vector_is_one_key_whose_parts_are_named_with_their_places() -
 def test_parts_of_the_state_have_the_unit_that_their_name_says_and_others_none(
     env_id: str, parts: tuple[str, ...]
 ) -> None:
-    (state,) = definition_of(f"ManiSkill/{env_id}", {"control_mode": "pd_joint_delta_pos"}).observables
+    (state,) = find_definition(f"ManiSkill/{env_id}", {"control_mode": "pd_joint_delta_pos"}).observables
     for part in parts:
         assert part in state.meaning
 
 
 def test_pictures_are_keys_of_their_own_and_show_no_true_pose() -> None:
-    rgb = {row.name: row for row in definition_of("ManiSkill/PickCube-v1", {"obs_mode": "rgb"}).observables}
+    rgb = {row.name: row for row in find_definition("ManiSkill/PickCube-v1", {"obs_mode": "rgb"}).observables}
     assert (rgb["base_camera_rgb"].shape, rgb["base_camera_rgb"].dtype) == ((128, 128, 3), "uint8")
     assert "agent_qpos" in rgb
     assert not {"extra_obj_pose", "state", "base_camera_depth"} & set(rgb)
     assert "base_camera_depth" in {
-        row.name for row in definition_of("ManiSkill/PickCube-v1", {"obs_mode": "rgbd"}).observables
+        row.name for row in find_definition("ManiSkill/PickCube-v1", {"obs_mode": "rgbd"}).observables
     }
     assert "pointcloud_xyzw" in {
-        row.name for row in definition_of("ManiSkill/PickCube-v1", {"obs_mode": "pointcloud"}).observables
+        row.name for row in find_definition("ManiSkill/PickCube-v1", {"obs_mode": "pointcloud"}).observables
     }
 
 
@@ -84,7 +84,7 @@ def test_pictures_are_keys_of_their_own_and_show_no_true_pose() -> None:
     ],
 )
 def test_numbers_of_an_action_are_named_where_they_are_known(control_mode: str, names: list[str]) -> None:
-    actions = definition_of("ManiSkill/PickCube-v1", {"control_mode": control_mode}).actions
+    actions = find_definition("ManiSkill/PickCube-v1", {"control_mode": control_mode}).actions
     assert [row.name for row in actions] == names
 
 
@@ -102,15 +102,15 @@ def test_numbers_of_an_action_are_named_where_they_are_known(control_mode: str, 
 )
 def test_what_cannot_be_a_task_is_refused_by_name(env_id: str, settings: dict[str, str], message: str) -> None:
     with pytest.raises(ManiSkillTaskRejected) as refused:
-        definition_of(env_id, settings)
+        find_definition(env_id, settings)
     assert message in str(refused.value)
 
 
 def test_an_unknown_setting_names_the_nearest_one() -> None:
     with pytest.raises(SettingsError, match="Unknown setting 'obs_mod'; did you mean 'obs_mode'"):
-        definition_of("ManiSkill/PickCube-v1", {"obs_mod": "rgb"})
+        find_definition("ManiSkill/PickCube-v1", {"obs_mod": "rgb"})
     with pytest.raises(SettingsError, match="'success_key' is 1, expected a value of type str"):
-        definition_of("ManiSkill/PickCube-v1", {"success_key": 1})
+        find_definition("ManiSkill/PickCube-v1", {"success_key": 1})
 
 
 def test_only_ids_with_the_prefix_are_maniskills() -> None:
@@ -120,16 +120,16 @@ def test_only_ids_with_the_prefix_are_maniskills() -> None:
 
 def test_physics_on_a_gpu_is_a_family_of_its_own_that_does_not_repeat() -> None:
     for mode in MODES:
-        task = definition_of("ManiSkill/PickCube-v1", {"obs_mode": mode, "sim_backend": "physx_cuda"})
+        task = find_definition("ManiSkill/PickCube-v1", {"obs_mode": mode, "sim_backend": "physx_cuda"})
         assert (task.family, task.repeats) == (Family.MANISKILL_CUDA, False)
     with pytest.raises(ManiSkillTaskRejected, match="sim_backend is 'cuda:0', expected physx_cpu or physx_cuda"):
-        definition_of("ManiSkill/PickCube-v1", {"sim_backend": "cuda:0"})
+        find_definition("ManiSkill/PickCube-v1", {"sim_backend": "cuda:0"})
 
 
 def test_several_scenes_at_once_are_for_a_gpu_alone_and_no_more_than_policies_can_be_loaded() -> None:
     on_gpu = {"sim_backend": "physx_cuda"}
     sizes = [
-        definition_of("ManiSkill/PickCube-v1", settings).batch_size
+        find_definition("ManiSkill/PickCube-v1", settings).batch_size
         for settings in ({}, {"batch_size": 1}, on_gpu, on_gpu | {"batch_size": 16}, on_gpu | {"batch_size": 64})
     ]
     assert sizes == [1, 1, 1, 16, 64]
@@ -139,6 +139,6 @@ def test_several_scenes_at_once_are_for_a_gpu_alone_and_no_more_than_policies_ca
         (on_gpu | {"batch_size": 0}, "batch_size is 0, expected 1 to 64"),
     ):
         with pytest.raises(ManiSkillTaskRejected, match=expected):
-            definition_of("ManiSkill/PickCube-v1", settings)
+            find_definition("ManiSkill/PickCube-v1", settings)
     with pytest.raises(SettingsError, match="'batch_size' is '4', expected a value of type int"):
-        definition_of("ManiSkill/PickCube-v1", on_gpu | {"batch_size": "4"})
+        find_definition("ManiSkill/PickCube-v1", on_gpu | {"batch_size": "4"})

@@ -8,7 +8,7 @@ import pytest
 from fake_pick_cube import FakePickCube, in_place_of_maniskill
 from numpy.typing import NDArray
 from vitac.envs.maniskill.env import ManiSkillEnv, ManiSkillFailed
-from vitac.envs.maniskill.film import MAX_PICTURES, Moment, Shot, captioned, env_steps_between, play, shots
+from vitac.envs.maniskill.film import MAX_PICTURES, Moment, Shot, captioned, play, select_env_steps, shots
 
 START = {"shape": "drawn", "variant": (0.0,), "rng_seed": (0, 1)}
 
@@ -63,7 +63,7 @@ def test_the_last_moment_is_always_drawn_and_once(fake: FakePickCube, every: int
 
 @pytest.mark.parametrize("max_steps", [1, 50, 99, 100, 101, 500, 999])
 def test_the_longest_episode_has_no_more_pictures_than_an_animation_may(max_steps: int) -> None:
-    every = env_steps_between(max_steps)
+    every = select_env_steps(max_steps)
     pictures = 1 + -(-max_steps // every)
     assert pictures <= MAX_PICTURES + 1
     assert every == 1 or 2 * pictures > MAX_PICTURES

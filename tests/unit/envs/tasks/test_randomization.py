@@ -9,7 +9,7 @@ from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
 from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
-from vitac.envs.tasks.randomization import Randomization, drawn_settings, randomization_of
+from vitac.envs.tasks.randomization import Randomization, drawn_settings, find_randomization
 from vitac.envs.tasks.settings import SettingsError
 
 ENV_TYPES = [PegInsertionEnv, LockOpeningEnv, FusionInsertionEnv]
@@ -89,8 +89,8 @@ def test_settings_of_the_environment_stay_as_they_were() -> None:
 @pytest.mark.parametrize("value", ["published", "", None, True])
 def test_unknown_randomization_is_refused(value: Any) -> None:
     with pytest.raises(SettingsError, match=r"'randomization' is .* expected one of none, challenge"):
-        randomization_of(value)
+        find_randomization(value)
 
 
 def test_known_randomizations() -> None:
-    assert [randomization_of(each) for each in ("none", "challenge")] == list(Randomization)
+    assert [find_randomization(each) for each in ("none", "challenge")] == list(Randomization)

@@ -2,7 +2,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
-from vitac.envs.tasks.settings import SettingsError, nearest, require, settings_from
+from vitac.envs.tasks.settings import SettingsError, nearest, read_task_settings, require
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -13,13 +13,13 @@ class Settings:
 
 
 def test_overrides_replace_defaults() -> None:
-    assert settings_from(Settings, {"max_steps": 3, "z_step_mm": 1}) == Settings(max_steps=3, z_step_mm=1)
-    assert settings_from(Settings, {}) == Settings()
+    assert read_task_settings(Settings, {"max_steps": 3, "z_step_mm": 1}) == Settings(max_steps=3, z_step_mm=1)
+    assert read_task_settings(Settings, {}) == Settings()
 
 
 def test_unknown_setting_names_the_nearest() -> None:
     with pytest.raises(SettingsError, match=r"Unknown setting 'z_step_size_mm'; did you mean 'z_step_mm'\?"):
-        settings_from(Settings, {"z_step_size_mm": 0.075})
+        read_task_settings(Settings, {"z_step_size_mm": 0.075})
 
 
 @pytest.mark.parametrize(
@@ -27,7 +27,7 @@ def test_unknown_setting_names_the_nearest() -> None:
 )
 def test_value_of_another_type_is_refused(name: str, value: Any) -> None:
     with pytest.raises(SettingsError, match=f"'{name}' is .*expected a value of type"):
-        settings_from(Settings, {name: value})
+        read_task_settings(Settings, {name: value})
 
 
 def test_hint_lists_all_names_where_none_is_near() -> None:

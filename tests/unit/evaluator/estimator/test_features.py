@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from vitac.evaluator.estimator.features import COUNT, features_of
+from vitac.evaluator.estimator.features import COUNT, compute_features
 
 
 def flow(motion: NDArray[np.float64] | tuple[float, float], markers: int = 40, total: int = 128) -> NDArray[np.float32]:
@@ -13,7 +13,7 @@ def flow(motion: NDArray[np.float64] | tuple[float, float], markers: int = 40, t
 
 
 def test_common_motion_is_the_constant_of_its_direction() -> None:
-    found = np.array(features_of(flow((3.0, -2.0)))).reshape(2, 2, 6)
+    found = np.array(compute_features(flow((3.0, -2.0)))).reshape(2, 2, 6)
     np.testing.assert_allclose(found[:, 0, 0], 3.0, rtol=0.02)
     np.testing.assert_allclose(found[:, 1, 0], -2.0, rtol=0.02)
     assert np.abs(found[:, :, 1:]).max() < 0.1
@@ -24,21 +24,21 @@ def test_turn_of_the_markers_is_in_the_linear_terms() -> None:
     x, y = (rest[:, 0, :, 0] - 160) / 160, (rest[:, 0, :, 1] - 120) / 120
     rest[:, 1, :, 0] += -2.0 * y
     rest[:, 1, :, 1] += 2.0 * x
-    found = np.array(features_of(rest.astype(np.float32))).reshape(2, 2, 6)
+    found = np.array(compute_features(rest.astype(np.float32))).reshape(2, 2, 6)
     np.testing.assert_allclose(found[:, 0, 2], -2.0, rtol=0.05)
     np.testing.assert_allclose(found[:, 1, 1], 2.0, rtol=0.05)
 
 
 def test_repeats_of_the_last_marker_count_once() -> None:
     random = np.random.default_rng(0).normal(0.0, 0.5, (2, 40, 2))
-    assert features_of(flow(random, total=128)) == features_of(flow(random, total=41))
+    assert compute_features(flow(random, total=128)) == compute_features(flow(random, total=41))
 
 
 @pytest.mark.parametrize("markers", [1, 2, 5])
 def test_few_markers_give_finite_features(markers: int) -> None:
-    assert np.isfinite(features_of(flow((1.0, 1.0), markers))).all()
+    assert np.isfinite(compute_features(flow((1.0, 1.0), markers))).all()
 
 
 def test_markers_at_rest_give_zeros_whatever_is_seen() -> None:
-    assert features_of(flow((5.0, 5.0)), at_rest=True) == [0.0] * COUNT
-    assert features_of(flow((0.0, 0.0))) == [0.0] * COUNT
+    assert compute_features(flow((5.0, 5.0)), at_rest=True) == [0.0] * COUNT
+    assert compute_features(flow((0.0, 0.0))) == [0.0] * COUNT

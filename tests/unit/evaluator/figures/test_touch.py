@@ -8,7 +8,7 @@ from measured_figures import GRASP
 from vitac.envs.tactile.design import SensorDesign
 from vitac.evaluator.figures.figures import FiguresPart, SensorFigures, TouchFigures, merged
 from vitac.evaluator.figures.reference import reference_figures
-from vitac.evaluator.figures.table import rows_of
+from vitac.evaluator.figures.table import make_rows
 from vitac.evaluator.figures.touch import touch_figures
 
 
@@ -60,7 +60,7 @@ def test_gel_that_senses_in_no_place_has_no_medians_and_shows_so() -> None:
     shown = merged([FiguresPart(starts=(), touch=found, grasp=GRASP)], [])
     assert shown is not None
     assert SensorFigures.model_validate_json(shown.model_dump_json()) == shown
-    rows = {row.name: row for row in rows_of(shown, reference_figures())}
+    rows = {row.name: row for row in make_rows(shown, reference_figures())}
     assert (rows["resolution of a pin"].value, rows["sensitivity, shear"].value) == (None, None)
     assert known(rows["resolution of a pin"].reference) > 0.0
 

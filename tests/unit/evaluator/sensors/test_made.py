@@ -10,8 +10,8 @@ from vitac.evaluator.sensors.made import (
     MAX_BYTES,
     MadeSensor,
     MadeSensorDamaged,
-    design_in,
     made_sensor,
+    read_design,
     read_made_sensor,
 )
 
@@ -46,7 +46,7 @@ def test_facts_are_those_of_the_mesh(found: SensorCheck, made: MadeSensor) -> No
 def test_file_of_a_made_sensor_is_simulated(made: MadeSensor, tmp_path: Path) -> None:
     path = tmp_path / "made.json"
     path.write_bytes(made.as_bytes())
-    assert design_in(path).as_bytes() == made.design().as_bytes()
+    assert read_design(path).as_bytes() == made.design().as_bytes()
 
 
 def test_digest_changes_with_a_marker(made: MadeSensor) -> None:

@@ -11,7 +11,7 @@ from vitac.evaluator.submission.names import (
     ArchiveRejected,
     NamedEntry,
     check_names,
-    contents_of,
+    describe_contents,
     is_ignored,
     listed,
 )
@@ -25,10 +25,10 @@ def test_names_are_listed_in_order_and_the_rest_counted() -> None:
 
 
 def test_contents_of_a_folder_are_what_a_submission_takes_from_it(tmp_path: Path) -> None:
-    assert contents_of(tmp_path / "gone") == f"folder {tmp_path / 'gone'} does not exist"
+    assert describe_contents(tmp_path / "gone") == f"folder {tmp_path / 'gone'} does not exist"
     for name in ("submission.yml", ".DS_Store", "\n"):
         (tmp_path / name).touch()
-    assert contents_of(tmp_path) == f"folder {tmp_path} holds '\\n', 'submission.yml'"
+    assert describe_contents(tmp_path) == f"folder {tmp_path} holds '\\n', 'submission.yml'"
 
 
 LIMITS = Limits(archive_files=6, archive_depth=3)

@@ -10,8 +10,8 @@ from vitac.envs.tasks.peg_insertion.variation import accepts_start
 from vitac.evaluator.tracks import ListKind, Task, Track, UnknownTrack, list_tracks, load_track
 from vitac.evaluator.tracks.sealed import (
     SecretRejected,
-    commitment_of,
     load_played_track,
+    make_commitment,
     new_secret,
     read_secret,
     sealed_track,
@@ -35,7 +35,7 @@ def test_a_sealed_list_has_the_episodes_of_the_public_one_at_other_starts(track:
     for name, public in track.tasks.items():
         task = sealed.tasks[name]
         assert (public.episode_list.kind, task.episode_list.kind) == (ListKind.PUBLIC, ListKind.SEALED)
-        assert task.episode_list.commitment == commitment_of(SECRET)
+        assert task.episode_list.commitment == make_commitment(SECRET)
         assert [episode.shape for episode in task.episodes] == [episode.shape for episode in public.episodes]
         assert task.episode_list.list_seed not in {public.episode_list.list_seed, 0}
         assert task.digest() != public.digest()
@@ -73,7 +73,7 @@ def test_no_drawn_peg_just_falls_into_its_hole(secret: bytes) -> None:
 
 def test_the_commitment_can_be_computed_with_any_tool() -> None:
     expected = hashlib.sha256(b"vitac-sealed-list-1\n" + SECRET).hexdigest()
-    assert commitment_of(SECRET) == expected
+    assert make_commitment(SECRET) == expected
 
 
 def test_a_new_secret_is_its_owners_only_and_overwrites_nothing(tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_a_track_is_played_with_its_public_lists_or_with_those_of_a_secret() -> 
     assert load_played_track("track_1", None) == public
     sealed = load_played_track("track_1", SECRET)
     assert sealed == sealed_track(public, SECRET) != public
-    assert {task.episode_list.commitment for task in sealed.tasks.values()} == {commitment_of(SECRET)}
+    assert {task.episode_list.commitment for task in sealed.tasks.values()} == {make_commitment(SECRET)}
     with pytest.raises(UnknownTrack):
         load_played_track("track_0", SECRET)
 

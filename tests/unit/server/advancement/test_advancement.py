@@ -123,7 +123,7 @@ def test_a_person_in_two_teams_hears_of_both_and_of_a_second_confirmation(databa
     begin(database, {"top": 2})
     with database.transaction() as session:
         for name in ("Ants", "Bees"):
-            captain = members.captain_of(session, teams.find(session, name))
+            captain = members.find_captain(session, teams.find(session, name))
             members.set_email(session, CONSOLE, captain, "ann@example.org")
     for options in ({}, {"without": ["Bees"]}, {}):
         confirmed(database, **options)

@@ -279,7 +279,7 @@ class Setting:
     def captain(self) -> str:
         """Id of the captain of the team OWNER, who has no token yet."""
         with self.service.database.transaction() as session:
-            captain = members.captain_of(session, session.get_one(Team, self.service.principal.team_id))
+            captain = members.find_captain(session, session.get_one(Team, self.service.principal.team_id))
             session.execute(delete(ApiToken).where(ApiToken.member_id == captain.id))
             captain.password_hash = None
             return str(captain.id)

@@ -17,7 +17,7 @@ from vitac.evaluator.agent.verdicts import SandboxFailed
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice, FiguresPart, SensorFigures, Variation
 from vitac.evaluator.playback.order import SCENE_FILE, PlaybackOrder
-from vitac.evaluator.sensors.made import design_in, read_made_sensor
+from vitac.evaluator.sensors.made import read_design, read_made_sensor
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.submission.sensor import SensorNotMade
 from vitac.server import housekeeping
@@ -82,7 +82,7 @@ def test_sensor_is_made_stored_by_digest_and_shown(service: Service, tmp_path: P
     assert made.mesh_digest == sensor["mesh_digest"]
     folder = tmp_path / "local"
     folder.mkdir()
-    local = design_in(write_sensor(folder, drawn_gels.flat()))
+    local = read_design(write_sensor(folder, drawn_gels.flat()))
     assert made.design().as_bytes() == local.as_bytes()
 
 

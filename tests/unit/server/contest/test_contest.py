@@ -133,7 +133,7 @@ def test_stages_know_their_track_the_one_before_them_and_the_last_one() -> None:
 def test_outside_of_a_competition_a_stage_takes_everything_from_everybody_at_any_time(database: Database) -> None:
     with database.transaction() as session:
         team = teams.own(session, make_principal(session))
-        (stage,) = Contest.read(session).stages_of(TRACK)
+        (stage,) = Contest.read(session).list_stages(TRACK)
         assert (stage.name, str(stage), stage.is_practice, stage.is_sealed) == (PRACTICE, TRACK, True, False)
         assert stage.is_open(OPENS)
         assert stage.may_submit(team)

@@ -17,7 +17,7 @@ from service_factories import (
 from sqlalchemy import select, update
 from submission_steps import SETTINGS, refused
 from vitac.evaluator.tracks import ListKind, load_track
-from vitac.evaluator.tracks.sealed import commitment_of, sealed_track
+from vitac.evaluator.tracks.sealed import make_commitment, sealed_track
 from vitac.server.audit import newest_entries
 from vitac.server.contest import sealing
 from vitac.server.contest.contest import Contest
@@ -73,7 +73,7 @@ def complete(database: Database, submission: Submission) -> None:
 def test_a_stage_is_sealed_once_and_its_commitment_does_not_change(database: Database) -> None:
     with database.transaction() as session:
         made = sealing.seal(session, CONSOLE, stored_stage(session, TRACK, STAGE))
-        assert commitment_of(bytes.fromhex(made.secret)) == made.commitment
+        assert make_commitment(bytes.fromhex(made.secret)) == made.commitment
         assert sealing.seal(session, CONSOLE, stored_stage(session, TRACK, STAGE)).commitment == made.commitment
         assert sealing.seal(session, CONSOLE, stored_stage(session, TRACK, STAGE), bytes.fromhex(made.secret)) is made
         assert [entry.action for entry in newest_entries(session)] == ["list.seal"]
@@ -100,11 +100,11 @@ def test_only_organizers_seal_and_reveal(database: Database, by: Principal) -> N
 
 def test_an_evaluation_of_the_stage_plays_the_sealed_list(database: Database, sealed: Submission) -> None:
     lease = claim(database, ids(database, sealed)[0])
-    assert lease.commitment == commitment_of(b"\1" * 32)
+    assert lease.commitment == make_commitment(b"\1" * 32)
     store(database, lease, [make_record(1)])
     with database.transaction() as session:
         assert session.scalars(select(EpisodeResult.commitment)).all() == [lease.commitment]
-        assert sealing.secret_of(session, lease.commitment or "") == b"\1" * 32
+        assert sealing.find_secret(session, lease.commitment or "") == b"\1" * 32
 
 
 def test_episodes_of_the_public_list_are_not_those_of_the_sealed_one(
@@ -242,6 +242,6 @@ def test_an_episode_is_played_back_with_the_seed_of_its_list(database: Database)
     with database.transaction() as session:
         made = sealing.seal(session, CONSOLE, stored_stage(session, TRACK, STAGE), b"\1" * 32)
         derived = sealed_track(load_track(TRACK), b"\1" * 32).tasks[TASK].episode_list.list_seed
-        assert sealing.list_seed_of(session, made.commitment, TRACK, TASK) == derived
-        assert sealing.list_seed_of(session, "", TRACK, TASK) is None
+        assert sealing.derive_list_seed(session, made.commitment, TRACK, TASK) == derived
+        assert sealing.derive_list_seed(session, "", TRACK, TASK) is None
         assert derived != load_track(TRACK).tasks[TASK].episode_list.list_seed

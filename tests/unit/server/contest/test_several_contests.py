@@ -11,7 +11,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server import tokens
 from vitac.server.appeals import appeals
 from vitac.server.contest.applying import apply
-from vitac.server.contest.contest import Contest, contest_to_submit_to, contests_to_choose_from, stage_of
+from vitac.server.contest.contest import Contest, choose_contest, list_contest_choices, stage_of
 from vitac.server.contest.definition import CompetitionDefinition
 from vitac.server.contest.freezing import freeze
 from vitac.server.contest.sealing import reveal
@@ -101,13 +101,13 @@ def test_a_submission_names_its_contest_only_while_several_take_it(both: Databas
             submit(session, ants)
         assert (no.value.code, no.value.extras["contests"]) == (ProblemCode.CONTEST_REQUIRED, [CLASS, MAIN])
         with pytest.raises(ServiceError, match="cup takes no submissions to 'track_3', expected one of track_1"):
-            contest_to_submit_to(session, "track_3", now, MAIN)
-        assert [one.name for one in contests_to_choose_from(session, now)] == [CLASS, MAIN]
+            choose_contest(session, "track_3", now, MAIN)
+        assert [one.name for one in list_contest_choices(session, now)] == [CLASS, MAIN]
         # The class ends first: from then on the track takes submissions for the contest that is still open.
         row = Contest.find(session, CLASS).row
         content = moved(CompetitionDefinition.model_validate(row.definition).model_dump(mode="json"), days=-31)
         put_in_place(session, content)
-        assert contests_to_choose_from(session, now) == []
+        assert list_contest_choices(session, now) == []
         assert submit(session, ants).contest == MAIN
         assert submit(session, ants, contest=CLASS, at=now - timedelta(days=30)).contest == CLASS
         with refused(ProblemCode.STAGE_CLOSED):
@@ -135,7 +135,7 @@ def test_whoever_changes_one_of_several_names_it(both: Database) -> None:
                 change(session, CONSOLE)
         with refused(ProblemCode.NOT_FOUND):
             freeze(session, CONSOLE, "elsewhere")
-        assert Contest.find(session, track="track_3").stages_of("track_3")[0].is_practice
+        assert Contest.find(session, track="track_3").list_stages("track_3")[0].is_practice
 
 
 def test_a_file_with_another_name_makes_a_further_competition_only_where_that_is_confirmed(database: Database) -> None:

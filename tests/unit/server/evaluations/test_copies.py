@@ -20,7 +20,7 @@ from vitac.evaluator.tracks.cut import Shard
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
 from vitac.server.evaluations import lifecycle, listing
-from vitac.server.evaluations.copies import copies_among, flag_copies
+from vitac.server.evaluations.copies import find_copies, flag_copies
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.logs.claims import LogClaim
@@ -93,7 +93,7 @@ def ending_otherwise(after: int) -> RecordOf:
 def found(database: Database, *submissions: Submission) -> list[LogCopyView | None]:
     with database.transaction() as session:
         ids = [newest_evaluation(session, submission).id for submission in submissions]
-        copies = copies_among(session, ids, ShownNames.read(session, CONSOLE))
+        copies = find_copies(session, ids, ShownNames.read(session, CONSOLE))
     return [copies.get(evaluation_id) for evaluation_id in ids]
 
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.models import Evaluation, Submission
-from vitac.server.evaluations.progress import progress_of, seconds_to_end
+from vitac.server.evaluations.progress import make_progress_view, seconds_to_end
 from vitac.server.views.evaluations import ProgressView
 
 TRACK = load_track("track_1")
@@ -21,7 +21,7 @@ def progress(done: int, total: int) -> ProgressView:
 
 
 def test_before_the_first_episode_everything_is_left() -> None:
-    found = progress_of(Evaluation(episodes_reused=0), submission("peg-insertion", "lock-opening"))
+    found = make_progress_view(Evaluation(episodes_reused=0), submission("peg-insertion", "lock-opening"))
     assert (found.episodes_done, found.episodes_total, found.successes) == (0, PEG + LOCK, 0)
     assert [(task.task, task.episodes_total) for task in found.tasks] == [
         ("peg-insertion", PEG),
@@ -31,7 +31,7 @@ def test_before_the_first_episode_everything_is_left() -> None:
 
 def test_counts_are_shown_by_task_and_added_up() -> None:
     counts = {"peg-insertion": (12, 5), "lock-opening": (3, 3)}
-    found = progress_of(Evaluation(episodes_reused=4), submission("lock-opening", "peg-insertion"), counts)
+    found = make_progress_view(Evaluation(episodes_reused=4), submission("lock-opening", "peg-insertion"), counts)
     assert (found.episodes_done, found.successes, found.episodes_reused) == (15, 8, 4)
     assert [(task.task, task.episodes_done, task.successes) for task in found.tasks] == [
         ("lock-opening", 3, 3),
@@ -40,17 +40,17 @@ def test_counts_are_shown_by_task_and_added_up() -> None:
 
 
 def test_a_task_that_the_submission_lacks_is_not_counted() -> None:
-    found = progress_of(Evaluation(episodes_reused=0), submission("peg-insertion"), {"lock-opening": (3, 3)})
+    found = make_progress_view(Evaluation(episodes_reused=0), submission("peg-insertion"), {"lock-opening": (3, 3)})
     assert (found.episodes_done, found.episodes_total) == (0, PEG)
 
 
 def test_scores_count_where_there_are_any() -> None:
     scores = [{"task": "peg-insertion", "episodes": PEG, "successes": 200}]
     evaluation = Evaluation(episodes_reused=0, scores=scores)
-    found = progress_of(evaluation, submission("peg-insertion"), {"peg-insertion": (1, 1)})
+    found = make_progress_view(evaluation, submission("peg-insertion"), {"peg-insertion": (1, 1)})
     assert (found.episodes_done, found.successes) == (PEG, 200)
     shorter = Evaluation(episodes_reused=0, scores=[{"task": "peg-insertion", "episodes": 12, "successes": 3}])
-    assert progress_of(shorter, submission("peg-insertion")).episodes_total == 12, "its list was another one"
+    assert make_progress_view(shorter, submission("peg-insertion")).episodes_total == 12, "its list was another one"
 
 
 @pytest.mark.parametrize(

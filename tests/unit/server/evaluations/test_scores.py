@@ -15,13 +15,13 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.models import ALL_TASKS, Evaluation, Submission
 from vitac.server.evaluations.scores import (
-    combination_of,
     combine_hashes,
+    combine_scores,
     combined_result,
     combined_score,
     counted_tasks,
+    make_score_views,
     score_views,
-    scores_of,
     store_scores,
 )
 
@@ -61,15 +61,15 @@ def scored(scores: dict[str, Score], kind: SubmissionKind = SubmissionKind.MODEL
 
 def test_before_the_end_there_is_no_score() -> None:
     running = evaluation(PEG)
-    assert scores_of(running) == {}
+    assert make_score_views(running) == {}
     assert score_views(running) == []
     assert combined_score(running) is None
-    assert combination_of(running, {}) is None
+    assert combine_scores(running, {}) is None
 
 
 def test_scores_are_read_back_as_they_were_stored() -> None:
     scores = {PEG: HALF, LOCK: NONE}
-    assert scores_of(scored(scores)) == scores
+    assert make_score_views(scored(scores)) == scores
 
 
 def test_the_row_holds_each_tasks_hash_beside_its_score() -> None:
@@ -140,7 +140,7 @@ def test_a_model_scored_before_tasks_were_kept_has_no_combination_without_its_tr
     of_track.counted_tasks = of_task.counted_tasks = log.counted_tasks = None
     assert [combined_score(found) for found in (of_track, of_task)] == [None, None]
     assert [combined_result(found) for found in (of_track, of_task)] == [None, None]
-    assert scores_of(of_track) == {PEG: HALF}
+    assert make_score_views(of_track) == {PEG: HALF}
     combined = combined_score(log)
     assert combined is not None
     assert combined.success_rate == HALF.success_rate, "it is of one task, whatever the track combines"

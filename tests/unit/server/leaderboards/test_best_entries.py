@@ -14,7 +14,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Team
-from vitac.server.evaluations.scores import combined_score, scores_of
+from vitac.server.evaluations.scores import combined_score, make_score_views
 from vitac.server.leaderboards import standings
 from vitac.server.leaderboards.best_entries import Board, best_entries, places
 from vitac.server.leaderboards.log_boards import log_boards
@@ -45,7 +45,7 @@ def best_by_the_rule(evaluations: Sequence[Evaluation], task: str | None) -> lis
     """Ids of each team's best evaluation on a board, by the evaluator's own function."""
     candidates, team_of = [], {}
     for evaluation in evaluations:
-        score = combined_score(evaluation) if task is None else scores_of(evaluation).get(task)
+        score = combined_score(evaluation) if task is None else make_score_views(evaluation).get(task)
         if score is not None:
             team_of[str(evaluation.id)] = evaluation.submission.team_id
             candidates.append(

@@ -79,7 +79,7 @@ def test_only_the_captain_and_organizers_invite_remove_and_hand_over(database: D
         team = make_principal(session)
         ann, by_ann = joined(session, team)
         bob, _ = joined(session, team, "Bob")
-        captain = members.captain_of(session, ann.team)
+        captain = members.find_captain(session, ann.team)
         for forbidden in (
             lambda: members.invite(session, by_ann, ann.team),
             lambda: members.remove(session, by_ann, bob),
@@ -102,7 +102,7 @@ def test_only_the_captain_and_organizers_invite_remove_and_hand_over(database: D
 def test_a_captain_who_wants_to_leave_reads_how_to_hand_over(database: Database) -> None:
     with database.transaction() as session:
         team = make_principal(session)
-        captain = members.captain_of(session, teams.own(session, team))
+        captain = members.find_captain(session, teams.own(session, team))
         with pytest.raises(ServiceError, match="no other member: invite one first"):
             members.remove(session, CONSOLE, captain)
         joined(session, team)
@@ -115,7 +115,7 @@ def test_a_shared_token_leads_the_team_until_its_captain_has_one(database: Datab
         team = make_principal(session)
         secret = make_secret(session, team)
         assert tokens.authenticate(session, secret).leads_team
-        captain = members.captain_of(session, teams.own(session, team))
+        captain = members.find_captain(session, teams.own(session, team))
         own = members.renew_token(session, tokens.authenticate(session, secret), captain, WEEK)
         assert tokens.authenticate(session, own.secret).leads_team
         shared = tokens.authenticate(session, secret)
@@ -204,7 +204,7 @@ def test_the_lock_date_holds_for_all_but_organizers(database: Database) -> None:
                 locked()
         members.invite(session, CONSOLE, own)
         members.hand_over(session, CONSOLE, ann)
-        assert members.captain_of(session, own).id == ann.id
+        assert members.find_captain(session, own).id == ann.id
 
 
 def test_a_team_has_room_for_so_many(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,7 +23,7 @@ def test_an_announcement_is_shown_to_everybody_and_sent_where_it_is_asked_for(da
         ants = make_principal(session, "Ants")
         waiting = teams.register(session, CONSOLE, name="Waiting", waits=True)
         for team in (teams.own(session, ants), waiting):
-            members.set_email(session, CONSOLE, members.captain_of(session, team), f"{team.name}@example.org")
+            members.set_email(session, CONSOLE, members.find_captain(session, team), f"{team.name}@example.org")
         first = announcements.publish(session, CONSOLE, title=" Two \t words ", text="a\r\n\r\nb  \n", notify=False)
         assert outbox.newest(session) == []
         announcements.publish(session, CONSOLE, title="Second", text="<b>text</b>", notify=True)

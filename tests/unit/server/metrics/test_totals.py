@@ -6,7 +6,7 @@ from sqlalchemy import text
 from sqlalchemy.exc import DBAPIError
 from vitac.server.db.engine import Database
 from vitac.server.metrics.instruments import Instruments, RetryReason
-from vitac.server.metrics.totals import SeriesKey, TotalsWriter, samples_of, totals
+from vitac.server.metrics.totals import SeriesKey, TotalsWriter, list_samples, totals
 
 EPISODES = SeriesKey("vitac_episodes_total", '{"task": "peg-insertion"}')
 
@@ -81,6 +81,6 @@ def test_processes_that_write_at_the_same_time_lose_nothing_and_do_not_block_eac
 def test_samples_carry_no_times_of_creation_and_labels_in_one_order() -> None:
     instruments = Instruments()
     instruments.requests_s.labels("GET", "/health", "2xx").observe(0.001)
-    found = samples_of(instruments)
+    found = list_samples(instruments)
     assert not [key for key in found if key.name.endswith("_created")]
     assert all(key.labels == json.dumps(key.label_values(), sort_keys=True) for key in found)

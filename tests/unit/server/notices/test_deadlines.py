@@ -6,7 +6,7 @@ from vitac.server.db.models import Qualification
 from vitac.server.members import members
 from vitac.server.notices import outbox
 from vitac.server.notices.deadlines import announce_near
-from vitac.server.notices.mail import message_of
+from vitac.server.notices.mail import make_message
 from vitac.server.principals import CONSOLE
 from vitac.server.teams import teams
 
@@ -19,10 +19,10 @@ def test_each_team_that_may_submit_is_told_once_a_day_before(database: Database)
         put_in_place(session, make_competition())
         ants, bees = make_principal(session, "Ants"), make_principal(session, "Bees")
         for by in (ants, bees):
-            captain = members.captain_of(session, teams.own(session, by))
+            captain = members.find_captain(session, teams.own(session, by))
             members.set_email(session, CONSOLE, captain, f"{by.team_name}@example.org")
         waiting = teams.register(session, CONSOLE, name="Waiting", waits=True)
-        members.set_email(session, CONSOLE, members.captain_of(session, waiting), "w@example.org")
+        members.set_email(session, CONSOLE, members.find_captain(session, waiting), "w@example.org")
         session.add(Qualification(contest="cup", track=TRACK, stage=SECOND, team_id=bees.team_id))
         session.flush()
         for too_early_or_late in (CLOSES - timedelta(hours=24, seconds=1), CLOSES, LATER_CLOSES):
@@ -36,8 +36,8 @@ def test_each_team_that_may_submit_is_told_once_a_day_before(database: Database)
         assert told == ["Bees@example.org"]
         bees_notice = next(notice for notice in outbox.newest(session) if SECOND in notice.subject)
         assert (bees_notice.facts["track"], bees_notice.facts["stage"]) == (TRACK, SECOND), "names, for programs"
-        made = message_of(bees_notice, make_settings())
+        made = make_message(bees_notice, make_settings())
         assert made["Subject"] == f"ViTac Arena: Stage Final of Touch closes at {LATER_CLOSES:%F %H:%M} UTC."
         bees_notice.facts = {name: fact for name, fact in bees_notice.facts.items() if not name.endswith("_title")}
-        made = message_of(bees_notice, make_settings())
+        made = make_message(bees_notice, make_settings())
         assert f"Stage {SECOND} of {TRACK} closes at" in made["Subject"], "written by an older server"

@@ -59,14 +59,14 @@ class FakeServer:
 
 def test_the_subject_of_an_announcement_is_its_title() -> None:
     facts = {"title": "We moved", "text": "To another machine.\nTomorrow.", "page": "/announcements"}
-    made = mail.message_of(a_notice(kind=NoticeKind.ANNOUNCEMENT, facts=facts), make_settings())
+    made = mail.make_message(a_notice(kind=NoticeKind.ANNOUNCEMENT, facts=facts), make_settings())
     assert made["Subject"] == "ViTac Arena: We moved"
     assert made.get_content().startswith("We moved\n\nTo another machine.\nTomorrow.")
 
 
 def test_what_a_team_wrote_makes_no_further_header() -> None:
     facts = {"name": HOSTILE, "track": "track_1", "verdict": "crashed", "page": "/submissions/1"}
-    made = mail.message_of(a_notice(facts=facts), make_settings(mail_from="arena@example.org"))
+    made = mail.make_message(a_notice(facts=facts), make_settings(mail_from="arena@example.org"))
     assert made["Bcc"] is None
     assert made["Message-ID"] == "<00000000-0000-0000-0000-000000000001@example.org>"
     headers = bytes(made).partition(b"\n\n")[0]
@@ -77,7 +77,7 @@ def test_what_a_team_wrote_makes_no_further_header() -> None:
 @settings(max_examples=30)
 @given(st.from_regex(EMAIL, fullmatch=True).filter(lambda address: len(address) <= 254))
 def test_every_address_that_the_api_takes_gets_a_mail_of_one_recipient(address: str) -> None:
-    made = mail.message_of(a_notice(target=address), make_settings(mail_from="arena@example.org"))
+    made = mail.make_message(a_notice(target=address), make_settings(mail_from="arena@example.org"))
     read = BytesParser(policy=policy.default).parsebytes(bytes(made))
     assert [one.addr_spec for one in read["To"].addresses] == [address]
 

@@ -140,7 +140,7 @@ def settings_with(tmp_path: Path) -> Settings:
 
 
 def with_address(session: Session, by: Principal, address: str = "ann@example.org") -> None:
-    members.set_email(session, CONSOLE, members.captain_of(session, teams.own(session, by)), address)
+    members.set_email(session, CONSOLE, members.find_captain(session, teams.own(session, by)), address)
 
 
 def send_one(database: Database, settings: Settings) -> bool:
@@ -195,7 +195,7 @@ def test_a_submission_is_told_with_the_title_that_the_competition_gives_its_trac
         submission = submit(session, team)
         (told,) = outbox.newest(session)
         assert (told.facts["track"], told.facts["track_title"]) == (TRACK, "Touch")
-        assert "zero to Touch was accepted" in mail.message_of(told, make_settings())["Subject"]
+        assert "zero to Touch was accepted" in mail.make_message(told, make_settings())["Subject"]
         submission.track, submission.stage = "gone", ""
         outbox.announce_evaluation(session, NoticeKind.FINISHED, newest_evaluation(session, submission))
         finished = next(found for found in outbox.newest(session) if found.kind is NoticeKind.FINISHED)
@@ -207,7 +207,7 @@ def test_what_is_rolled_back_muted_or_of_who_has_left_is_not_told(database: Data
         team = make_principal(session)
         with_address(session, team)
         own = teams.own(session, team)
-        captain = members.captain_of(session, own)
+        captain = members.find_captain(session, own)
         members.mute(session, CONSOLE, captain, [NoticeKind.FINISHED])
         outbox.announce(session, NoticeKind.FINISHED, own.id, "evaluation:1", FACTS)
         assert outbox.newest(session) == []
@@ -217,7 +217,7 @@ def test_what_is_rolled_back_muted_or_of_who_has_left_is_not_told(database: Data
         session.rollback()
     with database.transaction() as session:
         assert outbox.newest(session) == []
-        members.set_email(session, CONSOLE, members.captain_of(session, teams.own(session, team)), None)
+        members.set_email(session, CONSOLE, members.find_captain(session, teams.own(session, team)), None)
         outbox.announce(session, NoticeKind.FAILED, own.id, "evaluation:1", FACTS)
         assert outbox.newest(session) == []
 
@@ -494,7 +494,7 @@ def test_a_webhook_that_is_removed_takes_its_waiting_notices_along(database: Dat
     a_webhook_notice(database, "http://127.0.0.1:1/")
     with database.transaction() as session:
         team = teams.find(session, "Team A")
-        members.set_email(session, CONSOLE, members.captain_of(session, team), "ann@example.org")
+        members.set_email(session, CONSOLE, members.find_captain(session, team), "ann@example.org")
         outbox.announce(session, NoticeKind.FAILED, team.id, "evaluation:2", FACTS)
         (hook,) = webhooks.list_webhooks(session, CONSOLE, team)
         webhooks.remove(session, CONSOLE, team, hook.id)

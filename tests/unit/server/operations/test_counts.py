@@ -2,12 +2,12 @@ from collections.abc import Iterable
 
 import pytest
 from vitac.server.metrics.instruments import Instruments, RetryReason
-from vitac.server.metrics.totals import samples_of
-from vitac.server.operations.counts import bound_of, counts_of
+from vitac.server.metrics.totals import list_samples
+from vitac.server.operations.counts import estimate_bound, make_counts_view
 
 
 def test_counts_of_nothing_are_zero() -> None:
-    assert set(counts_of({}).model_dump().values()) == {0, None}
+    assert set(make_counts_view({}).model_dump().values()) == {0, None}
 
 
 def test_counts_add_up_over_labels() -> None:
@@ -18,7 +18,7 @@ def test_counts_add_up_over_labels() -> None:
         instruments.shard_retries.labels(reason).inc()
     for status in ("2xx", "2xx", "5xx"):
         instruments.requests_s.labels("GET", "/health", status).observe(0.03)
-    counts = counts_of(samples_of(instruments))
+    counts = make_counts_view(list_samples(instruments))
     assert (counts.episodes, counts.shard_retries) == (6, 3)
     assert (counts.requests, counts.requests_failed, counts.requests_within_s) == (3, 1, 0.05)
 
@@ -31,4 +31,4 @@ def test_bound_holds_the_share_of_all_observations(waits_s: Iterable[float], bou
     instruments = Instruments()
     for wait_s in waits_s:
         instruments.shard_wait_s.observe(wait_s)
-    assert bound_of(samples_of(instruments), "vitac_shard_wait_seconds") == bound_s
+    assert estimate_bound(list_samples(instruments), "vitac_shard_wait_seconds") == bound_s

@@ -21,7 +21,7 @@ from vitac.server.playbacks.files import PlaybackFile, digest_of
 from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD, queue_name
 from vitac.server.sharing.public_pages import set_public
-from vitac.server.tracks import playback_family_of
+from vitac.server.tracks import find_playback_family
 
 JUDGE = Principal(role=Role.JUDGE)
 ONE_AT_ONCE = SETTINGS.model_copy(update={"playbacks_at_once": 1})
@@ -267,11 +267,11 @@ def test_films_that_lost_their_workers_are_given_up_and_lock_visitors_out_for_no
 
 
 def test_a_playback_is_of_a_family_whatever_has_become_of_its_tracks_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert playback_family_of("track_1", TASK) is Family.TACTILE
+    assert find_playback_family("track_1", TASK) is Family.TACTILE
     for family in Family:
-        monkeypatch.setattr("vitac.server.tracks.family_of", lambda *_, now=family: now)
+        monkeypatch.setattr("vitac.server.tracks.find_family", lambda *_, now=family: now)
         drawn = family is not Family.TACTILE
-        assert playback_family_of("own", "cubes") is (Family.MANISKILL_PICTURES if drawn else Family.TACTILE), family
+        assert find_playback_family("own", "cubes") is (Family.MANISKILL_PICTURES if drawn else Family.TACTILE), family
 
 
 def test_what_does_not_repeat_is_refused_and_nothing_is_queued(

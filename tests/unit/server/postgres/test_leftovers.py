@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from vitac.server.postgres.leftovers import processes_in
+from vitac.server.postgres.leftovers import list_processes
 
 SLEEP = "import sys, time; print(flush=True); time.sleep(600)"
 FORK = (
@@ -54,7 +54,7 @@ def test_server_is_known_by_its_command_line_where_its_folder_is_hidden(processe
     server, _ = started(processes, SLEEP, "-D", str(tmp_path))
     started(processes, SLEEP, "-D", str(tmp_path / "other"))
     started(processes, SLEEP, "-D", str(tmp_path), name="/usr/bin/backup")
-    assert list(processes_in(tmp_path)) == [server]
+    assert list(list_processes(tmp_path)) == [server]
 
 
 @pytest.mark.usefixtures("hidden")
@@ -63,9 +63,9 @@ def test_backends_are_known_by_their_server(processes: ExitStack, tmp_path: Path
     _, other = started(processes, FORK, "-D", str(tmp_path / "other"))
     for pid in (backend, other):
         processes.callback(os.kill, int(pid), signal.SIGKILL)
-    assert sorted(processes_in(tmp_path)) == sorted([server, int(backend)])
+    assert sorted(list_processes(tmp_path)) == sorted([server, int(backend)])
 
 
 def test_where_nothing_is_hidden_the_working_directory_decides(processes: ExitStack, tmp_path: Path) -> None:
     started(processes, SLEEP, "-D", str(tmp_path))
-    assert list(processes_in(tmp_path)) == []
+    assert list(list_processes(tmp_path)) == []

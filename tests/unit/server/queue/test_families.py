@@ -21,7 +21,7 @@ from vitac.server.queue import leases
 from vitac.server.queue.jobs import queue_name
 from vitac.server.queue.sweep import sweep
 from vitac.server.queue.workers import fleet
-from vitac.server.tracks import family_of
+from vitac.server.tracks import find_family
 
 TACTILE = queue_name(evaluator_version())
 BOTH = ["tactile", "maniskill"]
@@ -59,11 +59,11 @@ def test_families_have_queues_of_their_own_and_ours_keeps_its_name() -> None:
 
 
 def test_the_family_of_a_task_follows_from_its_track_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert family_of("cubes", "pick-cube") is Family.MANISKILL
-    assert family_of("track_1", "peg-insertion") is Family.TACTILE
+    assert find_family("cubes", "pick-cube") is Family.MANISKILL
+    assert find_family("track_1", "peg-insertion") is Family.TACTILE
     monkeypatch.delenv("VITAC_TRACKS_DIR")
-    assert family_of("cubes", "pick-cube") is Family.TACTILE
-    assert family_of("track_1", "gone") is Family.TACTILE
+    assert find_family("cubes", "pick-cube") is Family.TACTILE
+    assert find_family("track_1", "gone") is Family.TACTILE
 
 
 def test_new_shards_wait_in_the_queue_of_their_family(database: Database, submission: Submission) -> None:

@@ -18,7 +18,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.episode import Environment
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks.sealed import commitment_of
+from vitac.evaluator.tracks.sealed import make_commitment
 from vitac.server import team_data
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, ReceiptKey, ReceiptRow, Submission, Team
@@ -110,7 +110,7 @@ def test_an_untouched_board_is_found_right_and_a_sampled_episode_gives_the_same_
     assert [sample.episode for sample in found.resimulated] == [sampled(SEED, len(TEAMS))[1]]
     other_key = audit(tmp_path / "board.zip", episodes=0, public_key="1" * 64).findings
     assert other_key == [f"Expected the key {'1' * 64}, got {key}."], "said once, however long the chain is"
-    secret = {"secret": "1" * 64, "commitment": commitment_of(bytes.fromhex("1" * 64))}
+    secret = {"secret": "1" * 64, "commitment": make_commitment(bytes.fromhex("1" * 64))}
     published = changed(tmp_path, DESCRIPTION_NAME, lambda content: json.dumps(json.loads(content) | secret).encode())
     still = audit(published, episodes=1, seed=SEED).findings
     assert still == [], "results of the public list are not run again on the sealed one"
@@ -375,7 +375,7 @@ def test_a_board_whose_records_are_missing_is_not_believed(database: Database, t
 def test_a_published_secret_has_to_fit_the_commitment(database: Database, tmp_path: Path) -> None:
     audited(database, tmp_path)
     secret, other = "1" * 64, "2" * 64
-    fits = commitment_of(bytes.fromhex(secret))
+    fits = make_commitment(bytes.fromhex(secret))
 
     def published(**values: str) -> list[str]:
         path = changed(tmp_path, DESCRIPTION_NAME, lambda content: json.dumps(json.loads(content) | values).encode())
@@ -383,5 +383,5 @@ def test_a_published_secret_has_to_fit_the_commitment(database: Database, tmp_pa
 
     assert published(secret=secret, commitment=fits) == []
     assert published(secret=other, commitment=fits) == [
-        f"The published secret has the commitment {commitment_of(bytes.fromhex(other))}, expected {fits}."
+        f"The published secret has the commitment {make_commitment(bytes.fromhex(other))}, expected {fits}."
     ]

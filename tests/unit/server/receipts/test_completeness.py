@@ -8,7 +8,7 @@ import pytest
 from made_receipts import KEY, WHEN, a_result, arrival_of, receipt_for
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
-from vitac.evaluator.tracks.sealed import commitment_of
+from vitac.evaluator.tracks.sealed import make_commitment
 from vitac.server.receipts.completeness import (
     check_arrivals,
     check_end,
@@ -336,7 +336,7 @@ def test_links_are_issued_one_after_the_other() -> None:
 def test_results_of_another_list_than_the_published_one_are_found() -> None:
     result = a_named_result(1, commitment="1" * 64)
     secret = "2" * 64
-    fits = commitment_of(bytes.fromhex(secret))
+    fits = make_commitment(bytes.fromhex(secret))
     described = exported(chained(result), secret=secret, commitment=fits)
     assert list(check_secret(described, [result])) == [
         f"Results were played on a list with the commitment {'1' * 64}, the published secret has {fits}."

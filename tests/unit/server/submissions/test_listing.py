@@ -30,7 +30,7 @@ from vitac.server.errors import ProblemCode
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import listing, runs
-from vitac.server.tracks import family_of, known_task
+from vitac.server.tracks import find_family, known_task
 
 
 def test_foreign_submission_looks_like_a_missing_one(database: Database, principal: Principal) -> None:
@@ -98,7 +98,7 @@ def test_episodes_of_a_completed_evaluation_are_read_once_and_shown_to_each_as_f
             evaluation.list_kind = ListKind.SEALED if is_sealed else ListKind.PUBLIC
             session.flush()
             with database_work(session) as work:
-                found.append([view.episode for view in listing.episodes_of(session, by, evaluation)])
+                found.append([view.episode for view in listing.list_episodes(session, by, evaluation)])
         statements.append(work.statements)
     assert found == [[1], [1], [1], []]
     assert statements == [1, 0, 0, 0]
@@ -142,9 +142,9 @@ def test_who_can_run_the_same_is_found_once_for_a_whole_list(
 
     def noted(track: str, task: str) -> Family:
         asked.append(task)
-        return family_of(track, task)
+        return find_family(track, task)
 
-    monkeypatch.setattr("vitac.server.submissions.view.family_of", noted)
+    monkeypatch.setattr("vitac.server.submissions.view.find_family", noted)
     with database.transaction() as session:
         items = listing.list_submissions(session, SETTINGS, principal).items
     assert [item.workers.alive for item in items] == [1] * 5 + [0]

@@ -17,7 +17,7 @@ def test_addresses_are_forgotten_so_long_after_the_end(database: Database) -> No
     settings = make_settings(contacts_kept_days=30)
     with database.transaction() as session:
         team = teams.register(session, CONSOLE, name="Ants", contact="a@example.org")
-        captain = members.captain_of(session, team)
+        captain = members.find_captain(session, team)
         members.set_email(session, CONSOLE, captain, "a@example.org")
         outbox.announce(session, NoticeKind.FINISHED, team.id, "evaluation:1", {})
         assert contacts.forget_contacts(session, settings) == 0

@@ -82,7 +82,7 @@ def test_a_merge_keeps_conflicts_of_interest_and_unsent_notices_and_says_no_addr
     with database.transaction() as session:
         ants = teams.register(session, CONSOLE, name="Ants", contact="ann@example.org")
         bees = teams.own(session, make_principal(session, "Bees"))
-        members.set_email(session, CONSOLE, members.captain_of(session, ants), "ann@example.org")
+        members.set_email(session, CONSOLE, members.find_captain(session, ants), "ann@example.org")
         outbox.announce(session, NoticeKind.FINISHED, ants.id, "evaluation:1", {})
         for team, judge, reason in ((ants, "Ann", "my students"), (ants, "Bob", "of Ants"), (bees, "Bob", "of Bees")):
             session.add(JudgingConflict(team_id=team.id, judge=judge, reason=reason))
@@ -100,7 +100,7 @@ def test_members_of_one_name_get_numbers_however_long_their_names_are_folded(dat
     with database.transaction() as session:
         both = [teams.own(session, make_principal(session, team)) for team in ("Ants", "Bees", "Cats")]
         for team in both:
-            captain = members.captain_of(session, team)
+            captain = members.find_captain(session, team)
             captain.name, captain.name_key = name, teams.name_key(name)
         session.flush()
         for team in both[1:]:

@@ -7,7 +7,7 @@ from vitac.server.uploads.file_names import check_file_name
 from competitions import FIRST, contest_of, make_competition
 
 STAGE = contest_of(make_competition()).stage(TRACK, FIRST)
-PRACTICE = contest_of(make_competition(taken_here=False)).stages_of(TRACK)[0]
+PRACTICE = contest_of(make_competition(taken_here=False)).list_stages(TRACK)[0]
 
 
 @pytest.mark.parametrize(

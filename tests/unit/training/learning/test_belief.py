@@ -5,14 +5,14 @@ from toy_peg import ToyPeg
 from vitac.training.actors import guided_actor, random_actor
 from vitac.training.episodes import Episodes, play
 from vitac.training.learning.belief import OFFSET, fit_belief
-from vitac.training.learning.student import Student, StudentPlan, student_inputs, weights_of
+from vitac.training.learning.student import Student, StudentPlan, make_weights, student_inputs
 from vitac.training.submission.policy import HISTORY_SIZE, belief_inputs
 
 HIDDEN = 16
 
 
 def weights() -> dict[str, np.ndarray]:
-    return weights_of(Student(StudentPlan(networks=2, hidden=HIDDEN), np.random.default_rng(0)).state())
+    return make_weights(Student(StudentPlan(networks=2, hidden=HIDDEN), np.random.default_rng(0)).state())
 
 
 def errors(found: np.ndarray, episodes: Episodes) -> np.ndarray:

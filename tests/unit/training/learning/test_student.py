@@ -6,7 +6,14 @@ from toy_peg import ToyPeg
 from vitac.training.actors import ActorKind, guided_actor, random_actor, student_actor
 from vitac.training.episodes import joined, play
 from vitac.training.learning.critic import Critic, CriticPlan
-from vitac.training.learning.student import Histories, Student, StudentPlan, histories_of, student_inputs, weights_of
+from vitac.training.learning.student import (
+    Histories,
+    Student,
+    StudentPlan,
+    make_histories,
+    make_weights,
+    student_inputs,
+)
 from vitac.training.submission.policy import HISTORY_SIZE, values
 
 
@@ -23,7 +30,7 @@ def test_histories_are_those_that_a_policy_has() -> None:
         return act
 
     played = play(ToyPeg(), watched, 3, range(6))  # type: ignore[arg-type]
-    found = histories_of(played)
+    found = make_histories(played)
     np.testing.assert_array_equal(found.felt, np.array(histories))
     assert found.felt.shape == (len(played.actions), HISTORY_SIZE)
     assert len(found.states) == len(found.felt)
@@ -38,14 +45,14 @@ def test_learns_from_what_is_felt_what_the_critic_sees() -> None:
     critic.learn(joined([blind, play(ToyPeg(), guided_actor, 7, range(150))]), random, lambda _, __: None)
     student = Student(StudentPlan(networks=1, hidden=48, epochs=12, batch=32, rate=5e-3), random)
     losses: list[float] = []
-    histories = histories_of(blind)
+    histories = make_histories(blind)
 
-    def value_of(rows: np.ndarray, actions: np.ndarray) -> np.ndarray:
+    def estimate_value(rows: np.ndarray, actions: np.ndarray) -> np.ndarray:
         return critic.log_odds(histories.states[rows], actions)
 
-    student.learn(histories, value_of, random, lambda _, loss: losses.append(loss))
+    student.learn(histories, estimate_value, random, lambda _, loss: losses.append(loss))
     assert losses[-1] < losses[0]
-    solved = play(ToyPeg(), student_actor(weights_of(student.state()), 0.0), 8, range(40)).solved.mean()
+    solved = play(ToyPeg(), student_actor(make_weights(student.state()), 0.0), 8, range(40)).solved.mean()
     assert solved > 0.6 > 2 * play(ToyPeg(), random_actor, 8, range(40)).solved.mean()
 
 
@@ -59,7 +66,7 @@ def test_best_action_is_the_one_that_the_policy_values_most() -> None:
     felt = np.random.default_rng(1).standard_normal((5, HISTORY_SIZE)).astype(np.float32)
     found = student.best(felt, np.random.default_rng(2))
     drawn = np.random.default_rng(2).uniform(-1, 1, (32, 3)).astype(np.float32)
-    weights = weights_of(student.state())
+    weights = make_weights(student.state())
     expected = [drawn[values(weights, history, drawn).argmax()] for history in felt]
     np.testing.assert_array_equal(found, np.array(expected))
 
@@ -71,12 +78,12 @@ def test_continued_student_has_the_same_bits() -> None:
     plan = StudentPlan(networks=1, hidden=8, epochs=2, batch=16)
     first, other = (Student(plan, np.random.default_rng(seed)) for seed in (1, 2))
 
-    def value_of(rows: np.ndarray, actions: np.ndarray) -> np.ndarray:
+    def estimate_value(rows: np.ndarray, actions: np.ndarray) -> np.ndarray:
         return np.asarray(actions.sum(axis=2) * felt[rows, :1])
 
-    first.learn(histories, value_of, np.random.default_rng(3), lambda _, __: None)
+    first.learn(histories, estimate_value, np.random.default_rng(3), lambda _, __: None)
     other.restore(first.state())
     for each in (first, other):
-        each.learn(histories, value_of, np.random.default_rng(4), lambda _, __: None)
+        each.learn(histories, estimate_value, np.random.default_rng(4), lambda _, __: None)
     for name, value in first.state().items():
         np.testing.assert_array_equal(value, other.state()[name])

@@ -12,7 +12,7 @@ from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.training.charts import FOLDER, Charts
 from vitac.training.files import NotSaved, load
-from vitac.training.run import Folder, OtherRun, results_of
+from vitac.training.run import Folder, OtherRun, read_results
 from vitac.training.search import method, policy
 from vitac.training.search.method import (
     FIRST_LIFT,
@@ -192,7 +192,7 @@ def test_generation_that_a_kill_left_out_of_the_log_is_charted_later(
 
 def test_log_of_a_search_is_no_runs(small: Path) -> None:
     with pytest.raises(OtherRun, match="that of a search, which writes its submission itself"):
-        results_of(Folder(path=small))
+        read_results(Folder(path=small))
 
 
 def test_starts_that_choose_teach_nothing_and_none_is_reported(tmp_path: Path) -> None:

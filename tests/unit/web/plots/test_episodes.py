@@ -5,7 +5,7 @@ import pytest
 from page_fixtures import LOCK, TASK, TASKS, a_score, some_episodes
 from vitac.evaluator.tracks import load_track
 from vitac.server.views.submissions import EpisodeView
-from vitac.web.plots.episodes import MAX_BARS, offset_maps, outcomes_of, steps_histogram, success_by_shape
+from vitac.web.plots.episodes import MAX_BARS, count_outcomes, offset_maps, steps_histogram, success_by_shape
 from vitac.web.plots.figure import Figure
 
 ENDS = some_episodes(TASK, 270)
@@ -79,7 +79,7 @@ def test_nothing_played_has_no_map() -> None:
 
 def test_the_key_has_the_outcomes_that_occur() -> None:
     ends = [an_end(1, 3, "tactile"), an_end(2, 3), an_end(3, 3, "tactile")]
-    assert outcomes_of(ends) == ["tactile", "success"]
+    assert count_outcomes(ends) == ["tactile", "success"]
 
 
 def test_success_by_shape_has_rates_and_intervals() -> None:

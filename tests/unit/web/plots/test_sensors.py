@@ -4,7 +4,7 @@ import pytest
 from shown_sensors import a_made_sensor
 from vitac.evaluator.figures.figures import SensitivityMap
 from vitac.evaluator.sensors.appearance import appearance
-from vitac.web.plots.sensors import largest_of, marker_picture, quality_histogram, sensitivity_maps, still
+from vitac.web.plots.sensors import find_largest, marker_picture, quality_histogram, sensitivity_maps, still
 
 MAP = SensitivityMap(
     x_mm=(-2.0, 0.0, 2.0),
@@ -50,8 +50,8 @@ def test_map_leaves_out_what_does_not_sense_and_shares_its_scale() -> None:
 
 
 def test_largest_number_of_maps() -> None:
-    assert largest_of(MAP.normal_px_n, ((5.0,),)) == 5.0
-    assert largest_of(MAP.shear_px_n) == largest_of() == 0.0
+    assert find_largest(MAP.normal_px_n, ((5.0,),)) == 5.0
+    assert find_largest(MAP.shear_px_n) == find_largest() == 0.0
 
 
 @pytest.mark.parametrize("gel", ["2 mm", "8 mm"])

@@ -6,7 +6,7 @@ from cli_service import CliService
 from service_factories import TRACK
 from vitac.cli.admin.consent import ConsentMissing
 from vitac.evaluator.strict_model import DocumentRejected
-from vitac.evaluator.tracks.sealed import commitment_of
+from vitac.evaluator.tracks.sealed import make_commitment
 from vitac.server.contest.contest import Contest
 from vitac.server.contest.sealing import seal
 from vitac.server.errors import ProblemCode, ServiceError
@@ -75,7 +75,7 @@ def test_a_list_is_revealed_after_its_stage_and_fits_its_commitment(service: Cli
     revealed = json.loads(service.run("admin", "competition", "reveal", TRACK, FIRST, "--yes", "--json").stdout)
     listed = json.loads(service.run("admin", "competition", "lists", "--json").stdout)
     assert revealed == {name: listed[0][name] for name in ("track", "stage", "commitment", "secret")}
-    assert commitment_of(bytes.fromhex(listed[0]["secret"])) == listed[0]["commitment"]
+    assert make_commitment(bytes.fromhex(listed[0]["secret"])) == listed[0]["commitment"]
     assert listed[1]["secret"] is None
 
 

@@ -12,7 +12,7 @@ from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
 from vitac.envs.vision.camera import Sight
 from vitac.envs.vision.rendering.modes import RenderMode
 from vitac.envs.vision.rendering.observables import rendered_picture
-from vitac.envs.vision.rendering.renderer import Renderer, RendererMissing, renderer_of
+from vitac.envs.vision.rendering.renderer import Renderer, RendererMissing, make_renderer
 from vitac.envs.vision.surfaces import Label
 
 START = {"start": (2.0, -4.0, 6.0, 5.0, 1), "rng_seed": (0, 1)}
@@ -167,7 +167,7 @@ def test_every_body_is_drawn_as_it_is_with_hard_edges_and_its_colour(
         (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.3, 1.0, 1.0), (0.3, 1.0, 1.0),
     ]  # fmt: skip
     for label, shape in zip((Label.BASE, Label.PEG, Label.LEFT_GEL, Label.RIGHT_GEL), sapien.bodies, strict=True):
-        corners, normals = sight.triangles_of(label)
+        corners, normals = sight.list_triangles(label)
         vertices, triangles, vertex_normals, uvs, _ = shape.parts
         assert len(triangles) == len(corners) > 10
         np.testing.assert_allclose(vertices[triangles], corners, atol=1e-7)
@@ -196,10 +196,10 @@ def test_an_environment_observes_the_picture_without_any_task_listing_it(
     monkeypatch: pytest.MonkeyPatch, fake_scenes: list[FakeScene]
 ) -> None:
     monkeypatch.setitem(sys.modules, "sapien", FakeSapien())
-    renderer_of.cache_clear()
+    make_renderer.cache_clear()
     env = FusionInsertionEnv(observables=(rendered_picture(RenderMode.RAST),), observation_keys=())
     observation, _ = env.reset(options=START)
-    renderer_of.cache_clear()
+    make_renderer.cache_clear()
     assert observation in env.observation_space
     assert list(observation) == ["rgb_rast"]
     assert not {"rgb_rast", "rgb_rt"} & {entry.name for entry in env.task.observables}

@@ -27,11 +27,11 @@ def test_finds_children(parent: int) -> None:
 
 def test_reads_a_file_of_any_length_and_of_any_bytes(tmp_path: Path) -> None:
     (tmp_path / "long").write_bytes(b"x" * 200_001 + b"\xff")
-    assert process_tree.text_of(str(tmp_path / "long")) == "x" * 200_001 + "\N{REPLACEMENT CHARACTER}"
+    assert process_tree.read_text_file(str(tmp_path / "long")) == "x" * 200_001 + "\N{REPLACEMENT CHARACTER}"
     (tmp_path / "empty").touch()
-    assert process_tree.text_of(str(tmp_path / "empty")) == ""
+    assert process_tree.read_text_file(str(tmp_path / "empty")) == ""
     with pytest.raises(FileNotFoundError):
-        process_tree.text_of("/proc/4194305/status")
+        process_tree.read_text_file("/proc/4194305/status")
     still_open = {Path(os.path.realpath(link)) for link in Path("/proc/self/fd").iterdir()}
     assert not still_open & {path.resolve() for path in tmp_path.iterdir()}
 

@@ -1,12 +1,12 @@
 import pytest
 from service_client import Service
-from vitac.server.metrics.totals import samples_of
+from vitac.server.metrics.totals import list_samples
 
 
 def counted(service: Service) -> dict[tuple[str, str, str], float]:
     """Requests by method, route and status."""
     found = {}
-    for key, value in samples_of(service.services.instruments).items():
+    for key, value in list_samples(service.services.instruments).items():
         if key.name == "vitac_request_seconds_count":
             labels = key.label_values()
             found[(labels["method"], labels["route"], labels["status"])] = value

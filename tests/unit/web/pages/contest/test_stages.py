@@ -10,7 +10,7 @@ from visits import sign_in
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.server.db.states import EvaluationState
 from vitac.server.views.contest import CompetitionView, StageView
-from vitac.web.pages.contest.stages import stage_tabs, title_of
+from vitac.web.pages.contest.stages import find_stage_title, stage_tabs
 
 DAY = timedelta(days=1)
 NOW = datetime.now(UTC)
@@ -49,9 +49,9 @@ def test_boards_of_opened_stages_are_one_link_away() -> None:
 
 
 def test_a_stage_is_called_by_its_title() -> None:
-    assert title_of(stages(), "first") == "The <first>"
-    assert title_of(stages(), "lost") == "lost"
-    assert title_of((), None) is None
+    assert find_stage_title(stages(), "first") == "The <first>"
+    assert find_stage_title(stages(), "lost") == "lost"
+    assert find_stage_title((), None) is None
 
 
 @pytest.mark.parametrize(("page", "asked"), [("/tracks/track_1", f"task={TASK}&amp;"), ("/tracks/track_1/logs", "")])

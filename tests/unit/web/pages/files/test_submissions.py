@@ -16,7 +16,7 @@ from vitac.server.views.submissions import SubmissionListView
 TABLES = ("episodes", "scores", "history")
 
 
-def rows_of(text: str) -> list[dict[str, str]]:
+def make_rows(text: str) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(text)))
 
 
@@ -24,7 +24,7 @@ def both_forms(browser: AsgiBrowser, submission_id: UUID, table: str) -> tuple[l
     path = f"/submissions/{submission_id}/{table}"
     as_csv, as_json = browser.get(f"{path}.csv"), browser.get(f"{path}.json")
     assert f'filename="{submission_id}-{table}.csv"' in as_csv.headers["content-disposition"]
-    return rows_of(as_csv.text), json.loads(as_json.text)
+    return make_rows(as_csv.text), json.loads(as_json.text)
 
 
 def as_text(value: object) -> str:
@@ -103,7 +103,7 @@ def test_the_list_is_a_file_with_a_row_for_each_task(data: FixedData, browser: A
     assert 'href="/submissions.csv"' in browser.get("/submissions").text
     answer = browser.get("/submissions.csv")
     assert answer.headers["content-disposition"] == 'attachment; filename="submissions.csv"'
-    rows = rows_of(answer.text)
+    rows = make_rows(answer.text)
     assert [(row["submission"], row["task"]) for row in rows] == [
         (RUNNING.name, TASK), (COMPLETED.name, TASK), (BOTH.name, TASK), (BOTH.name, LOCK), (FAILED.name, TASK),
     ]  # fmt: skip
@@ -111,7 +111,7 @@ def test_the_list_is_a_file_with_a_row_for_each_task(data: FixedData, browser: A
     assert (rows[1]["state"], rows[1]["episodes_total"], rows[1]["mean_env_steps"]) == ("completed", "270", "4.92")
     assert {row["team"] for row in rows} == {GELBOTS.team_name}
     data.found = []
-    assert rows_of(browser.get("/submissions.csv").text) == []
+    assert make_rows(browser.get("/submissions.csv").text) == []
 
 
 def test_the_list_goes_on_to_the_oldest_submission(browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -127,6 +127,6 @@ def test_the_list_goes_on_to_the_oldest_submission(browser: AsgiBrowser, monkeyp
 
     monkeypatch.setattr(page_service.FixedData, "submissions", submissions)
     sign_in(browser, "Bears")
-    rows = rows_of(browser.get("/submissions.csv").text)
+    rows = make_rows(browser.get("/submissions.csv").text)
     assert [row["submission"] for row in rows] == [RUNNING.name, FAILED.name, COMPLETED.name]
     assert asked == [(BEARS.team_name, before, None) for before in pages]
