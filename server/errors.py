@@ -1,4 +1,4 @@
-"""Every way the service says no: a stable code, an HTTP status and a sentence.
+"""Every refusal of the service: a stable code, an HTTP status and a sentence.
 
 The service layer raises `ServiceError`; `server.api.problems` turns it into RFC 9457 problem JSON, the CLI prints it.
 """

@@ -23,15 +23,17 @@ def log_beside_the_output() -> None:
     structlog.configure(logger_factory=lambda *_: structlog.PrintLogger(sys.stderr))
 
 
-app.add_typer(competition.app, name="competition", help="The competition: check, apply, show, lists, reveal.")
+app.add_typer(competition.app, name="competition", help="Competitions: check, apply, show, lists, reveal.")
 app.add_typer(advance.app, name="advance", help="Who takes part in a later stage: propose, confirm, list.")
-app.add_typer(results.app, name="results", help="The end: freeze, unfreeze, winners, finalize, reopen, publish.")
+app.add_typer(
+    results.app, name="results", help="The end of a competition: freeze, unfreeze, winners, finalize, reopen, publish."
+)
 app.add_typer(judging.app, name="judging", help="Judges' marks: rubric, mark, conflict, show.")
 app.add_typer(receipt.app, name="receipt", help="Receipts of final results: key, export.")
 app.add_typer(
     rejudge.app,
     name="rejudge",
-    help="Results of another evaluator beside the present ones: start, list, show, apply, discard.",
+    help="New evaluations beside the results that count: start, list, show, apply, discard.",
 )
 app.add_typer(track.app, name="track", help="Track files of your own: check.")
 app.add_typer(

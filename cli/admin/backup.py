@@ -36,7 +36,7 @@ def restore(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Bring a backup into a service without data; stop its workers first, and restart its servers afterwards."""
+    """Restore a backup into an empty service; stop its workers first, and restart its servers afterwards."""
     from vitac.server.backup import restore
 
     if dry_run:

@@ -115,7 +115,7 @@ def change_transaction(*, dry_run: bool, question: str | None = None, yes: bool 
     What is printed of the change is read inside and printed after the block, when it is kept.
 
     Args:
-        dry_run: take the change back at the end of the block, and ask nothing.
+        dry_run: roll the change back at the end of the block, and ask nothing.
         question: asked first where the change cannot be undone.
         yes: do not ask.
 
@@ -132,7 +132,7 @@ def change_transaction(*, dry_run: bool, question: str | None = None, yes: bool 
 
 
 def take_back(session: "Session") -> None:
-    """End a dry run: let the database refuse what it would refuse, take the change back, and say so."""
+    """End a dry run: let the database refuse what it would refuse, roll the change back, and say so."""
     session.flush()
     session.rollback()
     print(NOTHING_CHANGED, file=sys.stderr)

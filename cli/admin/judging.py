@@ -47,7 +47,7 @@ def mark(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write down the marks of a judge, in place of those from before."""
+    """Store the marks of a judge, replacing earlier ones."""
     from vitac.server.judging.judging import give_marks
     from vitac.server.principals import CONSOLE
     from vitac.server.tokens import is_judge
@@ -69,7 +69,7 @@ def conflict(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Note a conflict of interest: the judge's marks of that team are taken away, and no new ones accepted."""
+    """Note a conflict of interest: the judge's marks of that team are removed, and no new ones are accepted."""
     from vitac.server.judging.judging import declare_conflict
     from vitac.server.principals import CONSOLE
     from vitac.server.tokens import is_judge

@@ -108,7 +108,7 @@ def disqualify(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Take one submission off all boards; its team takes part as before. `reinstate` takes it back."""
+    """Remove one submission from all boards; its team takes part as before. `reinstate` undoes it."""
     from vitac.server.principals import CONSOLE
     from vitac.server.submissions import disqualification, listing
 

@@ -83,7 +83,7 @@ def show(
 
 @app.command()
 def accept(team: TeamName, dry_run: DryRun = False, as_json: AsJson = False) -> None:
-    """Let a team submit that waits to be accepted, or that was refused."""
+    """Accept a team that waits or was refused; it may submit then."""
     from vitac.server.principals import CONSOLE
     from vitac.server.teams import teams
 
@@ -97,7 +97,7 @@ def refuse(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say no to a team that waits to be accepted."""
+    """Refuse a team that waits to be accepted."""
     from vitac.server.principals import CONSOLE
     from vitac.server.teams import teams
 
@@ -157,7 +157,7 @@ def remove_member(
 
 @app.command()
 def data(team: TeamName, as_json: AsJson = False) -> None:
-    """Say how much the service has of a team; with --json print all of it."""
+    """Show how much data the service stores about a team; --json prints all of it."""
     from vitac.server.principals import CONSOLE
     from vitac.server.team_data import export
     from vitac.server.teams import teams
@@ -196,7 +196,7 @@ def merge(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Make two teams one, with all submissions and members of both; what both have used of quotas counts together."""
+    """Merge two teams: submissions and members are joined, and what both used of quotas is added up."""
     from vitac.server.principals import CONSOLE
     from vitac.server.teams import merging, teams
 
@@ -214,7 +214,7 @@ def disqualify(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Take a team off all boards and refuse its submissions; `reinstate` takes it back."""
+    """Remove a team from all boards and refuse its submissions; `reinstate` undoes it."""
     from vitac.server.contest.contest import Contest
     from vitac.server.contest.view import disqualified_since_the_end
     from vitac.server.principals import CONSOLE

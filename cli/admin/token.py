@@ -37,7 +37,7 @@ def add(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Add a token and print it, which happens only now.
+    """Add a token and print it; it is shown only once.
 
     `--organizer --contest NAME` is for somebody who organizes one of several competitions and sees no other.
     """

@@ -58,6 +58,6 @@ def show(appeal: AppealNumber, server: Server = None, token_file: TokenFile = No
 def withdraw(
     appeal: AppealNumber, server: Server = None, token_file: TokenFile = None, as_json: AsJson = False
 ) -> None:
-    """Take an appeal back that is not decided."""
+    """Withdraw an appeal that is not decided yet."""
     found = make_client(server, token_file).call("POST", f"{ADDRESS}/{appeal}/withdraw")
     print_record({name: found[name] for name in ("id", "state", "ended_at")}, as_json=as_json)

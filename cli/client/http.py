@@ -156,7 +156,7 @@ class Client:
             timeout_s: how long the server may take to answer.
 
         Raises:
-            RequestRefused: the service says no.
+            RequestRefused: the service refuses it.
             ServiceUnreachable: nothing answers, or the connection was cut.
         """
         token = {"Authorization": f"Bearer {self.token}"} if self.token is not None else {}

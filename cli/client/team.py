@@ -38,7 +38,7 @@ def show(server: Server = None, token_file: TokenFile = None, as_json: AsJson = 
 
 @app.command()
 def data(server: Server = None, token_file: TokenFile = None) -> None:
-    """Print everything that the service has of the team, as JSON."""
+    """Print all data that the service stores about the team, as JSON."""
     client = make_client(server, token_file)
     print_json(client.call("GET", f"{own_path(client)}/data"))
 
@@ -98,7 +98,7 @@ def email(
     server: Server = None,
     token_file: TokenFile = None,
 ) -> None:
-    """Say where you get notices."""
+    """Set the address to which your notices are sent."""
     client = make_client(server, token_file)
     client.call("PATCH", _path_of_member(client, member), {"email": address})
     print(f"notices of {member}: {address or 'none'}")
@@ -108,12 +108,12 @@ def email(
 def mute(
     member: MemberName,
     kinds: Annotated[
-        list[NoticeKind] | None, typer.Argument(help="Of notices that you do not want; none: you get all.")
+        list[NoticeKind] | None, typer.Argument(help="Kinds of notices to mute; without any, you get all.")
     ] = None,
     server: Server = None,
     token_file: TokenFile = None,
 ) -> None:
-    """Say which notices you do not want by e-mail, in place of what you said before."""
+    """Choose the notices that you do not want by e-mail; replaces the earlier choice."""
     client = make_client(server, token_file)
     muted = sorted(set(kinds or ()))
     client.call("PATCH", _path_of_member(client, member), {"muted": muted})
@@ -136,7 +136,7 @@ def password(member: MemberName, server: Server = None, token_file: TokenFile = 
 def renew_token(
     member: MemberName, server: Server = None, token_file: TokenFile = None, as_json: AsJson = False
 ) -> None:
-    """Print a new token in place of yours, which ends, and keep it for the other commands."""
+    """Replace your token: print and store a new one; the old one ends."""
     client = make_client(server, token_file)
     made = client.call("POST", f"{_path_of_member(client, member)}/token")
     if as_json:

@@ -59,7 +59,7 @@ def get_appeal(services: ServicesOf, principal: PrincipalOf, appeal_id: RowNumbe
 
 @router.post("/appeals/{appeal_id}/withdraw")
 def withdraw_appeal(services: ServicesOf, principal: PrincipalOf, appeal_id: RowNumber) -> AppealView:
-    """Take an own appeal back."""
+    """Withdraw an appeal of the own team."""
     with services.database.transaction() as session:
         appeals.withdraw(session, principal, appeal_id)
         return appeals.appeal_view(appeals.find(session, principal, appeal_id), principal)

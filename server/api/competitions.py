@@ -31,7 +31,7 @@ class FinalEnd(BaseModel):
 
 
 class Reopening(BaseModel):
-    """Why the end of a competition is taken back."""
+    """Why a final competition is reopened."""
 
     model_config = ConfigDict(extra="forbid")
     reason: str = Field(max_length=REASON_LENGTH, description="For everybody to read.")
@@ -87,7 +87,7 @@ def finalize(services: ServicesOf, principal: PrincipalOf, contest: str, end: Fi
 
 @router.post("/competitions/{contest}/reopen")
 def reopen(services: ServicesOf, principal: PrincipalOf, contest: str, reopening: Reopening) -> CompetitionView:
-    """Take the end of a competition back; everybody reads the reason."""
+    """Reopen a final competition; everybody reads the reason."""
     with services.database.transaction() as session:
         finishing.reopen(session, principal, reopening.reason, contest)
         return competition_view(session, contest)

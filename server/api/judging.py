@@ -48,7 +48,7 @@ def put_marks(services: ServicesOf, principal: PrincipalOf, submission_id: UUID,
 
 @router.post("/judging/conflicts", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
 def post_conflict(services: ServicesOf, principal: PrincipalOf, new: NewConflict) -> None:
-    """Declare a conflict of interest: marks for that team are taken away, and no new ones accepted."""
+    """Declare a conflict of interest: marks for that team are removed, and no new ones are accepted."""
     with services.database.transaction() as session:
         judging.declare_conflict(session, principal, new.team, new.reason, judge=new.judge)
 

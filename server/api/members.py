@@ -108,7 +108,7 @@ def get_team(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> Own
 
 @router.get("/{team_id}/data")
 def get_team_data(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> TeamDataView:
-    """Return everything that the service has of the team."""
+    """Return all data that the service stores about the team."""
     with services.database.transaction() as session:
         team = _team(session, principal, team_id)
         return team_data.export(session, services.settings, principal, team)

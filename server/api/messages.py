@@ -85,6 +85,6 @@ def put_answer(services: ServicesOf, principal: PrincipalOf, question_id: RowNum
 
 @router.delete("/questions/{question_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
 def hide_question(services: ServicesOf, principal: PrincipalOf, question_id: RowNumber) -> None:
-    """Answer a question no longer, and show it to nobody but its team; for organizers."""
+    """Hide a question: only its team sees it, and it needs no answer; for organizers."""
     with services.database.transaction() as session:
         questions.hide(session, principal, question_id)

@@ -88,7 +88,7 @@ def open_appeal(
 
 
 def withdraw(session: Session, by: Principal, appeal_id: int) -> None:
-    """Take an own appeal back.
+    """Withdraw an appeal of the own team.
 
     Raises:
         ServiceError: there is no such appeal, or it is ruled on.

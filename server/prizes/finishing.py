@@ -99,7 +99,7 @@ def concerns_at_end(session: Session, name: str | None = None, *, at: datetime |
 
 
 def reopen(session: Session, by: Principal, reason: str, name: str | None = None) -> None:
-    """Take the end of a competition back, as the remedy of what was found after it; everybody sees when and why.
+    """Reopen a final competition, to correct what was found after its end; everybody sees when and why.
 
     Winners and boards of before stay in the audit log. Results that are made again get receipts of their own.
 
@@ -217,7 +217,7 @@ def _store(session: Session, contest: Contest, found: Sequence[Winner]) -> None:
 
 
 def _issue_receipt(session: Session, contest: Contest, *, reason: str | None = None) -> None:
-    """Sign winners and marks, so that nobody changes them later, or that the end was taken back, with its reason."""
+    """Sign winners and marks, so that nobody changes them later, or the reopening with its reason."""
     finalized_at, judged_now = contest.row.finalized_at, judged_entries(session, contest)
 
     def make(issued_at: datetime) -> End:

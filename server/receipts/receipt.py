@@ -153,16 +153,16 @@ class JudgedEntry(StrictModel):
 
 
 class End(Content):
-    """The end of a competition; signed again where its winners are decided again, or the end is taken back."""
+    """The end of a competition; signed again where its winners are decided again, or it is reopened."""
 
     stands_for = LinkContent.END
 
     contest: str
     """Name of the competition."""
     finalized_at: datetime | None
-    """Null: the end was taken back, and there are no winners."""
+    """Null: the competition was reopened, and there are no winners."""
     reason: str | None
-    """Why it was taken back."""
+    """Why it was reopened."""
     winners: tuple[WinningEntry, ...]
     judged: tuple[JudgedEntry, ...]
 

@@ -28,7 +28,7 @@ _COPY_BYTES = 1 << 20
 PART_FOLDER = "partial"
 """Where the parts of uploads wait that are not complete; by upload."""
 PROBE_FOLDER = "probe"
-LATELY = timedelta(hours=12)
+RECENTLY = timedelta(hours=12)
 """A file that is stored again within this time is left as it is; housekeeping leaves files alone for longer."""
 
 
@@ -61,7 +61,7 @@ class BlobStore:
         return cls(LocalStore(folder))
 
     def put(self, path: Path, sha256: str) -> None:
-        """Store a file under its digest; one that was stored lately is left as it is.
+        """Store a file under its digest; one that was stored recently is not written again.
 
         One that has been there for long is stored again, so that whoever removes old files takes it for a new one.
 
@@ -70,7 +70,7 @@ class BlobStore:
         """
         with _working():
             stored_at = self._find_stored_time(sha256)
-            if stored_at is None or stored_at <= datetime.now(UTC) - LATELY:
+            if stored_at is None or stored_at <= datetime.now(UTC) - RECENTLY:
                 with path.open("rb") as file:
                     obstore.put(self._store, key_of(sha256), file, chunk_size=PART_BYTES, max_concurrency=PARTS_AT_ONCE)
 

@@ -94,7 +94,7 @@ def accept(session: Session, by: Principal, team: Team) -> None:
 
 
 def refuse(session: Session, by: Principal, team: Team, reason: str) -> None:
-    """Say no to a team that waits to be accepted.
+    """Refuse a team that waits to be accepted.
 
     Raises:
         ServiceError: not an organizer, the reason cannot be shown, or the team was accepted already.

@@ -146,7 +146,9 @@ class CompetitionView(View):
         default=[],
         description="Of winners and archived boards, since the end; without them once it is finalized again.",
     )
-    reopened: list[ReopeningView] = Field(default=[], description="When an end was taken back, and why.")
+    reopened: list[ReopeningView] = Field(
+        default=[], description="When the competition was reopened after its end, and why."
+    )
     withdrawn_lists: list[WithdrawnListView] = Field(
         default=[], description="Commitments that were published, of lists that no stage plays now."
     )

@@ -51,7 +51,7 @@ async def open_appeal(request: Request) -> Response:
 
 
 async def withdraw(request: Request) -> Response:
-    """Take an appeal back."""
+    """Withdraw an appeal."""
     return await act(
         request,
         lambda session, by, fields: appeals.withdraw(session, by, number_in(fields, "id")),

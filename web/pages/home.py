@@ -1,4 +1,4 @@
-"""The front page: what this is, an episode to play, what happened lately, and the tracks with their state."""
+"""The front page: what this is, an episode to play, what happened recently, and the tracks with their state."""
 
 from __future__ import annotations
 

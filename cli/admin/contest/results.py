@@ -1,4 +1,4 @@
-"""`vitac admin results`: boards that stand still, winners, the end, and the files that are published."""
+"""`vitac admin results`: frozen boards, winners, the end, and the published files."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -23,13 +23,13 @@ COLUMNS = ("track", "place", "team", "amount", "currency", "rank", "success_rate
 
 @app.command()
 def freeze(contest: ContestName = None, dry_run: DryRun = False, as_json: AsJson = False) -> None:
-    """Let the boards of all stages stand still for everybody but organizers; `unfreeze` takes it back."""
+    """Freeze the boards of all stages for everybody but organizers; `unfreeze` ends it."""
     from vitac.server.contest.freezing import freeze as freeze_boards
     from vitac.server.principals import CONSOLE
 
     with change_transaction(dry_run=dry_run) as session:
         freeze_boards(session, CONSOLE, contest)
-    print_done("boards stand still", {"frozen": True}, as_json=as_json)
+    print_done("boards are frozen", {"frozen": True}, as_json=as_json)
 
 
 @app.command()
@@ -103,11 +103,11 @@ def reopen(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Take the end of the competition back, for instance after an appeal; `finalize` ends it again."""
+    """Reopen a final competition, for instance after an appeal; `finalize` ends it again."""
     from vitac.server.principals import CONSOLE
     from vitac.server.prizes.finishing import reopen as reopen_results
 
-    question = "Take the end back? The page of the competition says so, with your reason."
+    question = "Reopen the competition? Its page shows this, with your reason."
     with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
         reopen_results(session, CONSOLE, reason, contest)
     print_done("the results are open again", {"final": False}, as_json=as_json)

@@ -48,7 +48,7 @@ def answer(
 
 @app.command()
 def hide(question: QuestionNumber, dry_run: DryRun = False, as_json: AsJson = False) -> None:
-    """Answer a question no longer, and show it to nobody but its team."""
+    """Hide a question: only its team sees it, and it needs no answer."""
     from vitac.server.messages.questions import hide as hide_question
     from vitac.server.principals import CONSOLE
 

@@ -20,7 +20,7 @@ class Competition(Base):
         frozen_at: from then on boards show no new results to anybody but organizers; NULL: they do. May lie ahead.
         finalized_at: since then winners and boards change only by `finalize_again`, and where a team is erased.
         winners: as they were finalized, or finalized again.
-        reopened: each time that the end was taken back, with its reason.
+        reopened: each reopening after the end, with its reason.
         boards: as they were then (`LeaderboardView`); NULL before, and of one that was final before they were stored.
     """
 

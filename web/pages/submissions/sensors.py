@@ -99,7 +99,7 @@ async def shape(request: Request) -> Response:
 
 
 async def document(request: Request) -> Response:
-    """Hand out the design document of a submission as a file to save."""
+    """Return the design document of a submission as a file to save."""
     viewer = await require_viewer(request)
     submission_id = as_id(request.path_params["submission_id"])
     site = site_of(request)

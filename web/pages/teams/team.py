@@ -82,7 +82,7 @@ async def team(request: Request) -> Response:
 
 
 async def data(request: Request) -> Response:
-    """Download everything that the service has of the team."""
+    """Download all data that the service stores about the team."""
     viewer = await require_viewer(request)
     by, settings = viewer.principal, site_of(request).services.settings
     found = await site_of(request).ask(lambda session: team_data.export(session, settings, by, teams.own(session, by)))
@@ -99,7 +99,7 @@ async def change(request: Request) -> Response:
 
 
 async def invite(request: Request) -> Response:
-    """Make an invitation and show its code, which happens only now."""
+    """Make an invitation and show its code once."""
     viewer, _ = await signed_in_form(request)
     by = viewer.principal
     code = await site_of(request).ask(lambda session: members.invite(session, by, teams.own(session, by))[1])
@@ -109,7 +109,7 @@ async def invite(request: Request) -> Response:
 
 
 async def renew_token(request: Request) -> Response:
-    """Make a new token for the member who asks and show it, which happens only now; the browser stays signed in."""
+    """Make a new token for the member who asks and show it once; the browser stays signed in."""
     viewer, _ = await signed_in_form(request)
     by, lifetime = viewer.principal, _token_lifetime(request)
 

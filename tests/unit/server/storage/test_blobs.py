@@ -121,11 +121,11 @@ def test_a_file_that_is_stored_again_after_long_counts_as_new(tmp_path: Path) ->
     blobs = BlobStore.from_settings(make_settings(state_dir=tmp_path))
     digest = put(blobs, tmp_path)
     stored = next(path for path in tmp_path.glob("**/sha256/**/*") if path.name == digest)
-    long_ago = time.time() - 2 * blobs_module.LATELY.total_seconds()
+    long_ago = time.time() - 2 * blobs_module.RECENTLY.total_seconds()
     os.utime(stored, (long_ago, long_ago))
-    assert blobs.is_older_than(digest, blobs_module.LATELY)
+    assert blobs.is_older_than(digest, blobs_module.RECENTLY)
     put(blobs, tmp_path)
-    assert not blobs.is_older_than(digest, blobs_module.LATELY)
+    assert not blobs.is_older_than(digest, blobs_module.RECENTLY)
     assert not blobs.is_older_than("0" * 64, timedelta(0))
 
 

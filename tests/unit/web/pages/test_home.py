@@ -96,13 +96,13 @@ def test_what_happened_lately_comes_first_and_links_what_is_public(data: FixedDa
     data.board = a_leaderboard(*entries, newest, stale)
     data.found = [found.model_copy(update={"public": found.id == COMPLETED.id}) for found in data.found]
     html = browser.get("/").text.replace("\N{NO-BREAK SPACE}", " ")
-    lately = html.split('id="lately"')[1]
-    assert lately.count("<li>") == home.NEWS
-    assert lately.index("&lt;done&gt;") < lately.index("Team 1") < lately.index("Team 4")
-    assert "Team 5" not in lately
+    recent = html.split('id="recent"')[1]
+    assert recent.count("<li>") == home.NEWS
+    assert recent.index("&lt;done&gt;") < recent.index("Team 1") < recent.index("Team 4")
+    assert "Team 5" not in recent
     assert "Old Team" not in html
-    assert f'<a href="/submissions/{COMPLETED.id}">' in lately
-    assert lately.count('href="/submissions/') == 1
+    assert f'<a href="/submissions/{COMPLETED.id}">' in recent
+    assert recent.count('href="/submissions/') == 1
     assert "9 teams ranked, first <bdi>Team 1</bdi> with" in html
 
 

@@ -27,7 +27,7 @@ def played(service: CliService) -> CliService:
 
 def test_boards_are_frozen_and_unfrozen(played: CliService) -> None:
     assert json.loads(played.run("admin", "results", "freeze", "--dry-run", "--json").stdout) == {"frozen": True}
-    assert played.run("admin", "results", "freeze").stdout.strip() == "boards stand still"
+    assert played.run("admin", "results", "freeze").stdout.strip() == "boards are frozen"
     assert isinstance(played.run("admin", "results", "unfreeze").exception, ConsentMissing)
     assert played.run("admin", "results", "unfreeze", "--dry-run").stdout.strip() == "boards show all results"
     done = played.run("admin", "results", "unfreeze", "--yes", "--json")
