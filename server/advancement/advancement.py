@@ -1,7 +1,6 @@
 """Who advances to a stage: proposed by the stage's rule, decided by the organizers, recorded."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from fractions import Fraction
 from math import ceil
@@ -23,63 +22,25 @@ from ..leaderboards.standings import leaderboard
 from ..notices.outbox import announce, stage_facts
 from ..principals import Principal
 from ..teams import teams
+from ..views.advancement import AdvancementView, ProposedTeamView
 from ..views.leaderboards import LeaderboardEntryView
 
 
-@dataclass(frozen=True, kw_only=True)
-class ProposedTeam:
-    """A team on the board of the stage before.
-
-    Attributes:
-        interval: 95 % interval of the success rate.
-        advances: whether the rule takes it.
-        at_border: chance may have decided: its interval reaches across the border of the rule.
-    """
-
-    team: str
-    rank: int
-    success_rate: float
-    interval: tuple[float, float]
-    mean_steps: float | None
-    advances: bool
-    at_border: bool
-
-
-@dataclass(frozen=True, kw_only=True)
-class Proposal:
-    """Who would advance by the rule.
-
-    Attributes:
-        before: name of the stage whose board decides.
-        rule: in words.
-        registered: teams that the rule counts: accepted, not disqualified, registered before the stage before closed.
-        unranked: teams whose only results are of another evaluator version: evaluate them again first.
-        running: evaluations of the stage before that have not ended.
-    """
-
-    track: str
-    stage: str
-    before: str
-    rule: str
-    registered: int
-    teams: Sequence[ProposedTeam]
-    unranked: Sequence[str]
-    running: int
-
-
-def propose(session: Session, stage: Stage) -> Proposal:
-    """Return who advances to a stage by its rule, as the boards are now.
+def propose(session: Session, by: Principal, stage: Stage) -> AdvancementView:
+    """Return who advances to a stage by its rule, as the boards are now, and who was confirmed.
 
     Raises:
-        ServiceError: the stage is for all teams.
+        ServiceError: not an organizer, or the stage is for all teams.
     """
+    by.require_organizer(stage.contest)
     before, rule = _rule(stage)
     entries = leaderboard(session, before, live=True).view.entries
     ranked = [entry for entry in entries if entry.rank is not None]
     taking_part = (Team.disqualified_at.is_(None), Team.approved_at.is_not(None), Team.created_at < before.rules.closes)
     registered = session.scalars(select(func.count()).select_from(Team).where(*taking_part)).one()
     n_advancing = _count_advancing(rule, ranked, registered)
-    return Proposal(
+    qualified = _qualified(session, stage)
+    return AdvancementView(
         track=stage.track,
         stage=stage.name,
         before=before.name,
@@ -88,6 +49,8 @@ def propose(session: Session, stage: Stage) -> Proposal:
         teams=[_proposed(entry, rule, ranked, n_advancing) for entry in ranked],
         unranked=[entry.team for entry in entries if entry.rank is None],
         running=count_running(session, before),
+        confirmed=sorted(qualified.values()),
+        revision=_revision_of(qualified),
     )
 
 
@@ -119,7 +82,7 @@ def confirm(
     """
     by.require_organizer(stage.contest)
     Contest.lock(session, stage.contest)  # of two at once the second sees whom the first has confirmed
-    proposal, (before, _) = propose(session, stage), _rule(stage)
+    proposal, (before, _) = propose(session, by, stage), _rule(stage)
     before.require_over()
     require_scored(session, before)
     require_current(session, before)
@@ -183,10 +146,10 @@ def _count_advancing(rule: Advancement, ranked: Sequence[LeaderboardEntryView], 
 
 def _proposed(
     entry: LeaderboardEntryView, rule: Advancement, ranked: Sequence[LeaderboardEntryView], n_advancing: int
-) -> ProposedTeam:
+) -> ProposedTeamView:
     rank = entry.rank or 0
     advances = entry.success_rate >= rule.score_at_least if rule.score_at_least is not None else rank <= n_advancing
-    return ProposedTeam(
+    return ProposedTeamView(
         team=entry.team,
         rank=rank,
         success_rate=entry.success_rate,
@@ -216,7 +179,9 @@ def _is_at_border(
     return low <= nearest.success_rate_interval[1] and nearest.success_rate_interval[0] <= high
 
 
-def _chosen(session: Session, proposal: Proposal, add: Collection[str], without: Collection[str]) -> dict[UUID, str]:
+def _chosen(
+    session: Session, proposal: AdvancementView, add: Collection[str], without: Collection[str]
+) -> dict[UUID, str]:
     found = [teams.find(session, team.team) for team in proposal.teams if team.advances]
     chosen = {team.id: team.name for team in found}
     for team in (teams.find(session, name) for name in without):

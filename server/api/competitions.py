@@ -5,17 +5,33 @@ from http import HTTPStatus
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from ..advancement import advancement
 from ..contest import freezing
+from ..contest.contest import Contest
 from ..contest.view import competition_list_view, competition_view
 from ..prizes import finishing
 from ..publishing.archive import archive_view
 from ..teams.teams import REASON_LENGTH
+from ..views.advancement import AdvancementView
 from ..views.archive import ArchiveView
 from ..views.contest import CompetitionListView, CompetitionView
 from .access import PrincipalOf, ServicesOf
 from .problems import RESPONSES
 
 router = APIRouter(tags=["competitions"], responses=RESPONSES)
+
+
+class Decision(BaseModel):
+    """Who takes part in a stage besides or without those that its rule takes."""
+
+    model_config = ConfigDict(extra="forbid")
+    add: list[str] = Field(default=[], max_length=1000, description="Names or ids of further teams.")
+    without: list[str] = Field(default=[], max_length=1000, description="Proposed teams that do not take part.")
+    revision: str = Field(
+        default="",
+        max_length=64,
+        description="Of the confirmed teams as you saw them; empty if there were none.",
+    )
 
 
 class FinalEnd(BaseModel):
@@ -58,6 +74,28 @@ def get_archive(services: ServicesOf, contest: str | None = None) -> ArchiveView
     """Return winners and boards as they were when a competition was finalized, and how to cite; before that 404."""
     with services.database.reading() as session:
         return archive_view(session, contest)
+
+
+@router.get("/competitions/{contest}/tracks/{track}/stages/{stage}/advancement")
+def get_advancement(
+    services: ServicesOf, principal: PrincipalOf, contest: str, track: str, stage: str
+) -> AdvancementView:
+    """Return who would advance to a stage by its rule, and who was confirmed."""
+    with services.database.transaction() as session:
+        return advancement.propose(session, principal, Contest.find(session, contest, track=track).stage(track, stage))
+
+
+@router.put("/competitions/{contest}/tracks/{track}/stages/{stage}/advancement")
+def confirm_advancement(
+    services: ServicesOf, principal: PrincipalOf, contest: str, track: str, stage: str, decision: Decision
+) -> AdvancementView:
+    """Let the proposed teams, more of them or fewer, take part in a stage."""
+    with services.database.transaction() as session:
+        found = Contest.find(session, contest, track=track).stage(track, stage)
+        advancement.confirm(
+            session, principal, found, add=decision.add, without=decision.without, base=decision.revision
+        )
+        return advancement.propose(session, principal, found)
 
 
 @router.post("/competitions/{contest}/freeze", status_code=HTTPStatus.NO_CONTENT, response_class=Response)

@@ -52,7 +52,8 @@ class Advancement(StrictModel):
     def sentence(self) -> str:
         """The rule in words."""
         if self.top is not None:
-            return f"the best {self.top} teams of the stage before"
+            teams = "team" if self.top == 1 else f"{self.top} teams"
+            return f"the best {teams} of the stage before"
         if self.top_share is not None:
             return f"the best {100 * self.top_share:g} % of the registered teams, by the stage before"
         return f"every team with a success rate of {100 * (self.score_at_least or 0):g} % or more in the stage before"

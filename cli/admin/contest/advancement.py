@@ -21,15 +21,14 @@ TeamNames = Annotated[list[str] | None, typer.Option(help="Name or id of a team;
 @app.command()
 def propose(track: TrackName, stage: StageName, contest: ContestName = None, as_json: AsJson = False) -> None:
     """Show who advances to a stage by its rule, and which teams chance may have put on their side of the border."""
-    from dataclasses import asdict
-
     from vitac.server.advancement.advancement import propose as propose_teams
     from vitac.server.contest.contest import Contest
+    from vitac.server.principals import CONSOLE
 
     with transaction() as session:
-        found = propose_teams(session, Contest.find(session, contest, track=track).stage(track, stage))
+        found = propose_teams(session, CONSOLE, Contest.find(session, contest, track=track).stage(track, stage))
     if as_json:
-        print_json(asdict(found))
+        print_json(found.model_dump(mode="json"))
         return
     rows = [
         [

@@ -5,7 +5,7 @@ import pytest
 from service_factories import TASK, TRACK, make_principal, make_score, make_upload, outdate, submit_scored
 from sqlalchemy import update
 from submission_steps import refused
-from vitac.server.advancement.advancement import Proposal, confirm, propose, qualified_teams
+from vitac.server.advancement.advancement import confirm, propose, qualified_teams
 from vitac.server.audit import newest_entries
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Notice, Submission, Team
@@ -15,6 +15,7 @@ from vitac.server.members import members
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import creation
 from vitac.server.teams import teams
+from vitac.server.views.advancement import AdvancementView
 
 from competitions import FIRST, SECOND, make_competition, open_now, put_in_place, stored_stage
 
@@ -40,9 +41,9 @@ def register_in_time(database: Database) -> None:
         session.execute(update(Team).values(created_at=datetime(2020, 1, 1, tzinfo=UTC)))
 
 
-def proposed(database: Database) -> Proposal:
+def proposed(database: Database) -> AdvancementView:
     with database.transaction() as session:
-        return propose(session, stored_stage(session, TRACK, SECOND))
+        return propose(session, CONSOLE, stored_stage(session, TRACK, SECOND))
 
 
 def confirmed(database: Database, **options: Any) -> list[str]:
@@ -181,7 +182,7 @@ def test_results_of_another_evaluator_version_are_named_and_not_proposed(databas
 def test_nobody_advances_to_a_stage_for_all_or_an_unknown_one(database: Database, stage: str) -> None:
     begin(database, {"top": 1})
     with refused(ProblemCode.UNKNOWN_STAGE), database.transaction() as session:
-        propose(session, stored_stage(session, TRACK, stage))
+        propose(session, CONSOLE, stored_stage(session, TRACK, stage))
 
 
 def test_only_organizers_confirm(database: Database) -> None:

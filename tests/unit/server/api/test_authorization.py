@@ -79,6 +79,8 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", f"{COMPETITION}/leaderboards/{{track}}/logs"): EVERYBODY,
     ("get", f"{COMPETITION}/appeals"): SIGNED_IN,
     ("get", f"{COMPETITION}/receipts"): EVERYBODY,
+    ("get", f"{COMPETITION}/tracks/{{track}}/stages/{{stage}}/advancement"): ORGANIZERS,
+    ("put", f"{COMPETITION}/tracks/{{track}}/stages/{{stage}}/advancement"): ORGANIZERS,
     ("post", f"{COMPETITION}/freeze"): ORGANIZERS,
     ("post", f"{COMPETITION}/unfreeze"): ORGANIZERS,
     ("post", f"{COMPETITION}/finalize"): ORGANIZERS,
@@ -188,7 +190,10 @@ class Setting:
             "token_id": "",
             "track": "track_1",
             "contest": "cup",
+            "stage": "stage2",
         }
+        if path.endswith("/advancement"):
+            ids["track"] = "track_2"
         if "{announcement_id}" in path:
             ids["announcement_id"] = self.new_announcement()
         if "{question_id}" in path:
@@ -314,6 +319,7 @@ BODIES: dict[tuple[str, str], Options] = {
     ("post", "/api/v1/teams/join"): lambda setting, _: {
         "json": {"code": setting.new_invitation()[1], "name": uuid4().hex[:12]}
     },
+    ("put", f"{COMPETITION}/tracks/{{track}}/stages/{{stage}}/advancement"): lambda *_: {"json": {}},
     ("post", f"{COMPETITION}/finalize"): lambda *_: {"json": {}},
     ("post", f"{COMPETITION}/reopen"): lambda *_: {"json": {"reason": "An appeal was upheld."}},
     ("patch", TEAM): lambda *_: {"json": {"accepted": True}},
@@ -384,7 +390,7 @@ def fill(service: Service) -> Setting:
     submission_id = service.upload(make_archive(sensor)).json()["id"]
     with service.services.database.transaction() as session:
         content = make_competition(appeal_days=7)
-        content["tracks"] = {"mail": content["tracks"][TRACK] | {"taken_here": False}}
+        content["tracks"] = {"track_2": content["tracks"][TRACK] | {"taken_here": False}}
         put_in_place(session, content)
         row = session.get_one(Competition, "cup")
         row.finalized_at, row.winners, row.boards = row.applied_at, [], []

@@ -26,7 +26,7 @@ def confirmed(service: CliService) -> object:
 
 def test_a_proposal_names_rule_teams_and_border(played: CliService) -> None:
     shown = played.run("admin", "advance", "propose", TRACK, SECOND).stdout
-    assert "the best 1 teams of the stage before, by the board of stage1" in shown
+    assert "the best team of the stage before, by the board of stage1" in shown
     assert shown.count("at the border") == 2
     found = json.loads(played.run("admin", "advance", "propose", TRACK, SECOND, "--json").stdout)
     assert [(team["team"], team["advances"]) for team in found["teams"]] == [("Ants", True), ("Bees", False)]

@@ -32,7 +32,7 @@ def file(tmp_path: Path) -> str:
 def test_a_file_is_checked_without_a_service(service: CliService, file: str, tmp_path: Path) -> None:
     shown = service.run("admin", "competition", "check", file)
     assert shown.exit_code == 0
-    assert "the best 1 teams of the stage before" in shown.stdout
+    assert "the best team of the stage before" in shown.stdout
     assert json.loads(service.run("admin", "competition", "check", file, "--json").stdout)["name"] == "cup"
     Path(file).write_text("name: cup\ntitel: wrong\n")
     refused = service.run("admin", "competition", "check", file)
