@@ -87,6 +87,7 @@ def test_a_cold_cache_and_a_build_for_any_cpu_change_no_bit(cold: Run, digests: 
     assert cold.result["digests"] == digests
 
 
+@pytest.mark.slow
 def test_every_kernel_is_compiled_once_and_a_second_clone_compiles_nothing(cold: Run, cold_cache: Path) -> None:
     """All tasks; a kernel for one set of argument types, once if Python calls it and once if kernels do."""
     assert [name for name, count in Counter(cold.compiled).items() if count > 1] == []
