@@ -22,7 +22,7 @@ from ..leaderboards.standings import leaderboard
 from ..notices.outbox import announce, stage_facts
 from ..principals import Principal
 from ..teams import teams
-from ..views.advancement import AdvancementView, ProposedTeamView
+from ..views.contest import AdvancementView, ProposedTeamView
 from ..views.leaderboards import LeaderboardEntryView
 
 

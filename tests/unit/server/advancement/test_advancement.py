@@ -15,7 +15,7 @@ from vitac.server.members import members
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import creation
 from vitac.server.teams import teams
-from vitac.server.views.advancement import AdvancementView
+from vitac.server.views.contest import AdvancementView
 
 from competitions import FIRST, SECOND, make_competition, open_now, put_in_place, stored_stage
 

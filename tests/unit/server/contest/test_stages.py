@@ -126,7 +126,7 @@ def test_a_stage_for_qualified_teams_refuses_others_with_the_rule(database: Data
     with pytest.raises(ServiceError) as caught:
         create(database, principal, IN_SECOND)
     assert caught.value.code is ProblemCode.NOT_QUALIFIED
-    assert "the best 1 teams of the stage before" in caught.value.detail
+    assert "the best team of the stage before" in caught.value.detail
 
 
 def test_the_same_content_is_another_submission_in_another_stage(database: Database, principal: Principal) -> None:

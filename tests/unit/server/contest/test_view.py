@@ -37,7 +37,7 @@ def test_everybody_sees_schedule_prizes_and_commitments_but_no_secret(prepared: 
     first, second = found.tracks[0].stages
     assert [(stage.name, stage.is_open) for stage in (first, second)] == [(FIRST, True), (SECOND, False)]
     assert (first.list_kind, first.commitment) == (ListKind.PUBLIC, None)
-    assert (second.scored_runs, second.qualified) == (2, "the best 1 teams of the stage before")
+    assert (second.scored_runs, second.qualified) == (2, "the best team of the stage before")
     assert second.commitment is not None
     assert second.secret is None
     assert secret not in found.model_dump_json()
