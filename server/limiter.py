@@ -11,7 +11,7 @@ import struct
 import time
 from array import array
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from ipaddress import IPv4Address, IPv6Network, ip_address
 from pathlib import Path
@@ -21,6 +21,8 @@ from .errors import ProblemCode, ServiceError
 
 UPLOADS = "uploads at the same time"
 """What is counted at the upload routes, in words."""
+SLOWED_BY_S = 3.0
+"""How long an attempt to sign in waits as a member who is being attacked from several addresses."""
 _LOCK = struct.Struct("hhqqi0q")  # struct flock: kind, whence, start, length, process id
 _KEY_BYTES = 5
 _PLACES = 1 << 20
@@ -43,21 +45,36 @@ class WindowLimiter:
         Raises:
             ServiceError: too many; `retry_after_s` says when the next one is possible.
         """
+        if not self.is_within(key):
+            raise self._refusal(key, what)
+
+    def is_within(self, key: str) -> bool:
+        """Count one event unless there were as many as possible; return whether there were not."""
         self._remove_expired(self._clock())
         with self._locked(self._folder / _digest(key).hex()) as file:
-            now = self._clock()
-            recent = array("d", [at for at in _times(file) if now - self._window_s < at <= now])
+            recent = self._recent(file)
             if len(recent) >= self._limit:
-                wait_s = max(1, round(recent[0] + self._window_s - now))
-                raise ServiceError(
-                    ProblemCode.TOO_MANY_REQUESTS,
-                    f"At most {self._limit} {what} in {self._window_s:.0f} s are possible; wait {wait_s} s.",
-                    retry_after_s=wait_s,
-                )
-            recent.append(now)
+                return False
+            recent.append(self._clock())
             file.seek(0)
             file.write(recent.tobytes())
             file.truncate()
+            return True
+
+    def _refusal(self, key: str, what: str) -> ServiceError:
+        with self._locked(self._folder / _digest(key).hex()) as file:
+            now = self._clock()
+            wait_s = max(1, round(min(self._recent(file), default=now) + self._window_s - now))
+        return ServiceError(
+            ProblemCode.TOO_MANY_REQUESTS,
+            f"At most {self._limit} {what} in {self._window_s:.0f} s are possible; wait {wait_s} s.",
+            retry_after_s=wait_s,
+        )
+
+    def _recent(self, file: BinaryIO) -> "array[float]":
+        """Return the times of the events within the window."""
+        now = self._clock()
+        return array("d", [at for at in _times(file) if now - self._window_s < at <= now])
 
     @contextmanager
     def _locked(self, path: Path) -> Iterator[BinaryIO]:
@@ -81,24 +98,44 @@ class WindowLimiter:
 
 @dataclass(frozen=True, kw_only=True)
 class SignInLimiters:
-    """Count sign-in attempts with a password: of an address that tries many members, and of a member tried by many.
+    """Count sign-in attempts with a password, so that nobody guesses one, and nobody locks a member out by guessing.
 
     Attributes:
-        of_address: of one client.
-        of_member: of one name in one team, whether there is such a member or not.
+        of_address: of one client, whomever it tries.
+        of_member: of one name in one team, whether there is such a member or not: from one address, or on one device
+            that has signed in before. From all addresses together more than that are slowed down, not refused.
+        at_once: passwords that are being checked for one address or device.
     """
 
     of_address: WindowLimiter
     of_member: WindowLimiter
+    at_once: "ConcurrencyLimiter"
 
-    def note(self, address: str, member: str) -> None:
-        """Count one try.
+    def note(self, address: str, member: str, *, device: str | None = None) -> float:
+        """Count one attempt and return how long it has to wait [s].
+
+        Args:
+            address: of the client.
+            member: name and team.
+            device: on which that member has signed in before; None: none.
 
         Raises:
             ServiceError: too many.
         """
+        if device is not None:
+            self.of_member.note(f"{member}\ndevice {device}", "sign-in attempts on one device")
+            return 0.0
         self.of_address.note(address, "sign-in attempts from one address")
-        self.of_member.note(member, "sign-in attempts as one member")
+        self.of_member.note(f"{member}\n{address}", "sign-in attempts as one member from one address")
+        return 0.0 if self.of_member.is_within(member) else SLOWED_BY_S
+
+    def place(self, address: str, *, device: str | None = None) -> AbstractContextManager[None]:
+        """Count an attempt while its password is checked: one address cannot fill the places of all.
+
+        Raises:
+            ServiceError: as many of this address are being checked as possible.
+        """
+        return self.at_once.one(device or address, "passwords of one address or device being checked")
 
 
 class ConcurrencyLimiter:

@@ -1,6 +1,7 @@
 """The one who asks, as far as the service layer needs to know."""
 
 from dataclasses import dataclass
+from datetime import datetime
 from uuid import UUID
 
 from .db.states import Role
@@ -22,6 +23,7 @@ class Principal:
         leads_team: whether members may be invited and removed.
         judge_name: of a judge's token: under which marks and conflicts of interest are stored.
         contest: of an organizer of one competition: its name; None: of the whole service.
+        signed_in_at: in a browser, when its session began; None: elsewhere.
     """
 
     role: Role | None
@@ -34,6 +36,7 @@ class Principal:
     leads_team: bool = False
     judge_name: str | None = None
     contest: str | None = None
+    signed_in_at: datetime | None = None
 
     @property
     def is_organizer(self) -> bool:

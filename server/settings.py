@@ -135,8 +135,8 @@ class Settings(BaseSettings):
     )
     sign_ins_per_hour: PositiveInt = Field(
         default=60,
-        description="Maximum sign-in attempts with a password from one client address in an hour; a quarter of it for "
-        "one member.",
+        description="Maximum sign-in attempts with a password from one client address in an hour; a quarter of it as "
+        "one member, or on a device that has signed in before.",
     )
     token_lifetime_days: PositiveInt = 365
     limits: Limits = Field(

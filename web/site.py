@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import wraps
 from hashlib import sha256
@@ -110,10 +110,12 @@ class Viewer:
     Attributes:
         principal: the team, judge or organizer, for the service.
         form_token: what the forms of this session carry.
+        expires_at: when the session ends.
     """
 
     principal: Principal
     form_token: str
+    expires_at: datetime
 
     @property
     def name(self) -> str:
@@ -172,10 +174,16 @@ async def viewer_of(request: Request) -> Viewer | None:
     if cookie is None or found is None:
         return None
     principal = await none_if_unknown(site.read(lambda session: tokens.principal_of_token_id(session, found.token_id)))
-    return None if principal is None else Viewer(principal=principal, form_token=site.signer.form_token(cookie))
+    if principal is None:
+        return None
+    return Viewer(
+        principal=replace(principal, signed_in_at=found.began_at),
+        form_token=site.signer.form_token(cookie),
+        expires_at=found.expires_at,
+    )
 
 
-async def none_if_unknown(authentication: Awaitable[Principal]) -> Principal | None:
+async def none_if_unknown(authentication: Awaitable[ResultT]) -> ResultT | None:
     """Return who was authenticated, or None if the credentials are not valid."""
     try:
         return await authentication

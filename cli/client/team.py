@@ -122,13 +122,17 @@ def mute(
 
 @app.command()
 def password(member: MemberName, server: Server = None, token_file: TokenFile = None) -> None:
-    """Set your password, read from a prompt or standard input; an empty one takes it away."""
+    """Set your password; an empty one takes it away.
+
+    It is read from a prompt, or from the first line of standard input; the second line is the old one if you have one.
+    """
     client = make_client(server, token_file)
     if sys.stdin.isatty():
+        old = typer.prompt("Old password (empty if you have none)", hide_input=True, default="", show_default=False)
         given = typer.prompt("New password", hide_input=True, confirmation_prompt=True, default="", show_default=False)
     else:
-        given = sys.stdin.readline().rstrip("\n")
-    client.call("PATCH", _path_of_member(client, member), {"password": given or None})
+        given, old = (sys.stdin.readline().rstrip("\n") for _ in range(2))
+    client.call("PATCH", _path_of_member(client, member), {"password": given or None, "old_password": old or None})
     print(f"{member} {'has a new' if given else 'has no'} password")
 
 

@@ -45,6 +45,8 @@ Register a team, upload a zip with a policy, follow its evaluation, read the lea
 document (RFC 9457, `application/problem+json`) with a stable `code`.
 """
 
+PASSWORDS_AT_ONCE = 3
+"""Of one address or device."""
 UNLIMITED = (
     ("POST", f"{API_PREFIX}{submissions.router.prefix}"),
     ("PATCH", f"{API_PREFIX}{uploads.router.prefix}/"),
@@ -112,6 +114,7 @@ def set_limiters(app: FastAPI, settings: Settings) -> None:
     app.state.sign_in_limiters = SignInLimiters(
         of_address=_hourly(folder / "sign_ins", settings.sign_ins_per_hour),
         of_member=_hourly(folder / "sign_ins_of_members", max(1, settings.sign_ins_per_hour // 4)),
+        at_once=ConcurrencyLimiter(folder / "passwords", PASSWORDS_AT_ONCE),
     )
     app.state.upload_limiter = ConcurrencyLimiter(folder / "uploads", settings.uploads_at_once)
     app.state.stream_limiter = ConcurrencyLimiter(folder / "event_streams", settings.event_streams)

@@ -13,7 +13,7 @@ from .. import team_data, tokens
 from ..db.models import Team
 from ..db.states import NoticeKind
 from ..errors import not_found
-from ..members import members
+from ..members import members, passwords
 from ..members.passwords import MAX_LENGTH, MIN_LENGTH
 from ..notices import webhooks
 from ..principals import CONSOLE, Principal
@@ -24,8 +24,9 @@ from ..views.notices import NewWebhookView, WebhookListView
 from ..views.team_data import TeamDataView
 from ..views.teams import NewInvitationView, NewTokenView, OwnTeamView, RegisteredTeamView
 from .access import PrincipalOf, ServicesOf
+from .attempts import note_password, note_registration
 from .problems import RESPONSES
-from .teams import ONE_LINE, note_registration
+from .teams import ONE_LINE
 
 router = APIRouter(prefix="/teams", tags=["teams"], responses=RESPONSES)
 
@@ -51,6 +52,7 @@ class MemberChanges(BaseModel):
     model_config = ConfigDict(extra="forbid")
     email: Email | None = None
     password: Password | None = None
+    old_password: str | None = Field(default=None, max_length=MAX_LENGTH, description="The one that it replaces.")
     muted: list[NoticeKind] | None = Field(default=None, max_length=20, description="Notices that are not wanted.")
 
 
@@ -90,8 +92,10 @@ class Merge(BaseModel):
 def join_team(request: Request, services: ServicesOf, new: NewMember) -> RegisteredTeamView:
     """Join a team with the code of an invitation; the token is shown this once."""
     note_registration(request)
+    password = new.password and passwords.UNKNOWN_DEVICES.run(passwords.hashed, new.password)
+    joining = members.NewMember(**new.model_dump(exclude={"password"}), password_hash=password)
     with services.database.transaction() as session:
-        member, issued = members.join(session, members.NewMember(**new.model_dump()), _lifetime(services))
+        member, issued = members.join(session, joining, _lifetime(services))
         return RegisteredTeamView(
             team=teams.team_view(member.team, ShownNames.read(session, CONSOLE)),
             token=tokens.new_token_view(issued),
@@ -171,15 +175,29 @@ def change_captain(services: ServicesOf, principal: PrincipalOf, team_id: UUID, 
 
 @router.patch("/{team_id}/members/{member_id}")
 def change_member(
-    services: ServicesOf, principal: PrincipalOf, team_id: UUID, member_id: UUID, changes: MemberChanges
+    request: Request,
+    services: ServicesOf,
+    principal: PrincipalOf,
+    team_id: UUID,
+    member_id: UUID,
+    changes: MemberChanges,
 ) -> OwnTeamView:
     """Change the own e-mail address or password; a new password signs out all browsers that used the old one."""
+    if "password" in changes.model_fields_set:
+        note_password(request, str(team_id), str(member_id), device="token")
+        passwords.KNOWN_DEVICES.run(
+            members.set_password,
+            services.database,
+            principal,
+            team_id,
+            member_id,
+            changes.password,
+            old=changes.old_password,
+        )
     with services.database.transaction() as session:
         member = members.find(session, principal, team_id, member_id)
         if "email" in changes.model_fields_set:
             members.set_email(session, principal, member, changes.email)
-        if "password" in changes.model_fields_set:
-            members.set_password(session, principal, member, changes.password)
         if changes.muted is not None:
             members.mute(session, principal, member, changes.muted)
         return members.own_team_view(session, principal, member.team)

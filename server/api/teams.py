@@ -12,7 +12,6 @@ from sqlalchemy.orm import Session
 from .. import tokens
 from ..db.models import ApiToken, Team
 from ..db.states import Quota, Role
-from ..limiter import client_key
 from ..members import registration
 from ..principals import CONSOLE, Principal
 from ..quotas import charge, stage_uses, uses
@@ -21,6 +20,7 @@ from ..teams import teams
 from ..teams.shown_names import ShownNames
 from ..views.teams import MeView, NewTokenView, QuotaView, RegisteredTeamView, StageQuotaView, TokenListView
 from .access import OptionalPrincipalOf, PrincipalOf, ServicesOf
+from .attempts import note_registration
 from .problems import RESPONSES
 
 router = APIRouter(tags=["teams"], responses=RESPONSES)
@@ -128,13 +128,3 @@ def _quotas(session: Session, services: Services, principal: Principal) -> list[
 
 def _lifetime(services: Services, days: int | None) -> timedelta:
     return timedelta(days=days or services.settings.token_lifetime_days)
-
-
-def note_registration(request: Request) -> None:
-    """Count a try to register or to join a team.
-
-    Raises:
-        ServiceError: too many from one address.
-    """
-    address = client_key(request.client.host if request.client is not None else None)
-    request.app.state.registration_limiter.note(address, "registrations from one address")

@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 
 from .. import names, tokens
 from ..audit import record
+from ..db.engine import Database
 from ..db.models import ApiToken, Invitation, Member, Team
 from ..db.states import MemberRole, NoticeKind, Role
 from ..errors import ProblemCode, ServiceError, not_found
@@ -22,6 +23,8 @@ from . import passwords
 
 CODE_PREFIX = "vitac-join-"
 INVITATION_LIFETIME = timedelta(days=7)
+FRESH_FOR = timedelta(minutes=15)
+"""After signing in, a password may be changed without the old one for this time."""
 MAX_MEMBERS = 50
 """Of a team, together with its open invitations."""
 WRONG_PASSWORD = "No member of that name and team has this password."  # noqa: S105 - a sentence
@@ -35,13 +38,13 @@ class NewMember:
         code: of the invitation.
         name: unique in the team.
         email: for notices.
-        password: to sign in on the pages; None: with the token only.
+        password_hash: of the password to sign in with on the pages; None: with the token only.
     """
 
     code: str
     name: str
     email: str | None = None
-    password: str | None = None
+    password_hash: str | None = None
 
 
 def invite(session: Session, by: Principal, team: Team) -> tuple[Invitation, str]:
@@ -105,7 +108,7 @@ def join(session: Session, new: NewMember, lifetime: timedelta) -> tuple[Member,
         name=shown,
         name_key=key,
         email=new.email,
-        password_hash=passwords.hashed(new.password) if new.password else None,
+        password_hash=new.password_hash,
     )
     session.add(member)
     found.used_at = datetime.now(UTC)
@@ -183,18 +186,45 @@ def renew_token(session: Session, by: Principal, member: Member, lifetime: timed
     return tokens.issue_to_member(session, by, member, lifetime)
 
 
-def set_password(session: Session, by: Principal, member: Member, password: str | None) -> None:
+def set_password(
+    database: Database, by: Principal, team_id: UUID, member_id: UUID, password: str | None, *, old: str | None = None
+) -> None:
     """Set or (None) take away the password of a member; browsers that signed in with the old one are signed out.
 
+    Args:
+        database: of the members; no transaction is open while a hash is computed.
+        by: who asks.
+        team_id: of the member's team.
+        member_id: whose password.
+        password: the new one.
+        old: the one before, unless they have none, have just signed in, or an organizer asks.
+
     Raises:
-        ServiceError: as `renew_token`, or it is too short or too long.
+        ServiceError: as `renew_token`, the old one is wrong, or the new one is too short or too long.
     """
-    _require_own(by, member)
-    before = {"password": member.password_hash is not None}
-    member.password_hash = passwords.hashed(password) if password is not None else None
-    tokens.end_tokens_of(session, by, member, sessions_only=True)
-    after = {"password": password is not None}
-    record(session, by, "member.password", f"member:{member.id}", after, before=before)
+    with database.reading() as session:
+        member = find(session, by, team_id, member_id)
+        _require_own(by, member)
+        stored, name = member.password_hash, member.name
+    is_fresh = by.is_organizer or (by.signed_in_at is not None and datetime.now(UTC) - by.signed_in_at < FRESH_FOR)
+    if stored is not None and not is_fresh and not passwords.is_right(old or "", stored):
+        raise ServiceError(
+            ProblemCode.FORBIDDEN,
+            f"{name} has a password: give it as the old one, or sign in again and change it within "
+            f"{FRESH_FOR.seconds // 60} minutes.",
+        )
+    password_hash = passwords.hashed(password) if password is not None else None
+    with database.transaction() as session:
+        member = find(session, by, team_id, member_id)
+        teams.lock(session, member.team)
+        session.refresh(member)
+        _require_own(by, member)
+        if member.password_hash != stored:
+            raise ServiceError(ProblemCode.FORBIDDEN, f"{name}'s password was changed meanwhile; try again.")
+        member.password_hash = password_hash
+        tokens.end_tokens_of(session, by, member, sessions_only=True)
+        before, after = {"password": stored is not None}, {"password": password is not None}
+        record(session, by, "member.password", f"member:{member.id}", after, before=before)
 
 
 def set_email(session: Session, by: Principal, member: Member, email: str | None) -> None:
@@ -221,24 +251,22 @@ def mute(session: Session, by: Principal, member: Member, kinds: Collection[Noti
     record(session, by, "member.mute", f"member:{member.id}", {"muted": member.muted}, before=before)
 
 
-def sign_in(session: Session, team: str, name: str, password: str, lifetime: timedelta) -> ApiToken:
-    """Begin the session of a browser with a member's password.
+def sign_in(database: Database, team: str, name: str, password: str, lifetime: timedelta) -> ApiToken:
+    """Begin the session of a browser with a member's password; no transaction is open while its hash is computed.
 
     Raises:
         ServiceError: no member of that name and team has this password.
     """
-    found = session.scalar(
-        select(Member)
-        .join(Team)
-        .where(
-            Team.name_key == teams.name_key(team),
-            Member.name_key == teams.name_key(name),
-            Member.left_at.is_(None),
-        )
-    )
+    wanted = Team.name_key == teams.name_key(team), Member.name_key == teams.name_key(name), Member.left_at.is_(None)
+    with database.reading() as session:
+        found = session.execute(select(Member.id, Member.password_hash).join(Team).where(*wanted)).one_or_none()
     if not passwords.is_right(password, found.password_hash if found is not None else None) or found is None:
         raise ServiceError(ProblemCode.INVALID_CREDENTIALS, WRONG_PASSWORD)
-    return tokens.begin_session(session, found, lifetime)
+    with database.transaction() as session:
+        member = session.get_one(Member, found.id, with_for_update=True)
+        if member.password_hash != found.password_hash:  # changed meanwhile, or they have left
+            raise ServiceError(ProblemCode.INVALID_CREDENTIALS, WRONG_PASSWORD)
+        return tokens.begin_session(session, member, lifetime)
 
 
 def find(session: Session, by: Principal, team_id: UUID, member_id: UUID) -> Member:

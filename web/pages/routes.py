@@ -134,6 +134,7 @@ def pages() -> APIRouter:
         (f"{team.ADDRESS}/data.json", team.data, "GET"),
         (f"{team.ADDRESS}/invite", team.invite, "POST"),
         (f"{team.ADDRESS}/token", team.renew_token, "POST"),
+        (f"{team.ADDRESS}/password", team.change_password, "POST"),
         (f"{team.ADDRESS}/{{action}}", team.change, "POST"),
         (messages.ADDRESS, messages.messages, "GET"),
         (f"{messages.ADDRESS}/ask", messages.ask, "POST"),

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 COOKIE = "vitac_session"
 LIFETIME = timedelta(hours=12)
+DEVICE_COOKIE = "vitac_device"
+DEVICE_LIFETIME = timedelta(days=180)
 KEY_BYTES = 32
 
 
@@ -34,6 +36,11 @@ class BrowserSession:
 
     token_id: UUID
     expires_at: datetime
+
+    @property
+    def began_at(self) -> datetime:
+        """When somebody signed in."""
+        return self.expires_at - LIFETIME
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +64,19 @@ class SessionSigner:
             return None
         expires_at = datetime.fromtimestamp(int(expiry), UTC)
         return BrowserSession(token_id=UUID(token_id), expires_at=expires_at) if now < expires_at else None
+
+    def sign_device(self, member: str, *, now: datetime) -> str:
+        """Return the cookie's value for a browser on which a member has signed in."""
+        payload = f"{secrets.token_hex(8)}.{int((now + DEVICE_LIFETIME).timestamp())}"
+        return f"{payload}.{self._mac('device', f'{payload}.{member}')}"
+
+    def read_device(self, cookie: str | None, member: str, *, now: datetime) -> str | None:
+        """Return which device this is, or None if that member has not signed in on it, or long ago."""
+        payload, _, mac = (cookie or "").rpartition(".")
+        if not payload or not hmac.compare_digest(mac.encode(), self._mac("device", f"{payload}.{member}").encode()):
+            return None
+        device, _, expiry = payload.partition(".")
+        return device if now.timestamp() < int(expiry) else None
 
     def form_token(self, cookie: str) -> str:
         """Return the value that a form must send back: it proves that a page of this session sent the form."""

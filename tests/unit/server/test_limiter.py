@@ -126,16 +126,21 @@ def test_a_client_cannot_change_its_key_within_its_own_network(host: str | None,
     assert client_key(host) == key
 
 
-def test_tries_to_sign_in_are_counted_for_the_address_and_for_the_member(tmp_path: Path) -> None:
+def test_who_guesses_a_password_is_refused_and_locks_nobody_out(tmp_path: Path) -> None:
     limiters = SignInLimiters(
-        of_address=WindowLimiter(tmp_path / "addresses", limit=3, window_s=60.0),
+        of_address=WindowLimiter(tmp_path / "addresses", limit=4, window_s=60.0),
         of_member=WindowLimiter(tmp_path / "members", limit=2, window_s=60.0),
+        at_once=ConcurrencyLimiter(tmp_path / "passwords", 1),
     )
-    limiters.note("here", "ann")
-    limiters.note("there", "ann")
-    with pytest.raises(ServiceError, match="2 sign-in attempts as one member"):
-        limiters.note("elsewhere", "ann")
-    limiters.note("here", "bob")
-    limiters.note("here", "cat")
-    with pytest.raises(ServiceError, match="3 sign-in attempts from one address"):
-        limiters.note("here", "dan")
+    assert [limiters.note(address, "ann") for address in ("here", "here")] == [0.0, 0.0]
+    with pytest.raises(ServiceError, match="2 sign-in attempts as one member from one address"):
+        limiters.note("here", "ann")
+    assert limiters.note("elsewhere", "ann") > 0, "a member who is attacked is slowed down, not locked out"
+    assert limiters.note("here", "ann", device="known") == 0.0
+    assert limiters.note("here", "bob") == 0.0
+    with pytest.raises(ServiceError, match="4 sign-in attempts from one address"):
+        limiters.note("here", "cat")
+    with limiters.place("here"), limiters.place("elsewhere"), limiters.place("here", device="known"):
+        place = limiters.place("here")
+        with pytest.raises(ServiceError, match="At most 1 passwords of one address"):
+            place.__enter__()

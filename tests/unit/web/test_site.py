@@ -1,6 +1,7 @@
 """What pages know of their visitor: whose results are shown, what may be changed, where the navigation leads."""
 
 import asyncio
+from datetime import UTC, datetime
 from types import SimpleNamespace
 from typing import Any, cast
 from uuid import UUID
@@ -30,7 +31,7 @@ def viewer(name: str = "Team A", *, organizer: bool = False, judge: bool = False
     role = Role.ORGANIZER if organizer else Role.JUDGE if judge else Role.TEAM
     team = {"team_id": UUID(int=1), "team_name": name, "team_pseudonym": name} if role is Role.TEAM else {}
     principal = Principal(role=role, contest=contest, token_id=UUID(int=2), **cast(Any, team))
-    return Viewer(principal=principal, form_token="token")  # noqa: S106
+    return Viewer(principal=principal, form_token="token", expires_at=datetime.now(UTC))  # noqa: S106
 
 
 def request(path: str = "/submissions/1", query: str = "") -> Request:

@@ -14,9 +14,9 @@ from vitac.envs.maniskill.definition import is_maniskill
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.playback.order import NotPlayable, require_playable
 from vitac.evaluator.tracks import load_track
+from vitac.server.api.attempts import address_of
 from vitac.server.db.states import OPEN_PLAYBACK_STATES, PlaybackState
 from vitac.server.errors import ServiceError
-from vitac.server.limiter import client_key
 from vitac.server.playbacks import asking, files
 from vitac.server.playbacks.asking import NOBODY_DRAWS
 from vitac.server.playbacks.files import PlaybackFile
@@ -221,7 +221,7 @@ async def _ask_for_playback(request: Request, viewer: Viewer | None, place: Epis
     """Have the playback of an episode made; requests without a session count for their address, too."""
     site, by, settings = site_of(request), principal_of(viewer), site_of(request).services.settings
     if viewer is None:
-        address = client_key(request.client.host if request.client is not None else None)
+        address = address_of(request)
         await asyncio.to_thread(site.playbacks.note, address, "playbacks from one address")
 
     def ask_for_it(session: Session) -> PlaybackView:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from http import HTTPStatus
 from typing import TYPE_CHECKING
 
+from vitac.server.api.attempts import note_registration
 from vitac.server.api.teams import NewTeam
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.limiter import client_key
 from vitac.server.members import registration
 from vitac.server.teams import teams
 
@@ -68,7 +68,7 @@ async def register(request: Request) -> Response:
 
 async def _register(request: Request, given: Mapping[str, str]) -> RegisteredTeam:
     new = checked_form(NewTeam, {name: value if name == "name" else value or None for name, value in given.items()})
-    await note_registration(request)
+    await asyncio.to_thread(note_registration, request)
     site = site_of(request)
 
     def made(session: Session) -> RegisteredTeam:
@@ -82,17 +82,6 @@ async def _register(request: Request, given: Mapping[str, str]) -> RegisteredTea
         )
 
     return await site.ask(made)
-
-
-async def note_registration(request: Request) -> None:
-    """Count an attempt to register or to join a team.
-
-    Raises:
-        ServiceError: there were too many from this address.
-    """
-    address = client_key(request.client.host if request.client is not None else None)
-    limiter = request.app.state.registration_limiter
-    await asyncio.to_thread(limiter.note, address, "registrations from one address")
 
 
 async def _page(request: Request, **values: object) -> Response:

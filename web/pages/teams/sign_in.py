@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from starlette.responses import RedirectResponse
 from vitac.server import tokens
+from vitac.server.api.attempts import address_of, member_key, note_password
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.limiter import client_key
-from vitac.server.members import members
-from vitac.server.teams import teams
+from vitac.server.members import members, passwords
 
 from ...session import signer
 from ...session.forms import local_target, read_form
 from ...site import none_if_unknown, page, require_form_token, site_of, viewer_of
 
 if TYPE_CHECKING:
+    from datetime import timedelta
     from uuid import UUID
 
-    from sqlalchemy.orm import Session
     from starlette.requests import Request
     from starlette.responses import Response
     from vitac.server.principals import Principal
@@ -66,6 +66,7 @@ async def sign_in_with_password(request: Request) -> Response:
         return await _page(request, status=401, next=target, wrong_password=WRONG_PASSWORD, given=shown)
     answer = RedirectResponse(target, status_code=303)
     begin_session(request, answer, by.token_id)
+    _remember_device(request, answer, member_key(shown["team"], shown["member"]))
     return answer
 
 
@@ -75,15 +76,16 @@ async def _find_member(request: Request, team: str, member: str, password: str) 
     Raises:
         ServiceError: there were too many attempts.
     """
-    address = client_key(request.client.host if request.client is not None else None)
-    limiters, member_key = request.app.state.sign_in_limiters, f"{teams.name_key(team)}\n{teams.name_key(member)}"
-    await asyncio.to_thread(limiters.note, address, member_key)
-
-    def begin(session: Session) -> Principal:
-        made = members.sign_in(session, team, member, password, signer.LIFETIME)
-        return tokens.principal_of_token_id(session, made.id)
-
-    return await none_if_unknown(site_of(request).ask(begin))
+    site = site_of(request)
+    cookie = request.cookies.get(signer.DEVICE_COOKIE)
+    device = site.signer.read_device(cookie, member_key(team, member), now=datetime.now(UTC))
+    await asyncio.sleep(await asyncio.to_thread(note_password, request, team, member, device=device))
+    thread = passwords.UNKNOWN_DEVICES if device is None else passwords.KNOWN_DEVICES
+    with request.app.state.sign_in_limiters.place(address_of(request), device=device):
+        made = await none_if_unknown(
+            thread.wait_for(members.sign_in, site.services.database, team, member, password, signer.LIFETIME)
+        )
+    return made and await site.read(lambda session: tokens.principal_of_token_id(session, made.id))
 
 
 async def _page(request: Request, **values: object) -> Response:
@@ -91,12 +93,24 @@ async def _page(request: Request, **values: object) -> Response:
     return page(request, "sign_in.html", section="/sign-in", **shown)  # type: ignore[arg-type]
 
 
-def begin_session(request: Request, answer: Response, token_id: UUID) -> None:
-    """Let the browser be signed in with a token from this answer on."""
+def begin_session(request: Request, answer: Response, token_id: UUID, *, expires_at: datetime | None = None) -> None:
+    """Let the browser be signed in with a token from this answer on; `expires_at` None: for the usual time."""
+    begun = signer.begin(token_id, now=datetime.now(UTC))
+    session = begun if expires_at is None else replace(begun, expires_at=expires_at)
+    _set_cookie(request, answer, signer.COOKIE, site_of(request).signer.sign(session), signer.LIFETIME)
+
+
+def _remember_device(request: Request, answer: Response, member: str) -> None:
+    """Let the browser be known as one on which a member has signed in: nobody else uses up its attempts."""
+    value = site_of(request).signer.sign_device(member, now=datetime.now(UTC))
+    _set_cookie(request, answer, signer.DEVICE_COOKIE, value, signer.DEVICE_LIFETIME)
+
+
+def _set_cookie(request: Request, answer: Response, name: str, value: str, lifetime: timedelta) -> None:
     answer.set_cookie(
-        signer.COOKIE,
-        site_of(request).signer.sign(signer.begin(token_id, now=datetime.now(UTC))),
-        max_age=int(signer.LIFETIME.total_seconds()),
+        name,
+        value,
+        max_age=int(lifetime.total_seconds()),
         httponly=True,
         samesite="strict",
         secure=request.url.scheme == "https",

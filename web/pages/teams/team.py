@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
 from datetime import timedelta
 from http import HTTPStatus
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from starlette.exceptions import HTTPException
-from starlette.responses import Response
+from starlette.responses import RedirectResponse, Response
 from vitac.server import team_data, tokens
+from vitac.server.api.attempts import note_password, note_registration
 from vitac.server.api.members import MemberChanges, NewMember
 from vitac.server.db.states import MemberRole, NoticeKind
 from vitac.server.errors import ServiceError
-from vitac.server.members import members
+from vitac.server.members import members, passwords
 from vitac.server.teams import teams
 
 from ...session.forms import read_form
 from ...site import page, require_viewer, signed_in_form, site_of, viewer_of
 from ..forms import act, checked_form, id_in
-from .register import note_registration
 from .sign_in import begin_session
 
 if TYPE_CHECKING:
@@ -98,6 +99,26 @@ async def change(request: Request) -> Response:
     return await act(request, CHANGES[name], back=ADDRESS)
 
 
+async def change_password(request: Request) -> Response:
+    """Set the password of the member who asks, or take it away."""
+    viewer, fields = await signed_in_form(request)
+    by, site = viewer.principal, site_of(request)
+    given = {name: fields.get(name) or None for name in ("password", "old_password")}
+    changes = checked_form(MemberChanges, given)
+    member = await site.read(lambda session: _self(session, by))
+    await asyncio.to_thread(note_password, request, str(member.team_id), str(member.id), device="token")
+    await passwords.KNOWN_DEVICES.wait_for(
+        members.set_password,
+        site.services.database,
+        by,
+        member.team_id,
+        member.id,
+        changes.password,
+        old=changes.old_password,
+    )
+    return RedirectResponse(ADDRESS, status_code=303)
+
+
 async def invite(request: Request) -> Response:
     """Make an invitation and show its code once."""
     viewer, _ = await signed_in_form(request)
@@ -121,7 +142,7 @@ async def renew_token(request: Request) -> Response:
     shown = {"viewer_known": False, "what": "token", "secret": secret}  # the session of before has ended
     answer = page(request, "teams/secret.html", viewer=None, section=ADDRESS, status=HTTPStatus.CREATED, **shown)
     answer.headers["Cache-Control"] = "no-store"
-    begin_session(request, answer, token_id)
+    begin_session(request, answer, token_id, expires_at=viewer.expires_at)
     return answer
 
 
@@ -136,14 +157,18 @@ async def join(request: Request) -> Response:
     given = {name: fields.get(name, "").strip() for name in ("code", "name", "email")}
     lifetime = _token_lifetime(request)
 
-    def joined(session: Session) -> tuple[str, str, UUID]:
+    try:
         filled = {**given, "password": fields.get("password", "")}
         checked = checked_form(NewMember, {name: value or None for name, value in filled.items()})
-        member, issued = members.join(session, members.NewMember(**checked.model_dump()), lifetime)
-        return member.team.name, issued.secret, issued.token.id
+        await asyncio.to_thread(note_registration, request)
+        thread, password = passwords.UNKNOWN_DEVICES, checked.password
+        password_hash = password and await thread.wait_for(passwords.hashed, password)
+        joining = members.NewMember(**checked.model_dump(exclude={"password"}), password_hash=password_hash)
 
-    try:
-        await note_registration(request)
+        def joined(session: Session) -> tuple[str, str, UUID]:
+            member, issued = members.join(session, joining, lifetime)
+            return member.team.name, issued.secret, issued.token.id
+
         team_name, secret, token_id = await site_of(request).ask(joined)
     except ServiceError as error:
         viewer = await viewer_of(request)
@@ -162,14 +187,8 @@ def _self(session: Session, by: Principal) -> Member:
 
 
 def _change_self(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
-    member = _self(session, by)
-    if "email" in fields:
-        members.set_email(
-            session, by, member, checked_form(MemberChanges, {"email": fields["email"].strip() or None}).email
-        )
-    else:
-        password = checked_form(MemberChanges, {"password": fields.get("password") or None}).password
-        members.set_password(session, by, member, password)
+    email = checked_form(MemberChanges, {"email": fields.get("email", "").strip() or None}).email
+    members.set_email(session, by, _self(session, by), email)
 
 
 def _choose_notices(session: Session, by: Principal, fields: Mapping[str, str]) -> None:

@@ -81,7 +81,7 @@ def test_each_limit_is_that_of_its_setting_and_has_files_of_its_own(app: FastAPI
     sign_ins = app.state.sign_in_limiters
     assert used_up(app.state.registration_limiter.note, "somebody", 2)
     assert used_up(sign_ins.of_address.note, "somebody", 8)
-    assert used_up(sign_ins.of_member.note, "somebody", 2), "a quarter for one name, from whatever address"
+    assert used_up(sign_ins.of_member.note, "somebody", 2), "a quarter for one name"
     folders = {path.name for path in (settings.state_dir / "limits").iterdir() if path.is_dir()}
     assert {"registrations", "sign_ins", "sign_ins_of_members"} <= folders
 

@@ -1,9 +1,12 @@
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from typing import cast
 
 import pytest
 from argon2 import PasswordHasher
 from service_factories import make_principal, make_secret
 from sqlalchemy.orm import Session
+from sqlalchemy.pool import QueuePool
 from submission_steps import refused
 from vitac.server import tokens
 from vitac.server.audit import newest_entries
@@ -25,6 +28,10 @@ PASSWORD = "correct horse battery"  # noqa: S105 - made up
 @pytest.fixture(autouse=True)
 def quick_hashes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(passwords, "_HASHER", PasswordHasher(time_cost=1, memory_cost=8, parallelism=1))
+
+
+def set_password(database: Database, by: Principal, member: Member, password: str | None, old: str = "") -> None:
+    members.set_password(database, by, member.team_id, member.id, password, old=old)
 
 
 def joined(session: Session, team: Principal, name: str = "Ann", **values: str) -> tuple[Member, Principal]:
@@ -84,7 +91,6 @@ def test_only_the_captain_and_organizers_invite_remove_and_hand_over(database: D
             lambda: members.invite(session, by_ann, ann.team),
             lambda: members.remove(session, by_ann, bob),
             lambda: members.hand_over(session, by_ann, ann),
-            lambda: members.set_password(session, by_ann, bob, PASSWORD),
             lambda: members.renew_token(session, by_ann, captain, WEEK),
         ):
             with refused(ProblemCode.FORBIDDEN):
@@ -128,8 +134,10 @@ def test_a_shared_token_leads_the_team_until_its_captain_has_one(database: Datab
 def test_a_member_has_one_token_and_who_leaves_has_none(database: Database) -> None:
     with database.transaction() as session:
         team = make_principal(session)
-        ann, by_ann = joined(session, team, email="ann@example.org", password=PASSWORD)
-        members.sign_in(session, "team a", "ANN", PASSWORD, WEEK)
+        ann, by_ann = joined(session, team, email="ann@example.org", password_hash=passwords.hashed(PASSWORD))
+    members.sign_in(database, "team a", "ANN", PASSWORD, WEEK)
+    with database.transaction() as session:
+        ann = session.get_one(Member, ann.id)
         renewed = members.renew_token(session, by_ann, ann, WEEK)
         assert by_ann.token_id is not None
         with refused(ProblemCode.INVALID_CREDENTIALS):
@@ -140,51 +148,85 @@ def test_a_member_has_one_token_and_who_leaves_has_none(database: Database) -> N
             tokens.authenticate(session, renewed.secret)
         assert all(token.revoked_at for token in tokens.list_tokens(session, by_ann))
         assert (ann.email, ann.password_hash) == (None, None)
-        with refused(ProblemCode.INVALID_CREDENTIALS):
-            members.sign_in(session, "Team A", "Ann", PASSWORD, WEEK)
         with refused(ProblemCode.NOT_FOUND):
             members.remove(session, team, ann)
         _, code = members.invite(session, team, ann.team)
         with refused(ProblemCode.NAME_TAKEN):
             members.join(session, NewMember(code=code, name="ann"), WEEK)
+    with refused(ProblemCode.INVALID_CREDENTIALS):
+        members.sign_in(database, "Team A", "Ann", PASSWORD, WEEK)
 
 
 def test_a_password_begins_a_session_that_can_be_ended(database: Database) -> None:
     with database.transaction() as session:
-        ann, by_ann = joined(session, make_principal(session), password=PASSWORD)
+        ann, by_ann = joined(session, make_principal(session), password_hash=passwords.hashed(PASSWORD))
         assert PASSWORD not in (ann.password_hash or "")
-        begun = members.sign_in(session, " TEAM  A", "ann", PASSWORD, WEEK)
+    begun = members.sign_in(database, " TEAM  A", "ann", PASSWORD, WEEK)
+    with database.transaction() as session:
         assert tokens.principal_of_token_id(session, begun.id).member_id == ann.id
-        for team, name, password in (
-            ("Team A", "Ann", PASSWORD.upper()),
-            ("Team A", "Captain", ""),
-            ("Team B", "Ann", PASSWORD),
-            ("Team A", "Ann", "x" * 10_000),
-        ):
-            with refused(ProblemCode.INVALID_CREDENTIALS):
-                members.sign_in(session, team, name, password, WEEK)
-        members.set_password(session, by_ann, ann, PASSWORD + "!")
+    for team, name, password in (
+        ("Team A", "Ann", PASSWORD.upper()),
+        ("Team A", "Captain", ""),
+        ("Team B", "Ann", PASSWORD),
+        ("Team A", "Ann", "x" * 10_000),
+    ):
         with refused(ProblemCode.INVALID_CREDENTIALS):
-            tokens.principal_of_token_id(session, begun.id)
-        again = members.sign_in(session, "Team A", "Ann", PASSWORD + "!", WEEK)
+            members.sign_in(database, team, name, password, WEEK)
+    set_password(database, by_ann, ann, PASSWORD + "!", old=PASSWORD)
+    with database.transaction() as session, refused(ProblemCode.INVALID_CREDENTIALS):
+        tokens.principal_of_token_id(session, begun.id)
+    again = members.sign_in(database, "Team A", "Ann", PASSWORD + "!", WEEK)
+    with database.transaction() as session:
         tokens.revoke(session, by_ann, again.id)
         with refused(ProblemCode.INVALID_CREDENTIALS):
             tokens.principal_of_token_id(session, again.id)
-        for wrong in ("short", "x" * 257):
-            with refused(ProblemCode.INVALID_REQUEST):
-                members.set_password(session, by_ann, ann, wrong)
-        members.set_password(session, by_ann, ann, None)
-        with refused(ProblemCode.INVALID_CREDENTIALS):
-            members.sign_in(session, "Team A", "Ann", PASSWORD + "!", WEEK)
+    for wrong in ("short", "x" * 257):
+        with refused(ProblemCode.INVALID_REQUEST):
+            set_password(database, by_ann, ann, wrong, old=PASSWORD + "!")
+    set_password(database, by_ann, ann, None, old=PASSWORD + "!")
+    with refused(ProblemCode.INVALID_CREDENTIALS):
+        members.sign_in(database, "Team A", "Ann", PASSWORD + "!", WEEK)
+
+
+def test_a_password_is_changed_with_the_old_one_or_soon_after_signing_in(database: Database) -> None:
+    with database.transaction() as session:
+        team = make_principal(session)
+        ann, by_ann = joined(session, team)
+        _, by_bob = joined(session, team, "Bob")
+    set_password(database, by_ann, ann, PASSWORD)
+    long_ago = replace(by_ann, signed_in_at=datetime.now(UTC) - members.FRESH_FOR)
+    for by, old in ((by_ann, ""), (by_ann, PASSWORD + "!"), (long_ago, ""), (by_bob, PASSWORD)):
+        with refused(ProblemCode.FORBIDDEN):
+            set_password(database, by, ann, PASSWORD + "?", old=old)
+    set_password(database, replace(by_ann, signed_in_at=datetime.now(UTC)), ann, PASSWORD + "!")
+    set_password(database, long_ago, ann, PASSWORD + "?", old=PASSWORD + "!")
+    set_password(database, CONSOLE, ann, None)
+
+
+def test_no_transaction_is_open_while_a_password_is_checked(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with database.transaction() as session:
+        ann, by_ann = joined(session, make_principal(session), password_hash=passwords.hashed(PASSWORD))
+    is_right, in_use = passwords.is_right, list[int]()
+
+    def noted(password: str, stored: str | None) -> bool:
+        in_use.append(cast(QueuePool, database.engine.pool).checkedout())
+        return is_right(password, stored)
+
+    monkeypatch.setattr(passwords, "is_right", noted)
+    members.sign_in(database, "Team A", "Ann", PASSWORD, WEEK)
+    set_password(database, by_ann, ann, None, old=PASSWORD)
+    assert in_use == [0, 0]
 
 
 @pytest.mark.parametrize("name", ["Ann\0", "\0 ANN", "ann\0\0", " \0Ann\0 "])
 def test_a_nul_finds_the_same_member_and_counts_towards_the_same_limit(database: Database, name: str) -> None:
     assert teams.name_key(name) == teams.name_key("Ann")
     with database.transaction() as session:
-        ann, _ = joined(session, make_principal(session), password=PASSWORD)
-        assert members.sign_in(session, "Team\0A", name, PASSWORD, WEEK).member_id == ann.id
+        ann, _ = joined(session, make_principal(session), password_hash=passwords.hashed(PASSWORD))
         assert members.find_by_name(session, ann.team, name).id == ann.id
+    assert members.sign_in(database, "Team\0A", name, PASSWORD, WEEK).member_id == ann.id
 
 
 def test_the_lock_date_holds_for_all_but_organizers(database: Database) -> None:

@@ -1,3 +1,5 @@
+import threading
+
 import pytest
 from vitac.server.errors import ServiceError
 from vitac.server.members import passwords
@@ -21,3 +23,14 @@ def test_the_length_is_bounded(password: str) -> None:
     with pytest.raises(ServiceError, match=f"got {len(password)}"):
         passwords.hashed(password)
     assert not passwords.is_right("x" * 257, None)
+
+
+def test_few_wait_for_the_thread_and_further_ones_are_refused() -> None:
+    thread, ended = passwords.PasswordThread("passwords"), threading.Event()
+    works = [thread.submit(ended.wait) for _ in range(passwords.WAITING)]
+    with pytest.raises(ServiceError, match=r"no more can wait") as refused:
+        thread.submit(ended.wait)
+    assert refused.value.status == 429
+    ended.set()
+    assert all(work.result() for work in works)
+    assert thread.run(lambda: "again") == "again"

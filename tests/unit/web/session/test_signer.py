@@ -62,6 +62,19 @@ def test_form_token_is_not_a_session_signature() -> None:
     assert SIGNER.form_token(cookie) not in cookie
 
 
+def test_a_device_is_known_for_its_member_until_it_expires() -> None:
+    cookie = SIGNER.sign_device("owls\neve", now=NOW)
+    assert SIGNER.read_device(cookie, "owls\neve", now=NOW) == cookie.partition(".")[0]
+    late = NOW + signer.DEVICE_LIFETIME
+    for other, member, now in (
+        (cookie, "owls\nann", NOW),
+        (cookie, "owls\neve", late),
+        (f"{cookie}0", "owls\neve", NOW),
+    ):
+        assert SIGNER.read_device(other, member, now=now) is None
+    assert SIGNER.read_device(None, "owls\neve", now=NOW) is None
+
+
 def test_makes_the_key_once_and_keeps_it_private(tmp_path: Path) -> None:
     path = tmp_path / "state" / "session.key"
     first = load_key(path)

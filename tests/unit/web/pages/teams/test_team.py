@@ -82,7 +82,7 @@ def test_a_member_is_invited_joins_signs_in_leads_and_leaves(service: CliService
     assert visitor(service).post("/sign-in", data={"token": secret}).status_code == 401
     assert visitor(service, renewed).get("/team").status_code == 200
     new = PASSWORD + "!"
-    assert ann.send("/team", "/team/me", password=new).status_code == 303
+    assert ann.send("/team", "/team/password", password=new).status_code == 303, "she has just joined"
     assert ann.send("/team", "/team/me", email="").status_code == 303
     assert "ann@example.org" not in ann.get("/team").text
     assert ann.send("/team", "/team/notices", finished="yes", deadline="yes").status_code == 303
@@ -100,8 +100,17 @@ def test_a_member_is_invited_joins_signs_in_leads_and_leaves(service: CliService
     assert captain.send("/team", "/team/nothing").status_code == 404
 
 
-def test_tries_to_sign_in_as_a_member_are_bounded(service: CliService) -> None:
-    assert [sign_in(service, "guess", name="Nobody")[0] for _ in range(7)] == [401] * 6 + [429]
+def test_nobody_is_locked_out_of_a_known_device_by_those_who_guess(service: CliService) -> None:
+    captain = team_visitor(service, "Owls")
+    code = secret_in(captain.send("/team", "/team/invite").text)
+    joining = {"code": code, "name": "Eve", "email": "", "password": PASSWORD}
+    assert visitor(service).post("/join", data=joining).status_code == 201
+    given = {"team": "Owls", "member": "Eve", "password": PASSWORD}
+    eve = visitor(service)
+    assert eve.post("/sign-in/password", data=given).status_code == 303
+    guesses = [visitor(service).post("/sign-in/password", data=given | {"password": "guess"}) for _ in range(6)]
+    assert [answer.status_code for answer in guesses] == [401] * 5 + [429]
+    assert eve.post("/sign-in/password", data=given).status_code == 303
 
 
 def test_who_has_no_team_has_no_team_page_and_another_site_changes_nothing(service: CliService) -> None:
