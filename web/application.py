@@ -1,23 +1,18 @@
 """The HTTP application: the server's API and the pages. Called by `vitac serve` and `vitac demo`."""
 
-from __future__ import annotations
-
 from importlib.metadata import version
-from typing import TYPE_CHECKING
 
+from fastapi import FastAPI
 from vitac.evaluator.tracks import list_tracks
 from vitac.server.api.app import create_app
 from vitac.server.limiter import WindowLimiter
+from vitac.server.services import Services
+from vitac.server.settings import Settings
 
 from .pages import routes
 from .session.signer import SessionSigner, load_key
 from .sharing.preview import checked_font
 from .site import Site
-
-if TYPE_CHECKING:
-    from fastapi import FastAPI
-    from vitac.server.services import Services
-    from vitac.server.settings import Settings
 
 KEY_FILE = "session.key"
 

@@ -1,16 +1,11 @@
 """Parts of pages as they were last rendered or read. Held by `site`."""
 
-from __future__ import annotations
-
-from collections.abc import Hashable
+from collections.abc import Awaitable, Callable, Hashable
 from time import monotonic
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import Generic, TypeVar
 
 from markupsafe import Markup
 from vitac.server.cache import Cache
-
-if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
 
 ValueT = TypeVar("ValueT")
 MAX_FRAGMENTS = 8192

@@ -1,20 +1,15 @@
 """What the front page shows to everybody; made by `pages.home`, cached for some seconds by `site`."""
 
-from __future__ import annotations
-
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from datetime import datetime
+from uuid import UUID
 
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-    from datetime import datetime
-    from uuid import UUID
-
-    from vitac.evaluator.tracks import Track
-    from vitac.server.views.contest import CompetitionView
-    from vitac.server.views.leaderboards import LeaderboardEntryView
-    from vitac.server.views.messages import AnnouncementView
-    from vitac.server.views.playbacks import PublicEpisodeView
+from vitac.evaluator.tracks import Track
+from vitac.server.views.contest import CompetitionView
+from vitac.server.views.leaderboards import LeaderboardEntryView
+from vitac.server.views.messages import AnnouncementView
+from vitac.server.views.playbacks import PublicEpisodeView
 
 
 @dataclass(frozen=True, kw_only=True)

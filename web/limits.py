@@ -1,12 +1,8 @@
 """The limits in force as rows for the pages of rules and sandbox."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from vitac.evaluator.agent.limits import Limits
+from vitac.evaluator.agent.limits import Limits
 
 UNITS = (("GiB", 1 << 30), ("MiB", 1 << 20), ("KiB", 1 << 10))
 

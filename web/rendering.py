@@ -3,22 +3,17 @@
 Called by `site`.
 """
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from jinja2 import DictLoader, Environment, StrictUndefined, select_autoescape
 from markupsafe import Markup
+from starlette.requests import Request
 from vitac.evaluator.episodes.records import EpisodeOutcome, counted_env_steps
 
 from .limits import size
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
 
 STATIC = Path(__file__).parent / "static"
 FOLDER = Path(__file__).parent / "templates"

@@ -1,47 +1,38 @@
 """What all pages share: the service, the signer, the visitor of a request, and answers made from templates."""
 
-from __future__ import annotations
-
 import asyncio
+from collections.abc import Awaitable, Callable, Hashable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import wraps
 from hashlib import sha256
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from pathlib import Path
+from typing import Any, TypeVar, cast
 from urllib.parse import quote
 
+from sqlalchemy.orm import Session
 from starlette.exceptions import HTTPException
-from starlette.responses import HTMLResponse, RedirectResponse
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, RedirectResponse, Response
 from vitac.envs.errors import VitacError
 from vitac.server import tokens
 from vitac.server.api.conditional import answer
 from vitac.server.cache import Cache
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.principals import VISITOR
+from vitac.server.limiter import WindowLimiter
+from vitac.server.principals import VISITOR, Principal
+from vitac.server.services import Services
 
 from .fragments import Fragments, Recent
+from .front import Front
+from .plots.map import EpisodeMap
 from .rendering import render
 from .session.forms import read_form
-from .session.signer import COOKIE
+from .session.signer import COOKIE, SessionSigner
 
-if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Hashable, Mapping
-    from contextlib import AbstractContextManager
-    from pathlib import Path
-
-    from sqlalchemy.orm import Session
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from vitac.server.limiter import WindowLimiter
-    from vitac.server.principals import Principal
-    from vitac.server.services import Services
-
-    from .front import Front
-    from .plots.map import EpisodeMap
-    from .session.signer import SessionSigner
-
-    Page = Callable[[Request], Awaitable[Response]]
+Page = Callable[[Request], Awaitable[Response]]
 
 ResultT = TypeVar("ResultT")
 HTML = "text/html"

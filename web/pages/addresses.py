@@ -1,14 +1,9 @@
 """What the addresses of pages name. Called by the pages."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
 from uuid import UUID
 
+from starlette.requests import Request
 from vitac.server.errors import not_found
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
 
 
 def as_id(text: str) -> UUID:

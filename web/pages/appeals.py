@@ -1,22 +1,16 @@
 """Appeals: those that a visitor may see, with the form that opens one."""
 
-from __future__ import annotations
+from collections.abc import Mapping
 
-from typing import TYPE_CHECKING
-
+from sqlalchemy.orm import Session
+from starlette.requests import Request
+from starlette.responses import Response
 from vitac.server.appeals import appeals
+from vitac.server.principals import Principal
 
 from ..site import page, require_viewer, site_of
 from .addresses import competition_address, contest_in
 from .forms import act, id_in, number_in
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from sqlalchemy.orm import Session
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from vitac.server.principals import Principal
 
 ADDRESS = "/appeals"
 

@@ -3,30 +3,24 @@
 The forms call the same functions as `vitac admin`.
 """
 
-from __future__ import annotations
+from collections.abc import Callable, Mapping
 
-from typing import TYPE_CHECKING
-
+from sqlalchemy.orm import Session
 from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
 from vitac.server.appeals import appeals
+from vitac.server.db.models import Team
 from vitac.server.desk.desk import read_desk
 from vitac.server.messages import announcements, questions
+from vitac.server.principals import Principal
 from vitac.server.teams import teams
 
 from ..site import page, require_viewer, site_of
 from .addresses import board_address
 from .forms import act, id_in, number_in
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from sqlalchemy.orm import Session
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from vitac.server.db.models import Team
-    from vitac.server.principals import Principal
-
-    Change = Callable[[Session, Principal, Mapping[str, str]], object]
+Change = Callable[[Session, Principal, Mapping[str, str]], object]
 
 ADDRESS = "/desk"
 

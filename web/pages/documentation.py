@@ -1,16 +1,11 @@
 """Serves the documentation site at `/docs`, which setup/docs.sh builds in `web/documentation`."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from starlette.exceptions import HTTPException
+from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
-
-if TYPE_CHECKING:
-    from starlette.responses import Response
-    from starlette.types import Receive, Scope, Send
+from starlette.types import Receive, Scope, Send
 
 SITE = Path(__file__).parents[1] / "documentation"
 PATH = "/docs"

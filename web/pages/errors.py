@@ -1,31 +1,24 @@
 """Shows errors as pages to browsers; programs still get the API's problem JSON."""
 
-from __future__ import annotations
-
 import inspect
+from collections.abc import Awaitable, Callable
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
+from fastapi import FastAPI
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
 from vitac.evaluator.tracks import UnknownTask, UnknownTrack
 from vitac.server.api.problems import refusal_of_failure
 from vitac.server.errors import ProblemCode, ServiceError
 
 from ..headers import HEADERS
 from ..session.signer import COOKIE
-from ..site import SignInNeeded, page, sign_in_first, viewer_of
+from ..site import SignInNeeded, Viewer, page, sign_in_first, viewer_of
 
-if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
-
-    from fastapi import FastAPI
-    from starlette.requests import Request
-    from starlette.responses import Response
-
-    from ..site import Viewer
-
-    Handler = Callable[[Request, Exception], Response | Awaitable[Response]]
+Handler = Callable[[Request, Exception], Response | Awaitable[Response]]
 
 TITLES = {
     400: "Invalid request",

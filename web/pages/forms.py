@@ -1,23 +1,17 @@
 """One action of a form: who may send it, the change in one transaction, and where the browser goes then."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, TypeVar
+from collections.abc import Callable, Mapping
+from typing import TypeVar
 from uuid import UUID
 
 from pydantic import BaseModel, ValidationError
-from starlette.responses import RedirectResponse
+from sqlalchemy.orm import Session
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.principals import Principal
 
 from ..site import signed_in_form, site_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from sqlalchemy.orm import Session
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from vitac.server.principals import Principal
 
 FormT = TypeVar("FormT", bound=BaseModel)
 

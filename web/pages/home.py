@@ -1,10 +1,9 @@
 """The front page: what this is, an episode to play, what happened recently, and the tracks with their state."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
 
+from sqlalchemy.orm import Session
+from starlette.requests import Request
 from starlette.responses import Response
 from vitac.evaluator.tracks import load_track
 from vitac.server.contest.view import competition_view
@@ -14,19 +13,13 @@ from vitac.server.messages import announcements
 from vitac.server.playbacks.recent import newest_public_episode
 from vitac.server.principals import VISITOR
 from vitac.server.sharing.public_pages import public_among
+from vitac.server.views.contest import CompetitionView
+from vitac.server.views.leaderboards import LeaderboardView
 
 from ..front import Front, TrackCard
 from ..rendering import STATIC
-from ..site import page, site_of, viewer_of
+from ..site import Site, page, site_of, viewer_of
 from .episodes.page import player_script
-
-if TYPE_CHECKING:
-    from sqlalchemy.orm import Session
-    from starlette.requests import Request
-    from vitac.server.views.contest import CompetitionView
-    from vitac.server.views.leaderboards import LeaderboardView
-
-    from ..site import Site
 
 NEWS = 5
 ANNOUNCEMENTS = 3

@@ -1,27 +1,20 @@
 """The page of judges: entries with figures, the form of marks, conflicts of interest; for organizers totals."""
 
-from __future__ import annotations
+from collections.abc import Mapping
 
-from typing import TYPE_CHECKING
-
+from sqlalchemy.orm import Session
+from starlette.requests import Request
+from starlette.responses import Response
+from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.figures.reference import reference_figures
-from vitac.evaluator.figures.table import make_rows
+from vitac.evaluator.figures.table import FigureRow, make_rows
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.judging import judging as marking
 from vitac.server.judging.sheet import sheets
+from vitac.server.principals import Principal
 
 from ..site import page, require_viewer, site_of
 from .forms import act, id_in
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from sqlalchemy.orm import Session
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from vitac.evaluator.figures.figures import SensorFigures
-    from vitac.evaluator.figures.table import FigureRow
-    from vitac.server.principals import Principal
 
 ADDRESS = "/judging"
 _MARK = "mark-"

@@ -1,10 +1,9 @@
 """The page of a track's logs: verified ones by task, 2025 text logs beside their claims, each in pages of its own."""
 
-from __future__ import annotations
-
 from functools import partial
-from typing import TYPE_CHECKING
 
+from starlette.requests import Request
+from starlette.responses import Response
 from vitac.server.contest.view import track_stages
 from vitac.server.leaderboards.shown import shown_log_boards
 from vitac.server.sharing.public_pages import public_among
@@ -14,10 +13,6 @@ from .addresses import board_address, board_data_address, competition_address, c
 from .contest.stages import find_stage_title, stage_tabs
 from .paging import PAGE_ENTRIES, board_page
 from .tracks import accepts_logs, board_query, contest_tabs, entry_rows, known_track, tabs, track_tabs
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
 
 TEXT_LOGS = "text-logs"
 

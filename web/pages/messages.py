@@ -1,22 +1,16 @@
 """Announcements, and questions with their answers: one page for everybody, with the form that asks."""
 
-from __future__ import annotations
+from collections.abc import Mapping
 
-from typing import TYPE_CHECKING
-
+from sqlalchemy.orm import Session
+from starlette.requests import Request
+from starlette.responses import Response
 from vitac.server.messages import announcements, questions
+from vitac.server.principals import Principal
+from vitac.server.views.messages import AnnouncementView, QuestionView
 
 from ..site import page, site_of, viewer_of
 from .forms import act
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from sqlalchemy.orm import Session
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from vitac.server.principals import Principal
-    from vitac.server.views.messages import AnnouncementView, QuestionView
 
 ADDRESS = "/announcements"
 

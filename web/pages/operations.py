@@ -1,19 +1,13 @@
 """The organizers' page *Operations*: the state of the service at a glance, the same figures as `/metrics`."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from starlette.requests import Request
+from starlette.responses import Response
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.metrics.totals import totals
 from vitac.server.operations import state
 from vitac.server.queue.workers import measure_disk
 
 from ..site import page, require_viewer, site_of
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
 
 
 async def operations(request: Request) -> Response:

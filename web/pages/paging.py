@@ -1,18 +1,13 @@
 """Boards in pages of fifty, with a search by team. Called by `tracks` and `logs`."""
 
-from __future__ import annotations
-
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 from urllib.parse import urlencode
+from uuid import UUID
 
+from starlette.requests import Request
 from vitac.server import names
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-    from uuid import UUID
-
-    from starlette.requests import Request
 
 PAGE_ENTRIES = 50
 MAX_SEARCH = 64

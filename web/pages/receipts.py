@@ -1,17 +1,11 @@
 """The page of the chain of receipts, for everybody, and the receipt of a submission as a file."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from starlette.requests import Request
 from starlette.responses import Response
 from vitac.server.submissions import receipts as of_submissions
 
 from ..site import page, require_viewer, site_of, viewer_of
 from .addresses import as_id, contest_in
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
 
 
 async def receipts(request: Request) -> Response:

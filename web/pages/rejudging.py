@@ -1,24 +1,19 @@
 """The organizers' page of rejudgements: what would change, and the forms that start, apply and discard one."""
 
-from __future__ import annotations
+from collections.abc import Mapping
+from typing import Any
 
-from typing import TYPE_CHECKING, Any
-
+from sqlalchemy.orm import Session
+from starlette.requests import Request
+from starlette.responses import Response
 from vitac.server.contest.contest import Contest
+from vitac.server.db.models import Rejudgement
+from vitac.server.principals import Principal
 from vitac.server.rejudging import rejudging
 from vitac.server.rejudging.view import rejudgement_detail_view, rejudgement_view
 
 from ..site import page, require_viewer, site_of
 from .forms import act, id_in
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from sqlalchemy.orm import Session
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from vitac.server.db.models import Rejudgement
-    from vitac.server.principals import Principal
 
 ADDRESS = "/rejudging"
 

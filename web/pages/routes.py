@@ -1,15 +1,15 @@
 """Mounts the pages on the server's application. Called by `vitac serve`; the server itself does not know the pages."""
 
-from __future__ import annotations
-
 from functools import cache
-from typing import TYPE_CHECKING
 
-from fastapi import APIRouter
+from fastapi import APIRouter, FastAPI
+from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
+from starlette.types import Scope
 
 from ..headers import SecurityHeaders
 from ..rendering import STATIC, static_digest
+from ..site import Site
 from . import (
     appeals,
     desk,
@@ -33,13 +33,6 @@ from .files import submissions as tables
 from .files.formats import Format
 from .submissions import comparison, output, sensors, sharing, submissions, upload
 from .teams import register, sign_in, team
-
-if TYPE_CHECKING:
-    from fastapi import FastAPI
-    from starlette.responses import Response
-    from starlette.types import Scope
-
-    from ..site import Site
 
 UPLOADS = (("POST", upload.ADDRESS),)
 """Pages that take uploads, which have limits of their own."""

@@ -1,17 +1,11 @@
 """The page that says what a policy runs with, as the workers' sandboxes tell it."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from starlette.requests import Request
+from starlette.responses import Response
 from vitac.server.queue.workers import sandboxes
 
 from ..limits import limit_rows
 from ..site import page, site_of, viewer_of
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
 
 
 async def sandbox(request: Request) -> Response:

@@ -1,27 +1,21 @@
 """What the page of a submission and its files show; read in one transaction."""
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from uuid import UUID
 
+from sqlalchemy.orm import Session
 from vitac.server.evaluations.history import histories
 from vitac.server.leaderboards.history import past_results
 from vitac.server.logs.action_matches import read_matches
+from vitac.server.principals import Principal
+from vitac.server.settings import Settings
 from vitac.server.sharing.public_pages import readable
 from vitac.server.submissions import listing, output
 from vitac.server.submissions.view import submission_views
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from uuid import UUID
-
-    from sqlalchemy.orm import Session
-    from vitac.server.principals import Principal
-    from vitac.server.settings import Settings
-    from vitac.server.views.leaderboards import PastResultView
-    from vitac.server.views.logs import ActionMatchView
-    from vitac.server.views.submissions import EpisodeView, SubmissionView
+from vitac.server.views.leaderboards import PastResultView
+from vitac.server.views.logs import ActionMatchView
+from vitac.server.views.submissions import EpisodeView, SubmissionView
 
 
 @dataclass(frozen=True, kw_only=True)

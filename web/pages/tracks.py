@@ -1,40 +1,31 @@
 """Public pages of a track: leaderboard and rules."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 from urllib.parse import urlencode
+from uuid import UUID
 
 from markupsafe import Markup
+from sqlalchemy.orm import Session
 from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
 from vitac.envs.maniskill import scenes
 from vitac.envs.maniskill.definition import PREFIX, is_maniskill
 from vitac.evaluator.agent.protocol.action import ACTION_TYPES
-from vitac.evaluator.tracks import UnknownTrack, load_track
+from vitac.evaluator.tracks import Task, Track, UnknownTrack, load_track
 from vitac.server.contest.view import competition_list_view, track_stages
 from vitac.server.leaderboards.shown import shown_leaderboard
 from vitac.server.sharing.public_pages import public_among
+from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
 
 from ..limits import limit_rows, size
 from ..plots.dates import DatedRate, rates_by_date
 from ..rendering import STATIC, render, steps, words
-from ..site import Tab, page, principal_of, site_of, viewer_of
+from ..site import Site, Tab, Viewer, page, principal_of, site_of, viewer_of
 from .addresses import board_address, board_data_address, competition_address, contest_in
 from .contest.stages import find_stage_title, stage_tabs
 from .paging import BoardPage, EntryT, board_page
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
-    from uuid import UUID
-
-    from sqlalchemy.orm import Session
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from vitac.evaluator.tracks import Task, Track
-    from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
-
-    from ..site import Site, Viewer
 
 
 @dataclass(frozen=True, kw_only=True)

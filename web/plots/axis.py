@@ -1,17 +1,12 @@
 """Axes: where a value is drawn, and which values are written beside it. Called by the plots."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil, floor, log10
-from typing import TYPE_CHECKING
+
+from markupsafe import Markup
 
 from .figure import element, joined
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from markupsafe import Markup
 
 NICE = (1, 2, 2.5, 5, 10)
 MAX_TICKS = 5

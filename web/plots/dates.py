@@ -1,17 +1,12 @@
 """Success rates against dates: of a team's submissions, and of a board's entries. Called by the pages."""
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
 
 from ..rendering import percent
 from .axis import Axis, beside
 from .figure import Figure, Table, element, joined
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 DATES_WRITTEN = 4
 

@@ -1,25 +1,18 @@
 """Plots of episodes: outcome by start offset, success by shape, env steps. Called by `pages.team.figures`."""
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
 from math import ceil
-from typing import TYPE_CHECKING
 
+from markupsafe import Markup
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks import Task, load_track
+from vitac.server.views.scores import TaskScoreView
+from vitac.server.views.submissions import EpisodeView
 
 from ..rendering import percent, words
 from .axis import Axis, below, beside
 from .figure import Figure, Table, element, joined
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from markupsafe import Markup
-    from vitac.evaluator.tracks import Task
-    from vitac.server.views.scores import TaskScoreView
-    from vitac.server.views.submissions import EpisodeView
 
 CELL_PX = 20.0
 MAP_PX = 300

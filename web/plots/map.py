@@ -3,24 +3,18 @@
 Called by `pages.submissions`.
 """
 
-from __future__ import annotations
-
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from markupsafe import Markup, escape
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks import Episode, Track, load_track
+from vitac.server.views.submissions import EpisodeView
 
 from ..rendering import words
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from vitac.evaluator.tracks import Episode, Track
-    from vitac.server.views.submissions import EpisodeView
 
 CellState = Literal["success", "other", "waiting"]
 

@@ -1,19 +1,14 @@
 """Drawings of a sensor: its gel, the quality of its mesh, its markers, and its sensitivity. Called by its page."""
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from math import cos, radians, sin
-from typing import TYPE_CHECKING
+
+from markupsafe import Markup
+from vitac.evaluator.figures.figures import SensitivityMap
+from vitac.evaluator.sensors.appearance import Appearance, Point
 
 from .axis import Axis, below, beside
 from .figure import Figure, Table, element, joined
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from markupsafe import Markup
-    from vitac.evaluator.figures.figures import SensitivityMap
-    from vitac.evaluator.sensors.appearance import Appearance, Point
 
 KINDS = ("other", "driven", "sensing")
 """Classes of the faces, by their kind."""

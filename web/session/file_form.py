@@ -3,25 +3,18 @@
 Called by the upload page.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections import deque
+from collections.abc import AsyncIterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.exceptions import HTTPException
-from starlette.requests import ClientDisconnect
+from starlette.requests import ClientDisconnect, Request
 
 from .forms import FORM_LIMIT_BYTES, require_same_site
-
-if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
-
-    from starlette.requests import Request
 
 MEDIA_TYPE = "multipart/form-data"
 FIELDS_TIMEOUT_S = 30.0
@@ -85,7 +78,7 @@ async def read_file_form(request: Request) -> FileForm:
     return FileForm(fields=arriving.fields, file_name=arriving.file_name or "", pieces=_pieces(arriving, body))
 
 
-async def _pieces(arriving: _Arriving, body: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
+async def _pieces(arriving: "_Arriving", body: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
     while True:
         while arriving.pieces:
             yield arriving.pieces.popleft()

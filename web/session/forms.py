@@ -1,16 +1,10 @@
 """Reads the forms of the pages and refuses those sent by another site. Called by the pages that accept a POST."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 from urllib.parse import parse_qsl
 
 from starlette.exceptions import HTTPException
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from starlette.requests import Request
+from starlette.requests import Request
 
 FORM_LIMIT_BYTES = 1 << 16
 MEDIA_TYPE = "application/x-www-form-urlencoded"

@@ -4,19 +4,14 @@ The cookie holds the token's row id and an expiry, signed; never the token. The 
 revoked or expired token ends its sessions at once.
 """
 
-from __future__ import annotations
-
 import hmac
 import os
 import secrets
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
-from typing import TYPE_CHECKING
+from pathlib import Path
 from uuid import UUID
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 COOKIE = "vitac_session"
 LIFETIME = timedelta(hours=12)

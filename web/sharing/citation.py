@@ -1,12 +1,8 @@
 """Texts that cite a result. Called by the page of a submission."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from vitac.server.views.submissions import SubmissionView
+from vitac.server.views.submissions import SubmissionView
 
 _BIBTEX = str.maketrans(
     {

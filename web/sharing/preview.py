@@ -1,24 +1,18 @@
 """The picture that a link to a submission is shown with elsewhere. Called by the pages of public submissions."""
 
-from __future__ import annotations
-
 import io
 import unicodedata
 from bisect import bisect_right
+from collections.abc import Iterator, Sequence
 from functools import cache, lru_cache
 from itertools import groupby
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import fontpkg
 from PIL import Image, ImageDraw, ImageFont
 from vitac.server.errors import SettingsError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from vitac.server.views.submissions import EpisodeView, SubmissionView
+from vitac.server.views.submissions import EpisodeView, SubmissionView
 
 WIDTH, HEIGHT = 1200, 630
 """Of the picture [px], as sites that show links expect it."""

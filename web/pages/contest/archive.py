@@ -1,17 +1,11 @@
 """The archive of a competition that is final: winners, boards as they were, how to cite."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from starlette.requests import Request
+from starlette.responses import Response
 from vitac.server.publishing.archive import archive_view
 
 from ...site import page, site_of, viewer_of
 from ..addresses import competition_address, contest_in
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
 
 
 async def archive(request: Request) -> Response:

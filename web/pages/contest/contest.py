@@ -1,27 +1,21 @@
 """The competition's home page: schedule, tracks, rules, prizes, commitments, winners."""
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from functools import partial
-from typing import TYPE_CHECKING
 
+from sqlalchemy.orm import Session
+from starlette.requests import Request
+from starlette.responses import Response
 from vitac.server.contest import freezing
 from vitac.server.contest.view import competition_list_view, competition_view
 from vitac.server.messages import announcements
+from vitac.server.views.contest import CompetitionView
+from vitac.server.views.messages import AnnouncementView
 
 from ...site import page, principal_of, site_of, viewer_of
 from ..addresses import board_address, competition_address, contest_in
 from ..forms import act
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from sqlalchemy.orm import Session
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from vitac.server.views.contest import CompetitionView
-    from vitac.server.views.messages import AnnouncementView
 
 N_SAID = 3
 """Of the newest announcements on the page; all of them have a page of their own."""

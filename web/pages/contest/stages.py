@@ -1,16 +1,11 @@
 """Stages of a track as its boards show them: their titles, and links from the board of one to those of the others."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+
+from vitac.server.views.contest import StageView
 
 from ...site import Tab
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from vitac.server.views.contest import StageView
 
 
 def find_stage_title(stages: Sequence[StageView], name: str | None) -> str | None:

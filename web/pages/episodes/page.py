@@ -1,40 +1,31 @@
 """The page of one episode, or of two side by side, played from its playback; asking for it; its files."""
 
-from __future__ import annotations
-
 import asyncio
 from dataclasses import dataclass
 from functools import cache
 from http import HTTPStatus
-from typing import TYPE_CHECKING
+from uuid import UUID
 
+from sqlalchemy.orm import Session
 from starlette.exceptions import HTTPException
+from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from vitac.envs.maniskill.definition import is_maniskill
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.playback.order import NotPlayable, require_playable
-from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks import Task, load_track
 from vitac.server.api.attempts import address_of
 from vitac.server.db.states import OPEN_PLAYBACK_STATES, PlaybackState
 from vitac.server.errors import ServiceError
 from vitac.server.playbacks import asking, files
 from vitac.server.playbacks.asking import NOBODY_DRAWS
 from vitac.server.playbacks.files import PlaybackFile
+from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
 
 from ...rendering import STATIC, words
 from ...session.forms import read_form
-from ...site import open_to_all, page, principal_of, require_form_token, site_of, viewer_of
+from ...site import Viewer, open_to_all, page, principal_of, require_form_token, site_of, viewer_of
 from ..addresses import as_id
-
-if TYPE_CHECKING:
-    from uuid import UUID
-
-    from sqlalchemy.orm import Session
-    from starlette.requests import Request
-    from vitac.evaluator.tracks import Task
-    from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
-
-    from ...site import Viewer
 
 PLAYER = "playback.js"
 ONE_YEAR_S = 365 * 24 * 3600

@@ -1,19 +1,13 @@
 """Boards as CSV. As JSON they are what the API answers, which needs no token for them."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from starlette.requests import Request
+from starlette.responses import Response
 from vitac.server.leaderboards.shown import shown_leaderboard, shown_log_boards
+from vitac.server.views.leaderboards import LeaderboardEntryView, LogBoardsView, LogEntryView
 
 from ...site import principal_of, site_of, viewer_of
 from ..addresses import contest_in
 from .formats import csv_file
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from vitac.server.views.leaderboards import LeaderboardEntryView, LogBoardsView, LogEntryView
 
 BOARD_COLUMNS = (
     "rank", "team", "submission", "success_rate", "interval_low", "interval_high", "mean_env_steps", "successes",

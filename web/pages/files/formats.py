@@ -1,16 +1,11 @@
 """Tables as files: CSV with a row of names first, JSON with an object for each row. Called by the modules beside it."""
 
-from __future__ import annotations
-
 import csv
 import io
+from collections.abc import Iterable, Sequence
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 from starlette.responses import JSONResponse, Response
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 """How a text begins that a spreadsheet would run."""

@@ -1,33 +1,21 @@
 """What the pages of submissions show as files: their list, and of each the episodes, scores and history."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from uuid import UUID
 
-from starlette.responses import StreamingResponse
+from starlette.requests import Request
+from starlette.responses import Response, StreamingResponse
 from vitac.evaluator.tracks import load_track
+from vitac.server.principals import Principal
 from vitac.server.submissions.listing import list_submissions
+from vitac.server.views.scores import ShapeScoreView, TaskScoreView
+from vitac.server.views.submissions import SubmissionListView, SubmissionView
 
-from ...site import open_to_all, principal_of, require_viewer, site_of, viewer_of
+from ...site import Page, Site, open_to_all, principal_of, require_viewer, site_of, viewer_of
 from ..addresses import as_id
-from ..submission_detail import read_detail
-from .formats import attached, csv_text, table_file
-
-if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
-    from uuid import UUID
-
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from vitac.server.principals import Principal
-    from vitac.server.views.scores import ShapeScoreView, TaskScoreView
-    from vitac.server.views.submissions import SubmissionListView, SubmissionView
-
-    from ...site import Page, Site
-    from ..submission_detail import SubmissionDetail
-    from .formats import Format
+from ..submission_detail import SubmissionDetail, read_detail
+from .formats import Format, attached, csv_text, table_file
 
 Rows = Iterable[tuple[object, ...]]
 SCORE_COLUMNS = (

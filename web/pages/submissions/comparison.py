@@ -1,28 +1,18 @@
 """Two submissions compared episode by episode, with the exact p-value of McNemar's test."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING
 
-from vitac.evaluator.scoring.comparison import NothingToCompare, compare
+from sqlalchemy.orm import Session
+from starlette.requests import Request
+from starlette.responses import Response
+from vitac.evaluator.scoring.comparison import Comparison, NothingToCompare, compare
 from vitac.server.submissions.listing import list_submissions
 
-from ...site import page, require_viewer, site_of
+from ...site import Viewer, page, require_viewer, site_of
 from ..addresses import as_id
 from ..files.formats import csv_file, json_file, objects
-from ..submission_detail import read_detail
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from sqlalchemy.orm import Session
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from vitac.evaluator.scoring.comparison import Comparison
-
-    from ...site import Viewer
-    from ..submission_detail import SubmissionDetail
+from ..submission_detail import SubmissionDetail, read_detail
 
 COLUMNS = ("task", "episode", "shape", "first_outcome", "first_env_steps", "second_outcome", "second_env_steps")
 COUNTS = ("both", "only_first", "only_second", "neither", "unpaired", "p_value")

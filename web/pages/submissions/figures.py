@@ -1,27 +1,20 @@
 """The plots of a submission's page. Called by `submissions`."""
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from markupsafe import Markup
+from starlette.requests import Request
+from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.server.views.leaderboards import PastResultView
+from vitac.server.views.scores import TaskScoreView
+from vitac.server.views.submissions import EpisodeView, SubmissionView
 
 from ...plots.dates import DatedRate, rates_by_date
 from ...plots.episodes import count_outcomes, offset_maps, steps_histogram, success_by_shape
+from ...plots.figure import Figure
 from ...rendering import render
 from ...site import site_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from starlette.requests import Request
-    from vitac.evaluator.episodes.records import EpisodeOutcome
-    from vitac.server.views.leaderboards import PastResultView
-    from vitac.server.views.scores import TaskScoreView
-    from vitac.server.views.submissions import EpisodeView, SubmissionView
-
-    from ...plots.figure import Figure
 
 
 @dataclass(frozen=True, kw_only=True)

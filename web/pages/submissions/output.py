@@ -1,20 +1,14 @@
 """The page with what a submission's policy printed, episode by episode."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
 from vitac.evaluator.tracks import load_track
 from vitac.server.submissions import listing
 from vitac.server.submissions.output import episode_outputs
 
 from ...site import Tab, page, require_viewer, site_of
 from ..addresses import as_id
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
 
 
 async def output(request: Request) -> Response:

@@ -1,38 +1,29 @@
 """The page of a submission's sensor, alone or beside another one: gel, mesh, markers, sensitivity, figures."""
 
-from __future__ import annotations
-
 import asyncio
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from uuid import UUID
 
+from markupsafe import Markup
+from sqlalchemy.orm import Session
+from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
+from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.figures.reference import reference_figures
 from vitac.evaluator.figures.table import make_rows
-from vitac.evaluator.sensors.appearance import appearance
+from vitac.evaluator.sensors.appearance import Appearance, appearance
 from vitac.evaluator.sensors.made import read_made_sensor
+from vitac.server.principals import Principal
 from vitac.server.submissions import sensors
+from vitac.server.views.submissions import SensorView
 from vitac.server.visibility import visible
 
+from ...plots.figure import Figure
 from ...plots.sensors import find_largest, marker_picture, quality_histogram, sensitivity_maps, still
-from ...site import page, require_viewer, site_of
+from ...site import Site, page, require_viewer, site_of
 from ..addresses import as_id
 from ..episodes.page import player_script
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from uuid import UUID
-
-    from markupsafe import Markup
-    from sqlalchemy.orm import Session
-    from starlette.requests import Request
-    from vitac.evaluator.figures.figures import SensorFigures
-    from vitac.evaluator.sensors.appearance import Appearance
-    from vitac.server.principals import Principal
-    from vitac.server.views.submissions import SensorView
-
-    from ...plots.figure import Figure
-    from ...site import Site
 
 
 @dataclass(frozen=True, kw_only=True)

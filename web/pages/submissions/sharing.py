@@ -1,32 +1,23 @@
 """Sharing a result: a team makes its submission public, and others get a picture and a citation."""
 
-from __future__ import annotations
-
 import asyncio
 from dataclasses import dataclass
 from hashlib import sha256
-from typing import TYPE_CHECKING
 
-from starlette.responses import RedirectResponse
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.tracks import load_track
 from vitac.server.api.conditional import answer
 from vitac.server.db.states import EvaluationState
 from vitac.server.principals import VISITOR
 from vitac.server.sharing import public_pages
+from vitac.server.views.submissions import SubmissionView
 
-from ...sharing.citation import cite
+from ...sharing.citation import Citation, cite
 from ...sharing.preview import draw_preview
-from ...site import open_to_all, signed_in_form, site_of
+from ...site import Viewer, open_to_all, signed_in_form, site_of
 from ..addresses import as_id
 from ..submission_detail import read_detail
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from vitac.server.views.submissions import SubmissionView
-
-    from ...sharing.citation import Citation
-    from ...site import Viewer
 
 KEPT_S = 300
 """So long others may show a picture without asking for it again [s]."""

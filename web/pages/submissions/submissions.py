@@ -1,14 +1,14 @@
 """Pages of a team's submissions: the list, one submission, its live updates, and cancelling."""
 
-from __future__ import annotations
-
 import asyncio
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from markupsafe import Markup
 from sse_starlette import EventSourceResponse, ServerSentEvent
+from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.tracks import UnknownTrack, load_track
 from vitac.server.api.streams import OpenStreams
@@ -17,28 +17,19 @@ from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from vitac.server.errors import TRACK_REMOVED
 from vitac.server.submissions import runs
 from vitac.server.submissions.listing import list_submissions
+from vitac.server.views.evaluations import TaskProgressView
+from vitac.server.views.scores import TaskScoreView
+from vitac.server.views.submissions import EpisodeView, RankView, SubmissionView
 
-from ...plots.map import episode_map, title_of_task
+from ...plots.map import EpisodeMap, episode_map, title_of_task
 from ...rendering import render
-from ...site import open_to_all, page, principal_of, require_viewer, signed_in_form, site_of, viewer_of
+from ...site import Site, Viewer, open_to_all, page, principal_of, require_viewer, signed_in_form, site_of, viewer_of
 from ..addresses import as_id, board_address
 from ..contest.stages import find_stage_title
-from ..submission_detail import read_detail
+from ..submission_detail import SubmissionDetail, read_detail
 from ..tracks import board_query
 from .figures import episode_figures, history_figures
 from .sharing import shared
-
-if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Sequence
-
-    from starlette.requests import Request
-    from vitac.server.views.evaluations import TaskProgressView
-    from vitac.server.views.scores import TaskScoreView
-    from vitac.server.views.submissions import EpisodeView, RankView, SubmissionView
-
-    from ...plots.map import EpisodeMap
-    from ...site import Site, Viewer
-    from ..submission_detail import SubmissionDetail
 
 POLL_S = 1.0  # period at which a running evaluation is read and its page updated
 

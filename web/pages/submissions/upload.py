@@ -1,30 +1,21 @@
 """Upload a submission with a form; a script shows how far it is."""
 
-from __future__ import annotations
+from collections.abc import AsyncIterator
+from uuid import UUID
 
-from typing import TYPE_CHECKING
-
-from starlette.responses import RedirectResponse
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.submission_kinds import kind_of_file
 from vitac.server.contest.view import competitions_to_choose_from
 from vitac.server.errors import ServiceError
 from vitac.server.limiter import UPLOADS
+from vitac.server.principals import Principal
 from vitac.server.submissions.upload import AnnouncedUpload, check, receive
 
 from ...limits import size
 from ...session.file_form import read_file_form
-from ...site import page, require_form_token, require_viewer, site_of
+from ...site import Viewer, page, require_form_token, require_viewer, site_of
 from ..errors import wants_page
-
-if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
-    from uuid import UUID
-
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from vitac.server.principals import Principal
-
-    from ...site import Viewer
 
 ADDRESS = "/submissions/upload"
 NO_FILE = "Choose a file first."

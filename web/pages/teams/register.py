@@ -1,12 +1,14 @@
 """Register a team: a form, and once the team's token."""
 
-from __future__ import annotations
-
 import asyncio
+from collections.abc import Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
-from typing import TYPE_CHECKING
+from uuid import UUID
 
+from sqlalchemy.orm import Session
+from starlette.requests import Request
+from starlette.responses import Response
 from vitac.server.api.attempts import note_registration
 from vitac.server.api.teams import NewTeam
 from vitac.server.errors import ProblemCode, ServiceError
@@ -17,14 +19,6 @@ from ...session.forms import read_form
 from ...site import page, site_of, viewer_of
 from ..forms import checked_form
 from .sign_in import begin_session
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from uuid import UUID
-
-    from sqlalchemy.orm import Session
-    from starlette.requests import Request
-    from starlette.responses import Response
 
 FIELDS = ("name", "contact", "invite")
 IN_FORM = frozenset(

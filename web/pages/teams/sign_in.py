@@ -1,29 +1,21 @@
 """Sign in with an API token or a member's password, and sign out."""
 
-from __future__ import annotations
-
 import asyncio
 from dataclasses import replace
-from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+from datetime import UTC, datetime, timedelta
+from uuid import UUID
 
-from starlette.responses import RedirectResponse
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
 from vitac.server import tokens
 from vitac.server.api.attempts import address_of, member_key, note_password
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.members import members, passwords
+from vitac.server.principals import Principal
 
 from ...session import signer
 from ...session.forms import local_target, read_form
 from ...site import none_if_unknown, page, require_form_token, site_of, viewer_of
-
-if TYPE_CHECKING:
-    from datetime import timedelta
-    from uuid import UUID
-
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from vitac.server.principals import Principal
 
 WRONG_TOKEN = "This token is unknown, revoked or expired. Check that you pasted it completely."  # noqa: S105 - a sentence
 

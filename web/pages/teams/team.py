@@ -1,40 +1,33 @@
 """The team's page: members, invitations, tokens and sessions, each with its forms; and the page that joins a team."""
 
-from __future__ import annotations
-
 import asyncio
-from datetime import timedelta
+from collections.abc import Callable, Mapping
+from datetime import datetime, timedelta
 from http import HTTPStatus
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from uuid import UUID
 
+from sqlalchemy.orm import Session
 from starlette.exceptions import HTTPException
+from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from vitac.server import team_data, tokens
 from vitac.server.api.attempts import note_password, note_registration
 from vitac.server.api.members import MemberChanges, NewMember
+from vitac.server.db.models import Member
 from vitac.server.db.states import MemberRole, NoticeKind
 from vitac.server.errors import ServiceError
 from vitac.server.members import members, passwords
+from vitac.server.principals import Principal
 from vitac.server.teams import teams
+from vitac.server.views.teams import OwnTeamView, TokenView
 
 from ...session.forms import read_form
 from ...site import page, require_viewer, signed_in_form, site_of, viewer_of
 from ..forms import act, checked_form, id_in
 from .sign_in import begin_session
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from datetime import datetime
-    from uuid import UUID
-
-    from sqlalchemy.orm import Session
-    from starlette.requests import Request
-    from vitac.server.db.models import Member
-    from vitac.server.principals import Principal
-    from vitac.server.views.teams import OwnTeamView, TokenView
-
-    Change = Callable[[Session, Principal, Mapping[str, str]], object]
+Change = Callable[[Session, Principal, Mapping[str, str]], object]
 
 ADDRESS = "/team"
 NOTICES: Mapping[NoticeKind, str] = MappingProxyType(
