@@ -1,7 +1,7 @@
 """Security headers on every page. Called by `routes.install`.
 
 Pages load only our own static files, so the policy forbids everything else: no inline script or style, no frames, no
-other origin. The documentation (`/docs`) sets its own policy.
+other origin.
 """
 
 from starlette.datastructures import MutableHeaders

@@ -283,7 +283,8 @@ def page(
 
 def navigation(site: Site, viewer: Viewer | None) -> tuple[tuple[str, str], ...]:
     """Return targets and labels of the navigation."""
-    links = [(f"/tracks/{site.tracks[0]}", "Leaderboard"), (f"/tracks/{site.tracks[0]}/rules", "Rules")]
+    first = f"/tracks/{site.tracks[0]}"
+    links = [(first, "Leaderboard"), (f"{first}/rules", "Rules"), ("/docs/", "Documentation")]
     if viewer is not None:
         links.append(("/submissions", "Submissions"))
         if viewer.has_team:

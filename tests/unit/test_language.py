@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import pytest
 
-GENERATED = "web/documentation"
 SUFFIXES = {".py", ".html", ".js", ".sh", ".md", ".yaml", ".yml"}
 PLACES = (
     *("cli", "web", "viewer", "worker", "server", "evaluator", "examples"),
@@ -45,10 +44,7 @@ CODE = ("benchmarks", "cli", "envs", "evaluator", "examples", "migrations", "ser
 def texts(repository: Path) -> Iterator[Path]:
     for place in PLACES:
         found = repository / place
-        written = (
-            file for file in found.rglob("*") if file.suffix in SUFFIXES and repository / GENERATED not in file.parents
-        )
-        yield from [found] if found.is_file() else written
+        yield from [found] if found.is_file() else (file for file in found.rglob("*") if file.suffix in SUFFIXES)
 
 
 def uses(pattern: str, file: Path) -> Iterator[str]:

@@ -27,22 +27,16 @@ case "$*" in
     echo "pip ${{last##*/}}" >>"$FAKE_CALLS"
     if [ -n "${{FAKE_GATE-}}" ]; then read -r opened <"$FAKE_GATE"; fi
     if [ -n "${{FAKE_PIP_ERROR-}}" ]; then echo "$FAKE_PIP_ERROR"; exit 1; fi
-    case $last in *docs.lock | *maniskill.lock | *torch.lock) exit ;; esac
+    case $last in *maniskill.lock | *torch.lock) exit ;; esac
     for program in vitac pytest; do
       printf '#!/bin/sh\\nfor word; do printf "<%%s>" "$word"; done; pwd\\n' >"${{0%/*}}/$program"
-      printf 'if [ -n "${{FAKE_SITE_GATE-}}" ]; then echo open >"$FAKE_SITE_GATE"; fi; exit 7\\n' >>"${{0%/*}}/$program"
+      echo "exit 7" >>"${{0%/*}}/$program"
       chmod +x "${{0%/*}}/$program"
     done ;;
   *"pip "*"torch=="*)
     for last; do :; done
     echo "pip ${{last%%=*}}" >>"$FAKE_CALLS"
     if [ -n "${{FAKE_TORCH_ERROR-}}" ]; then echo "$FAKE_TORCH_ERROR"; exit 1; fi ;;
-  "-m sphinx "*)
-    for last; do :; done
-    echo "sphinx" >>"$FAKE_CALLS"
-    if [ -n "${{FAKE_SITE_GATE-}}" ]; then read -r opened <"$FAKE_SITE_GATE"; fi
-    if [ -n "${{FAKE_SPHINX_ERROR-}}" ]; then echo "$FAKE_SPHINX_ERROR"; exit 1; fi
-    mkdir -p "$last" ;;
 esac
 """
 
@@ -157,8 +151,6 @@ def checkout(repository: Path, tmp_path: Path) -> Checkout:
     root = tmp_path / "a checkout"
     shutil.copytree(repository / "setup", root / "setup")
     shutil.copytree(repository / "requirements", root / "requirements")
-    (root / "docs").mkdir()
-    (root / "docs" / "index.md").write_text("# Documentation")
     shutil.copytree(repository / "viewer", root / "viewer")
     for name in ("vitac", "pyproject.toml"):
         shutil.copy(repository / name, root / name)
@@ -208,14 +200,6 @@ def test_test_command_adds_the_dev_packages_and_runs_in_the_repository(checkout:
     ran = checkout.run(str(checkout.root / "vitac"), "test", "-k", "two words", cwd=tmp_path)
     assert checkout.calls == ["venv", "pip base.lock", "pip dev.lock"]
     assert ran.stdout == f"<-k><two words>{checkout.root}\n"
-
-
-def test_base_commands_and_the_documentation_are_content_with_the_dev_packages(checkout: Checkout) -> None:
-    checkout.run(str(checkout.root / "vitac"), "test")
-    checkout.run()
-    assert checkout.calls == ["venv", "pip dev.lock"]
-    checkout.run(str(checkout.root / "vitac"), "serve")
-    assert checkout.calls == ["venv", "pip dev.lock", "sphinx"]
 
 
 def test_each_command_adds_its_packages_and_later_commands_keep_them(checkout: Checkout) -> None:
@@ -599,15 +583,6 @@ def test_tests_and_changed_sources_do_not_wait_after_a_failure(checkout: Checkou
     assert checkout.player.exists()
 
 
-def test_documentation_whose_packages_cannot_be_fetched_is_not_tried_at_each_start(checkout: Checkout) -> None:
-    serve = (str(checkout.root / "vitac"), "serve")
-    checkout.run(*serve[:1], "worker")
-    first, second = checkout.run(*serve, FAKE_PIP_ERROR="no network"), checkout.run(*serve)
-    assert "building the documentation failed" in first.stderr
-    assert "the documentation could not be fetched or built less than an hour ago" in second.stderr
-    assert (second.returncode, checkout.calls.count("pip docs.lock")) == (7, 1)
-
-
 def test_builds_the_player_with_its_builder_also_in_production(checkout: Checkout) -> None:
     checkout.run(str(checkout.root / "vitac"), "serve", NODE_ENV="production")
     assert checkout.player.exists()
@@ -618,12 +593,11 @@ def test_serves_from_a_folder_that_cannot_be_written_to(checkout: Checkout) -> N
     checkout.run(*serve)
     shutil.rmtree(checkout.root / ".system")
     (checkout.root / ".system").touch()  # root may write anywhere, but makes no folder in place of a file
-    (checkout.root / "docs" / "index.md").write_text("# Changed")
+    (checkout.root / "viewer" / "main.js").write_text("// changed")
     ran = checkout.run(*serve)
     assert (ran.returncode, ran.stdout.startswith("<serve>")) == (7, True)
-    assert ran.stderr.count("no permission to write in") == 2
+    assert ran.stderr.count("no permission to write in") == 1
     assert "Continuing without the 3D player" in ran.stderr
-    assert "continuing without it" in ran.stderr
 
 
 @pytest.mark.parametrize("version", ["18", "", "none"])
@@ -701,85 +675,3 @@ def test_a_failing_package_manager_is_quoted(debian: Checkout, tmp_path: Path) -
     assert ran.returncode == 1
     assert "E: Could not get lock" in ran.stderr
     assert "bubblewrap is missing" in ran.stderr
-
-
-def test_serving_builds_the_documentation_once_and_again_after_a_change(checkout: Checkout) -> None:
-    serve = (str(checkout.root / "vitac"), "serve")
-    first, second = checkout.run(*serve), checkout.run(*serve)
-    assert checkout.calls == ["venv", "pip server.lock", "pip show.lock", "pip docs.lock", "sphinx"]
-    assert (first.returncode, second.returncode) == (7, 7)
-    assert "the documentation is ready" in first.stderr
-    assert second.stderr == ""
-    (checkout.root / "docs" / "index.md").write_text("# Changed")
-    checkout.run(*serve)
-    assert checkout.calls[5:] == ["pip docs.lock", "sphinx"]
-
-
-def test_a_service_does_not_wait_for_its_documentation(checkout: Checkout, tmp_path: Path) -> None:
-    gate = tmp_path / "gate"  # the build goes on once the service runs
-    os.mkfifo(gate)
-    process = checkout.start(str(checkout.root / "vitac"), "serve", FAKE_SITE_GATE=str(gate))
-    try:
-        output, errors = process.communicate(timeout=60)
-    finally:
-        process.kill()
-    assert output.startswith("<serve>")
-    assert "building the documentation meanwhile; /docs shows it in a minute or two" in errors
-    assert errors.index("meanwhile") < errors.index("the documentation is ready")
-    assert "\r" not in errors
-    assert (checkout.root / "web" / "documentation").is_dir()
-
-
-def test_help_builds_no_documentation(checkout: Checkout) -> None:
-    assert checkout.run(str(checkout.root / "vitac"), "serve", "--help").stdout.startswith("<serve><--help>")
-    assert "sphinx" not in checkout.calls
-
-
-def test_what_the_documentation_runs_and_imports_builds_it_again(checkout: Checkout) -> None:
-    serve = (str(checkout.root / "vitac"), "serve")
-    places = ("envs/fem/solver.py", "envs/drawing/picture.py", "evaluator/agent/session.py", "training/run.py")
-    for number, place in enumerate(places, 1):
-        (checkout.root / place).parent.mkdir(parents=True)
-        (checkout.root / place).write_text("changed = True")
-        checkout.run(*serve)
-        assert checkout.calls.count("sphinx") == number, place
-    (checkout.root / "envs" / "fem" / "solver.pyc").touch()
-    checkout.run(*serve)
-    assert checkout.calls.count("sphinx") == len(places)
-
-
-def test_the_demo_does_not_wait_for_the_documentation(checkout: Checkout) -> None:
-    demo = (str(checkout.root / "vitac"), "demo")
-    assert checkout.run(*demo).returncode == 7
-    assert checkout.calls == ["venv", "pip server.lock", "pip show.lock"]
-    assert not (checkout.root / "web" / "documentation").exists()
-    checkout.run(str(checkout.root / "vitac"), "serve")
-    (checkout.root / "docs" / "index.md").write_text("# Changed")
-    assert checkout.run(*demo).stderr == ""
-    assert checkout.calls.count("sphinx") == 1
-    assert (checkout.root / "web" / "documentation").is_dir()
-
-
-def test_serves_without_documentation_where_it_cannot_be_built(checkout: Checkout) -> None:
-    serve = (str(checkout.root / "vitac"), "serve")
-    ran = checkout.run(*serve, FAKE_SPHINX_ERROR="WARNING: a broken link")
-    assert ran.returncode == 7
-    assert "building the documentation failed; the reason is in" in ran.stderr
-    assert "a broken link" in (checkout.root / ".system" / "setup.log").read_text()
-    assert not (checkout.root / "web" / "documentation").exists()
-    again = checkout.run(*serve)
-    assert "the documentation could not be fetched or built less than an hour ago" in again.stderr
-    assert "continuing without it" in again.stderr
-    assert (again.returncode, checkout.calls.count("sphinx")) == (7, 1)
-    (checkout.root / "docs" / "index.md").write_text("# Mended")
-    assert checkout.run(*serve).stderr.count("the documentation is ready") == 1
-
-
-def test_a_failed_build_keeps_the_documentation_of_before(checkout: Checkout) -> None:
-    serve = (str(checkout.root / "vitac"), "serve")
-    checkout.run(*serve)
-    built = checkout.root / "web" / "documentation" / "vitac-stamp"
-    before = built.read_text()
-    (checkout.root / "docs" / "index.md").write_text("# Changed")
-    checkout.run(*serve, FAKE_SPHINX_ERROR="WARNING")
-    assert built.read_text() == before

@@ -1,48 +1,42 @@
-"""Serves the documentation site at `/docs`, which setup/docs.sh builds in `web/documentation`."""
+"""Shows the documentation at `/docs/`, and searches it."""
 
-from pathlib import Path
+import asyncio
+from typing import Any, cast
 
 from starlette.exceptions import HTTPException
-from starlette.responses import Response
-from starlette.staticfiles import StaticFiles
-from starlette.types import Receive, Scope, Send
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
 
-SITE = Path(__file__).parents[1] / "documentation"
-PATH = "/docs"
-NOT_BUILT = (
-    "The documentation is not built yet. In a checkout, ./vitac serve builds it while it runs (a minute or two, once) "
-    "and says if something is missing; ./vitac demo shows it from then on. Its source is the folder docs."
-)
-POLICY_FILE = "content-security-policy.txt"
+from ..documentation.library import ADDRESS, INDEX, MAX_FOUND, Library, is_document
+from ..site import page, viewer_of
 
 
-class Documentation(StaticFiles):
-    """The built site with its own Content-Security-Policy, which allows its inline scripts by their hashes."""
-
-    def __init__(self) -> None:
-        super().__init__(directory=SITE, html=True, check_dir=False)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer with a page or file of the site.
-
-        Raises:
-            HTTPException: 404 for what the site does not have, 503 as long as it is not built.
-        """
-        if not _policy():
-            raise HTTPException(503, NOT_BUILT)
-        await super().__call__(scope, receive, send)
-
-    async def get_response(self, path: str, scope: Scope) -> Response:
-        """Answer with a page or file, and the site's policy."""
-        answer = await super().get_response(path, scope)
-        answer.headers["Content-Security-Policy"] = _policy()
-        answer.headers["Cache-Control"] = "no-cache"
-        return answer
+def library_of(request: Request) -> Library:
+    """Return the documents, which `routes.install` stored in the application."""
+    return cast("Library", request.app.state.library)
 
 
-def _policy() -> str:
-    """Read the policy of the site that is there now (one may be built while the service runs); empty without a site."""
-    try:
-        return (SITE / POLICY_FILE).read_text().strip()
-    except FileNotFoundError:
-        return ""
+async def documentation(request: Request) -> Response:
+    """Show a document, or answer with a file that one links to."""
+    library = library_of(request)
+    name = request.path_params["name"] or INDEX
+    path = library.files.get(name)
+    if path is None:
+        raise HTTPException(404, "There is no such page in the documentation.")
+    if not is_document(path.name):
+        return FileResponse(path)
+    document = await asyncio.to_thread(library.document, name)
+    return await _page(request, "document.html", document=document)
+
+
+async def search(request: Request) -> Response:
+    """Show the sections that have all words of a query."""
+    query = request.query_params.get("q", "")[:200]
+    found = await asyncio.to_thread(library_of(request).search, query)
+    return await _page(request, "document_search.html", query=query, found=found, max_found=MAX_FOUND)
+
+
+async def _page(request: Request, template: str, **values: Any) -> Response:
+    viewer = await viewer_of(request)
+    chapters = library_of(request).chapters
+    return page(request, template, viewer=viewer, section=ADDRESS, chapters=chapters, **{"query": "", **values})

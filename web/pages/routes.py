@@ -7,6 +7,7 @@ from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import Scope
 
+from ..documentation.library import ADDRESS, Library
 from ..headers import SecurityHeaders
 from ..rendering import STATIC, static_digest
 from ..site import Site
@@ -56,8 +57,8 @@ class VersionedStaticFiles(StaticFiles):
 def install(app: FastAPI, site: Site) -> None:
     """Add pages, static files, error pages and security headers to an application."""
     app.state.site = site
+    app.state.library = Library(describe_api=app.openapi)
     app.router.routes.extend(pages().routes)
-    app.mount(documentation.PATH, documentation.Documentation(), name="documentation")
     app.mount("/static", VersionedStaticFiles(directory=STATIC), name="static")
     app.add_middleware(SecurityHeaders)
     errors.install(app)
@@ -116,6 +117,8 @@ def pages() -> APIRouter:
         ("/receipts", receipts.receipts, "GET"),
         ("/competition/archive", archive.archive, "GET"),
         ("/sandbox", sandbox.sandbox, "GET"),
+        (f"{ADDRESS}search", documentation.search, "GET"),
+        (f"{ADDRESS}{{name:path}}", documentation.documentation, "GET"),
         (EPISODE, episodes.episode, "GET"),
         (f"{EPISODE}/playback", episodes.playback, "GET"),
         (f"{EPISODE}/playback", episodes.ask, "POST"),

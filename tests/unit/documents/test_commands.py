@@ -26,8 +26,7 @@ def documents(repository: Path) -> Iterator[tuple[str, str]]:
     """Name and Markdown of each document; the change log tells of commands as they were."""
     yield from ((name, (repository / name).read_text()) for name in ("README.md", "CONTRIBUTING.md"))
     for path in sorted([*repository.glob("docs/**/*.md"), *repository.glob("examples/*/**/*.md")]):
-        if "generated" not in path.parts:
-            yield str(path.relative_to(repository)), path.read_text()
+        yield str(path.relative_to(repository)), path.read_text()
     for path in sorted(repository.glob("docs/tutorials/*/*.ipynb")):
         cells = json.loads(path.read_text())["cells"]
         texts = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown"]

@@ -12,23 +12,22 @@ import vitac.envs
 from vitac.envs.tasks.task_env import TactileTaskEnv
 
 NEEDS_TORCH = {f"vitac.training.reference.{name}" for name in ("policy", "td3")}
-DIRECTIVE = re.compile(r"^\.\. auto\w+:: (\S+)$(?:\n   :members:(.*)$)?", re.MULTILINE)
+BLOCK = re.compile(r"^```python-reference\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 WHOLE_PACKAGES = {"vitac.envs", "vitac.evaluator", "vitac.training", "vitac.server"}
 
 
 @pytest.fixture(scope="module")
 def reference(repository: Path) -> dict[str, set[str]]:
-    """What each directive documents: module and names, all of its own where it names none."""
+    """What each line of a block documents: module and names, all of its own where it names none."""
     found: dict[str, set[str]] = {}
     for page in (repository / "docs" / "reference").glob("*.md"):
-        for target, members in DIRECTIVE.findall(page.read_text()):
+        for line in "".join(BLOCK.findall(page.read_text())).splitlines():
+            target, _, members = line.partition(":")
             found[target] = {name.strip() for name in members.split(",") if name.strip()}
     return found
 
 
 def has(reference: dict[str, set[str]], module: str, name: str | None = None) -> bool:
-    if f"{module}.{name}" in reference:
-        return True
     return module in reference and (name is None or not reference[module] or name in reference[module])
 
 
@@ -41,7 +40,7 @@ def code_cells(notebook: Path) -> Iterator[str]:
 def shown_in_use(repository: Path) -> Iterator[tuple[str, str, str | None]]:
     """Where a name of ours is shown to readers: document, module, name."""
     for page in [repository / "README.md", *sorted((repository / "docs").rglob("*.md"))]:
-        if not {"generated", "reference", "adr"} & set(page.parts):
+        if not {"reference", "adr"} & set(page.parts):
             text = re.sub(r"python -m \S+", "", page.read_text())
             for dotted in re.findall(r"(?<![\w./])vitac\.(?:envs|evaluator|training)[\w.]*\w", text):
                 yield page.name, *split(dotted)

@@ -43,7 +43,7 @@ def targets(who: Viewer | None) -> list[str]:
 
 
 def test_navigation_has_what_a_visitor_can_open() -> None:
-    everybody = ["/tracks/track_1", "/tracks/track_1/rules"]
+    everybody = ["/tracks/track_1", "/tracks/track_1/rules", "/docs/"]
     assert targets(None) == everybody
     assert targets(viewer()) == [*everybody, "/submissions", "/team"]
     assert targets(viewer("Judge", judge=True)) == [*everybody, "/submissions", "/judging"]

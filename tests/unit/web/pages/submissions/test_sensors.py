@@ -33,7 +33,7 @@ def test_page_shows_gel_mesh_markers_maps_and_figures(shown: AsgiBrowser) -> Non
         "+6.7",
         "(+3.0 to +10.0, exact McNemar p = 4e-06)",
         f'data-shape="{ADDRESS}/shape"',
-        'href="/docs/sensors.html#figures"',
+        'href="/docs/sensors#figures"',
         f'<a href="/submissions/{COMPLETED.id}/document" download>design-document.pdf<',
         "9 Bytes, to save",
     ):

@@ -1,63 +1,9 @@
-"""Writes the parts of the reference that the code itself says: REST routes and environments.
+"""Writes the reference of the REST API, as Markdown, from its OpenAPI description."""
 
-They are Markdown in `docs/generated/`, which pages of the reference include. Others have docstrings by autodoc.
-"""
-
-import inspect
-import re
 from collections.abc import Iterator, Mapping
-from importlib import import_module
-from pathlib import Path
 from typing import Any
 
-import animations
-from sphinx.application import Sphinx
-
-FOLDER = "generated"
 METHODS = ("get", "head", "post", "put", "patch", "delete", "options")
-SOURCE_NOTE = re.compile(r"\s\(challenge-facts\s[^)]*\)|\s\[D\d+\]")
-"""Where a number of the challenge is from, in a list of facts that readers of the site do not have."""
-
-
-def setup(app: Sphinx) -> dict[str, Any]:
-    """Write the pages before Sphinx reads its sources."""
-    app.connect("builder-inited", _write)
-    app.connect("autodoc-process-docstring", _for_readers)
-    return {"parallel_read_safe": True}
-
-
-def _for_readers(_app: Sphinx, _what: str, _name: str, _thing: object, _options: object, lines: list[str]) -> None:
-    lines[:] = for_readers("\n".join(lines)).split("\n")
-
-
-def for_readers(docstring: str) -> str:
-    """Return a docstring without notes on sources, its magnitudes `|x|` as text instead of reStructuredText's names."""
-    return re.sub(r"\|(\w+)\|", r"\\|\1\\|", SOURCE_NOTE.sub("", docstring))
-
-
-def _write(app: Sphinx) -> None:
-    from vitac.server.api.app import create_app
-    from vitac.server.settings import load_settings
-
-    folder = Path(app.srcdir) / FOLDER
-    folder.mkdir(exist_ok=True)
-    description = create_app(load_settings(database_url="postgresql:///unused")).openapi()
-    (folder / "rest.md").write_text(rest_reference(description))
-    (pictures,) = (folder / "animations").iterdir()
-    animated = {env_id: animations.element(env_id, pictures, above="..") for env_id in animations.SHOWN}
-    (folder / "environments.md").write_text(environments_reference(animated))
-
-
-def environments_reference(animated: Mapping[str, str]) -> str:
-    """Return a section for each registered environment: its animation, then its docstring."""
-    from vitac.envs import ENVIRONMENTS
-
-    lines: list[str] = []
-    for name, place in sorted(ENVIRONMENTS.items()):
-        module, _, attribute = place.partition(":")
-        docstring = inspect.getdoc(getattr(import_module(module), attribute)) or ""
-        lines += [f"## {name}", animated[name], "", SOURCE_NOTE.sub("", docstring), ""]
-    return "\n".join(lines)
 
 
 def rest_reference(description: Mapping[str, Any]) -> str:
@@ -68,7 +14,7 @@ def rest_reference(description: Mapping[str, Any]) -> str:
             if method in methods:
                 lines += [f"## {method.upper()} {path}", *_route(methods[method]), ""]
     lines += ["## Schemas", ""]
-    for name, schema in sorted(description["components"]["schemas"].items()):
+    for name, schema in sorted(description.get("components", {}).get("schemas", {}).items()):
         lines += [f"### {name}", schema.get("description", ""), "", *_fields(schema), ""]
     return "\n".join(lines)
 

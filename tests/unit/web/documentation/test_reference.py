@@ -1,0 +1,26 @@
+from vitac.web.documentation.reference import environments, modules
+
+
+def test_a_module_is_described_with_its_public_names_only() -> None:
+    text = modules(["vitac.evaluator.scoring.score"])
+    assert "#### wilson_interval\n```python\nwilson_interval(successes: int, episodes: int) -> Interval\n```" in text
+    assert "\n#### _" not in text
+
+
+def test_only_the_names_asked_for_are_described() -> None:
+    text = modules(["vitac.envs.vision.observables: RGB_IMAGES"])
+    assert "#### RGB_IMAGES" in text
+    assert text.count("####") == 1
+
+
+def test_arguments_and_fields_are_lists_with_their_meaning() -> None:
+    text = modules(["vitac.envs.tasks.peg_insertion.settings"])
+    assert "class PegInsertionSettings:\n    max_steps: int = 8\n" in text
+    assert "\nAttributes:\n\n- `max_steps`: env steps after which an episode is cut off.\n- " in text
+
+
+def test_environments_have_tables_and_no_notes_on_sources() -> None:
+    text = environments()
+    assert "## ViTac/PegInsertion-v1\nInsert a peg into the hole of a plate" in text
+    assert "| marker_flow | (2, 2, 128, 2) |" in text
+    assert "challenge-facts" not in text

@@ -1,0 +1,119 @@
+"""Renders a document's Markdown as HTML for our page design, and divides it into the sections that the search finds."""
+
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+from markdown_it import MarkdownIt
+from markdown_it.token import Token
+from markupsafe import Markup
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A heading and what stands below it until the next one.
+
+    Attributes:
+        level: 1 for the title of the document.
+        heading: as text.
+        anchor: fragment of its address.
+        text: without markup.
+    """
+
+    level: int
+    heading: str
+    anchor: str
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Document:
+    """A rendered document.
+
+    Attributes:
+        html: all below its title.
+        sections: the first one begins with the title.
+    """
+
+    html: Markup
+    sections: tuple[Section, ...]
+
+    @property
+    def title(self) -> str:
+        """The heading of level 1."""
+        return self.sections[0].heading
+
+
+def render_document(markdown: str, address_of: Callable[[str], str | None]) -> Document:
+    """Render Markdown that begins with a heading of level 1.
+
+    Args:
+        markdown: CommonMark with tables.
+        address_of: returns the address of the target of a link or picture; None makes the link plain text.
+    """
+    tokens = _PARSER.parse(markdown)
+    sections = _divide(tokens)
+    for token in tokens:
+        _resolve_links(token.children or [], address_of)
+    html = _PARSER.renderer.render(tokens[3:], _PARSER.options, {})
+    return Document(html=Markup(html), sections=sections)  # noqa: S704 - our own documents
+
+
+def slug(heading: str) -> str:
+    """Return the anchor of a heading, as GitHub makes it."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-")
+
+
+def _divide(tokens: Sequence[Token]) -> tuple[Section, ...]:
+    """Give each heading its anchor, and return the sections."""
+    found: list[tuple[Token, str, list[str]]] = []
+    anchors: Counter[str] = Counter()
+    for token, following in pairwise(tokens):
+        if token.type == "heading_open":
+            anchor = slug(following.content)
+            anchors[anchor] += 1
+            token.attrSet("id", anchor if anchors[anchor] == 1 else f"{anchor}-{anchors[anchor] - 1}")
+            found.append((token, _text(following), []))
+        elif following.type in ("inline", "fence") and token.type != "heading_open":
+            found[-1][2].append(_text(following))
+    return tuple(
+        Section(level=int(token.tag[1]), heading=heading, anchor=str(token.attrs["id"]), text=" ".join(texts))
+        for token, heading, texts in found
+    )
+
+
+def _text(token: Token) -> str:
+    if token.children is None:
+        return " ".join(token.content.split())
+    return "".join(" " if child.type == "softbreak" else child.content for child in token.children)
+
+
+def _resolve_links(tokens: Sequence[Token], address_of: Callable[[str], str | None]) -> None:
+    is_link = True
+    for token in tokens:
+        for attribute in ("href", "src"):
+            if attribute in token.attrs:
+                address = address_of(str(token.attrs[attribute]))
+                is_link = address is not None
+                token.attrs = {**token.attrs, attribute: address} if address is not None else {}
+        if token.type in ("link_open", "link_close") and not is_link:
+            token.tag = "span"
+
+
+def _fence(self: Any, tokens: Sequence[Token], index: int, options: object, env: object) -> str:
+    """Render a block of code that the keyboard can scroll."""
+    return str(type(self).fence(self, tokens, index, options, env)).replace("<pre>", '<pre tabindex="0">', 1)
+
+
+def _parser() -> MarkdownIt:
+    parser = MarkdownIt("commonmark").enable("table")
+    parser.add_render_rule("fence", _fence)
+    parser.add_render_rule("table_open", lambda *_: '<div class="wide-table" tabindex="0"><table class="table">\n')
+    parser.add_render_rule("table_close", lambda *_: "</table></div>\n")
+    return parser
+
+
+_PARSER = _parser()

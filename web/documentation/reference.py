@@ -1,0 +1,112 @@
+"""Writes the reference of environments and of Python modules, as Markdown, from their source text.
+
+Nothing is imported that would load the simulation, torch or a database.
+"""
+
+import ast
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from inspect import cleandoc
+from itertools import pairwise
+from pathlib import Path
+
+from vitac.envs.tasks.definition import with_tables
+from vitac.envs.tasks.registry import task_definitions
+
+PACKAGES = Path(__file__).parents[2]
+"""Holds the folders that are imported as `vitac.<folder>`."""
+SOURCE_NOTE = re.compile(r"\s\(challenge-facts\s[^)]*\)|\s\[D\d+\]")
+"""Where a number of the challenge is from, in a list of facts that readers do not have."""
+SECTIONS = {"Args:": "Arguments", "Attributes:": "Attributes", "Returns:": "Returns", "Raises:": "Raises"}
+
+Definition = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def environments() -> str:
+    """Return a section for each environment: its docstring, with the tables of actions and observations."""
+    lines: list[str] = []
+    for env_id, task in sorted(task_definitions().items()):
+        module, _, name = task.environment.partition(":")
+        if module.startswith("vitac."):  # those of other packages have their own documentation
+            (found,) = [node for node in _tree(module).body if isinstance(node, ast.ClassDef) and node.name == name]
+            lines += [f"## {env_id}", SOURCE_NOTE.sub("", with_tables(ast.get_docstring(found) or "", task)), ""]
+    return "\n".join(lines)
+
+
+def modules(named: Iterable[str]) -> str:
+    """Return a section for each line: `vitac.module`, or `vitac.module: Class, function` for some of it."""
+    return "\n".join(line for each in named for line in _module(each))
+
+
+def _tree(module: str) -> ast.Module:
+    path = PACKAGES.joinpath(*module.split(".")[1:])
+    return ast.parse(path.with_suffix(".py").read_bytes())
+
+
+def _module(line: str) -> Iterator[str]:
+    module, _, listed = line.partition(":")
+    names = {name.strip() for name in listed.split(",") if name.strip()}
+    tree = _tree(module)
+    yield from (f"### {module}", *_docstring(ast.get_docstring(tree)))
+    for node, literal in pairwise([*tree.body, ast.Pass()]):
+        if isinstance(node, Definition):
+            if node.name in names or (not names and not node.name.startswith("_")):
+                yield from _definition(node)
+        elif names & set(_targets(node)):
+            yield from (f"#### {', '.join(_targets(node))}", *_docstring(_literal(literal)))
+
+
+def _definition(node: Definition) -> Iterator[str]:
+    yield from (f"#### {node.name}", "```python", _signature(node), "```", *_docstring(ast.get_docstring(node)))
+    if isinstance(node, ast.ClassDef):
+        yield from _fields(node.body)
+        for method in node.body:
+            if isinstance(method, Definition) and not method.name.startswith("_"):
+                yield from ("```python", _signature(method), "```", *_docstring(ast.get_docstring(method)))
+
+
+def _fields(body: Sequence[ast.stmt]) -> Iterator[str]:
+    """List the fields that a text stands below; others are in the class's docstring."""
+    for node, literal in pairwise([*body, ast.Pass()]):
+        if _literal(literal) is not None and (names := _targets(node)):
+            yield f"- `{', '.join(names)}`: {' '.join((_literal(literal) or '').split())}"
+    yield ""
+
+
+def _signature(node: Definition) -> str:
+    if isinstance(node, ast.ClassDef):
+        bases = ", ".join(ast.unparse(base) for base in node.bases)
+        fields = [
+            each for each in node.body if isinstance(each, ast.AnnAssign) and not _targets(each)[0].startswith("_")
+        ]
+        head = f"class {node.name}" + (f"({bases})" if bases else "") + (":" if fields else "")
+        return "\n    ".join((head, *map(ast.unparse, fields)))
+    if any(ast.unparse(decorator).endswith("property") for decorator in node.decorator_list):
+        return f"{node.name}: {ast.unparse(node.returns) if node.returns else 'Any'}"
+    returned = f" -> {ast.unparse(node.returns)}" if node.returns else ""
+    return f"{node.name}({ast.unparse(node.args)}){returned}"
+
+
+def _targets(node: ast.stmt) -> list[str]:
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    return [target.id for target in targets if isinstance(target, ast.Name)]
+
+
+def _literal(node: ast.stmt) -> str | None:
+    if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+        return node.value.value
+    return None
+
+
+def _docstring(text: str | None) -> Iterator[str]:
+    """Return a docstring as Markdown: its sections `Args:` and the like become lists."""
+    yield ""
+    for line in SOURCE_NOTE.sub("", cleandoc(text or "")).splitlines():
+        entry = re.match(r" {4}([\w*, ]+): (.*)", line)
+        if line in SECTIONS:
+            yield from (f"{SECTIONS[line]}:", "")
+        elif entry:
+            yield f"- `{entry[1]}`: {entry[2]}"
+        else:
+            yield line.strip() if line.startswith("        ") else line.removeprefix("    ")
+    yield ""
