@@ -149,16 +149,17 @@ class ConcurrencyLimiter:
         self._limit = limit
 
     @contextmanager
-    def one(self, key: str, what: str) -> Iterator[None]:
-        """Count one thing while the block runs.
+    def one(self, key: str, what: str, *, share: float = 1.0) -> Iterator[None]:
+        """Count one thing while the block runs; `share`: of the limit, which this key may use.
 
         Raises:
             ServiceError: as many as possible are running.
         """
-        with self.place(key, self._limit) as is_free:
+        limit = max(1, int(self._limit * share))
+        with self.place(key, limit) as is_free:
             if not is_free:
                 raise ServiceError(
-                    ProblemCode.TOO_MANY_REQUESTS, f"At most {self._limit} {what} are possible; wait for one to end."
+                    ProblemCode.TOO_MANY_REQUESTS, f"At most {limit} {what} are possible; wait for one to end."
                 )
             yield
 

@@ -1,9 +1,11 @@
-"""Counts open event streams, those of the API and of the pages together: all of the server, and those of each team."""
+"""Counts open event streams, those of API and pages together: all of the server, of each team and of each address."""
 
 from collections.abc import AsyncIterator
 from contextlib import ExitStack, asynccontextmanager
 from dataclasses import dataclass
+from typing import Self
 
+from fastapi import Request
 from fastapi.concurrency import run_in_threadpool
 
 from ..db.states import Quota
@@ -11,6 +13,12 @@ from ..limiter import ConcurrencyLimiter
 from ..principals import Principal
 from ..quotas import exceeded, limit_of
 from ..services import Services
+from .attempts import address_of
+
+SHARE_OF_TEAMS = 0.9
+"""The rest is for organizers and judges, whatever teams do."""
+SHARE_OF_ADDRESS = 0.2
+"""One person may register several teams."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,21 +28,32 @@ class OpenStreams:
     Attributes:
         services: of this process.
         limiter: counts for all server processes together.
+        address: of the client.
     """
 
     services: Services
     limiter: ConcurrencyLimiter
+    address: str
+
+    @classmethod
+    def of(cls, request: Request, services: Services) -> Self:
+        """Return those of the server that answers a request."""
+        return cls(services=services, limiter=request.app.state.stream_limiter, address=address_of(request))
 
     @asynccontextmanager
     async def one(self, principal: Principal) -> AsyncIterator[None]:
         """Count a stream while the block runs.
 
         Raises:
-            ServiceError: the server keeps no more open, or the team has as many as its quota says.
+            ServiceError: the server keeps no more open, or the address or the team has as many as possible.
         """
         limit = await run_in_threadpool(self._limit_of, principal)
         with ExitStack() as stack:
-            stack.enter_context(self.limiter.one("all", "event streams"))
+            if principal.team_id is not None:
+                what = "event streams from one address"
+                stack.enter_context(self.limiter.one(f"address {self.address}", what, share=SHARE_OF_ADDRESS))
+            share = 1.0 if principal.team_id is None else SHARE_OF_TEAMS
+            stack.enter_context(self.limiter.one("all", "event streams", share=share))
             if limit is not None and not stack.enter_context(self.limiter.place(principal.account, limit)):
                 raise exceeded(principal.team_name or principal.account, Quota.EVENT_STREAMS, limit)
             yield

@@ -1,15 +1,31 @@
 """Where a webhook may lead: to hosts of the internet, not to those that only this machine can reach."""
 
 import socket
-from collections.abc import Iterator
-from ipaddress import IPv4Address, IPv6Address, IPv6Network, ip_address
-from typing import Any
+from ipaddress import IPv4Address, ip_address, ip_network
+from typing import Any, Final
 from urllib.parse import SplitResult, urlsplit
 
 from ..errors import ProblemCode, ServiceError
 
 MAX_LENGTH = 500
-_NAT64 = IPv6Network("64:ff9b::/96")
+_INTERNET_6 = ip_network("2000::/3")
+"""What of version 6 is given out to networks; loopback, mapped (`::ffff:`), NAT64 and local addresses are outside."""
+_NOT_PUBLIC: Final = tuple(
+    map(
+        ip_network,
+        (
+            *("0.0.0.0/8", "10.0.0.0/8", "100.64.0.0/10", "127.0.0.0/8", "169.254.0.0/16", "172.16.0.0/12"),
+            *("192.0.0.0/24", "192.0.2.0/24", "192.88.99.0/24", "192.168.0.0/16", "198.18.0.0/15", "198.51.100.0/24"),
+            *("203.0.113.0/24", "224.0.0.0/4", "240.0.0.0/4"),
+            "168.63.129.16/32",  # where a cloud's virtual machines reach what manages them
+            "2001::/23",  # Teredo, ORCHID, benchmarks
+            *("2001:db8::/32", "3fff::/20"),  # documentation
+            "2002::/16",  # 6to4: stands for an address of version 4
+        ),
+    )
+)
+"""Special-purpose networks of IANA's registries, and what leads to another address. Not `ipaddress.is_global`, which
+changes with Python's version: that of 3.11 takes `fec0::` and `3fff::` for public."""
 SocketAddress = tuple[int, tuple[Any, ...]]
 """Address family, and what a socket connects to."""
 
@@ -47,21 +63,17 @@ def resolved(host: str, port: int, *, inside_allowed: bool) -> SocketAddress:
     """
     found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     for *_, where in found:
-        if not inside_allowed and any(not one.is_global or one.is_multicast for one in _leads_to(str(where[0]))):
+        if not inside_allowed and not is_public(str(where[0])):
             raise PermissionError(f"{host} leads to {where[0]}, which is no address of the internet")
     family, _, _, _, where = found[0]
     return family, tuple(where)
 
 
-def _leads_to(address: str) -> Iterator[IPv4Address | IPv6Address]:
-    """Yield an address and those of version 4 that it stands for."""
+def is_public(address: str) -> bool:
+    """Return whether an address is one of the internet, and stands for no other one."""
     found = ip_address(address.partition("%")[0])
-    yield found
-    if isinstance(found, IPv6Address):
-        if found in _NAT64:
-            yield IPv4Address(int(found) & 0xFFFFFFFF)
-        yield from (embedded for embedded in (found.ipv4_mapped, found.sixtofour) if embedded is not None)
-        yield from found.teredo or ()
+    is_given_out = isinstance(found, IPv4Address) or found in _INTERNET_6
+    return is_given_out and not any(found in network for network in _NOT_PUBLIC if network.version == found.version)
 
 
 def _invalid(address: str, problem: str) -> ServiceError:

@@ -4,7 +4,6 @@ from datetime import UTC, datetime
 from uuid import UUID
 
 from sqlalchemy import func, select, text
-from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
 from .. import names
@@ -39,21 +38,11 @@ def register(
     Raises:
         ServiceError: the name is taken (or looks like one that is) or cannot be shown.
     """
-    shown = names.clean(name, what="A team's name", min_length=1, max_length=NAME_LENGTH)
-    _refuse_look_alike(session, shown)
-    added: Team | None = session.scalar(
-        insert(Team)
-        .values(
-            name=shown,
-            name_key=name_key(shown),
-            contact=contact,
-            approved_at=None if waits else datetime.now(UTC),
-        )
-        .on_conflict_do_nothing(index_elements=[Team.name_key])
-        .returning(Team)
-    )
-    if added is None:
-        raise ServiceError(ProblemCode.TEAM_EXISTS, f"There is a team named {shown!r} already; choose another name.")
+    shown = _checked_name(session, by, name)
+    approved_at = None if waits else datetime.now(UTC)
+    added = Team(name=shown, name_key=name_key(shown), contact=contact, approved_at=approved_at)
+    session.add(added)
+    session.flush()
     actor = by or Principal(role=Role.TEAM, team_id=added.id, team_name=added.name)
     record(session, actor, "team.register", f"team:{added.id}", {"name": shown})
     session.add(Member(team=added, role=MemberRole.CAPTAIN, name="Captain", name_key="captain"))
@@ -68,11 +57,8 @@ def rename(session: Session, by: Principal, team: Team, name: str) -> None:
         ServiceError: not an organizer, or the name is taken, looks like one that is, or cannot be shown.
     """
     by.require_organizer()
-    shown = names.clean(name, what="A team's name", min_length=1, max_length=NAME_LENGTH)
     lock(session, team)
-    _refuse_look_alike(session, shown, but=team)
-    if session.scalar(select(Team.id).where(Team.name_key == name_key(shown), Team.id != team.id)) is not None:
-        raise ServiceError(ProblemCode.TEAM_EXISTS, f"There is a team named {shown!r} already; choose another name.")
+    shown = _checked_name(session, by, name, but=team)
     before = {"name": team.name}
     team.name, team.name_key, team.named_at = shown, name_key(shown), datetime.now(UTC)
     record(session, by, "team.rename", f"team:{team.id}", {"name": shown}, before=before)
@@ -282,22 +268,38 @@ def _removed() -> ServiceError:
     return ServiceError(ProblemCode.UNKNOWN_TEAM, "This team was removed; nothing is added to it or changed of it.")
 
 
-def _refuse_look_alike(session: Session, shown: str, *, but: Team | None = None) -> None:
-    """Refuse a name that readers would take for another team's, or for the one that hides another team."""
+def _checked_name(session: Session, by: Principal | None, name: str, *, but: Team | None = None) -> str:
+    """Return a name as it is shown; refuse one that readers would take for that of others.
+
+    While names are hidden the answer is the same for all reasons: it would say which teams there are.
+
+    Raises:
+        ServiceError: the name is taken, reserved, looks like one that is, or cannot be shown.
+    """
+    shown = names.clean(name, what="A team's name", min_length=1, max_length=NAME_LENGTH)
     session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _REGISTRATION_LOCK})
+    problem = _problem_of(session, by, shown, but)
+    if problem is not None and not (by is not None and by.is_organizer) and ShownNames.read(session).hidden:
+        problem = f"The name {shown!r} is reserved, taken, or looks like one that is"
+    if problem is not None:
+        raise ServiceError(ProblemCode.TEAM_EXISTS, f"{problem}; choose another name.")
+    return shown
+
+
+def _problem_of(session: Session, by: Principal | None, shown: str, but: Team | None) -> str | None:
+    """Return why nobody else may have a name; an organizer's own team may have a reserved one."""
+    if not (by is not None and by.is_organizer) and names.is_reserved(shown):
+        return f"The name {shown!r} is reserved for those who run this service"
     query = select(Team.name, Team.pseudonym)
     others = session.execute(query if but is None else query.where(Team.id != but.id)).all()
-    like = [row.name for row in others if names.look_alike(shown, row.name)]
-    taken = next((name for name in like if name_key(name) != name_key(shown)), None)
-    if taken is not None:
-        raise ServiceError(
-            ProblemCode.TEAM_EXISTS, f"The name {shown!r} looks like that of team {taken!r}; choose another name."
-        )
+    if any(name_key(row.name) == name_key(shown) for row in others):
+        return f"There is a team named {shown!r} already"
+    alike = next((row.name for row in others if names.look_alike(shown, row.name)), None)
+    if alike is not None:
+        return f"The name {shown!r} looks like that of team {alike!r}"
     if any(names.look_alike(shown, row.pseudonym) for row in others):
-        raise ServiceError(
-            ProblemCode.TEAM_EXISTS,
-            f"The name {shown!r} looks like one under which another team is shown; choose another name.",
-        )
+        return f"The name {shown!r} looks like one under which another team is shown"
+    return None
 
 
 def _as_uuid(text: str) -> UUID | None:

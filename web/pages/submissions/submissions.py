@@ -174,7 +174,7 @@ async def _views(request: Request) -> AsyncIterator[ServerSentEvent]:
 
 
 def _open_streams(request: Request) -> OpenStreams:
-    return OpenStreams(services=site_of(request).services, limiter=request.app.state.stream_limiter)
+    return OpenStreams.of(request, site_of(request).services)
 
 
 async def _read_detail(request: Request, viewer: Viewer | None) -> SubmissionDetail:

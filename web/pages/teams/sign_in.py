@@ -77,7 +77,9 @@ async def _find_member(request: Request, team: str, member: str, password: str) 
         made = await none_if_unknown(
             thread.wait_for(members.sign_in, site.services.database, team, member, password, signer.LIFETIME)
         )
-    return made and await site.read(lambda session: tokens.principal_of_token_id(session, made.id))
+    if made is None:
+        return None
+    return await site.read(lambda session: tokens.principal_of_token_id(session, made.id))
 
 
 async def _page(request: Request, **values: object) -> Response:

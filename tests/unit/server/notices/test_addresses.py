@@ -19,6 +19,17 @@ INSIDE = [
     "::ffff:127.0.0.1",
     "64:ff9b::7f00:1",
     "2002:7f00:1::",
+    "::ffff:93.184.215.14",  # a mapped, translated or tunnelled address is none of the internet
+    "64:ff9b::5db8:d70e",
+    "64:ff9b:1::1",
+    "2002:5db8:d70e::1",
+    "2001::1",
+    "fec0::1",
+    "3fff::1",
+    "5f00::1",
+    "100::1",
+    "ff0e::1",
+    "168.63.129.16",
 ]
 
 

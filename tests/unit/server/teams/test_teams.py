@@ -8,6 +8,8 @@ from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.teams import teams
 
+from competitions import make_competition, put_in_place
+
 
 def register(database: Database, name: str) -> str:
     with database.transaction() as session:
@@ -28,6 +30,7 @@ def test_names_that_look_alike_are_one_name(database: Database, same: str) -> No
         assert teams.find(session, same).name == "Team A"
 
 
+MARKED = ["a" + "\u0301\u0302" * 20, "x\u0301\u0301", "a\u20dd"]
 BLANKS = ["\u3164\u3164", "\u2800\u2800", "a\u200bb", "a\ufe0fb", "a\u034fb", "\u115f\u1160", "\xad\xad"]
 
 
@@ -41,6 +44,12 @@ BLANKS = ["\u3164\u3164", "\u2800\u2800", "a\u200bb", "a\ufe0fb", "a\u034fb", "\
         ("Team O", "Team 0"),
         ("Team l", "Team |"),
         ("modern", "rnodern"),
+        ("Team A", "Team_A"),
+        ("Team A", "Team A."),
+        ("Team A", "Te\u0301am A"),
+        ("Team A", "\u13a2eam \U0001d4d0"),  # Cherokee, mathematical script
+        ("Wasp", "\u0561asp"),  # Armenian
+        ("Robot Lab", "R\u1d0f\u0253ot Lab"),
     ],
 )
 def test_names_that_readers_would_confuse_are_refused_as_taken(database: Database, taken: str, name: str) -> None:
@@ -55,6 +64,29 @@ def test_names_in_other_scripts_are_not_refused(database: Database, name: str) -
     register(database, "Robot Lab")
     register(database, "Klm")
     assert register(database, name) == name
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["Organizers", "The 0rganizer", "ADMIN", "adm\u0456n team", "ViTac Arena", "vitac_arena", "V\u0456Tac", "Jury"],
+)
+def test_names_of_those_who_run_the_service_are_theirs(database: Database, name: str) -> None:
+    with pytest.raises(ServiceError, match="reserved"):
+        register(database, name)
+    with database.transaction() as session:
+        teams.register(session, CONSOLE, name=name)
+
+
+def test_an_anonymous_competition_does_not_say_which_names_are_taken(database: Database) -> None:
+    register(database, "Ants")
+    with database.transaction() as session:
+        put_in_place(session, make_competition(anonymous=True))
+    said = []
+    for name in ("Ants", "Ant\u0455", "ants.", "Admin"):
+        with pytest.raises(ServiceError) as refused:
+            register(database, name)
+        said.append(refused.value.detail.replace(repr(name), "NAME"))
+    assert len(set(said)) == 1
 
 
 def test_a_name_that_hides_another_team_is_refused_and_does_not_tell_which(database: Database) -> None:
@@ -75,7 +107,7 @@ def test_compatibility_forms_are_shown_as_what_they_stand_for(database: Database
     assert register(database, "Ｔｅａｍ\u2460 ﬁn") == "Team1 fin"
 
 
-@pytest.mark.parametrize("name", ["", " ", "a" * 65, "two\x00parts", "turned \u202e around", *BLANKS])
+@pytest.mark.parametrize("name", ["", " ", "a" * 65, "two\x00parts", "turned \u202e around", *MARKED, *BLANKS])
 def test_names_that_cannot_be_shown_are_refused(database: Database, name: str) -> None:
     with pytest.raises(ServiceError) as refused:
         register(database, name)
