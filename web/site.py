@@ -25,9 +25,9 @@ from vitac.server.limiter import WindowLimiter
 from vitac.server.principals import VISITOR, Principal
 from vitac.server.services import Services
 
-from .fragments import Fragments, Recent
 from .front import Front
 from .plots.map import EpisodeMap
+from .recent import Recent
 from .rendering import render
 from .session.forms import read_form
 from .session.signer import COOKIE, SessionSigner
@@ -56,7 +56,6 @@ class Site:
         tracks: names of the tracks; the navigation leads to the first one.
         public_url: address that people use; None: that of the request.
         preview_font: font file for names in pictures of links.
-        fragments: parts of pages as they were last rendered.
         plots: of evaluations and boards.
         maps: of episodes of complete evaluations.
         front: what the front page shows.
@@ -70,8 +69,7 @@ class Site:
     tracks: tuple[str, ...]
     public_url: str | None = None
     preview_font: Path | None = None
-    fragments: Fragments = field(default_factory=Fragments)
-    plots: Fragments = field(default_factory=lambda: Fragments(at_most=MAX_PLOTS))
+    plots: Cache[Hashable, Any] = field(default_factory=lambda: Cache(at_most=MAX_PLOTS))
     maps: Cache[Hashable, EpisodeMap] = field(default_factory=lambda: Cache(at_most=MAX_MAPS))
     front: Recent[Front] = field(default_factory=lambda: Recent(kept_s=FRONT_KEPT_S))
     previews: Cache[str, bytes] = field(default_factory=lambda: Cache(at_most=MAX_PLOTS))

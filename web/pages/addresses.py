@@ -1,5 +1,6 @@
 """What the addresses of pages name. Called by the pages."""
 
+from urllib.parse import urlencode
 from uuid import UUID
 
 from starlette.requests import Request
@@ -40,3 +41,9 @@ def board_address(contest: str | None, track: str) -> str:
 def board_data_address(contest: str | None, track: str) -> str:
     """Return where the API answers with a track's board; `contest` None: in the competition that opened last."""
     return f"/api/v1{'' if contest is None else competition_address(contest)}/leaderboards/{track}"
+
+
+def board_query(task: str | None, stage: str | None) -> str:
+    """Return what the address of a board asks for; empty: all tasks, in the stage that opened last."""
+    asked = {name: value for name, value in (("task", task), ("stage", stage)) if value}
+    return f"?{urlencode(asked)}" if asked else ""

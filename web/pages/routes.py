@@ -18,7 +18,6 @@ from . import (
     errors,
     home,
     judging,
-    logs,
     messages,
     operations,
     receipts,
@@ -32,6 +31,7 @@ from .episodes import page as episodes
 from .files import boards
 from .files import submissions as tables
 from .files.formats import Format
+from .leaderboards import leaderboard, logs
 from .submissions import comparison, output, sensors, sharing, submissions, upload
 from .teams import register, sign_in, team
 
@@ -71,7 +71,7 @@ def pages() -> APIRouter:
     for path, page, method in (
         ("/", home.home, "GET"),
         ("/example/playback/scene", home.example, "GET"),
-        ("/tracks/{track}", tracks.leaderboard, "GET"),
+        ("/tracks/{track}", leaderboard.leaderboard, "GET"),
         ("/tracks/{track}/leaderboard.csv", boards.leaderboard, "GET"),
         ("/tracks/{track}/logs", logs.logs, "GET"),
         ("/tracks/{track}/logs.csv", boards.logs, "GET"),
@@ -86,7 +86,7 @@ def pages() -> APIRouter:
         ("/competitions/{contest}/appeals", appeals.list_appeals, "GET"),
         ("/competitions/{contest}/appeals/open", appeals.open_appeal, "POST"),
         ("/competitions/{contest}/appeals/withdraw", appeals.withdraw, "POST"),
-        ("/competitions/{contest}/tracks/{track}", tracks.leaderboard, "GET"),
+        ("/competitions/{contest}/tracks/{track}", leaderboard.leaderboard, "GET"),
         ("/competitions/{contest}/tracks/{track}/leaderboard.csv", boards.leaderboard, "GET"),
         ("/competitions/{contest}/tracks/{track}/logs", logs.logs, "GET"),
         ("/competitions/{contest}/tracks/{track}/logs.csv", boards.logs, "GET"),

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from markupsafe import Markup
-from starlette.requests import Request
 from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.server.db.states import EvaluationState
 from vitac.server.views.leaderboards import PastResultView
 from vitac.server.views.scores import TaskScoreView
 from vitac.server.views.submissions import EpisodeView, SubmissionView
@@ -13,8 +13,7 @@ from vitac.server.views.submissions import EpisodeView, SubmissionView
 from ...plots.dates import DatedRate, rates_by_date
 from ...plots.episodes import count_outcomes, offset_maps, steps_histogram, success_by_shape
 from ...plots.figure import Figure
-from ...rendering import render
-from ...site import site_of
+from ...site import Site
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,16 +33,27 @@ class TaskFigures:
     figures: Sequence[Figure]
 
 
-def episode_figures(
-    request: Request, found: SubmissionView, titles: dict[str, str], episodes: Sequence[EpisodeView]
-) -> Markup:
-    """Return the plots of a complete evaluation, which never change for somebody who sees the same episodes of it."""
+def figures(
+    site: Site,
+    found: SubmissionView,
+    titles: dict[str, str],
+    episodes: Sequence[EpisodeView],
+    past: Sequence[PastResultView],
+) -> dict[str, Any]:
+    """Return the plots of a complete evaluation, and those of the team's submissions until now.
 
-    def make() -> str:
-        tasks = [_of_task(found, score, titles[score.task], episodes) for score in found.evaluation.scores]
-        return render("episode_figures.html", request, tasks=tasks)
-
-    return site_of(request).plots.get((found.evaluation.id, len(episodes)), make)
+    The first never change for somebody who sees the same episodes; the others change with the next result of the team.
+    """
+    if found.evaluation.state is not EvaluationState.COMPLETED:
+        return {"plots": (), "history": ()}
+    reached = tuple((result.task, result.submission_id, result.success_rate) for result in past)
+    return {
+        "plots": site.plots.get(
+            (found.evaluation.id, len(episodes)),
+            lambda: [_of_task(found, score, titles[score.task], episodes) for score in found.evaluation.scores],
+        ),
+        "history": site.plots.get((found.id, reached), lambda: _histories(found, titles, past)),
+    }
 
 
 def _of_task(found: SubmissionView, score: TaskScoreView, title: str, episodes: Sequence[EpisodeView]) -> TaskFigures:
@@ -58,21 +68,9 @@ def _of_task(found: SubmissionView, score: TaskScoreView, title: str, episodes: 
     )
 
 
-def history_figures(
-    request: Request, found: SubmissionView, titles: dict[str, str], past: Sequence[PastResultView]
-) -> Markup:
-    """Return the history of the team in each task in which it has more than one result, cached until it has another."""
-
-    def make() -> str:
-        figures = _histories(found, titles, past)
-        return render("history_figures.html", request, submission=found, figures=figures) if figures else ""
-
-    reached = tuple((result.task, result.submission_id, result.success_rate) for result in past)
-    return site_of(request).plots.get((found.id, reached), make)
-
-
 def _histories(found: SubmissionView, titles: dict[str, str], past: Sequence[PastResultView]) -> list[Figure]:
-    figures = []
+    """Return the history of the team in each task in which it has more than one result."""
+    shown = []
     for task in found.tasks:
         rates = [
             DatedRate(
@@ -85,5 +83,5 @@ def _histories(found: SubmissionView, titles: dict[str, str], past: Sequence[Pas
             if result.task == task
         ]
         if len(rates) > 1:
-            figures.append(rates_by_date(f"history-{task}", titles[task], rates))
-    return figures
+            shown.append(rates_by_date(f"history-{task}", titles[task], rates))
+    return shown

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Any
 
-from markupsafe import Markup
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
@@ -24,11 +23,10 @@ from vitac.server.views.submissions import EpisodeView, RankView, SubmissionView
 from ...plots.map import EpisodeMap, episode_map, title_of_task
 from ...rendering import render
 from ...site import Site, Viewer, open_to_all, page, principal_of, require_viewer, signed_in_form, site_of, viewer_of
-from ..addresses import as_id, board_address
-from ..contest.stages import find_stage_title
+from ..addresses import as_id, board_address, board_query
+from ..leaderboards.tabs import find_stage_title
 from ..submission_detail import SubmissionDetail, read_detail
-from ..tracks import board_query
-from .figures import episode_figures, history_figures
+from .figures import figures
 from .sharing import shared
 
 POLL_S = 1.0  # period at which a running evaluation is read and its page updated
@@ -57,33 +55,8 @@ async def submissions(request: Request) -> Response:
         "submissions.html",
         viewer=viewer,
         section="/submissions",
-        rows=_rows(request, found.items, with_team=viewer.organizes_something),
-        older=found.next_before,
+        found=found,
     )
-
-
-def _rows(request: Request, items: Sequence[SubmissionView], *, with_team: bool) -> Markup:
-    """Return the rows of submissions, each as it was last rendered with the same in it."""
-    fragments = site_of(request).fragments
-
-    def row(item: SubmissionView) -> Markup:
-        evaluation, log = item.evaluation, item.log
-        return fragments.get(
-            (
-                "submission_row.html",
-                item.id,
-                item.name,
-                item.team.name if with_team else None,
-                (log.label, log.verdict) if log else None,
-                evaluation.id,
-                evaluation.state,  # says whether it has scores, which do not change
-                evaluation.progress.episodes_done,
-                evaluation.progress.episodes_total,
-            ),
-            lambda: render("submission_row.html", request, item=item, with_team=with_team),
-        )
-
-    return Markup("\n".join(map(row, items)))  # noqa: S704 - rendered templates, whose values are escaped
 
 
 @open_to_all
@@ -95,7 +68,6 @@ async def submission(request: Request) -> Response:
     except UnknownTrack:
         return await _page_of_removed_track(request, viewer)
     refresh = request.query_params.get("refresh") != "off"
-    plots, history = _plots(request, values)
     found: SubmissionView = values["submission"]
     stages = await site_of(request).read(lambda session: track_stages(session, found.track)) if found.stage else ()
     return page(
@@ -104,8 +76,7 @@ async def submission(request: Request) -> Response:
         viewer=viewer,
         section="/submissions" if values["is_own"] else "",
         refresh=refresh,
-        plots=plots,
-        history=history,
+        **figures(site_of(request), found, values["titles"], values["episodes"], values["past"]),
         stage_title=find_stage_title(stages, found.stage),
         **values,
     )
@@ -119,18 +90,6 @@ async def _page_of_removed_track(request: Request, viewer: Viewer | None) -> Res
     active = found.evaluation.state not in TERMINAL_EVALUATION_STATES
     shown: dict[str, Any] = {"submission": found, "is_own": is_own, "active": active, "sentence": TRACK_REMOVED}
     return page(request, "removed.html", viewer=viewer, section=section, status=HTTPStatus.GONE, **shown)
-
-
-def _plots(request: Request, values: dict[str, Any]) -> tuple[Markup, Markup]:
-    """Return the plots of a complete evaluation, and those of the team's submissions until now."""
-    found: SubmissionView = values["submission"]
-    if found.evaluation.state is not EvaluationState.COMPLETED:
-        return Markup(), Markup()
-    titles: dict[str, str] = values["titles"]
-    return (
-        episode_figures(request, found, titles, values["episodes"]),
-        history_figures(request, found, titles, values["past"]),
-    )
 
 
 async def events(request: Request) -> Response:

@@ -121,7 +121,7 @@ def test_a_card_says_whether_its_track_takes_submissions(
     stages: list[tuple[str, timedelta, timedelta, bool]],
     shown: str,
 ) -> None:
-    monkeypatch.setattr("vitac.web.fragments.monotonic", lambda: 0.0)
+    monkeypatch.setattr("vitac.web.recent.monotonic", lambda: 0.0)
     now = datetime.now(UTC)
     made = [a_stage(name, now + opens, now + closes, is_open=is_open) for name, opens, closes, is_open in stages]
     data.cup = a_cup(*made)

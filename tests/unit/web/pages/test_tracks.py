@@ -11,7 +11,8 @@ from page_service import FixedData, a_site, an_application
 from visits import sign_in
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import list_tracks, load_track
-from vitac.web.pages.tracks import PICTURES, accepts_logs, track_tabs
+from vitac.web.pages.leaderboards.tabs import accepts_logs, track_tabs
+from vitac.web.pages.tracks import PICTURES
 from vitac.web.rendering import STATIC
 
 BEARS_PEG, BEARS_LOCK = a_score((84, 80, 77), 4.31), a_score((40, 38, 2, 0), 11.5, LOCK)

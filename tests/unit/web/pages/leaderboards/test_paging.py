@@ -5,7 +5,7 @@ from page_service import FixedData
 from starlette.requests import Request
 from visits import sign_in
 from vitac.server.views.leaderboards import LeaderboardEntryView
-from vitac.web.pages.paging import BoardPage, board_page
+from vitac.web.pages.leaderboards.paging import BoardPage, board_page
 
 SCORE = a_score((80, 74, 80), 4.92)
 ENTRIES = [an_entry(rank, f"Team {rank:03d}" if rank != 120 else "Gelbots", SCORE) for rank in range(1, 151)]

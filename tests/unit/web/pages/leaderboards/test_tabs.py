@@ -10,7 +10,7 @@ from visits import sign_in
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.server.db.states import EvaluationState
 from vitac.server.views.contest import CompetitionView, StageView
-from vitac.web.pages.contest.stages import find_stage_title, stage_tabs
+from vitac.web.pages.leaderboards.tabs import find_stage_title, stage_tabs
 
 DAY = timedelta(days=1)
 NOW = datetime.now(UTC)

@@ -1,0 +1,1 @@
+"""Boards of a track: models, and logs, by competition, stage and task."""

@@ -1,0 +1,119 @@
+"""The leaderboard of a track: of all tasks, or of one."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any
+from uuid import UUID
+
+from sqlalchemy.orm import Session
+from starlette.requests import Request
+from starlette.responses import Response
+from vitac.evaluator.tracks import Track
+from vitac.server.leaderboards.shown import shown_leaderboard
+from vitac.server.sharing.public_pages import public_among
+from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
+
+from ...plots.dates import DatedRate, rates_by_date
+from ...plots.figure import Figure
+from ...rendering import steps, words
+from ...site import Site, page, principal_of, site_of, viewer_of
+from ..addresses import board_address, board_query, contest_in
+from .paging import board_page
+from .tabs import known_track, read_surroundings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """A column of a leaderboard: the rate in one task, or in one shape of it."""
+
+    title: str
+    task: str
+    shape: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """An entry's cell in a column; no rate if it lacks the task."""
+
+    rate: float | None = None
+    notes: tuple[str, ...] = ()
+
+
+async def leaderboard(request: Request) -> Response:
+    """Show the leaderboard of a track, or with `?task=` and `?stage=` that of a task or stage."""
+    track = known_track(request.path_params["track"])
+    site, viewer = site_of(request), await viewer_of(request)
+    by, own_names = principal_of(viewer), viewer.own_names if viewer else frozenset()
+    task, stage, contest = request.query_params.get("task"), request.query_params.get("stage"), contest_in(request)
+    address = board_address(contest, track.name) + board_query(task, stage)
+
+    def read(session: Session) -> dict[str, Any]:
+        board = shown_leaderboard(session, by, track.name, task=task, stage=stage, contest=contest).view
+        shown = board_page(request, address, board.entries, own_names)
+        public: Collection[UUID] = public_among(session, [entry.submission_id for entry in shown.entries])
+        around = read_surroundings(session, request, track, shown_stage=board.stage, logs=False)
+        return {"board": board, "shown": shown, "public": public, **around}
+
+    values = await site.read(read)
+    board: LeaderboardView = values["board"]
+    shown_columns = columns(track, task)
+    counted = list(track.tasks.values()) if task is None else [track.tasks[task]]
+    return page(
+        request,
+        "leaderboard.html",
+        viewer=viewer,
+        own_names=own_names,
+        combined=_is_combined(track, task),
+        columns=shown_columns,
+        rows=[(entry, [_cell(column, entry) for column in shown_columns]) for entry in values["shown"].entries],
+        dates=_dates(site, board, own_names),
+        list_kind=board.list_kind.value,
+        ranked=sum(entry.rank is not None for entry in board.entries),
+        episodes=sum(len(definition.episodes) for definition in counted),
+        **values,
+    )
+
+
+def columns(track: Track, task: str | None) -> tuple[Column, ...]:
+    """Return the columns beside the ranking's rate: the tasks, or the shapes of the only one."""
+    if _is_combined(track, task):
+        return tuple(Column(title=definition.title, task=name) for name, definition in track.tasks.items())
+    only = track.tasks[task or next(iter(track.tasks))]
+    return tuple(
+        Column(title=words(shape).capitalize(), task=only.name, shape=shape) for shape in only.episode_list.shapes
+    )
+
+
+def _is_combined(track: Track, task: str | None) -> bool:
+    return task is None and len(track.tasks) > 1
+
+
+def _cell(column: Column, entry: LeaderboardEntryView) -> Cell:
+    score = next((score for score in entry.scores if score.task == column.task), None)
+    if score is None:
+        return Cell(notes=("not submitted",))
+    if column.shape is None:
+        notes = (f"{score.successes} of {score.episodes}",)
+        return Cell(
+            rate=score.success_rate,
+            notes=notes if score.mean_steps is None else (*notes, f"{steps(score.mean_steps)} env steps"),
+        )
+    return Cell(rate=next((part.success_rate for part in score.shapes if part.shape == column.shape), None))
+
+
+def _dates(site: Site, board: LeaderboardView, own_names: Collection[str]) -> Figure | None:
+    """Return the plot of ranked entries against dates, cached until the board changes; None for a single one."""
+    ranked = [entry for entry in board.entries if entry.rank is not None]
+    if len(ranked) < 2:
+        return None
+    own = next((entry.team for entry in ranked if entry.team in own_names), None)
+
+    def make() -> Figure:
+        rates = [
+            DatedRate(name=entry.team, at=entry.submitted_at, success_rate=entry.success_rate, own=entry.team == own)
+            for entry in ranked
+        ]
+        return rates_by_date("dates", "Success rate against date", rates)
+
+    found: Figure = site.plots.get((board.track, board.task, board.revision, own), make)
+    return found

@@ -1,0 +1,127 @@
+"""Links from a page of a track to its siblings: other tracks, competitions, stages and tasks, and the logs."""
+
+from collections.abc import Callable, Iterable, Sequence
+from datetime import UTC, datetime
+
+from sqlalchemy.orm import Session
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from vitac.evaluator.tracks import Track, UnknownTrack, load_track
+from vitac.server.contest.view import competition_list_view, track_stages
+from vitac.server.views.contest import StageView
+
+from ...site import Site, Tab, site_of
+from ..addresses import board_address, board_data_address, board_query, competition_address, contest_in
+
+
+def known_track(name: str) -> Track:
+    """Return a track.
+
+    Raises:
+        HTTPException: 404, there is none of that name.
+    """
+    try:
+        return load_track(name)
+    except UnknownTrack as error:
+        raise HTTPException(404, str(error)) from error
+
+
+def accepts_logs(track: Track) -> bool:
+    """Return whether a track accepts logs of any kind."""
+    return any(not kind.form.runs_policy for kind in track.accepts)
+
+
+def read_surroundings(
+    session: Session, request: Request, track: Track, *, shown_stage: str | None, logs: bool
+) -> dict[str, object]:
+    """Return what a page of boards shows around them.
+
+    Args:
+        session: database session.
+        request: with the competition in its address, and with the `task` and the `stage` that it asks for.
+        track: whose boards are shown.
+        shown_stage: the stage that they are of.
+        logs: whether they are the boards of logs.
+    """
+    contest, part = contest_in(request), "/logs" if logs else ""
+    task, stage = None if logs else request.query_params.get("task"), request.query_params.get("stage")
+    address, stages = board_address(contest, track.name), track_stages(session, track.name, contest)
+    return {
+        "section": f"/tracks/{track.name}",
+        "track": track,
+        "stage": stage,
+        "stage_title": find_stage_title(stages, shown_stage),
+        "query": board_query(task, stage),
+        "board_address": address,
+        "board_data": board_data_address(contest, track.name),
+        "competition": competition_address(contest),
+        "track_tabs": ()
+        if contest
+        else track_tabs(site_of(request), track, part, has_page=accepts_logs if logs else lambda _: True),
+        "contest_tabs": contest_tabs(session, contest, track.name, part),
+        "stage_tabs": stage_tabs(stages, shown_stage, lambda other: f"{address}{part}{board_query(task, other)}"),
+        "tabs": task_tabs(track, task, logs=logs, stage=stage, contest=contest),
+    }
+
+
+def find_stage_title(stages: Sequence[StageView], name: str | None) -> str | None:
+    """Return the title of a stage; its name where the competition's file has just lost it, None outside of stages."""
+    return next((stage.title for stage in stages if stage.name == name), name)
+
+
+def track_tabs(
+    site: Site, shown: Track, page_of_track: str = "", *, has_page: Callable[[Track], bool] = lambda _: True
+) -> tuple[Tab, ...]:
+    """Return the same page of every track that has it; empty if there is only one."""
+    tracks = [track for track in map(known_track, site.tracks) if has_page(track)]
+    return _several(
+        Tab(title=track.title, target=f"/tracks/{track.name}{page_of_track}", current=track.name == shown.name)
+        for track in tracks
+    )
+
+
+def contest_tabs(session: Session, shown: str | None, track: str, page_of_track: str = "") -> tuple[Tab, ...]:
+    """Return the same boards of every competition that holds a track; empty if there is only one."""
+    found = [one for one in competition_list_view(session).items if track in one.tracks]
+    current = shown or (found[0].name if found else None)
+    return _several(
+        Tab(title=one.title, target=board_address(one.name, track) + page_of_track, current=one.name == current)
+        for one in found
+    )
+
+
+def stage_tabs(stages: Sequence[StageView], shown: str | None, address_of: Callable[[str], str]) -> tuple[Tab, ...]:
+    """Return the boards of the stages that have opened, and of the shown one; empty if there is only one.
+
+    Args:
+        stages: of the track.
+        shown: name of the stage whose board is shown.
+        address_of: the address of a stage's board.
+    """
+    now = datetime.now(UTC)
+    return _several(
+        Tab(title=stage.title, target=address_of(stage.name), current=stage.name == shown)
+        for stage in stages
+        if stage.opens <= now or stage.name == shown
+    )
+
+
+def task_tabs(
+    track: Track, task: str | None, *, logs: bool = False, stage: str | None = None, contest: str | None = None
+) -> tuple[Tab, ...]:
+    """Return the leaderboards of a track: all tasks, each task, and the logs; empty if there is only one."""
+    address = board_address(contest, track.name)
+    shown = [Tab(title="All tasks", target=address + board_query(None, stage), current=task is None and not logs)]
+    if len(track.tasks) > 1:
+        shown += [
+            Tab(title=definition.title, target=address + board_query(name, stage), current=name == task)
+            for name, definition in track.tasks.items()
+        ]
+    if accepts_logs(track):
+        shown.append(Tab(title="Logs", target=f"{address}/logs{board_query(None, stage)}", current=logs))
+    return _several(shown)
+
+
+def _several(tabs: Iterable[Tab]) -> tuple[Tab, ...]:
+    shown = tuple(tabs)
+    return shown if len(shown) > 1 else ()
