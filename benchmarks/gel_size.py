@@ -4,7 +4,8 @@ Usage: python benchmarks/gel_size.py [--max-nodes N | --write-docs]
 
 Three families: refined in all directions, one layer thick, and two; and odd ones (thick, domed). Exponents are slopes
 of log(value) by log(nodes) within a family. One thread, no GPU; run it twice, for the first run also compiles.
-`--write-docs` keeps the figures in benchmarks/physics.json and writes tables and picture of docs/physics.md.
+`--write-docs` keeps the figures in benchmarks/physics.json and writes tables and picture of
+benchmarks/physics.md.
 """
 
 import argparse

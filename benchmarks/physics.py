@@ -1,4 +1,4 @@
-"""The figures of docs/physics.md: speed, convergence, accuracy against speed, and agreement with other simulators.
+"""The figures of benchmarks/physics.md: speed, convergence, accuracy against speed, agreement with other simulators.
 
 Usage: python benchmarks/physics.py REFERENCE_DIR [--episodes N] [--ledger] [--write-docs] [--fuzz FILE ...]
 
@@ -6,7 +6,7 @@ Plays the organizers' logged peg episodes and prints JSON. REFERENCE_DIR holds a
 logs/track1_peg_insertion.repeat0.jsonl and physics_truth.json. One thread, no GPU, about half a minute; run it twice,
 for the first run also compiles the kernels. `--ledger` also plays half of the episodes with every solver setting, some
 minutes. `--write-docs` does all of it, keeps the figures in benchmarks/physics.json and writes the tables of
-docs/physics.md from them; `--fuzz` puts results of tests/support/physics/physics_fuzz.py in.
+benchmarks/physics.md from them; `--fuzz` puts results of tests/support/physics/physics_fuzz.py in.
 """
 
 import argparse

@@ -1,1 +1,1 @@
-"""The figures of docs/physics.md: measured on replayed episodes, laid out as tables, written into the page."""
+"""The figures of benchmarks/physics.md: measured on replayed episodes, laid out as tables, written into the page."""

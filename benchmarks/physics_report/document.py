@@ -1,4 +1,4 @@
-"""The figures that docs/physics.md shows, kept between measurements."""
+"""The figures that benchmarks/physics.md shows, kept between measurements."""
 
 import json
 from pathlib import Path
@@ -7,7 +7,7 @@ from .tables import Figures, with_tables
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FIGURES = REPOSITORY / "benchmarks" / "physics.json"
-DOCUMENT = REPOSITORY / "docs" / "physics.md"
+DOCUMENT = REPOSITORY / "benchmarks" / "physics.md"
 
 
 def keep(figures: Figures) -> None:

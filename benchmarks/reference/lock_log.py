@@ -5,7 +5,7 @@ Usage: python benchmarks/reference/lock_log.py REFERENCE_DIR [--draws N] [--epis
 
 REFERENCE_DIR holds assets/track1 and logs/track1_open_lock.repeat0.jsonl. That log has the actions and results of 80
 episodes, but not where the sensors gripped the key: every episode is played with several draws of that. One thread, no
-GPU. `docs/physics.md` says what the figures were.
+GPU. `benchmarks/physics.md` says what the figures were.
 """
 
 import argparse

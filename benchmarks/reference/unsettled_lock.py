@@ -4,7 +4,7 @@ Usage: python benchmarks/reference/unsettled_lock.py REFERENCE_DIR [--episodes N
 
 Plays logged lock episodes twice, sensors without jitter: in our physics, and in the slow oracle of the tests, cut off
 after 5 Newton iterations of 50 conjugate-gradient iterations each. Half a minute of CPU for an episode.
-`docs/physics.md` says what the figures mean.
+`benchmarks/physics.md` says what the figures mean.
 """
 
 import argparse

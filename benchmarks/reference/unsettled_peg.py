@@ -7,7 +7,7 @@ Plays the logged actions with every IPC step solved, and with every one cut off 
 simulator's after 5 (`CutOffSolverSettings`): 20 seconds of CPU for each way. Some episodes are played by the slow
 oracle of the tests, too, whose Newton iterations are as rough as that simulator's: 50 iterations of conjugate gradients
 each, 15 seconds for an episode. REFERENCE_DIR holds assets/track1 and logs/track1_peg_insertion.repeat0.jsonl (90
-episodes). `docs/physics.md` says what the figures were and mean.
+episodes). `benchmarks/physics.md` says what the figures were and mean.
 """
 
 import argparse

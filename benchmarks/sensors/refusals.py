@@ -149,7 +149,7 @@ def cost_of(gel: DrawnSurface, folder: Path) -> Cost:
 
 
 def main() -> None:
-    """Measure all kinds, and print the table of docs/sensors.md."""
+    """Measure all kinds, and print them as a table."""
     print("| fault | refused as | triangles | CPU time [s] | memory [MiB] |\n|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as name:
         for kind, drawn in KINDS.items():

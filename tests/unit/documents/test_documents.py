@@ -14,7 +14,8 @@ READERS = ("cli/**/*.py", "evaluator/**/*.py", "envs/**/*.py", "setup/*.sh", "te
 
 def documents(repository: Path) -> Iterator[Path]:
     yield from sorted(repository.glob("*.md"))
-    yield from sorted((repository / "docs").rglob("*.md"))
+    for folder in ("docs", "benchmarks"):
+        yield from sorted((repository / folder).rglob("*.md"))
 
 
 def headings(document: Path) -> set[str]:

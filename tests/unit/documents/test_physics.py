@@ -1,4 +1,4 @@
-"""docs/physics.md shows the figures that were measured last, and explains what they leave open."""
+"""benchmarks/physics.md shows the figures that were measured last, and explains what they leave open."""
 
 import json
 import re
@@ -11,7 +11,7 @@ from physics_report.tables import TABLES, DocumentError, with_tables
 
 @pytest.fixture(scope="module")
 def document(repository: Path) -> str:
-    return (repository / "docs" / "physics.md").read_text()
+    return (repository / "benchmarks" / "physics.md").read_text()
 
 
 @pytest.fixture(scope="module")
