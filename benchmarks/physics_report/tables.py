@@ -1,4 +1,4 @@
-"""The tables of benchmarks/physics.md from measured figures; each is between `<!-- table NAME -->` and `<!-- end -->`."""
+"""The tables of benchmarks/physics.md; each is between `<!-- table NAME -->` and `<!-- end -->`."""
 
 import re
 from collections.abc import Callable, Iterable, Mapping
