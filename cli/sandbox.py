@@ -1,8 +1,6 @@
 """`vitac sandbox`: prints what a policy runs with on this machine, as measured inside the sandbox."""
 
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from .terminal.output import AsJson, print_json, print_table
 
@@ -10,21 +8,13 @@ if TYPE_CHECKING:
     from vitac.evaluator.agent.description import SandboxDescription
 
 
-def command(
-    as_json: AsJson = False,
-    markdown: Annotated[
-        bool, typer.Option("--markdown", help="Print tables in Markdown, as in docs/sandbox.md.")
-    ] = False,
-) -> None:
+def command(as_json: AsJson = False) -> None:
     """Print what a policy finds in the sandbox: Python, packages, BLAS, threads, CPU."""
     from vitac.evaluator.agent.description import describe_sandbox
 
     found = describe_sandbox()
     if as_json:
         print_json(found.model_dump())
-        return
-    if markdown:
-        print("\n".join(markdown_lines(found)))
         return
     print_table(("what", "found"), facts(found), none="")
     print()
@@ -40,10 +30,3 @@ def facts(found: "SandboxDescription") -> list[tuple[str, str]]:
         ("BLAS of NumPy", found.blas),
         *found.threads.items(),
     ]
-
-
-def markdown_lines(found: "SandboxDescription") -> list[str]:
-    """Return the tables of `docs/sandbox.md`."""
-    lines = ["| what | found |", "|---|---|", *(f"| {name} | {value} |" for name, value in facts(found)), ""]
-    lines += ["| package | version |", "|---|---|"]
-    return lines + [f"| {name} | {version} |" for name, version in found.packages.items()]

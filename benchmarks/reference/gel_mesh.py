@@ -1,4 +1,4 @@
-"""How the generated gel mesh answers a grasp compared with the challenge's mesh; prints the table of docs/gel-mesh.md.
+"""How the generated gel mesh answers a grasp compared with the challenge's mesh; prints a table.
 
 Usage: python benchmarks/reference/gel_mesh.py REFERENCE_DIR [--episodes N] [--json FILE]
 

@@ -40,7 +40,7 @@ def code_cells(notebook: Path) -> Iterator[str]:
 def shown_in_use(repository: Path) -> Iterator[tuple[str, str, str | None]]:
     """Where a name of ours is shown to readers: document, module, name."""
     for page in [repository / "README.md", *sorted((repository / "docs").rglob("*.md"))]:
-        if not {"reference", "adr"} & set(page.parts):
+        if not {"reference"} & set(page.parts):
             text = re.sub(r"python -m \S+", "", page.read_text())
             for dotted in re.findall(r"(?<![\w./])vitac\.(?:envs|evaluator|training)[\w.]*\w", text):
                 yield page.name, *split(dotted)
