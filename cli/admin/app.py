@@ -2,6 +2,7 @@
 
 import sys
 
+import structlog
 import typer
 
 from . import appeal, audit, backup, evaluation, judging, notice, quota, receipt, submission, team, token, worker
@@ -17,8 +18,6 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 @app.callback()
 def log_beside_the_output() -> None:
     """Organize the competition: teams, tokens, submissions, evaluations, workers."""
-    import structlog
-
     # Events go to stderr, so that the output, above all JSON, holds what was asked for and nothing else.
     structlog.configure(logger_factory=lambda *_: structlog.PrintLogger(sys.stderr))
 

@@ -4,38 +4,36 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from sqlalchemy.orm import Session
+from vitac.server.appeals.appeals import appeal_view, find, note_replay, visible
+from vitac.server.appeals.appeals import rule as rule_on
+from vitac.server.principals import CONSOLE
+from vitac.server.views.appeals import AppealReplayView, AppealView
+from vitac.worker import appeal_replay
 
 from ..service.database import load_settings, open_service, transaction
 from ..terminal.outcomes import print_meanings
 from ..terminal.output import AsJson, print_json, print_pairs, print_record, print_records
-from .consent import DryRun, change_transaction, take_back
+from .consent import DryRun, take_back
+from .verbs import change, list_records
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 AppealNumber = Annotated[int, typer.Argument(min=1, max=2_147_483_647, help="Number of the appeal.")]
 
 
-@app.command("list")
+@list_records(app, "id", "state", "team", "submission_name", "task", "episode", "opened_at", none="No appeal.")
 def list_appeals(
+    session: Session,
     open_only: Annotated[bool, typer.Option("--open", help="Only those that are not decided.")] = False,
-    as_json: AsJson = False,
-) -> None:
+) -> list[AppealView]:
     """List the appeals of all teams, newest first."""
-    from vitac.server.appeals.appeals import visible
-    from vitac.server.principals import CONSOLE
-
-    with transaction() as session:
-        found = [one.model_dump() for one in visible(session, CONSOLE, open_only=open_only)]
-    columns = ("id", "state", "team", "submission_name", "task", "episode", "opened_at")
-    print_records(found, columns, none="No appeal.", as_json=as_json)
+    return visible(session, CONSOLE, open_only=open_only)
 
 
 @app.command()
 def show(appeal: AppealNumber, as_json: AsJson = False) -> None:
     """Show an appeal, and what was played again for it."""
-    from vitac.server.appeals.appeals import appeal_view, find
-    from vitac.server.principals import CONSOLE
-
     with transaction() as session:
         found = appeal_view(find(session, CONSOLE, appeal), CONSOLE).model_dump()
     if as_json:
@@ -61,13 +59,8 @@ def replay(
     as_json: AsJson = False,
 ) -> None:
     """Play an episode again on this machine; the stored result and the boards stay as they are."""
-    from vitac.server.appeals.appeals import note_replay
-    from vitac.server.principals import CONSOLE
-    from vitac.server.views.appeals import AppealReplayView
-    from vitac.worker.appeal_replay import replay as play_again
-
     with open_service(load_settings()) as services:
-        played = play_again(services, CONSOLE, appeal, task=task, episode=episode, corrected=corrected)
+        played = appeal_replay.replay(services, CONSOLE, appeal, task=task, episode=episode, corrected=corrected)
         with services.database.transaction() as session:
             made = note_replay(
                 session,
@@ -84,21 +77,14 @@ def replay(
     print_record(shown | {"failure": failure}, as_json=as_json)
 
 
-@app.command()
+@change(app)
 def rule(
+    session: Session,
     appeal: AppealNumber,
     text: Annotated[str, typer.Argument(help="The ruling, as plain text for the team.")],
     upheld: Annotated[bool, typer.Option("--uphold/--reject", help="Whether the team is right.")],
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+) -> dict[str, object]:
     """Decide an appeal; no result changes by it, `vitac admin submission requeue` evaluates again."""
-    from vitac.server.appeals.appeals import appeal_view
-    from vitac.server.appeals.appeals import rule as rule_on
-    from vitac.server.principals import CONSOLE
-
-    with change_transaction(dry_run=dry_run) as session:
-        found = rule_on(session, CONSOLE, appeal, text, upheld=upheld)
-        session.flush()
-        shown = appeal_view(found, CONSOLE).model_dump(exclude={"replays"})
-    print_record(shown, as_json=as_json)
+    found = rule_on(session, CONSOLE, appeal, text, upheld=upheld)
+    session.flush()
+    return appeal_view(found, CONSOLE).model_dump(exclude={"replays"})

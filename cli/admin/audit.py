@@ -4,6 +4,7 @@ import json
 from typing import Annotated
 
 import typer
+from vitac.server.audit import entry_view, newest_entries
 
 from ..service.database import transaction
 from ..terminal.output import AsJson, moment, print_json, print_table
@@ -24,8 +25,6 @@ def list_entries(
     as_json: AsJson = False,
 ) -> None:
     """List the changes that people made, newest first: who, when, what, before and after."""
-    from vitac.server.audit import entry_view, newest_entries
-
     with transaction() as session:
         found = [entry_view(entry) for entry in newest_entries(session, limit, action=action, subject=subject)]
     if as_json:

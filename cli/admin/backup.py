@@ -4,16 +4,18 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.console import Console
+from rich.progress import Progress
+from vitac.server.backup import backup
+from vitac.server.backup import restore as restoring
+from vitac.server.backup.archive import BackupDescription
 
 from ..service.database import load_settings, open_service
 from ..terminal.output import AsJson, print_record
 from .consent import NOTHING_CHANGED, DryRun, Yes, require_consent
-
-if TYPE_CHECKING:
-    from vitac.server.backup.archive import BackupDescription
 
 RESTART = "Restart servers that are running: they know only the track files that were there when they started."
 
@@ -23,8 +25,6 @@ def back_up(
     as_json: AsJson = False,
 ) -> None:
     """Write database and uploads to one file, while the service runs."""
-    from vitac.server.backup import backup
-
     with open_service(load_settings()) as services, _progress() as on_file:
         description = backup.back_up(services, file, on_file=on_file)
     _print(file, description, as_json=as_json)
@@ -37,16 +37,14 @@ def restore(
     as_json: AsJson = False,
 ) -> None:
     """Restore a backup into an empty service; stop its workers first, and restart its servers afterwards."""
-    from vitac.server.backup import restore
-
     if dry_run:
         with open_service(load_settings()) as services:
-            description = restore.check(services, file)
+            description = restoring.check(services, file)
         print(NOTHING_CHANGED, file=sys.stderr)
     else:
         require_consent(f"Replace the empty database by the one in {file}?", yes=yes)
         with open_service(load_settings()) as services, _progress() as on_file:
-            description = restore.restore(services, file, on_file=on_file)
+            description = restoring.restore(services, file, on_file=on_file)
         if description.track_files:
             print(RESTART, file=sys.stderr)
     _print(file, description, as_json=as_json)
@@ -55,9 +53,6 @@ def restore(
 @contextmanager
 def _progress() -> Iterator[Callable[[int, int], None]]:
     """Show a bar over the uploaded files on a terminal."""
-    from rich.console import Console
-    from rich.progress import Progress
-
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("uploads", total=None)
 

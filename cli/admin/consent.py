@@ -4,21 +4,17 @@ Called by the nouns.
 """
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import Annotated, TypeVar
 
 import typer
+from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
+from vitac.server.confirmations import Concern
 
 from ..service.database import transaction
 from ..terminal.output import warn
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from sqlalchemy.orm import Session
-    from vitac.server.confirmations import Concern
 
 ShownT = TypeVar("ShownT")
 

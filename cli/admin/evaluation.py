@@ -1,17 +1,21 @@
 """`vitac admin evaluation`: single runs of the evaluator."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 from uuid import UUID
 
 import typer
+from sqlalchemy.orm import Session
+from vitac.server.evaluations import listing
+from vitac.server.principals import CONSOLE
+from vitac.server.submissions import runs
+from vitac.server.submissions.listing import get
+from vitac.server.views.evaluations import DifferingEpisodeView, EvaluationDetailView, EvaluationRowView, ShardView
+from vitac.server.views.submissions import SubmissionView
 
 from ..service.database import load_settings, transaction
-from ..terminal.output import AsJson, moment, percent, print_done, print_json, print_pairs, print_table
-from .consent import DryRun, Yes, change_transaction
+from ..terminal.output import AsJson, moment, percent, print_json, print_pairs, print_table
 from .state import known_state
-
-if TYPE_CHECKING:
-    from vitac.server.views.evaluations import DifferingEpisodeView, EvaluationDetailView, EvaluationRowView, ShardView
+from .verbs import change
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -30,8 +34,6 @@ def list_evaluations(
     Alarms: episodes that were played again with another result. Copied: episodes of a log with the states of an earlier
     submission of another team.
     """
-    from vitac.server.evaluations import listing
-
     wanted = None if state is None else known_state(state)
     with transaction() as session:
         found = listing.list_evaluations(session, state=wanted, limit=limit)
@@ -47,8 +49,6 @@ def show(
     as_json: AsJson = False,
 ) -> None:
     """Show an evaluation with its shards, and with the episodes that were played again with another result."""
-    from vitac.server.evaluations import listing
-
     with transaction() as session:
         found = listing.show_evaluation(session, load_settings(), evaluation)
     if as_json:
@@ -62,43 +62,22 @@ def show(
         _print_alarms(found.differing_episodes)
 
 
-@app.command()
-def requeue(
-    evaluation: EvaluationId,
-    yes: Yes = False,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+@change(
+    app,
+    question="Run the submission of evaluation {evaluation} again?",
+    done="queued the submission of {evaluation} again",
+)
+def requeue(session: Session, evaluation: EvaluationId) -> SubmissionView:
     """Run all episodes of the same submission again; this evaluation does not change."""
-    from vitac.server.evaluations import listing
-    from vitac.server.principals import CONSOLE
-    from vitac.server.submissions import runs
-    from vitac.server.submissions.listing import get
-
-    question = f"Run the submission of evaluation {evaluation} again?"
-    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
-        submission = runs.run_again(session, CONSOLE, listing.find(session, evaluation).submission_id).id
-        shown = get(session, load_settings(), CONSOLE, submission).model_dump(mode="json")
-    print_done(f"queued submission {submission} again", shown, as_json=as_json)
+    submission = runs.run_again(session, CONSOLE, listing.find(session, evaluation).submission_id)
+    return get(session, load_settings(), CONSOLE, submission.id)
 
 
-@app.command()
-def cancel(
-    evaluation: EvaluationId,
-    yes: Yes = False,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+@change(app, question="Cancel evaluation {evaluation}?", done="cancelled {evaluation}")
+def cancel(session: Session, evaluation: EvaluationId) -> EvaluationDetailView:
     """Cancel an evaluation that waits or runs."""
-    from vitac.server.evaluations import listing
-    from vitac.server.principals import CONSOLE
-    from vitac.server.submissions import runs
-
-    question = f"Cancel evaluation {evaluation}?"
-    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
-        runs.cancel_evaluation(session, CONSOLE, listing.find(session, evaluation))
-        shown = listing.show_evaluation(session, load_settings(), evaluation).model_dump(mode="json")
-    print_done(f"cancelled {evaluation}", shown, as_json=as_json)
+    runs.cancel_evaluation(session, CONSOLE, listing.find(session, evaluation))
+    return listing.show_evaluation(session, load_settings(), evaluation)
 
 
 def _row(row: "EvaluationRowView") -> list[object]:

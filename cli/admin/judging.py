@@ -1,18 +1,19 @@
 """`vitac admin judging`: judges' marks by the rubric of a track, conflicts of interest, and what follows from them."""
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 from uuid import UUID
 
 import typer
+from vitac.server.contest.contest import Contest
+from vitac.server.judging.judging import JudgedTeam, declare_conflict, find_rubric, give_marks, judged
+from vitac.server.principals import CONSOLE
+from vitac.server.tokens import is_judge
 
 from ..service.database import transaction
 from ..terminal.output import AsJson, percent, print_done, print_json, print_table, warn
 from .consent import DryRun, change_transaction
 from .contest.contest import ContestName
-
-if TYPE_CHECKING:
-    from vitac.server.judging.judging import JudgedTeam
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -26,9 +27,6 @@ def rubric(
     as_json: AsJson = False,
 ) -> None:
     """Show the criteria and weights of a track."""
-    from vitac.server.contest.contest import Contest
-    from vitac.server.judging.judging import find_rubric
-
     with transaction() as session:
         found = find_rubric(Contest.find(session, contest, track=track), track)
     if as_json:
@@ -48,10 +46,6 @@ def mark(
     as_json: AsJson = False,
 ) -> None:
     """Store the marks of a judge, replacing earlier ones."""
-    from vitac.server.judging.judging import give_marks
-    from vitac.server.principals import CONSOLE
-    from vitac.server.tokens import is_judge
-
     given = _parsed(marks)
     with change_transaction(dry_run=dry_run) as session:
         give_marks(session, CONSOLE, submission, given, judge=judge)
@@ -70,10 +64,6 @@ def conflict(
     as_json: AsJson = False,
 ) -> None:
     """Note a conflict of interest: the judge's marks of that team are removed, and no new ones are accepted."""
-    from vitac.server.judging.judging import declare_conflict
-    from vitac.server.principals import CONSOLE
-    from vitac.server.tokens import is_judge
-
     with change_transaction(dry_run=dry_run) as session:
         declare_conflict(session, CONSOLE, team, reason, judge=judge)
         known = is_judge(session, judge)
@@ -89,10 +79,6 @@ def show(
     as_json: AsJson = False,
 ) -> None:
     """Show each team's marks with their spread, its figures and its total."""
-    from vitac.server.contest.contest import Contest
-    from vitac.server.judging.judging import judged
-    from vitac.server.principals import CONSOLE
-
     with transaction() as session:
         found = judged(session, CONSOLE, Contest.find(session, contest, track=track).shown_stage(track, stage))
     if as_json:

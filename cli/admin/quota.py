@@ -1,12 +1,20 @@
 """`vitac admin quota`: what teams may have, and how much of it they use."""
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import typer
+from sqlalchemy.orm import Session
+from vitac.server import quotas
+from vitac.server.db.states import Quota
+from vitac.server.principals import CONSOLE
+from vitac.server.quotas import QuotaUse, uses
+from vitac.server.teams import teams
 
-from ..service.database import load_settings, transaction
-from ..terminal.output import AsJson, print_done, print_records
+from ..service.database import load_settings
+from ..terminal.output import AsJson, print_done
 from .consent import DryRun, change_transaction
+from .verbs import list_records
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -15,15 +23,10 @@ UNLIMITED, DEFAULT = "unlimited", "default"
 TeamName = Annotated[str, typer.Argument(help="Name or id of the team.")]
 
 
-@app.command("list")
-def list_quotas(team: TeamName, as_json: AsJson = False) -> None:
+@list_records(app, "quota", "limit", "used", "opens_at", none="No quota.")
+def list_quotas(session: Session, team: TeamName) -> Sequence[QuotaUse]:
     """List the quotas of a team and how much of each is used."""
-    from vitac.server.quotas import uses
-    from vitac.server.teams import teams
-
-    with transaction() as session:
-        found = [vars(use) for use in uses(session, load_settings().quotas, teams.find(session, team).id)]
-    print_records(found, ("quota", "limit", "used", "opens_at"), none="No quota.", as_json=as_json)
+    return uses(session, load_settings().quotas, teams.find(session, team).id)
 
 
 @app.command("set")
@@ -35,11 +38,6 @@ def set_quota(
     as_json: AsJson = False,
 ) -> None:
     """Give a team a limit of its own."""
-    from vitac.server import quotas
-    from vitac.server.db.states import Quota
-    from vitac.server.principals import CONSOLE
-    from vitac.server.teams import teams
-
     if quota not in set(Quota):
         raise typer.BadParameter(f"{quota!r} is no quota; they are {', '.join(Quota)}")
     if limit not in {UNLIMITED, DEFAULT} and not (limit.isascii() and limit.isdigit() and len(limit) < 10):

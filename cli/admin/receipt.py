@@ -1,9 +1,14 @@
 """`vitac admin receipt`: receipts of final results, for those who check a board."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.server.contest.contest import Contest
+from vitac.server.publishing.exporting import export_receipts
+from vitac.server.receipts.chain import chain_state
 
 from ..service.database import load_settings, open_service, transaction
 from ..terminal.output import AsJson, print_record
@@ -15,10 +20,6 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 @app.command()
 def key(as_json: AsJson = False) -> None:
     """Show the public key that signs receipts, how many there are, and the digest of the last one."""
-    from dataclasses import asdict
-
-    from vitac.server.receipts.chain import chain_state
-
     with transaction() as session:
         print_record(asdict(chain_state(session)), as_json=as_json)
 
@@ -37,10 +38,6 @@ def export(
 
     Records and sensors of a sealed list are left out until its secret is published.
     """
-    from vitac.evaluator.submission_kinds import SubmissionKind
-    from vitac.server.contest.contest import Contest
-    from vitac.server.publishing.exporting import export_receipts
-
     ranked = SubmissionKind(kind)
     with open_service(load_settings()) as services, services.database.snapshot() as session:
         board = Contest.find(session, contest, track=track).shown_stage(track, stage)

@@ -1,18 +1,22 @@
 """`vitac admin rejudge`: submissions evaluated again beside their results, applied or discarded as one step."""
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 from uuid import UUID
 
 import typer
+from sqlalchemy.orm import Session
+from vitac.server.contest.contest import Contest
+from vitac.server.principals import CONSOLE
+from vitac.server.rejudging import rejudging
+from vitac.server.rejudging.comparison import RejudgedSubmission, comparison
+from vitac.server.rejudging.rejudging import rejudgements
 
 from ..service.database import transaction
-from ..terminal.output import AsJson, percent, print_done, print_json, print_records, print_table
+from ..terminal.output import AsJson, percent, print_done, print_json, print_table
 from .consent import DryRun, Yes, change_as_shown, change_transaction
 from .contest.contest import ContestName
-
-if TYPE_CHECKING:
-    from vitac.server.rejudging.comparison import RejudgedSubmission
+from .verbs import change, list_records
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -33,11 +37,6 @@ def start(
     as_json: AsJson = False,
 ) -> None:
     """Evaluate submissions again with the present evaluator; nobody but organizers sees it, no result changes."""
-    from vitac.server.contest.contest import Contest
-    from vitac.server.principals import CONSOLE
-    from vitac.server.rejudging import rejudging
-    from vitac.server.rejudging.comparison import comparison
-
     with change_transaction(dry_run=dry_run) as session:
         found = Contest.find(session, contest, track=track).shown_stage(track, stage)
         made = rejudging.start(session, CONSOLE, found, submissions=submission or (), reason=reason)
@@ -49,35 +48,16 @@ def start(
     print_done(sentence, {"id": made.id, "submissions": count}, as_json=as_json)
 
 
-@app.command("list")
-def list_rejudgements(as_json: AsJson = False) -> None:
+@list_records(app, "id", "track", "stage", "reason", "started_at", "applied_at", "discarded_at", none="There is none.")
+def list_rejudgements(session: Session) -> list[dict[str, object]]:
     """List all rejudgements, newest first."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.rejudging.rejudging import rejudgements
-
-    with transaction() as session:
-        found = [
-            {
-                "id": str(each.id),
-                "track": each.track,
-                "stage": each.stage,
-                "reason": each.reason,
-                "started_at": each.started_at,
-                "applied_at": each.applied_at,
-                "discarded_at": each.discarded_at,
-            }
-            for each in rejudgements(session, CONSOLE)
-        ]
-    print_records(found, tuple(found[0]) if found else (), none="There is none.", as_json=as_json)
+    shown = ("id", "track", "stage", "reason", "started_at", "applied_at", "discarded_at")
+    return [{name: getattr(each, name) for name in shown} for each in rejudgements(session, CONSOLE)]
 
 
 @app.command()
 def show(rejudgement: RejudgementId, as_json: AsJson = False) -> None:
     """Show which scores and ranks would change."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.rejudging import rejudging
-    from vitac.server.rejudging.comparison import comparison
-
     with transaction() as session:
         found = comparison(session, rejudging.find(session, CONSOLE, rejudgement))
     _print(found, as_json=as_json)
@@ -86,9 +66,6 @@ def show(rejudgement: RejudgementId, as_json: AsJson = False) -> None:
 @app.command()
 def apply(rejudgement: RejudgementId, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Make the new results those of their submissions; the present ones leave the boards."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.rejudging import rejudging
-
     change_as_shown(
         lambda session: rejudging.apply(session, CONSOLE, rejudgement),
         lambda found: _print(found, as_json=as_json),
@@ -98,15 +75,11 @@ def apply(rejudgement: RejudgementId, yes: Yes = False, dry_run: DryRun = False,
     )
 
 
-@app.command()
-def discard(rejudgement: RejudgementId, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
+@change(app, question="Discard the new results?", done="discarded {rejudgement}")
+def discard(session: Session, rejudgement: RejudgementId) -> dict[str, object]:
     """Leave all present results as they are."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.rejudging import rejudging
-
-    with change_transaction(dry_run=dry_run, question="Discard the new results?", yes=yes) as session:
-        rejudging.discard(session, CONSOLE, rejudgement)
-    print_done(f"discarded {rejudgement}", {"id": rejudgement, "discarded": True}, as_json=as_json)
+    rejudging.discard(session, CONSOLE, rejudgement)
+    return {"id": rejudgement, "discarded": True}
 
 
 def _print(found: "list[RejudgedSubmission]", *, as_json: bool) -> None:

@@ -1,11 +1,7 @@
 """States of evaluations as options name them; called by the nouns that list by state."""
 
-from typing import TYPE_CHECKING
-
 import typer
-
-if TYPE_CHECKING:
-    from vitac.server.db.states import EvaluationState
+from vitac.server.db.states import EvaluationState
 
 
 def known_state(name: str) -> "EvaluationState":
@@ -14,8 +10,6 @@ def known_state(name: str) -> "EvaluationState":
     Raises:
         typer.BadParameter: there is none.
     """
-    from vitac.server.db.states import EvaluationState
-
     try:
         return EvaluationState(name)
     except ValueError:

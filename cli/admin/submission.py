@@ -1,17 +1,19 @@
 """`vitac admin submission`: all teams' submissions."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 from uuid import UUID
 
 import typer
+from sqlalchemy.orm import Session
+from vitac.server.principals import CONSOLE
+from vitac.server.submissions import disqualification, listing, runs
+from vitac.server.views.submissions import SubmissionView
 
+from ..client.status import show as show_status
 from ..service.database import load_settings, transaction
-from ..terminal.output import AsJson, moment, percent, print_done, print_json, print_table
-from .consent import DryRun, Yes, change_transaction
+from ..terminal.output import AsJson, moment, percent, print_json, print_table
 from .state import known_state
-
-if TYPE_CHECKING:
-    from vitac.server.views.submissions import SubmissionView
+from .verbs import change
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -29,9 +31,6 @@ def list_submissions(
     as_json: AsJson = False,
 ) -> None:
     """List submissions, newest first."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.submissions import listing
-
     wanted = None if state is None else known_state(state)
     with transaction() as session:
         found = listing.list_submissions(
@@ -51,11 +50,6 @@ def show(
     as_json: AsJson = False,
 ) -> None:
     """Show a submission with its newest evaluation."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.submissions import listing
-
-    from ..client.status import show as show_status
-
     with transaction() as session:
         found = listing.get(session, load_settings(), CONSOLE, submission).model_dump(mode="json")
     if as_json:
@@ -64,77 +58,36 @@ def show(
         show_status(found)
 
 
-@app.command()
-def requeue(
-    submission: SubmissionId,
-    yes: Yes = False,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+@change(app, question="Evaluate submission {submission} again?", done="queued {submission} again")
+def requeue(session: Session, submission: SubmissionId) -> SubmissionView:
     """Evaluate all episodes of a submission again. Earlier results stay; the newest run is shown."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.submissions import listing, runs
-
-    question = f"Evaluate submission {submission} again?"
-    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
-        runs.run_again(session, CONSOLE, submission)
-        shown = listing.get(session, load_settings(), CONSOLE, submission).model_dump(mode="json")
-    print_done(f"queued {submission} again", shown, as_json=as_json)
+    runs.run_again(session, CONSOLE, submission)
+    return listing.get(session, load_settings(), CONSOLE, submission)
 
 
-@app.command()
-def cancel(
-    submission: SubmissionId,
-    yes: Yes = False,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+@change(app, question="Cancel the evaluation of submission {submission}?", done="cancelled {submission}")
+def cancel(session: Session, submission: SubmissionId) -> SubmissionView:
     """Cancel the evaluation of a submission; its workers stop within seconds."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.submissions import listing, runs
-
-    question = f"Cancel the evaluation of submission {submission}?"
-    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
-        runs.cancel(session, CONSOLE, submission)
-        shown = listing.get(session, load_settings(), CONSOLE, submission).model_dump(mode="json")
-    print_done(f"cancelled {submission}", shown, as_json=as_json)
+    runs.cancel(session, CONSOLE, submission)
+    return listing.get(session, load_settings(), CONSOLE, submission)
 
 
-@app.command()
+@change(app, question="Take submission {submission} off all boards?", done="disqualified {submission}")
 def disqualify(
+    session: Session,
     submission: SubmissionId,
     reason: Annotated[str, typer.Option(help="In one line, for the team to read.")],
-    yes: Yes = False,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+) -> SubmissionView:
     """Remove one submission from all boards; its team takes part as before. `reinstate` undoes it."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.submissions import disqualification, listing
-
-    question = f"Take submission {submission} off all boards?"
-    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
-        disqualification.disqualify(session, CONSOLE, submission, reason)
-        shown = listing.get(session, load_settings(), CONSOLE, submission).model_dump(mode="json")
-    print_done(f"disqualified {submission}", shown, as_json=as_json)
+    disqualification.disqualify(session, CONSOLE, submission, reason)
+    return listing.get(session, load_settings(), CONSOLE, submission)
 
 
-@app.command()
-def reinstate(
-    submission: SubmissionId,
-    yes: Yes = False,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+@change(app, question="Put submission {submission} back on the boards?", done="reinstated {submission}")
+def reinstate(session: Session, submission: SubmissionId) -> SubmissionView:
     """Put a disqualified submission back on the boards."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.submissions import disqualification, listing
-
-    question = f"Put submission {submission} back on the boards?"
-    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
-        disqualification.reinstate(session, CONSOLE, submission)
-        shown = listing.get(session, load_settings(), CONSOLE, submission).model_dump(mode="json")
-    print_done(f"reinstated {submission}", shown, as_json=as_json)
+    disqualification.reinstate(session, CONSOLE, submission)
+    return listing.get(session, load_settings(), CONSOLE, submission)
 
 
 def _row(item: "SubmissionView") -> list[object]:

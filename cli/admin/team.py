@@ -1,18 +1,22 @@
 """`vitac admin team`: teams of the competition."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from sqlalchemy.orm import Session
+from vitac.server.contest.contest import Contest
+from vitac.server.contest.view import disqualified_since_the_end
+from vitac.server.members import members
+from vitac.server.members.registration import NewTeam, register
+from vitac.server.principals import CONSOLE
+from vitac.server.team_data import erase, export
+from vitac.server.teams import merging, teams
+from vitac.server.views.teams import OrganizerTeamView
 
 from ..service.database import load_settings, transaction
 from ..terminal.output import AsJson, print_json, print_pairs, print_record, print_records, warn
 from .consent import DryRun, Yes, change_transaction
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from sqlalchemy.orm import Session
-    from vitac.server.db.models import Team
+from .verbs import change
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -27,10 +31,6 @@ def add(
     as_json: AsJson = False,
 ) -> None:
     """Add a team and print its API token, which is shown only now."""
-    from vitac.server.members.registration import NewTeam, register
-    from vitac.server.principals import CONSOLE
-    from vitac.server.teams import teams
-
     with change_transaction(dry_run=dry_run) as session:
         team, issued = register(session, load_settings(), CONSOLE, NewTeam(name=name, contact=contact))
         shown = teams.organizer_team_view(session, team).model_dump() | ({"id": None} if dry_run else {})
@@ -49,8 +49,6 @@ def list_teams(
     as_json: AsJson = False,
 ) -> None:
     """List all teams."""
-    from vitac.server.teams import teams
-
     with transaction() as session:
         listed = teams.waiting(session) if waiting else teams.list_teams(session)
         found = [teams.organizer_team_view(session, team).model_dump() for team in listed]
@@ -65,10 +63,6 @@ def show(
     as_json: AsJson = False,
 ) -> None:
     """Show one team with its members."""
-    from vitac.server.members import members
-    from vitac.server.principals import CONSOLE
-    from vitac.server.teams import teams
-
     with transaction() as session:
         found = members.own_team_view(session, CONSOLE, teams.find(session, team)).model_dump(mode="json")
     if as_json:
@@ -81,87 +75,59 @@ def show(
     print_records(people, ("name", "role", "email", "joined_at", "left_at"), none="", as_json=False)
 
 
-@app.command()
-def accept(team: TeamName, dry_run: DryRun = False, as_json: AsJson = False) -> None:
+@change(app)
+def accept(session: Session, team: TeamName) -> OrganizerTeamView:
     """Accept a team that waits or was refused; it may submit then."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.teams import teams
+    found = teams.find(session, team)
+    teams.accept(session, CONSOLE, found)
+    return teams.organizer_team_view(session, found)
 
-    _change(team, lambda session, found: teams.accept(session, CONSOLE, found), dry_run=dry_run, as_json=as_json)
 
-
-@app.command()
+@change(app)
 def refuse(
-    team: TeamName,
-    reason: Annotated[str, typer.Option(help="Sent to the team.")],
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+    session: Session, team: TeamName, reason: Annotated[str, typer.Option(help="Sent to the team.")]
+) -> OrganizerTeamView:
     """Refuse a team that waits to be accepted."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.teams import teams
-
-    _change(
-        team, lambda session, found: teams.refuse(session, CONSOLE, found, reason), dry_run=dry_run, as_json=as_json
-    )
+    found = teams.find(session, team)
+    teams.refuse(session, CONSOLE, found, reason)
+    return teams.organizer_team_view(session, found)
 
 
-@app.command()
+@change(app)
 def rename(
-    team: TeamName,
-    name: Annotated[str, typer.Argument(help="The new name, 2 to 64 characters.")],
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+    session: Session, team: TeamName, name: Annotated[str, typer.Argument(help="The new name, 2 to 64 characters.")]
+) -> OrganizerTeamView:
     """Give a team another name."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.teams import teams
+    found = teams.find(session, team)
+    teams.rename(session, CONSOLE, found, name)
+    return teams.organizer_team_view(session, found)
 
-    _change(team, lambda session, found: teams.rename(session, CONSOLE, found, name), dry_run=dry_run, as_json=as_json)
 
-
-@app.command()
+@change(app)
 def captain(
+    session: Session,
     team: TeamName,
     member: Annotated[str, typer.Argument(help="Name of the member who leads the team from now on.")],
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+) -> OrganizerTeamView:
     """Make another member the captain."""
-    from vitac.server.members import members
-    from vitac.server.principals import CONSOLE
-
-    def change(session: "Session", found: "Team") -> None:
-        members.hand_over(session, CONSOLE, members.find_by_name(session, found, member))
-
-    _change(team, change, dry_run=dry_run, as_json=as_json)
+    found = teams.find(session, team)
+    members.hand_over(session, CONSOLE, members.find_by_name(session, found, member))
+    return teams.organizer_team_view(session, found)
 
 
-@app.command("remove-member")
+@change(app, "remove-member", question="Remove {member} from {team}?")
 def remove_member(
-    team: TeamName,
-    member: Annotated[str, typer.Argument(help="Name of the member.")],
-    yes: Yes = False,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+    session: Session, team: TeamName, member: Annotated[str, typer.Argument(help="Name of the member.")]
+) -> OrganizerTeamView:
     """Remove a member from a team; their token ends at once."""
-    from vitac.server.members import members
-    from vitac.server.principals import CONSOLE
-
-    def change(session: "Session", found: "Team") -> None:
-        members.remove(session, CONSOLE, members.find_by_name(session, found, member))
-
-    _change(team, change, question=f"Remove {member} from {team}?", yes=yes, dry_run=dry_run, as_json=as_json)
+    found = teams.find(session, team)
+    members.remove(session, CONSOLE, members.find_by_name(session, found, member))
+    return teams.organizer_team_view(session, found)
 
 
 @app.command()
 def data(team: TeamName, as_json: AsJson = False) -> None:
     """Show how much data the service stores about a team; --json prints all of it."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.team_data import export
-    from vitac.server.teams import teams
-
     with transaction() as session:
         found = export(session, load_settings(), CONSOLE, teams.find(session, team)).model_dump(mode="json")
     if as_json:
@@ -172,38 +138,24 @@ def data(team: TeamName, as_json: AsJson = False) -> None:
     print("\n--json prints all of it.")
 
 
-@app.command()
-def delete(team: TeamName, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
+@change(app, question="Remove {team} with all that it uploaded permanently?")
+def delete(session: Session, team: TeamName) -> OrganizerTeamView:
     """Remove a team's name, people, texts and uploads permanently; its scores stay."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.team_data import erase
-
-    _change(
-        team,
-        lambda session, found: erase(session, CONSOLE, found),
-        question=f"Remove {team} with all that it uploaded for good?",
-        yes=yes,
-        dry_run=dry_run,
-        as_json=as_json,
-    )
+    found = teams.find(session, team)
+    erase(session, CONSOLE, found)
+    return teams.organizer_team_view(session, found)
 
 
-@app.command()
+@change(app, question="Merge {team} into {into}? This cannot be undone.")
 def merge(
+    session: Session,
     team: Annotated[str, typer.Argument(help="Name or id of the team that ends.")],
     into: Annotated[str, typer.Argument(help="Name or id of the team that gets its submissions and members.")],
-    yes: Yes = False,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+) -> OrganizerTeamView:
     """Merge two teams: submissions and members are joined, and what both used of quotas is added up."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.teams import merging, teams
-
-    def change(session: "Session", found: "Team") -> None:
-        merging.merge(session, CONSOLE, teams.find(session, team), found)
-
-    _change(into, change, question=f"Merge {team} into {into} for good?", yes=yes, dry_run=dry_run, as_json=as_json)
+    found = teams.find(session, into)
+    merging.merge(session, CONSOLE, teams.find(session, team), found)
+    return teams.organizer_team_view(session, found)
 
 
 @app.command()
@@ -215,57 +167,22 @@ def disqualify(
     as_json: AsJson = False,
 ) -> None:
     """Remove a team from all boards and refuse its submissions; `reinstate` undoes it."""
-    from vitac.server.contest.contest import Contest
-    from vitac.server.contest.view import disqualified_since_the_end
-    from vitac.server.principals import CONSOLE
-    from vitac.server.teams import teams
-
-    kept: list[str] = []
-
-    def change(session: "Session", found: "Team") -> None:
+    with change_transaction(dry_run=dry_run, question=f"Disqualify {team}?", yes=yes) as session:
+        found = teams.find(session, team)
         teams.disqualify(session, CONSOLE, found, reason)
         session.flush()
-        final = (disqualified_since_the_end(contest) for contest in Contest.read_all(session))
-        kept.extend(each.team for teams in final for each in teams if each.team == found.name)
-
-    _change(team, change, question=f"Disqualify {team}?", yes=yes, dry_run=dry_run, as_json=as_json)
-    if kept and not dry_run:
-        warn(
-            f"the results are final: {kept[0]} is struck through there; `results finalize --again` decides without it."
-        )
-
-
-@app.command()
-def reinstate(team: TeamName, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
-    """Let a disqualified team take part again, with all its results."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.teams import teams
-
-    _change(
-        team,
-        lambda session, found: teams.reinstate(session, CONSOLE, found),
-        question=f"Reinstate {team}, with all its results on the boards?",
-        yes=yes,
-        dry_run=dry_run,
-        as_json=as_json,
-    )
-
-
-def _change(
-    team: str,
-    change: "Callable[[Session, Team], None]",
-    *,
-    dry_run: bool,
-    as_json: bool,
-    question: str | None = None,
-    yes: bool = False,
-) -> None:
-    """Change a team and print what it is then."""
-    from vitac.server.teams import teams
-
-    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
-        found = teams.find(session, team)
-        change(session, found)
-        session.flush()
-        shown = teams.organizer_team_view(session, found).model_dump(mode="json")
+        final = [out for contest in Contest.read_all(session) for out in disqualified_since_the_end(contest)]
+        is_in_results = any(out.team == found.name for out in final)
+        shown = teams.organizer_team_view(session, found).model_dump()
     print_record(shown, as_json=as_json)
+    if is_in_results and not dry_run:
+        name = shown["name"]
+        warn(f"the results are final: {name} is struck through there; `results finalize --again` decides without it.")
+
+
+@change(app, question="Reinstate {team}, with all its results on the boards?")
+def reinstate(session: Session, team: TeamName) -> OrganizerTeamView:
+    """Let a disqualified team take part again, with all its results."""
+    found = teams.find(session, team)
+    teams.reinstate(session, CONSOLE, found)
+    return teams.organizer_team_view(session, found)

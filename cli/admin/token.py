@@ -5,10 +5,17 @@ from typing import Annotated
 from uuid import UUID
 
 import typer
+from sqlalchemy.orm import Session
+from vitac.server import tokens
+from vitac.server.db.states import Role
+from vitac.server.principals import CONSOLE
+from vitac.server.teams import teams
+from vitac.server.views.teams import TokenView
 
-from ..service.database import load_settings, transaction
-from ..terminal.output import AsJson, print_done, print_json, print_pairs, print_records
-from .consent import DryRun, Yes, change_transaction
+from ..service.database import load_settings
+from ..terminal.output import AsJson, print_json, print_pairs
+from .consent import DryRun, change_transaction
+from .verbs import change, list_records
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -41,11 +48,6 @@ def add(
 
     `--organizer --contest NAME` is for somebody who organizes one of several competitions and sees no other.
     """
-    from vitac.server import tokens
-    from vitac.server.db.states import Role
-    from vitac.server.principals import CONSOLE
-    from vitac.server.teams import teams
-
     if (team is not None) + organizer + judge != 1:
         raise typer.BadParameter("give one of TEAM, --organizer and --judge")
     if judge and label is None:
@@ -72,29 +74,17 @@ def add(
         print("\nThe secret is not shown again. It is used as VITAC_TOKEN.")
 
 
-@app.command("list")
-def list_tokens(as_json: AsJson = False) -> None:
+@list_records(
+    app, "id", "role", "team", "contest", "label", "expires_at", "revoked_at", "last_used_at", none="No token yet."
+)
+def list_tokens(session: Session) -> list[TokenView]:
     """List all tokens, without their secrets."""
-    from vitac.server import tokens
-    from vitac.server.principals import CONSOLE
-
-    with transaction() as session:
-        found = [tokens.token_view(token).model_dump() for token in tokens.list_tokens(session, CONSOLE)]
-    columns = ("id", "role", "team", "contest", "label", "expires_at", "revoked_at", "last_used_at")
-    print_records(found, columns, none="No token yet.", as_json=as_json)
+    return [tokens.token_view(token) for token in tokens.list_tokens(session, CONSOLE)]
 
 
-@app.command()
+@change(app, question="Revoke token {token}? This cannot be undone.", done="revoked {token}")
 def revoke(
-    token: Annotated[UUID, typer.Argument(help="Id of the token (not its secret).")],
-    yes: Yes = False,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+    session: Session, token: Annotated[UUID, typer.Argument(help="Id of the token (not its secret).")]
+) -> TokenView:
     """Revoke a token; this cannot be undone."""
-    from vitac.server import tokens
-    from vitac.server.principals import CONSOLE
-
-    with change_transaction(dry_run=dry_run, question=f"Revoke token {token} for good?", yes=yes) as session:
-        shown = tokens.token_view(tokens.revoke(session, CONSOLE, token)).model_dump()
-    print_done(f"revoked {token}", shown, as_json=as_json)
+    return tokens.token_view(tokens.revoke(session, CONSOLE, token))

@@ -4,33 +4,26 @@ from typing import Annotated
 from uuid import UUID
 
 import typer
+from sqlalchemy.orm import Session
+from vitac.server.queue import workers
+from vitac.server.views.workers import WorkerView
 
-from ..service.database import transaction
-from ..terminal.output import AsJson, print_record, print_records
+from .verbs import list_records, show
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 
-@app.command("list")
-def list_workers(as_json: AsJson = False) -> None:
+@list_records(
+    app,
+    *("id", "host", "pid", "slots", "state", "isolation", "heartbeat_at", "message"),
+    none="No worker has run in the last week; `vitac worker` starts one.",
+)
+def list_workers(session: Session) -> list[WorkerView]:
     """List the workers of the last week, the one with the newest heartbeat first."""
-    from vitac.server.queue import workers
-
-    with transaction() as session:
-        found = [workers.worker_view(worker).model_dump() for worker in workers.list_workers(session)]
-    columns = ("id", "host", "pid", "slots", "state", "isolation", "heartbeat_at", "message")
-    none = "No worker has run in the last week; `vitac worker` starts one."
-    print_records(found, columns, none=none, as_json=as_json)
+    return [workers.worker_view(worker) for worker in workers.list_workers(session)]
 
 
-@app.command()
-def show(
-    worker: Annotated[UUID, typer.Argument(help="Id of the worker.")],
-    as_json: AsJson = False,
-) -> None:
+@show(app, "show")
+def show_worker(session: Session, worker: Annotated[UUID, typer.Argument(help="Id of the worker.")]) -> WorkerView:
     """Show a worker and what it says about itself."""
-    from vitac.server.queue import workers
-
-    with transaction() as session:
-        shown = workers.worker_view(workers.find(session, worker)).model_dump()
-    print_record(shown, as_json=as_json)
+    return workers.worker_view(workers.find(session, worker))

@@ -1,17 +1,20 @@
 """`vitac admin advance`: who takes part in a stage for qualified teams."""
 
 import sys
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from sqlalchemy.orm import Session
+from vitac.server.advancement.advancement import confirm as confirm_teams
+from vitac.server.advancement.advancement import propose as propose_teams
+from vitac.server.advancement.advancement import qualified_revision, qualified_teams
+from vitac.server.contest.contest import Contest
+from vitac.server.principals import CONSOLE
 
 from ...service.database import transaction
 from ...terminal.output import AsJson, percent, print_json, print_table, warn
 from ..consent import Base, DryRun, Yes, change_as_shown, resolve_base
 from .contest import ContestName, StageName, TrackName
-
-if TYPE_CHECKING:
-    from sqlalchemy.orm import Session
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -21,10 +24,6 @@ TeamNames = Annotated[list[str] | None, typer.Option(help="Name or id of a team;
 @app.command()
 def propose(track: TrackName, stage: StageName, contest: ContestName = None, as_json: AsJson = False) -> None:
     """Show who advances to a stage by its rule, and which teams chance may have put on their side of the border."""
-    from vitac.server.advancement.advancement import propose as propose_teams
-    from vitac.server.contest.contest import Contest
-    from vitac.server.principals import CONSOLE
-
     with transaction() as session:
         found = propose_teams(session, CONSOLE, Contest.find(session, contest, track=track).stage(track, stage))
     if as_json:
@@ -64,9 +63,6 @@ def confirm(
     as_json: AsJson = False,
 ) -> None:
     """Let the proposed teams, more of them or fewer, take part in a stage."""
-    from vitac.server.advancement.advancement import confirm as confirm_teams
-    from vitac.server.contest.contest import Contest
-    from vitac.server.principals import CONSOLE
 
     def change(session: "Session") -> list[str]:
         found = Contest.find(session, contest, track=track).stage(track, stage)
@@ -93,9 +89,6 @@ def confirm(
 @app.command("list")
 def list_teams(track: TrackName, stage: StageName, contest: ContestName = None, as_json: AsJson = False) -> None:
     """List the teams that were confirmed for a stage."""
-    from vitac.server.advancement.advancement import qualified_revision, qualified_teams
-    from vitac.server.contest.contest import Contest
-
     with transaction() as session:
         wanted = Contest.find(session, contest, track=track).stage(track, stage)
         found, revision = qualified_teams(session, wanted), qualified_revision(session, wanted)

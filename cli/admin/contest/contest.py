@@ -1,21 +1,25 @@
 """`vitac admin competition`: the competition's file, its stages and their sealed lists."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from sqlalchemy.orm import Session
+from vitac.server.confirmations import Concern
+from vitac.server.contest.applying import Change, list_concerns, warnings_about
+from vitac.server.contest.applying import apply as apply_definition
+from vitac.server.contest.contest import Contest
+from vitac.server.contest.definition import read_competition
+from vitac.server.contest.sealing import reveal as reveal_list
+from vitac.server.contest.sealing import sealed_lists
+from vitac.server.principals import CONSOLE
 
 from ...service.database import transaction
-from ...terminal.output import AsJson, moment, print_json, print_pairs, print_record, print_records, print_table, warn
+from ...terminal.output import AsJson, moment, print_json, print_pairs, print_record, print_table, warn
 from ..consent import Base, Confirmed, DryRun, Yes, change_as_shown, change_transaction, resolve_base, resolve_confirmed
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from sqlalchemy.orm import Session
-    from vitac.server.confirmations import Concern
-    from vitac.server.contest.applying import Change
+from ..verbs import list_records
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -30,8 +34,6 @@ ContestName = Annotated[
 @app.command()
 def check(file: CompetitionFile, as_json: AsJson = False) -> None:
     """Check a competition's file without a service; the exit code is 0 if it can be applied."""
-    from vitac.server.contest.definition import read_competition
-
     found = read_competition(file)
     if as_json:
         print_json(found.model_dump(mode="json"))
@@ -65,12 +67,6 @@ def apply(
     as_json: AsJson = False,
 ) -> None:
     """Show what a competition's file changes, and make it the competition of its name, beside others."""
-    from vitac.server.contest.applying import apply as apply_definition
-    from vitac.server.contest.applying import list_concerns, warnings_about
-    from vitac.server.contest.contest import Contest
-    from vitac.server.contest.definition import read_competition
-    from vitac.server.principals import CONSOLE
-
     definition, without_question = read_competition(file), yes and not dry_run
 
     def change(session: "Session") -> "tuple[list[Change], list[Concern], str]":
@@ -103,8 +99,6 @@ def apply(
 @app.command()
 def show(contest: ContestName = None, as_json: AsJson = False) -> None:
     """Show a competition of this service."""
-    from vitac.server.contest.contest import Contest
-
     with transaction() as session:
         shown = Contest.find(session, contest)
     found = shown.definition
@@ -118,26 +112,25 @@ def show(contest: ContestName = None, as_json: AsJson = False) -> None:
         print_pairs(names | {"revision": shown.revision})
 
 
-@app.command()
-def lists(contest: ContestName = None, as_json: AsJson = False) -> None:
+@list_records(
+    app,
+    *("track", "stage", "commitment", "withdrawn_at", "revealed_at", "secret"),
+    none="No stage plays a sealed list.",
+    name="lists",
+)
+def list_sealed(session: Session, contest: ContestName = None) -> list[dict[str, object]]:
     """List the sealed lists of stages: commitments to publish before, secrets once they are revealed."""
-    from vitac.server.contest.contest import Contest
-    from vitac.server.contest.sealing import sealed_lists
-
-    with transaction() as session:
-        found = [
-            {
-                "track": each.track,
-                "stage": each.stage,
-                "commitment": each.commitment,
-                "withdrawn_at": each.withdrawn_at,
-                "revealed_at": each.revealed_at,
-                "secret": each.secret if each.revealed_at else None,
-            }
-            for each in sealed_lists(session, Contest.find(session, contest))
-        ]
-    columns = ("track", "stage", "commitment", "withdrawn_at", "revealed_at", "secret")
-    print_records(found, columns, none="No stage plays a sealed list.", as_json=as_json)
+    return [
+        {
+            "track": each.track,
+            "stage": each.stage,
+            "commitment": each.commitment,
+            "withdrawn_at": each.withdrawn_at,
+            "revealed_at": each.revealed_at,
+            "secret": each.secret if each.revealed_at else None,
+        }
+        for each in sealed_lists(session, Contest.find(session, contest))
+    ]
 
 
 @app.command()
@@ -150,13 +143,9 @@ def reveal(
     as_json: AsJson = False,
 ) -> None:
     """Publish the secret of a stage's sealed list after the stage has closed; this cannot be undone."""
-    from vitac.server.contest.contest import Contest
-    from vitac.server.contest.sealing import reveal as reveal_list
-    from vitac.server.principals import CONSOLE
-
     with transaction() as session:
         Contest.find(session, contest, track=track).stage(track, stage).require_over()
-    question = f"Publish the episodes of stage {stage} of {track} for good?"
+    question = f"Publish the episodes of stage {stage} of {track} ? This cannot be undone."
     with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
         over = Contest.find(session, contest, track=track).stage(track, stage)
         over.require_over()  # the stage may have been prolonged meanwhile

@@ -2,55 +2,49 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from sqlalchemy.orm import Session
+from vitac.server.confirmations import Concern
+from vitac.server.contest import freezing
+from vitac.server.contest.contest import Contest
+from vitac.server.contest.view import disqualified_since_the_end
+from vitac.server.principals import CONSOLE
+from vitac.server.prizes.finishing import Winner, concerns_at_end, finalize_again, prizes_without_winner
+from vitac.server.prizes.finishing import finalize as finalize_results
+from vitac.server.prizes.finishing import reopen as reopen_results
+from vitac.server.prizes.finishing import winners as all_winners
+from vitac.server.publishing.publishing import publish as publish_results
 
 from ...service.database import transaction
-from ...terminal.output import AsJson, percent, print_done, print_json, print_records, warn
-from ..consent import Confirmed, DryRun, Yes, change_as_shown, change_transaction, resolve_confirmed
+from ...terminal.output import AsJson, percent, print_json, print_records, warn
+from ..consent import Confirmed, DryRun, Yes, change_as_shown, resolve_confirmed
+from ..verbs import change
 from .contest import ContestName
-
-if TYPE_CHECKING:
-    from sqlalchemy.orm import Session
-    from vitac.server.confirmations import Concern
-    from vitac.server.prizes.finishing import Winner
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 COLUMNS = ("track", "place", "team", "amount", "currency", "rank", "success_rate", "mean_steps", "total")
 
 
-@app.command()
-def freeze(contest: ContestName = None, dry_run: DryRun = False, as_json: AsJson = False) -> None:
+@change(app, done="boards are frozen")
+def freeze(session: Session, contest: ContestName = None) -> dict[str, object]:
     """Freeze the boards of all stages for everybody but organizers; `unfreeze` ends it."""
-    from vitac.server.contest.freezing import freeze as freeze_boards
-    from vitac.server.principals import CONSOLE
-
-    with change_transaction(dry_run=dry_run) as session:
-        freeze_boards(session, CONSOLE, contest)
-    print_done("boards are frozen", {"frozen": True}, as_json=as_json)
+    freezing.freeze(session, CONSOLE, contest)
+    return {"frozen": True}
 
 
-@app.command()
-def unfreeze(contest: ContestName = None, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
+@change(app, question="Show all results on the boards again?", done="boards show all results")
+def unfreeze(session: Session, contest: ContestName = None) -> dict[str, object]:
     """Show all results again."""
-    from vitac.server.contest.freezing import unfreeze as unfreeze_boards
-    from vitac.server.principals import CONSOLE
-
-    with change_transaction(dry_run=dry_run, question="Show all results on the boards again?", yes=yes) as session:
-        unfreeze_boards(session, CONSOLE, contest)
-    print_done("boards show all results", {"frozen": False}, as_json=as_json)
+    freezing.unfreeze(session, CONSOLE, contest)
+    return {"frozen": False}
 
 
 @app.command()
 def winners(contest: ContestName = None, as_json: AsJson = False) -> None:
     """List who wins what: final, or by today's boards of the last stages."""
-    from vitac.server.contest.contest import Contest
-    from vitac.server.contest.view import disqualified_since_the_end
-    from vitac.server.prizes.finishing import prizes_without_winner
-    from vitac.server.prizes.finishing import winners as all_winners
-
     with transaction() as session:
         found = all_winners(session, contest)
         left = prizes_without_winner(session, found, contest)
@@ -72,9 +66,6 @@ def finalize(
     as_json: AsJson = False,
 ) -> None:
     """End the competition with the winners as they are now; with --again, decide them again afterwards."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.prizes.finishing import concerns_at_end, finalize_again, prizes_without_winner
-    from vitac.server.prizes.finishing import finalize as finalize_results
 
     def change(session: "Session") -> "tuple[list[Winner], list[str], list[Concern]]":
         confirmed, concerns = resolve_confirmed(confirm, yes=yes and not dry_run), []
@@ -95,22 +86,19 @@ def finalize(
     )
 
 
-@app.command()
+@change(
+    app,
+    question="Reopen the competition? Its page shows this, with your reason.",
+    done="the results are open again",
+)
 def reopen(
+    session: Session,
     reason: Annotated[str, typer.Option(help="Why, for everybody to read.")],
     contest: ContestName = None,
-    yes: Yes = False,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+) -> dict[str, object]:
     """Reopen a final competition, for instance after an appeal; `finalize` ends it again."""
-    from vitac.server.principals import CONSOLE
-    from vitac.server.prizes.finishing import reopen as reopen_results
-
-    question = "Reopen the competition? Its page shows this, with your reason."
-    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
-        reopen_results(session, CONSOLE, reason, contest)
-    print_done("the results are open again", {"final": False}, as_json=as_json)
+    reopen_results(session, CONSOLE, reason, contest)
+    return {"final": False}
 
 
 @app.command()
@@ -120,8 +108,6 @@ def publish(
     as_json: AsJson = False,
 ) -> None:
     """Write the results as JSON, CSV, a page to print and certificates."""
-    from vitac.server.publishing.publishing import publish as publish_results
-
     with transaction() as session:
         written = [str(path) for path in publish_results(session, folder, contest)]
     if as_json:

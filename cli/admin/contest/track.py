@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from vitac.server.contest.own_tracks import CORES, check_track
 
 from ...terminal.compiling import compiling_shown
 from ...terminal.output import AsJson, print_json, print_table
@@ -26,8 +27,6 @@ def check(
 
     A few episodes are played: every shape once, and the largest offsets. What a policy computes comes on top.
     """
-    from vitac.server.contest.own_tracks import CORES, check_track
-
     with compiling_shown():
         found = check_track(file)
     if as_json:
