@@ -10,16 +10,17 @@ from datetime import UTC, datetime, timedelta
 from types import MappingProxyType
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, Select, and_, delete, exists, func, or_, select
+from sqlalchemy import ColumnElement, Select, and_, delete, exists, func, or_, select, union
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
 from .audit import record
 from .contest.contest import Contest
 from .contest.stages import Stage
-from .db.models import ApiToken, Evaluation, Submission, Team, TeamQuota
+from .db.models import ApiToken, Evaluation, PartialUpload, Submission, SubmissionFile, Team, TeamQuota
 from .db.states import ACTIVE_EVALUATION_STATES, EvaluationState, Quota
 from .db.stored_episodes import OF_EVALUATION
+from .db.stored_uploads import WAS_CANCELLED
 from .errors import ProblemCode, ServiceError
 from .principals import Principal
 from .settings import Quotas
@@ -31,6 +32,7 @@ _UNITS: Mapping[Quota, str] = MappingProxyType(
         Quota.SCORED_RUNS_PER_DAY: "evaluations a day (UTC) that end with a score or may still do so",
         Quota.ATTEMPTS_PER_DAY: "evaluations a day (UTC), however they end",
         Quota.QUEUED_AT_ONCE: "evaluations that wait or run",
+        Quota.STORED_MIB: "MiB of stored uploads",
         Quota.TOKENS: "tokens that are good",
         Quota.EVENT_STREAMS: "event streams at the same time",
     }
@@ -38,6 +40,7 @@ _UNITS: Mapping[Quota, str] = MappingProxyType(
 _OPENING: Mapping[Quota, str] = MappingProxyType(
     {
         Quota.QUEUED_AT_ONCE: "when one of them ends; cancelling one helps",
+        Quota.STORED_MIB: "a day after an evaluation was cancelled; deleting an unfinished upload helps",
         Quota.TOKENS: "when one is revoked or expires",
         Quota.EVENT_STREAMS: "when one of them is closed",
     }
@@ -223,8 +226,26 @@ def _noted(session: Session, team: Team, quota: Quota) -> dict[str, object]:
 def _used(session: Session, team_id: UUID, quota: Quota) -> int | None:
     if quota is Quota.EVENT_STREAMS:
         return None
+    if quota is Quota.STORED_MIB:
+        return -(-_stored_bytes(session, team_id) // (1 << 20))
     query = _tokens(team_id) if quota is Quota.TOKENS else _evaluations(team_id, quota)
     return session.scalars(query).one()
+
+
+def _stored_bytes(session: Session, team_id: UUID) -> int:
+    """Return the size of a team's stored files, each once, and of its uploads that are not complete."""
+    own = Submission.team_id == team_id, ~WAS_CANCELLED
+    uploads = select(Submission.archive_sha256, Submission.archive_bytes).where(*own)
+    others = select(SubmissionFile.sha256, SubmissionFile.n_bytes).join(
+        Submission, Submission.id == SubmissionFile.submission_id
+    )
+    stored = union(uploads, others.where(*own)).subquery()
+    unfinished = select(func.sum(PartialUpload.total_bytes)).where(
+        PartialUpload.team_id == team_id,
+        PartialUpload.submission_id.is_(None),
+        PartialUpload.expires_at > datetime.now(UTC),
+    )
+    return int(session.scalar(select(func.sum(stored.c[1]))) or 0) + int(session.scalar(unfinished) or 0)
 
 
 def _tokens(team_id: UUID) -> Select[int]:

@@ -43,7 +43,7 @@ def open_services(settings: Settings, *, may_run_database: bool = True) -> Itera
         else:
             postgres = EmbeddedPostgres(settings.state_dir, bin_dir=settings.postgres_bin_dir, may_run=may_run_database)
             stack.callback(postgres.stop)
-            address, owner_address = postgres.start(), postgres.cluster.dsn()
+            address, owner_address = postgres.start(), postgres.cluster.owner_dsn()
         database = Database(address, owner_address=owner_address)
         stack.callback(database.dispose)
         try:

@@ -56,8 +56,11 @@ class Quotas(BaseModel):
     scored_runs_per_day: Limit = Field(
         default=None, description="Evaluations of a day (UTC) that end with a score or may still do so."
     )
-    attempts_per_day: Limit = Field(default=None, description="Evaluations of a day (UTC), however they end.")
-    queued_at_once: Limit = Field(default=None, description="Evaluations that wait or run.")
+    attempts_per_day: Limit = Field(default=100, description="Evaluations of a day (UTC), however they end.")
+    queued_at_once: Limit = Field(default=50, description="Evaluations that wait or run.")
+    stored_mib: Limit = Field(
+        default=8192, description="Stored uploads [MiB] and those being sent; cancelled ones are removed after a day."
+    )
     tokens: Limit = Field(default=20, description="Tokens that are good.")
     event_streams: Limit = Field(default=20, description="Open event streams, of API and pages together.")
 

@@ -54,7 +54,7 @@ class Site:
         signer: signs the sessions.
         version: the distribution's version, shown in the footer.
         tracks: names of the tracks; the navigation leads to the first one.
-        public_url: address that people use; None: that of the request.
+        public_url: address that people use; None: that of the socket, which only this machine reaches.
         preview_font: font file for names in pictures of links.
         plots: of evaluations and boards.
         maps: of episodes of complete evaluations.
@@ -76,7 +76,10 @@ class Site:
 
     def address(self, request: Request) -> str:
         """Return the address to use on the command line."""
-        return (self.public_url or str(request.base_url)).rstrip("/")
+        if self.public_url is not None:
+            return self.public_url.rstrip("/")
+        host, port = request.scope["server"]  # of the socket: the Host header is the client's to choose
+        return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
     async def ask(self, query: Callable[[Session], ResultT]) -> ResultT:
         """Return what functions of the service layer give in one transaction, which may change something."""

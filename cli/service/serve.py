@@ -1,7 +1,9 @@
 """`vitac serve`: runs the service on this machine."""
 
+from __future__ import annotations
+
 import sys
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -10,6 +12,9 @@ from .events import configure_events
 from .process_tree import running_service
 from .stop_request import StopRequest
 from .web_server import bind
+
+if TYPE_CHECKING:
+    from vitac.server.settings import Settings
 
 
 def command(
@@ -21,6 +26,7 @@ def command(
 ) -> None:
     """Run the service until Ctrl-C: API, pages, and the embedded database unless VITAC_DATABASE_URL is set."""
     settings = load_settings(host=host, port=port)
+    _require_public_url(settings)
     configure_events(sys.stderr, settings.log_format)
     listener = bind(settings.host, settings.port)
     with (
@@ -33,6 +39,22 @@ def command(
         print("Press Ctrl-C to stop.", flush=True)
         stop.supervise(service.restart_ended)
         print("stopping", flush=True)
+
+
+def _require_public_url(settings: Settings) -> None:
+    """Refuse to serve other machines without knowing how they call this one: links never follow a request's header.
+
+    Raises:
+        SettingsError: VITAC_PUBLIC_URL is missing.
+    """
+    from vitac.server.errors import SettingsError
+
+    is_local = settings.host == "localhost" or settings.host.startswith("127.") or settings.host == "::1"
+    if not is_local and settings.public_url is None:
+        raise SettingsError(
+            f"The service would listen at {settings.host}, beyond this machine, and does not know its address for "
+            "others. Set VITAC_PUBLIC_URL, such as https://arena.example.org."
+        )
 
 
 def _note(sentence: str) -> None:

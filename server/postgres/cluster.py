@@ -37,8 +37,22 @@ logger = structlog.get_logger(__name__)
 
 DATABASE = "vitac"
 SUPERUSER = "vitac"
-"""Owns the tables and migrates them; the service runs as the other role, which can change no table's rules."""
+"""Makes the database and the two roles below, and nothing else: what it runs could start programs."""
+OWNER_ROLE = "vitac_owner"
+"""Owns the tables, migrates and restores them."""
 SERVICE_ROLE = "vitac_service"
+"""Works with them, and can change no table's rules."""
+_OWN_TABLES = """
+SELECT format('ALTER %s %s OWNER TO {0}', kind, name) FROM (
+  SELECT 'TABLE', oid::regclass::text FROM pg_class
+  WHERE relkind IN ('r', 'p') AND relnamespace = 'public'::regnamespace
+  UNION ALL
+  SELECT 'ROUTINE', oid::regprocedure::text FROM pg_proc WHERE pronamespace = 'public'::regnamespace
+  UNION ALL
+  SELECT 'TYPE', oid::regtype::text FROM pg_type WHERE typtype = 'e' AND typnamespace = 'public'::regnamespace
+) AS found (kind, name) WHERE (SELECT datdba FROM pg_database WHERE datname = current_database()) <> '{0}'::regrole
+"""
+"""Statements that give the tables of a database that an earlier version made to the owner."""
 SOCKET_PATH_LIMIT = 107  # bytes in sockaddr_un.sun_path, less the closing zero
 STOP_LIMIT_S = 20.0
 LOG_LIMIT_BYTES = 8 << 20
@@ -187,33 +201,49 @@ class Cluster:
             return
 
     def make_database(self) -> None:
-        """Create our database and the service's role in a fresh cluster and write the address file."""
-        password_file = self._service_password_file
-        if not password_file.exists():
-            _write_private(password_file, secrets.token_urlsafe(32))
+        """Create our database and its two roles in a fresh cluster and write the address file."""
         with psycopg.connect(self.dsn("postgres"), autocommit=True) as connection:
+            for role in (OWNER_ROLE, SERVICE_ROLE):
+                self._make_role(connection, role)
             known = connection.execute("SELECT 1 FROM pg_database WHERE datname = %s", [DATABASE]).fetchone()
             if known is None:
-                connection.execute(f"CREATE DATABASE {DATABASE}")
-            role, password = sql.Identifier(SERVICE_ROLE), sql.Literal(password_file.read_text())
-            made = connection.execute("SELECT 1 FROM pg_roles WHERE rolname = %s", [SERVICE_ROLE]).fetchone()
-            change = "ALTER" if made else "CREATE"
-            connection.execute(sql.SQL(f"{change} ROLE {{}} LOGIN NOSUPERUSER PASSWORD {{}}").format(role, password))
+                connection.execute(f"CREATE DATABASE {DATABASE} OWNER {OWNER_ROLE}")
+        if known is not None:
+            self._give_tables_to_owner()
         address = self.service_dsn()
         if not self.dsn_file.exists() or self.dsn_file.read_text() != address:  # the disk may be full by now
             _write_private(self.dsn_file, address)
 
+    def _make_role(self, connection: psycopg.Connection, role: str) -> None:
+        """Create an ordinary role, or give it the password of its file again."""
+        password_file = self._password_file(role)
+        if not password_file.exists():
+            _write_private(password_file, secrets.token_urlsafe(32))
+        made = connection.execute("SELECT 1 FROM pg_roles WHERE rolname = %s", [role]).fetchone()
+        change = sql.SQL(f"{'ALTER' if made else 'CREATE'} ROLE {{}} LOGIN NOSUPERUSER PASSWORD {{}}")
+        connection.execute(change.format(sql.Identifier(role), sql.Literal(password_file.read_text())))
+
+    def _give_tables_to_owner(self) -> None:
+        with psycopg.connect(self.dsn()) as connection:
+            for (statement,) in connection.execute(_OWN_TABLES.format(OWNER_ROLE)).fetchall():
+                connection.execute(statement)
+            connection.execute(f"ALTER DATABASE {DATABASE} OWNER TO {OWNER_ROLE}")
+
     def dsn(self, database: str = DATABASE) -> str:
-        """Return the address of a database of this cluster for the owner of the tables, with the password."""
-        return self._address(SUPERUSER, self.folder / "password", database)
+        """Return the address of a database of this cluster for its superuser, with the password."""
+        return self._address(SUPERUSER, self._password_file(SUPERUSER), database)
+
+    def owner_dsn(self) -> str:
+        """Return the address of our database for the owner of the tables, with the password."""
+        return self._address(OWNER_ROLE, self._password_file(OWNER_ROLE), DATABASE)
 
     def service_dsn(self, database: str = DATABASE) -> str:
         """Return the address of a database of this cluster for the service, with the password."""
-        return self._address(SERVICE_ROLE, self._service_password_file, database)
+        return self._address(SERVICE_ROLE, self._password_file(SERVICE_ROLE), database)
 
-    @property
-    def _service_password_file(self) -> Path:
-        return self.folder / "service-password"
+    def _password_file(self, role: str) -> Path:
+        names = {SUPERUSER: "password", OWNER_ROLE: "owner-password", SERVICE_ROLE: "service-password"}
+        return self.folder / names[role]
 
     def _address(self, role: str, password: Path, database: str) -> str:
         host = quote(str(self.socket_dir), safe="")

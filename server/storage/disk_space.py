@@ -7,8 +7,14 @@ from pathlib import Path
 
 from sqlalchemy.exc import DBAPIError
 
+from ..errors import storage_full
+
 NEEDED_BYTES = 1 << 20
 """With less than this a disk counts as full: nothing of use can be done on it."""
+
+RESERVED_BYTES = 4 << 30
+RESERVED_SHARE = 0.05
+"""What uploads leave free: of a small disk this share."""
 
 _ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT})
 _IN_TEXT = re.compile(r"\(os error (\d+)\)")  # the file store passes the system's error on as text only
@@ -25,6 +31,18 @@ def is_disk_full(error: BaseException) -> bool:
     if found is not None and int(found[1]) in _ERRORS:
         return True
     return error.__cause__ is not None and is_disk_full(error.__cause__)
+
+
+def require_room(folder: Path, n_bytes: int) -> None:
+    """Refuse an upload that would leave the others without disk space: database, workers, organizers.
+
+    Raises:
+        ServiceError: the disk of the folder has too little.
+    """
+    disk = os.statvfs(folder)
+    reserve_bytes = min(RESERVED_BYTES, RESERVED_SHARE * disk.f_blocks * disk.f_frsize)
+    if disk.f_bavail * disk.f_frsize < n_bytes + reserve_bytes:
+        raise storage_full()
 
 
 def has_space(folder: Path) -> bool:

@@ -25,7 +25,7 @@ from .disqualification import require_qualified
 from .files import add_files
 from .runs import next_run, require_machines_hold
 
-EVALUATION_QUOTAS = (Quota.QUEUED_AT_ONCE, Quota.ATTEMPTS_PER_DAY, Quota.SCORED_RUNS_PER_DAY)
+EVALUATION_QUOTAS = (Quota.QUEUED_AT_ONCE, Quota.ATTEMPTS_PER_DAY, Quota.SCORED_RUNS_PER_DAY, Quota.STORED_MIB)
 DEFAULT_QUOTAS = Quotas()
 
 

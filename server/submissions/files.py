@@ -9,6 +9,7 @@ from sqlalchemy.orm import Session
 
 from ..db.models import Submission, SubmissionFile, Team
 from ..db.states import FileRole
+from ..db.stored_uploads import WAS_CANCELLED
 from ..uploads.checked_upload import UploadedFile
 
 
@@ -49,8 +50,11 @@ def file_of(session: Session, submission_id: UUID, role: FileRole) -> Submission
 
 
 def stored_digests(connection: Connection | Session) -> list[str]:
-    """Return the digests of all stored files that a submission has, sorted, each once; not of removed teams."""
-    is_kept = Team.erased_at.is_(None)
+    """Return the digests of all stored files that a submission has, sorted, each once.
+
+    Not those of removed teams, and not those whose evaluations were all cancelled a day ago.
+    """
+    is_kept = Team.erased_at.is_(None) & ~WAS_CANCELLED
     uploads = select(Submission.archive_sha256).join(Submission.team).where(is_kept)
     others = (
         select(SubmissionFile.sha256)

@@ -10,6 +10,7 @@ from ..audit import record
 from ..db.models import Evaluation, Submission
 from ..db.row_locks import lock_evaluation
 from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
+from ..db.stored_uploads import WAS_CANCELLED
 from ..errors import ProblemCode, ServiceError
 from ..evaluations import lifecycle
 from ..evaluations.history import all_runs, newest_evaluation
@@ -60,6 +61,12 @@ def run_again(session: Session, by: Principal, submission_id: UUID) -> Submissio
     if submission.team.erased_at is not None:
         raise ServiceError(
             ProblemCode.NOT_REQUEUABLE, f"The upload of submission {submission.id} was removed with its team."
+        )
+    if session.scalar(select(WAS_CANCELLED).where(Submission.id == submission.id)):
+        raise ServiceError(
+            ProblemCode.NOT_REQUEUABLE,
+            f"The upload of submission {submission.id} was removed a day after its evaluation was cancelled; its team "
+            "may send it again.",
         )
     run = next_run(session, submission, again=True)
     if run is None:

@@ -9,6 +9,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..principals import Principal
 from ..services import Services
+from ..storage.disk_space import require_room
 from ..tracks import load_known_track
 from ..uploads import intake
 from ..uploads.acceptance import accept, check_kind
@@ -48,9 +49,10 @@ def check(services: Services, upload: AnnouncedUpload) -> None:
     """Refuse what cannot be accepted whatever the body holds, before any of it is read.
 
     Raises:
-        ServiceError: it is too large, or the track does not exist or does not take its kind.
+        ServiceError: it is too large, the disk is almost full, or the track does not exist or does not take its kind.
     """
     intake.check_announced_size(upload.n_bytes, SERVED_KINDS[upload.kind].max_bytes(services.settings))
+    require_room(services.settings.state_dir, upload.n_bytes or 0)
     if upload.track is not None:
         check_kind(upload.kind, load_known_track(upload.track))
 

@@ -21,6 +21,7 @@ from ..errors import ProblemCode, ServiceError, not_found
 from ..principals import Principal
 from ..services import Services
 from ..settings import Settings
+from ..storage.disk_space import require_room
 from ..teams import teams
 from .intake import FILE_NAME, ReceivedFile, check_announced_size
 from .kinds import SERVED_KINDS
@@ -65,9 +66,10 @@ def begin(session: Session, settings: Settings, owner: Team, plan: UploadPlan) -
     """Make an upload, or return the team's unfinished one of the same content, which a client then continues.
 
     Raises:
-        ServiceError: too large, or the team has too many unfinished uploads.
+        ServiceError: too large, the disk is almost full, or the team has too many unfinished uploads.
     """
     check_announced_size(plan.total_bytes, SERVED_KINDS[plan.kind].max_bytes(settings))
+    require_room(settings.state_dir, plan.total_bytes)
     teams.lock(session, owner)
     unfinished = select(PartialUpload).where(
         PartialUpload.team_id == owner.id,

@@ -14,6 +14,7 @@ from ...errors import ProblemCode, ServiceError
 from ...limiter import UPLOADS
 from ...principals import Principal
 from ...services import Services
+from ...storage.disk_space import require_room
 from ...submissions import completion, creation, listing
 from ...tracks import load_known_track
 from ...uploads import partial
@@ -127,6 +128,7 @@ async def patch_upload(
     upload = await run_in_threadpool(_find, services, principal, upload_id)
     if offset != upload.received_bytes:
         raise await run_in_threadpool(_conflict, services, upload_id, offset)
+    require_room(services.settings.state_dir, upload.total_bytes - offset)
     receiver = PieceReceiver(
         services=services,
         upload_id=upload_id,

@@ -4,19 +4,23 @@ from typing import Any
 import pytest
 from quota_clock import QuotaClock
 from service_factories import make_principal, play_all
-from sqlalchemy import select, update
+from sqlalchemy import delete, select, update
 from submission_steps import break_policy, create, refused
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server import quotas
 from vitac.server.db.engine import Database
-from vitac.server.db.models import AuditEntry, Evaluation, Submission
+from vitac.server.db.models import AuditEntry, Evaluation, PartialUpload, Submission
 from vitac.server.db.states import Quota
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import FREE_FAILURES_PER_DAY, fail_by_machines
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.settings import Quotas
+from vitac.server.settings import Quotas, load_settings
 from vitac.server.submissions import runs
+from vitac.server.submissions.files import stored_digests
 from vitac.server.teams import teams
+from vitac.server.uploads import partial
+from vitac.server.uploads.partial import UploadPlan
 
 pytestmark = pytest.mark.usefixtures("quota_clock")
 
@@ -57,6 +61,40 @@ def test_one_evaluation_more_than_a_quota_is_refused_by_its_name(
         assert len(session.scalars(select(Submission)).all()) == 1
 
 
+def test_stored_uploads_count_each_file_once_until_a_day_after_a_cancel(
+    database: Database, principal: Principal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = submit(database, principal, "one")
+    with database.transaction() as session:
+        session.execute(update(Submission).values(archive_bytes=5 << 20))
+        team = teams.own(session, principal)
+        plan = UploadPlan(
+            kind=SubmissionKind.MODEL, track=None, contest=None, again=False, file_name=None, total_bytes=3 << 20,
+            sha256=None,
+        )  # fmt: skip
+        monkeypatch.setattr(partial, "require_room", lambda *_: None)
+        partial.begin(session, load_settings(), team, plan)
+    assert used(database, principal)["stored_mib"] == 8
+    with pytest.raises(ServiceError, match="quota stored_mib"):
+        submit(database, principal, "two", stored_mib=8)
+    with database.transaction() as session:
+        runs.cancel(session, principal, one.id)
+    assert used(database, principal)["stored_mib"] == 8
+    with database.transaction() as session:
+        session.execute(update(Evaluation).values(finished_at=datetime.now(UTC) - timedelta(days=2)))
+        session.execute(delete(PartialUpload))
+    assert used(database, principal)["stored_mib"] == 0
+    with database.transaction() as session:
+        assert one.archive_sha256 not in stored_digests(session)
+        with refused(ProblemCode.NOT_REQUEUABLE):
+            runs.run_again(session, CONSOLE, one.id)
+
+
+def test_attempts_and_bytes_of_a_team_are_bounded_without_a_setting() -> None:
+    defaults = Quotas()
+    assert None not in {defaults.attempts_per_day, defaults.queued_at_once, defaults.stored_mib}
+
+
 def test_a_daily_quota_says_when_it_opens_and_opens_then(
     database: Database, principal: Principal, quota_clock: QuotaClock
 ) -> None:
@@ -90,6 +128,7 @@ def test_scored_runs_and_attempts_are_counted_apart(database: Database, principa
         "scored_runs_per_day": 3,
         "attempts_per_day": 3,
         "queued_at_once": 3,
+        "stored_mib": 1,
         "tokens": 0,
         "event_streams": None,
     }

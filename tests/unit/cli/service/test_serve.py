@@ -124,3 +124,10 @@ def test_a_wrong_password_is_refused_at_once_and_not_taken_for_a_restart(environ
     assert process.returncode == 1
     assert "password authentication failed" in complaints
     assert "guess" not in complaints
+
+
+def test_beyond_this_machine_it_needs_the_address_that_people_use(environment: dict[str, str]) -> None:
+    with serve(environment, "--host", "0.0.0.0") as process:  # noqa: S104 - is refused
+        assert process.stderr is not None
+        said = process.stderr.read()
+    assert (process.returncode, "Set VITAC_PUBLIC_URL" in said) == (1, True)

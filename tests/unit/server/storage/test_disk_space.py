@@ -1,4 +1,5 @@
 import errno
+import os
 from pathlib import Path
 
 import psycopg
@@ -9,7 +10,7 @@ from sqlalchemy.exc import OperationalError
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.settings import load_settings
 from vitac.server.storage.blobs import BlobStore
-from vitac.server.storage.disk_space import has_space, is_disk_full
+from vitac.server.storage.disk_space import RESERVED_BYTES, RESERVED_SHARE, has_space, is_disk_full, require_room
 
 
 def caused_by(cause: Exception) -> Exception:
@@ -34,6 +35,15 @@ def caused_by(cause: Exception) -> Exception:
 )
 def test_full_disk_is_told_from_other_failures(error: Exception, is_full: bool) -> None:
     assert is_disk_full(error) == is_full
+
+
+def test_uploads_leave_disk_space_to_the_others(tmp_path: Path) -> None:
+    disk = os.statvfs(tmp_path)
+    free_bytes, all_bytes = disk.f_bavail * disk.f_frsize, disk.f_blocks * disk.f_frsize
+    require_room(tmp_path, 0)
+    with pytest.raises(ServiceError) as refusal:
+        require_room(tmp_path, free_bytes - min(RESERVED_BYTES, int(RESERVED_SHARE * all_bytes)) // 2)
+    assert refusal.value.code is ProblemCode.STORAGE_FULL
 
 
 def test_a_file_that_does_not_fit_is_refused_and_leaves_nothing_until_there_is_room(tmp_path: Path) -> None:
