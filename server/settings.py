@@ -141,6 +141,11 @@ class Settings(BaseSettings):
         description="Maximum sign-in attempts with a password from one client address in an hour; a quarter of it as "
         "one member, or on a device that has signed in before.",
     )
+    client_share: PositiveFloat = Field(
+        default=0.1,
+        description="Part of a server process's time that one visitor's address, or one team, may use in the long run, "
+        "after 10 s at once; 1: all of it.",
+    )
     token_lifetime_days: PositiveInt = 365
     limits: Limits = Field(
         default_factory=Limits,

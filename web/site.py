@@ -168,6 +168,7 @@ async def viewer_of(request: Request) -> Viewer | None:
     principal = await none_if_unknown(site.read(lambda session: tokens.principal_of_token_id(session, found.token_id)))
     if principal is None:
         return None
+    request.state.account = principal.account
     return Viewer(
         principal=replace(principal, signed_in_at=found.began_at),
         form_token=site.signer.form_token(cookie),

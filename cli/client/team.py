@@ -102,6 +102,21 @@ def email(
     client = make_client(server, token_file)
     client.call("PATCH", _path_of_member(client, member), {"email": address})
     print(f"notices of {member}: {address or 'none'}")
+    if address is not None:
+        print("A code was sent there; `vitac team confirm-email` with it, and notices follow.")
+
+
+@app.command("confirm-email")
+def confirm_email(
+    member: MemberName,
+    code: Annotated[str, typer.Argument(help="Of the e-mail that asks to confirm the address.")],
+    server: Server = None,
+    token_file: TokenFile = None,
+) -> None:
+    """Confirm the address for your notices."""
+    client = make_client(server, token_file)
+    client.call("PATCH", _path_of_member(client, member), {"email_code": code})
+    print(f"notices of {member} are sent from now on")
 
 
 @app.command()

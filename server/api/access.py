@@ -44,7 +44,9 @@ def optional_principal_of(
     if credentials is None:
         return None
     with services_of(request).database.reading() as session:
-        return tokens.authenticate(session, credentials.credentials)
+        principal = tokens.authenticate(session, credentials.credentials)
+    request.state.account = principal.account
+    return principal
 
 
 def reader_of(principal: Annotated[Principal | None, Depends(optional_principal_of)]) -> Principal:

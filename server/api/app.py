@@ -34,6 +34,7 @@ from . import rejudging as rejudgements
 from .middleware.body_limit import BodyLimit
 from .middleware.request_head import RequestHead
 from .middleware.request_times import RequestTimes
+from .middleware.shares import Shares
 from .middleware.shutdown import Shutdown
 from .resumable import routes as uploads
 from .resumable.protocol import ProtocolVersion
@@ -80,7 +81,7 @@ def create_app(
     app.state.settings = settings
     set_limiters(app, settings)
     _add_routes(app)
-    _add_middleware(app, uploads_at)
+    _add_middleware(app, settings, uploads_at)
     problems.install(app)
     return app
 
@@ -154,10 +155,12 @@ def _routes() -> Sequence[BaseRoute]:
     return together.routes
 
 
-def _add_middleware(app: FastAPI, uploads_at: Sequence[tuple[str, str]]) -> None:
+def _add_middleware(app: FastAPI, settings: Settings, uploads_at: Sequence[tuple[str, str]]) -> None:
     """Put the middleware around an application; the last one is the outermost."""
-    app.add_middleware(BodyLimit, unlimited=(*UNLIMITED, *uploads_at))
+    uploads_apart = (*UNLIMITED, *uploads_at)
+    app.add_middleware(BodyLimit, unlimited=uploads_apart)
     app.add_middleware(ProtocolVersion, prefix=f"{API_PREFIX}{uploads.router.prefix}")
     app.add_middleware(RequestHead)
+    app.add_middleware(Shares, share=settings.client_share, apart=uploads_apart)
     app.add_middleware(Shutdown)
     app.add_middleware(RequestTimes)

@@ -51,6 +51,7 @@ class MemberChanges(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     email: Email | None = None
+    email_code: str | None = Field(default=None, max_length=200, description="Of the e-mail that asks to confirm.")
     password: Password | None = None
     old_password: str | None = Field(default=None, max_length=MAX_LENGTH, description="The one that it replaces.")
     muted: list[NoticeKind] | None = Field(default=None, max_length=20, description="Notices that are not wanted.")
@@ -198,6 +199,8 @@ def change_member(
         member = members.find(session, principal, team_id, member_id)
         if "email" in changes.model_fields_set:
             members.set_email(session, principal, member, changes.email)
+        if changes.email_code is not None:
+            members.confirm_email(session, principal, member, changes.email_code)
         if changes.muted is not None:
             members.mute(session, principal, member, changes.muted)
         return members.own_team_view(session, principal, member.team)

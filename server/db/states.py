@@ -29,6 +29,7 @@ class NoticeKind(StrEnum):
     PROMOTED = "promoted"  # the team takes part in a further stage
     DEADLINE = "deadline"  # a stage closes soon
     ANNOUNCEMENT = "announcement"  # organizers say something to all teams
+    CONFIRMATION = "confirmation"  # of a member's e-mail address, which gets nothing else before
 
 
 class NoticeChannel(StrEnum):
@@ -62,9 +63,9 @@ class Quota(StrEnum):
     SCORED_RUNS_PER_DAY = "scored_runs_per_day"  # evaluations of a day that end, or may still end, with a score
     ATTEMPTS_PER_DAY = "attempts_per_day"  # evaluations of a day, however they end
     QUEUED_AT_ONCE = "queued_at_once"  # evaluations that wait or run
-    STORED_MIB = "stored_mib"  # stored uploads, and those being sent
     TOKENS = "tokens"  # tokens that are good
     EVENT_STREAMS = "event_streams"  # open event streams, of API and pages together
+    STORED_MIB = "stored_mib"  # stored uploads, and those being sent
 
 
 class EvaluationState(StrEnum):

@@ -15,6 +15,7 @@ from ..db.engine import Database
 from ..db.models import ApiToken, Invitation, Member, Team
 from ..db.states import MemberRole, NoticeKind, Role
 from ..errors import ProblemCode, ServiceError, not_found
+from ..notices.outbox import ask_to_confirm
 from ..principals import Principal
 from ..teams import teams
 from ..tokens import IssuedToken
@@ -22,6 +23,7 @@ from ..views.teams import InvitationView, MemberView, NewInvitationView, OwnTeam
 from . import passwords
 
 CODE_PREFIX = "vitac-join-"
+EMAIL_CODE_PREFIX = "vitac-mail-"
 INVITATION_LIFETIME = timedelta(days=7)
 FRESH_FOR = timedelta(minutes=15)
 """After signing in, a password may be changed without the old one for this time."""
@@ -113,6 +115,7 @@ def join(session: Session, new: NewMember, lifetime: timedelta) -> tuple[Member,
     session.add(member)
     found.used_at = datetime.now(UTC)
     session.flush()
+    _ask_to_confirm(session, member)
     by = Principal(role=Role.TEAM, team_id=team.id, team_name=team.name, member_id=member.id, member_name=shown)
     record(session, by, "member.join", f"member:{member.id}", {"name": shown, "invitation": str(found.id)})
     return member, tokens.issue_to_member(session, by, member, lifetime)
@@ -133,6 +136,7 @@ def remove(session: Session, by: Principal, member: Member) -> None:
         )
     tokens.end_tokens_of(session, by, member)
     member.left_at, member.password_hash, member.email = datetime.now(UTC), None, None
+    member.email_confirmed_at, member.email_code_sha256 = None, None
     action = "member.leave" if by.member_id == member.id else "member.remove"
     record(session, by, action, f"member:{member.id}", {"member": False}, before={"member": True, "name": member.name})
 
@@ -230,13 +234,43 @@ def set_password(
 def set_email(session: Session, by: Principal, member: Member, email: str | None) -> None:
     """Set or (None) take away where a member gets notices; the address itself is not in the audit log.
 
+    It gets a code, and nothing else before `confirm_email`. What an organizer sets is confirmed.
+
     Raises:
         ServiceError: as `renew_token`.
     """
     _require_own(by, member)
     before = {"email": member.email is not None}
-    member.email = email
+    if by.is_organizer:
+        member.email, member.email_code_sha256 = email, None
+        member.email_confirmed_at = datetime.now(UTC) if email is not None else None
+    elif email != member.email or member.email_confirmed_at is None:
+        member.email, member.email_confirmed_at = email, None
+        _ask_to_confirm(session, member)
     record(session, by, "member.email", f"member:{member.id}", {"email": email is not None}, before=before)
+
+
+def confirm_email(session: Session, by: Principal, member: Member, code: str) -> None:
+    """Note that a member has read the code that was sent to their address.
+
+    Raises:
+        ServiceError: as `renew_token`, or it is not the code of the last e-mail.
+    """
+    _require_own(by, member)
+    if member.email_code_sha256 is None or member.email_code_sha256 != tokens.hash_secret(code.strip()):
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST, "This is not the code of the last e-mail; set the address again for another."
+        )
+    member.email_confirmed_at, member.email_code_sha256 = datetime.now(UTC), None
+    record(session, by, "member.email_confirm", f"member:{member.id}", {"email": True}, before={"email": True})
+
+
+def _ask_to_confirm(session: Session, member: Member) -> None:
+    """Send a code to a member's address, or forget the one before."""
+    code = EMAIL_CODE_PREFIX + secrets.token_urlsafe(12)
+    member.email_code_sha256 = tokens.hash_secret(code) if member.email is not None else None
+    if member.email is not None:
+        ask_to_confirm(session, member.team_id, member.email, code)
 
 
 def mute(session: Session, by: Principal, member: Member, kinds: Collection[NoticeKind]) -> None:
@@ -332,6 +366,7 @@ def _member_view(member: Member) -> MemberView:
         name=member.name,
         role=member.role,
         email=member.email,
+        email_confirmed=member.email_confirmed_at is not None,
         has_password=member.password_hash is not None,
         muted=[NoticeKind(kind) for kind in member.muted],
         joined_at=member.joined_at,

@@ -22,6 +22,8 @@ _SENTENCES = {
     NoticeKind.FAILED: "The evaluation of submission {name} to {track_title} has ended without a score ({verdict}).",
     NoticeKind.PROMOTED: "{team} takes part in stage {stage_title} of {track_title}.",
     NoticeKind.DEADLINE: "Stage {stage_title} of {track_title} closes at {closes}.",
+    NoticeKind.CONFIRMATION: "Please confirm your address for notices.\n\nEnter this code on your team's page, or with "
+    "`vitac team confirm-email`: {code}\n\nIf you know nothing of this, do nothing: no notices are sent then.",
     NoticeKind.ANNOUNCEMENT: "{title}\n\n{text}",
 }
 

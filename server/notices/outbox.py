@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
 from typing import Any
-from uuid import UUID
+from uuid import UUID, uuid4
 
-from sqlalchemy import func, select
+from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
@@ -19,7 +19,11 @@ from ..principals import Principal
 from ..views.notices import NoticeView
 
 MAX_MAILS_A_DAY = 200
-"""To the members of one team: an address may be somebody else's, who did not ask for mails."""
+"""To the members of one team."""
+MAX_MAILS_A_DAY_TO_ONE = 100
+"""To one address, of all teams together."""
+MAX_CONFIRMATIONS = 3
+"""To one address within 30 days, of all teams together: it may be somebody else's, who did not ask for mails."""
 
 
 def announce(session: Session, kind: NoticeKind, team_id: UUID, subject: str, facts: Mapping[str, Any]) -> None:
@@ -33,14 +37,19 @@ def announce(session: Session, kind: NoticeKind, team_id: UUID, subject: str, fa
         facts: what a webhook gets, as JSON.
     """
     found = session.scalars(
-        select(Member).where(Member.team_id == team_id, Member.left_at.is_(None), Member.email.is_not(None))
+        select(Member).where(
+            Member.team_id == team_id, Member.left_at.is_(None), Member.email_confirmed_at.is_not(None)
+        )
     )
     targets = [(NoticeChannel.MAIL, member.email) for member in found if kind.value not in member.muted]
-    day = datetime.now(UTC) - timedelta(days=1)
     if targets:
-        mails = Notice.team_id == team_id, Notice.channel == NoticeChannel.MAIL, Notice.created_at > day
-        left = MAX_MAILS_A_DAY - (session.scalar(select(func.count()).select_from(Notice).where(*mails)) or 0)
+        left = MAX_MAILS_A_DAY - _count_mails(session, timedelta(days=1), Notice.team_id == team_id)
         targets = targets[: max(0, left)]
+    targets = [
+        (channel, address)
+        for channel, address in targets
+        if _count_mails(session, timedelta(days=1), Notice.target == address) < MAX_MAILS_A_DAY_TO_ONE
+    ]
     hooks = session.scalars(select(Webhook.id).where(Webhook.team_id == team_id))
     targets += [(NoticeChannel.WEBHOOK, str(hook)) for hook in hooks]
     if not targets:
@@ -50,6 +59,27 @@ def announce(session: Session, kind: NoticeKind, team_id: UUID, subject: str, fa
         for channel, target in targets
     ]
     session.execute(insert(Notice).values(rows).on_conflict_do_nothing(constraint="uq_notices_once"))
+
+
+def ask_to_confirm(session: Session, team_id: UUID, address: str, code: str) -> None:
+    """Write the code that confirms an address to it, unless it got as many of them as possible."""
+    is_one = Notice.kind == NoticeKind.CONFIRMATION
+    if _count_mails(session, timedelta(days=30), Notice.target == address, is_one) < MAX_CONFIRMATIONS:
+        session.add(
+            Notice(
+                kind=NoticeKind.CONFIRMATION,
+                team_id=team_id,
+                subject=f"address:{uuid4()}",
+                channel=NoticeChannel.MAIL,
+                target=address,
+                facts={"code": code, "page": "/team"},
+            )
+        )
+
+
+def _count_mails(session: Session, within: timedelta, *conditions: ColumnElement[bool]) -> int:
+    recent = Notice.channel == NoticeChannel.MAIL, Notice.created_at > datetime.now(UTC) - within
+    return session.scalar(select(func.count()).select_from(Notice).where(*recent, *conditions)) or 0
 
 
 def stage_facts(stage: Stage) -> dict[str, str]:

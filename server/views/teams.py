@@ -35,6 +35,9 @@ class MemberView(View):
     name: str
     role: MemberRole
     email: str | None = Field(description="Where the member gets notices.")
+    email_confirmed: bool = Field(
+        description="Whether the code sent there was given back; before, nothing else is sent."
+    )
     has_password: bool
     muted: list[NoticeKind] = Field(description="Kinds of notices that the member does not want.")
     joined_at: datetime

@@ -26,7 +26,7 @@ class BodyLimit:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Hand the request on with a body that is counted while it is read."""
-        if scope["type"] != "http" or self._is_unlimited(scope):
+        if scope["type"] != "http" or is_one_of(self._unlimited, scope):
             await self._app(scope, receive, send)
             return
         received, is_complete = 0, False
@@ -43,9 +43,11 @@ class BodyLimit:
 
         await self._app(scope, counted, send)
 
-    def _is_unlimited(self, scope: Scope) -> bool:
-        path: str = scope["path"]
-        return not self._unlimited.isdisjoint({(scope["method"], path), (scope["method"], path[: path.rfind("/") + 1])})
+
+def is_one_of(routes: frozenset[tuple[str, str]], scope: Scope) -> bool:
+    """Return whether a request has one of these methods and paths, or paths up to their last slash."""
+    path: str = scope["path"]
+    return not routes.isdisjoint({(scope["method"], path), (scope["method"], path[: path.rfind("/") + 1])})
 
 
 async def _received_by(deadline: float, receive: Receive) -> Message:

@@ -58,7 +58,7 @@ class Member(Base):
     """A person of a team. One who has left keeps the row, without address and password.
 
     `name_key` tells the members of a team apart. `password_hash` is NULL for who signs in with a token only. `muted`
-    are kinds of notices that they do not want.
+    are kinds of notices that they do not want. An address gets notices once it is confirmed by the code sent to it.
     """
 
     __tablename__ = "members"
@@ -77,6 +77,8 @@ class Member(Base):
     name: Mapped[str] = mapped_column(String(64))
     name_key: Mapped[str] = mapped_column(String(64))
     email: Mapped[str | None] = mapped_column(String(254))
+    email_confirmed_at: Mapped[datetime | None]
+    email_code_sha256: Mapped[str | None]
     password_hash: Mapped[str | None]
     muted: Mapped[list[str]] = mapped_column(default=list, server_default=text("'{}'"))
     joined_at: Mapped[datetime] = mapped_column(server_default=func.now())

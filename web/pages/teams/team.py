@@ -184,6 +184,11 @@ def _change_self(session: Session, by: Principal, fields: Mapping[str, str]) -> 
     members.set_email(session, by, _self(session, by), email)
 
 
+def _confirm_email(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
+    code = checked_form(MemberChanges, {"email_code": fields.get("code", "")}).email_code or ""
+    members.confirm_email(session, by, _self(session, by), code)
+
+
 def _choose_notices(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
     """Mute the kinds whose box is not ticked; browsers leave those out."""
     members.mute(session, by, _self(session, by), [kind for kind in NoticeKind if kind.value not in fields])
@@ -195,6 +200,7 @@ def _member(session: Session, by: Principal, fields: Mapping[str, str]) -> Membe
 
 CHANGES: Mapping[str, Change] = {
     "me": _change_self,
+    "email": _confirm_email,
     "notices": _choose_notices,
     "leave": lambda session, by, _: members.remove(session, by, _self(session, by)),
     "remove": lambda session, by, fields: members.remove(session, by, _member(session, by, fields)),

@@ -5,17 +5,20 @@ from typing import cast
 import pytest
 from argon2 import PasswordHasher
 from service_factories import make_principal, make_secret
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import QueuePool
 from submission_steps import refused
 from vitac.server import tokens
 from vitac.server.audit import newest_entries
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Invitation, Member
-from vitac.server.db.states import MemberRole
+from vitac.server.db.models import Invitation, Member, Notice
+from vitac.server.db.states import MemberRole, NoticeKind
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.members import members, passwords
 from vitac.server.members.members import NewMember
+from vitac.server.notices import outbox
+from vitac.server.notices.outbox import announce
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.teams import teams
 
@@ -258,3 +261,37 @@ def test_a_team_has_room_for_so_many(database: Database, monkeypatch: pytest.Mon
             members.invite(session, team, teams.own(session, team))
         session.query(Invitation).delete()
         members.invite(session, team, teams.own(session, team))
+
+
+def test_an_address_gets_a_code_and_nothing_else_before_it_is_confirmed(database: Database) -> None:
+    with database.transaction() as session:
+        team = make_principal(session)
+        ann, by_ann = joined(session, team, email="ann@example.org")
+        announce(session, NoticeKind.ANNOUNCEMENT, ann.team_id, "announcement:1", {})
+        code = session.scalars(select(Notice)).one().facts["code"]
+        for wrong in ("", f"{code}x"):
+            with refused(ProblemCode.INVALID_REQUEST):
+                members.confirm_email(session, by_ann, ann, wrong)
+        with refused(ProblemCode.FORBIDDEN):
+            members.confirm_email(session, joined(session, team, "Bob")[1], ann, code)
+        members.confirm_email(session, by_ann, ann, f" {code} ")
+        announce(session, NoticeKind.ANNOUNCEMENT, ann.team_id, "announcement:2", {})
+        assert session.scalars(select(Notice.subject).where(Notice.kind != NoticeKind.CONFIRMATION)).all() == [
+            "announcement:2"
+        ]
+        members.set_email(session, by_ann, ann, "other@example.org")
+        assert ann.email_confirmed_at is None
+
+
+def test_one_address_gets_few_mails_of_all_teams_together(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outbox, "MAX_MAILS_A_DAY_TO_ONE", 5)
+    with database.transaction() as session:
+        for name in ("Ants", "Bees", "Cats", "Dogs"):
+            ann, by_ann = joined(session, make_principal(session, name))
+            members.set_email(session, by_ann, ann, "victim@example.org")
+        sent = select(Notice).where(Notice.target == "victim@example.org")
+        assert len(session.scalars(sent).all()) == outbox.MAX_CONFIRMATIONS
+        ann.email_confirmed_at = datetime.now(UTC)
+        for number in range(4):
+            announce(session, NoticeKind.ANNOUNCEMENT, ann.team_id, f"announcement:{number}", {})
+        assert len(session.scalars(sent).all()) == outbox.MAX_MAILS_A_DAY_TO_ONE

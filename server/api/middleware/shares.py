@@ -1,0 +1,193 @@
+"""Divides a server among its clients, so that one who asks for much does not keep the others waiting.
+
+A client is the account that a token or session belongs to, or without one an address. Each has places for requests at
+work, in which its further ones wait, and a share of the processor's time. Uploads and event streams have limits of
+their own.
+"""
+
+import asyncio
+import time
+from collections.abc import Callable, Collection
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from hashlib import sha256
+
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import PlainTextResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from ...db.states import Role
+from ...errors import ProblemCode, ServiceError
+from ..attempts import address_of
+from ..problems import problem
+from .body_limit import is_one_of
+
+AT_WORK = 8
+"""Requests of one client that are answered at the same time."""
+WAITING = 48
+"""Requests of one client that wait for these places; further ones are refused."""
+BURST_S = 10.0
+"""Processor time that a client may use at once, before its share of all time counts."""
+MAX_CLIENTS = 10_000
+"""Clients that are remembered; then those are forgotten that have not asked for long."""
+_ALWAYS_ANSWERED = ("/health", "/ready")
+
+
+@dataclass
+class Client:
+    """What one client uses now.
+
+    Attributes:
+        places: for its requests at work.
+        requests: at work or waiting.
+        used_s: processor time that its share has not yet covered.
+        at_s: when that was so.
+    """
+
+    places: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(AT_WORK))
+    requests: int = 0
+    used_s: float = 0.0
+    at_s: float = 0.0
+
+    def end_request(self) -> None:
+        """Note that a request was answered."""
+        self.requests -= 1
+
+    def is_idle(self, share: float) -> bool:
+        """Return whether nothing of it has to be remembered."""
+        self.use(0.0, time.monotonic(), share)
+        return not self.requests and not self.used_s
+
+    def use(self, used_s: float, now_s: float, share: float) -> None:
+        """Add processor time, less what the share of the time since has covered."""
+        self.used_s = max(0.0, self.used_s - (now_s - self.at_s) * share) + used_s
+        self.at_s = now_s
+
+
+class SharedTime:
+    """Tells what part of the process's processor time belongs to a request: at each moment all at work share it."""
+
+    def __init__(self, clock: Callable[[], float] = time.process_time) -> None:
+        self._clock = clock
+        self._at_work = 0
+        self._of_one_s, self._at_s = 0.0, clock()
+
+    def begin(self) -> float:
+        """Note that a request begins; return what `end` wants to know."""
+        self._advance()
+        self._at_work += 1
+        return self._of_one_s
+
+    def end(self, begun_s: float) -> float:
+        """Note that a request ends; return its part [s]."""
+        self._advance()
+        self._at_work -= 1
+        return self._of_one_s - begun_s
+
+    def _advance(self) -> None:
+        now_s = self._clock()
+        if self._at_work:
+            self._of_one_s += (now_s - self._at_s) / self._at_work
+        self._at_s = now_s
+
+
+class Shares:
+    """ASGI middleware.
+
+    Args:
+        app: what answers the requests.
+        share: of a process's time that one client may use in the long run; 1 or more: all of it.
+        apart: methods and paths of uploads.
+    """
+
+    def __init__(self, app: ASGIApp, *, share: float, apart: Collection[tuple[str, str]] = ()) -> None:
+        self._app = app
+        self._share = share
+        self._apart = frozenset(apart)
+        self._time = SharedTime()
+        self._clients: dict[str, Client] = {}
+        self._accounts: dict[bytes, str] = {}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Hand the request on when its client has a place, or refuse it."""
+        if scope["type"] != "http" or scope["path"] in _ALWAYS_ANSWERED or is_one_of(self._apart, scope):
+            await self._app(scope, receive, send)
+            return
+        key = self._key_of(scope)
+        client = self._client(key)
+        refusal = self._refusal(key, client)
+        if refusal is not None:
+            await _answer(scope, refusal)(scope, receive, send)
+            return
+        with ExitStack() as stack:  # left when the answer ends, or begins to be a stream
+            client.requests += 1
+            stack.callback(client.end_request)
+            await client.places.acquire()
+            stack.callback(client.places.release)
+            stack.callback(self._charge, client, self._time.begin())
+
+            async def noting(message: Message) -> None:
+                if _begins_stream(message):
+                    stack.close()
+                await send(message)
+
+            await self._app(scope, receive, noting)
+        self._note_account(scope)
+
+    def _charge(self, client: Client, begun_s: float) -> None:
+        client.use(self._time.end(begun_s), time.monotonic(), self._share)
+
+    def _client(self, key: str) -> Client:
+        if len(self._clients) >= MAX_CLIENTS:
+            for one in [one for one, client in self._clients.items() if client.is_idle(self._share)]:
+                del self._clients[one]
+        return self._clients.setdefault(key, Client(at_s=time.monotonic()))
+
+    def _refusal(self, key: str, client: Client) -> ServiceError | None:
+        if client.requests >= AT_WORK + WAITING:
+            return _too_many(f"{client.requests} of your requests are waiting, no more are possible", 2)
+        client.use(0.0, time.monotonic(), self._share)
+        is_limited = self._share < 1.0 and not key.startswith((f"{Role.ORGANIZER}:", f"{Role.JUDGE}:"))
+        if not is_limited or client.used_s <= BURST_S:
+            return None
+        wait_s = max(1, round((client.used_s - BURST_S) / self._share))
+        return _too_many("Your requests have used the time of this server that is for one client", wait_s)
+
+    def _key_of(self, scope: Scope) -> str:
+        """Return for whom a request counts; credentials that have not been found good count for the address."""
+        credentials = _credentials(scope)
+        account = self._accounts.get(credentials) if credentials else None
+        return account or f"address {address_of(HTTPConnection(scope))}"
+
+    def _note_account(self, scope: Scope) -> None:
+        """Remember whose credentials they were, where a route has found out."""
+        credentials, account = _credentials(scope), scope.get("state", {}).get("account")
+        if credentials and account:
+            if len(self._accounts) >= MAX_CLIENTS:
+                self._accounts.clear()
+            self._accounts[credentials] = account
+
+
+def _credentials(scope: Scope) -> bytes:
+    """Return a digest of token or session; empty without."""
+    given = [value for name, value in scope["headers"] if name in (b"authorization", b"cookie")]
+    return sha256(b"\n".join(given)).digest() if given else b""
+
+
+def _begins_stream(message: Message) -> bool:
+    return message["type"] == "http.response.start" and any(
+        name.lower() == b"content-type" and value.startswith(b"text/event-stream")
+        for name, value in message.get("headers", ())
+    )
+
+
+def _too_many(what: str, wait_s: int) -> ServiceError:
+    return ServiceError(ProblemCode.TOO_MANY_REQUESTS, f"{what}; wait {wait_s} s.", retry_after_s=wait_s)
+
+
+def _answer(scope: Scope, refusal: ServiceError) -> Response:
+    """Return a refusal that costs little: whoever gets it may ask again at once."""
+    answer = problem(Request(scope), refusal)
+    if not scope["path"].startswith("/api/"):
+        return PlainTextResponse(refusal.detail, answer.status_code, {"Retry-After": answer.headers["Retry-After"]})
+    return answer

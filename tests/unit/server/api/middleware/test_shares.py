@@ -1,0 +1,145 @@
+import asyncio
+from typing import Any
+
+import pytest
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response, StreamingResponse
+from starlette.routing import Route
+from starlette.types import Message
+from vitac.server.api.middleware import shares
+from vitac.server.api.middleware.shares import AT_WORK, BURST_S, WAITING, SharedTime, Shares
+
+
+class Server:
+    """A server whose requests end when the test says so."""
+
+    def __init__(self, *, share: float = 0.1) -> None:
+        self.may_end = asyncio.Event()
+        self.at_work = 0
+        routes = [Route("/page", self.page), Route("/stream", self.stream), Route("/health", self.page)]
+        self.app = Shares(Starlette(routes=routes), share=share, apart=[("POST", "/uploads")])
+
+    async def page(self, request: Request) -> Response:
+        request.state.account = request.headers.get("authorization", "").removeprefix("Bearer ")
+        self.at_work += 1
+        await self.may_end.wait()
+        return PlainTextResponse("page")
+
+    async def stream(self, _: Request) -> Response:
+        async def never() -> Any:
+            await asyncio.Event().wait()
+            yield b""
+
+        return StreamingResponse(never(), media_type="text/event-stream")
+
+    async def ask(self, path: str = "/page", address: str = "192.0.2.1", token: str = "") -> int:
+        scope: dict[str, Any] = {
+            "type": "http", "method": "GET", "path": path, "query_string": b"", "client": (address, 1),
+            "headers": [(b"authorization", b"Bearer " + token.encode())] if token else [],
+        }  # fmt: skip
+        sent: list[Message] = []
+
+        async def send(message: Message) -> None:
+            sent.append(message)
+
+        async def receive() -> Message:
+            await asyncio.Event().wait()
+            raise AssertionError
+
+        await self.app(scope, receive, send)
+        return int(sent[0]["status"])
+
+
+async def settled() -> None:
+    for _ in range(20):
+        await asyncio.sleep(0)
+
+
+def test_requests_of_one_client_wait_for_each_other_and_not_those_of_another() -> None:
+    async def attack() -> None:
+        server = Server()
+        flood = [asyncio.create_task(server.ask()) for _ in range(AT_WORK + WAITING)]
+        await settled()
+        assert server.at_work == AT_WORK
+        assert await server.ask() == 429
+        others = [asyncio.create_task(asked) for asked in (server.ask(address="192.0.2.2"), server.ask("/health"))]
+        await settled()
+        assert server.at_work == AT_WORK + 2
+        server.may_end.set()
+        assert {await one for one in [*flood, *others]} == {200}
+
+    asyncio.run(attack())
+
+
+def test_who_is_known_by_a_token_counts_for_the_account_and_not_for_the_address() -> None:
+    async def ask() -> None:
+        server = Server()
+        server.may_end.set()
+        assert await server.ask(token="team:Ants") == 200  # noqa: S106 - made up
+        server.may_end.clear()
+        flood = [asyncio.create_task(server.ask()) for _ in range(AT_WORK + WAITING)]
+        await settled()
+        known = asyncio.create_task(server.ask(token="team:Ants"))  # noqa: S106
+        await settled()
+        assert server.at_work == 1 + AT_WORK + 1
+        assert await server.ask(token="guess") == 429  # noqa: S106
+        server.may_end.set()
+        await asyncio.gather(known, *flood)
+
+    asyncio.run(ask())
+
+
+@pytest.mark.parametrize(("share", "token", "status"), [(0.1, "", 429), (1.0, "", 200), (0.1, "organizer:1", 200)])
+def test_who_has_used_up_its_share_of_the_time_waits_but_for_organizers(share: float, token: str, status: int) -> None:
+    async def ask() -> None:
+        server = Server(share=share)
+        server.may_end.set()
+        await server.ask(token=token)
+        await server.ask(token=token)
+        for client in server.app._clients.values():
+            client.used_s = BURST_S + 100.0
+        assert await server.ask(token=token) == status
+        assert await server.ask(address="192.0.2.2") == 200
+
+    asyncio.run(ask())
+
+
+def test_an_open_stream_takes_no_place() -> None:
+    async def ask() -> None:
+        server = Server()
+        streams = [asyncio.create_task(server.ask("/stream")) for _ in range(2 * AT_WORK)]
+        await settled()
+        server.may_end.set()
+        assert await server.ask() == 200
+        for stream in streams:
+            stream.cancel()
+        await asyncio.gather(*streams, return_exceptions=True)
+
+    asyncio.run(ask())
+
+
+def test_requests_at_work_share_the_time_that_passes() -> None:
+    now = [0.0]
+    shared = SharedTime(lambda: now[0])
+    first = shared.begin()
+    now[0] = 1.0
+    second = shared.begin()
+    now[0] = 3.0
+    assert shared.end(second) == 1.0
+    now[0] = 4.0
+    assert shared.end(first) == 3.0
+
+
+def test_clients_are_forgotten_once_their_share_covers_what_they_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shares, "MAX_CLIENTS", 3)
+    monkeypatch.setattr(shares.SharedTime, "end", lambda *_: 0.0)
+
+    async def ask() -> int:
+        server = Server()
+        server.may_end.set()
+        for number in range(10):
+            await server.ask(address=f"192.0.2.{number}")
+        return len(server.app._clients)
+
+    assert asyncio.run(ask()) <= 3
