@@ -79,7 +79,8 @@ class Site:
         if self.public_url is not None:
             return self.public_url.rstrip("/")
         host, port = request.scope["server"]  # of the socket: the Host header is the client's to choose
-        return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+        name = f"[{host}]" if ":" in host else host
+        return f"http://{name}:{port}" if port else f"http://{name}"
 
     async def ask(self, query: Callable[[Session], ResultT]) -> ResultT:
         """Return what functions of the service layer give in one transaction, which may change something."""

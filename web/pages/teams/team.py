@@ -191,7 +191,7 @@ def _confirm_email(session: Session, by: Principal, fields: Mapping[str, str]) -
 
 def _choose_notices(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
     """Mute the kinds whose box is not ticked; browsers leave those out."""
-    members.mute(session, by, _self(session, by), [kind for kind in NoticeKind if kind.value not in fields])
+    members.mute(session, by, _self(session, by), [kind for kind in NOTICES if kind.value not in fields])
 
 
 def _member(session: Session, by: Principal, fields: Mapping[str, str]) -> Member:
