@@ -1,4 +1,4 @@
-"""Which submissions have no upload any more; asked by quotas, housekeeping and whoever starts an evaluation."""
+"""Which submissions no longer have an upload; asked by quotas, housekeeping and whoever starts an evaluation."""
 
 from datetime import timedelta
 
