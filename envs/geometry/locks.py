@@ -1,13 +1,13 @@
 """Locks of the lock-opening task: block with key channel and tooth slots (challenge-facts 1.3)."""
 
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..fem.model.mesh import SurfaceMesh
-from .keys import KeyShape, box_corners_m
+from .keys import KEYS, KeyShape, box_corners_m
 from .polygon import as_polygon
 from .solid import Face, solid_from_faces
 
@@ -17,6 +17,10 @@ CHANNEL_START_MM = 5.0
 CHANNEL_HALF_WIDTH_MM = 4.0
 CHANNEL_FLOOR_MM = 10.0
 CHANNEL_CEILING_MM = 30.0
+OWN_CLEARANCE = 0.0
+"""In place of a clearance of the slots: that of the challenge's lock, 2 mm, and 1 mm for key3."""
+# Number of surfaces that are cached; drawn clearances are hardly met again.
+_SURFACES_CACHED = 32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,16 +66,27 @@ class LockControlPoints:
     entrance_m: NDArray[np.float64]
 
 
-@cache
-def lock_surface(shape: KeyShape) -> SurfaceMesh:
-    """Return the lock block with its channel open at the entrance and its slots open at the top."""
+def lock_dimensions(shape: KeyShape, slot_clearance_mm: float = OWN_CLEARANCE) -> LockDimensions:
+    """Return the dimensions of a lock whose slots leave a tooth this clearance on both sides; their middles stay."""
     lock = LOCKS[shape]
+    if slot_clearance_mm == OWN_CLEARANCE:
+        return lock
+    halves = (0.5 * (high - low) + slot_clearance_mm for low, high in KEYS[shape].teeth_mm)
+    middles = (0.5 * (low + high) for low, high in lock.slots_mm)
+    slots = tuple((middle - half, middle + half) for middle, half in zip(middles, halves, strict=True))
+    return replace(lock, slots_mm=slots)
+
+
+@lru_cache(maxsize=_SURFACES_CACHED)
+def lock_surface(shape: KeyShape, slot_clearance_mm: float = OWN_CLEARANCE) -> SurfaceMesh:
+    """Return the lock block with its channel open at the entrance and its slots open at the top."""
+    lock = lock_dimensions(shape, slot_clearance_mm)
     return solid_from_faces([*_outer_faces(lock), *_channel_faces(lock), *_slot_faces(lock)], f"lock of {shape}")
 
 
-def lock_control_points(shape: KeyShape) -> LockControlPoints:
+def lock_control_points(shape: KeyShape, slot_clearance_mm: float = OWN_CLEARANCE) -> LockControlPoints:
     """Return the measured corners of a lock in its own frame."""
-    lock = LOCKS[shape]
+    lock = lock_dimensions(shape, slot_clearance_mm)
     ceiling = (CHANNEL_CEILING_MM,)
     return LockControlPoints(
         rear_slot_m=box_corners_m(lock.slots_mm[lock.rear_slot], CHANNEL_HALF_WIDTH_MM, ceiling),

@@ -1,7 +1,8 @@
 """Pegs and plates of the insertion task: profiles, solids and measured corners (challenge-facts 1.1)."""
 
+from dataclasses import dataclass
 from enum import StrEnum
-from functools import cache
+from functools import lru_cache
 from math import sqrt
 
 import numpy as np
@@ -28,6 +29,34 @@ class PegShape(StrEnum):
     CUBOID = "cuboid"
     TRAPEZOID = "trapezoid"
     CONCAVE1 = "concave1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PegForm:
+    """By how much a peg and its hole differ from the challenge's.
+
+    The profile is scaled along x, by a factor that grows linearly along y, so that the two gripped faces stay where
+    they are: `width` in the middle and `width` -+ `taper` at the ends.
+
+    Attributes:
+        width: factor in the middle.
+        taper: by how much the factor differs at the ends.
+        clearance_mm: gap between a centred peg and its hole.
+    """
+
+    width: float = 1.0
+    taper: float = 0.0
+    clearance_mm: float = CLEARANCE_MM
+
+    def scaled(self, points_mm: Polygon) -> Polygon:
+        """Return corners of the challenge's profile as they are in this form [mm]."""
+        x, y = points_mm[:, 0], points_mm[:, 1]
+        return np.column_stack([x * (self.width + self.taper * y / (0.5 * GRIPPED_WIDTH_MM)), y])
+
+
+CHALLENGE_FORM = PegForm()
+# Number of surfaces that are cached; drawn forms are hardly met again.
+_SURFACES_CACHED = 32
 
 
 PROFILES_MM: dict[PegShape, Polygon] = {
@@ -66,29 +95,34 @@ BOTTOM_CORNERS_MM: dict[PegShape, Polygon] = {
 }
 
 
-def hole_outline_mm(shape: PegShape) -> Polygon:
+def profile_mm(shape: PegShape, form: PegForm = CHALLENGE_FORM) -> Polygon:
+    """Return the outline of a peg [mm]."""
+    return form.scaled(PROFILES_MM[shape])
+
+
+def hole_outline_mm(shape: PegShape, form: PegForm = CHALLENGE_FORM) -> Polygon:
     """Return the outline of the through hole: the peg's profile, widened by the clearance on every side [mm]."""
-    return mitred_offset(PROFILES_MM[shape], CLEARANCE_MM)
+    return mitred_offset(profile_mm(shape, form), form.clearance_mm)
 
 
-@cache
-def peg_surface(shape: PegShape) -> SurfaceMesh:
+@lru_cache(maxsize=_SURFACES_CACHED)
+def peg_surface(shape: PegShape, form: PegForm = CHALLENGE_FORM) -> SurfaceMesh:
     """Return the peg as a prism along z from 0 (its lower end) to 50 mm; origin at the centre of the profile."""
-    return solid_from_faces(prism_faces(PROFILES_MM[shape], 0.0, PEG_HEIGHT_MM), f"{shape} peg")
+    return solid_from_faces(prism_faces(profile_mm(shape, form), 0.0, PEG_HEIGHT_MM), f"{shape} peg")
 
 
-@cache
-def hole_surface(shape: PegShape) -> SurfaceMesh:
+@lru_cache(maxsize=_SURFACES_CACHED)
+def hole_surface(shape: PegShape, form: PegForm = CHALLENGE_FORM) -> SurfaceMesh:
     """Return the plate 70 x 50 x 20 mm with the through hole; its lower face is z = 0, its centre the origin."""
-    faces = prism_faces(PLATE_OUTLINE_MM, 0.0, PLATE_THICKNESS_MM, holes_mm=(hole_outline_mm(shape),))
+    faces = prism_faces(PLATE_OUTLINE_MM, 0.0, PLATE_THICKNESS_MM, holes_mm=(hole_outline_mm(shape, form),))
     return solid_from_faces(faces, f"{shape} hole")
 
 
-def bottom_vertices(shape: PegShape, peg: SurfaceMesh) -> NDArray[np.int64]:
+def bottom_vertices(shape: PegShape, peg: SurfaceMesh, form: PegForm = CHALLENGE_FORM) -> NDArray[np.int64]:
     """Return the vertices of a peg's surface that are the corners of `BOTTOM_CORNERS_MM`, in that order.
 
     Found by position, so the answer also fits a surface read from a file.
     """
     corners_m = np.zeros((len(BOTTOM_CORNERS_MM[shape]), 3))
-    corners_m[:, :2] = BOTTOM_CORNERS_MM[shape] * 1e-3
+    corners_m[:, :2] = form.scaled(BOTTOM_CORNERS_MM[shape]) * 1e-3
     return nearest_vertices(peg, corners_m)

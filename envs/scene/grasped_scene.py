@@ -12,6 +12,7 @@ from ..fem.model.mesh import SurfaceMesh
 from ..fem.model.settings import AnyContactSettings, ContactSettings, SolverSettings
 from ..fem.scene.scene import Scene, SceneState, StepReport, StepStatus
 from ..tactile.camera import CameraIntrinsics
+from ..tactile.markers import MarkerSettings
 from ..tactile.sensor import TactileSensor
 from .gripper import SENSOR_COUNT, Gripper, GripperPose, SensorPose
 from .stopwatch import Stopwatch
@@ -64,6 +65,7 @@ class GraspState:
         solved: every IPC step so far converged.
         reports: those that nobody has taken yet.
         last_flow: marker flow that was drawn last, after how many IPC steps.
+        seen_m: views of the running env step, see `GraspedScene.begin_env_step`.
     """
 
     physics: SceneState
@@ -73,6 +75,7 @@ class GraspState:
     solved: bool
     reports: tuple[StepReport, ...]
     last_flow: tuple[int, NDArray[np.float32]]
+    seen_m: tuple[list[FloatArray], ...]
 
 
 @dataclass(kw_only=True)
@@ -138,6 +141,7 @@ class GraspedScene:
         self.solved = True
         self._last_flow = (-1, np.zeros((0,), np.float32))
         self._measured = _Measurements()
+        self._seen_m: list[list[FloatArray]] = []
 
     @property
     def camera(self) -> CameraIntrinsics:
@@ -156,6 +160,11 @@ class GraspedScene:
             if not self.solved:
                 return
             self._step_towards(start.towards(goal, part, ipc_steps))
+
+    def begin_env_step(self) -> None:
+        """Note what both sensors see, and after every IPC step from here on: a delayed observation is between two."""
+        if self._markers.delay > 0.0:
+            self._seen_m = [self._views_m()]
 
     def capture_references(self) -> None:
         """Take what both sensors see now as their undisturbed view."""
@@ -178,8 +187,9 @@ class GraspedScene:
     def marker_flow(self, random: np.random.Generator) -> NDArray[np.float32]:
         """Return the marker flow of the left, then the right sensor [pixel], shape [2, 2, 128, 2]."""
         with self._clocks.markers:
-            pairs = zip(self._sensors, self._views_m(), strict=True)
-            flow = np.stack([sensor.marker_flow(view_m, random) for sensor, view_m in pairs]).astype(np.float32)
+            pairs = zip(self._sensors, self._delayed_views_m(), strict=True)
+            drawn = np.stack([sensor.marker_flow(view_m, random) for sensor, view_m in pairs])
+            flow = self._drifted(drawn).astype(np.float32)
         self._last_flow = (self.ipc_steps, flow)
         return flow
 
@@ -217,6 +227,7 @@ class GraspedScene:
             solved=self.solved,
             reports=tuple(self._reports),
             last_flow=self._last_flow,
+            seen_m=tuple(self._seen_m),
         )
 
     def restore(self, state: GraspState) -> None:
@@ -228,6 +239,7 @@ class GraspedScene:
         self.ipc_steps, self.solved = state.ipc_steps, state.solved
         self._reports = list(state.reports)
         self._last_flow = state.last_flow
+        self._seen_m = list(state.seen_m)
         self._measured = _Measurements()
 
     def state_hash(self) -> str:
@@ -254,8 +266,31 @@ class GraspedScene:
         self._reports.append(report)
         self.solved = report.status is not StepStatus.NOT_CONVERGED
         self._gripper.pose = pose
+        if self._seen_m:
+            self._seen_m.append(self._views_m())
         if self.after_ipc_step is not None:
             self.after_ipc_step()
+
+    @property
+    def _markers(self) -> MarkerSettings:
+        return self._sensors[0].settings
+
+    def _delayed_views_m(self) -> list[FloatArray]:
+        """Return what is observed of both sensing faces [m]: what was seen a part of the env step ago."""
+        if not self._seen_m:
+            return self._views_m()
+        moment = (1.0 - self._markers.delay) * (len(self._seen_m) - 1)
+        first = int(moment)
+        part = moment - first
+        pairs = zip(self._seen_m[first], self._seen_m[min(first + 1, len(self._seen_m) - 1)], strict=True)
+        return [(1.0 - part) * earlier_m + part * later_m for earlier_m, later_m in pairs]
+
+    def _drifted(self, flow: FloatArray) -> FloatArray:
+        """Return a marker flow whose current positions have drifted since the start of the episode."""
+        speed_px_s = (self._markers.drift_u_px_s, self._markers.drift_v_px_s)
+        if any(speed_px_s):
+            flow[:, 1] += np.array(speed_px_s) * (self.ipc_steps * self.physics.time_step_s)
+        return flow
 
     def _views_m(self) -> list[FloatArray]:
         """Return what both sensors see [m]."""

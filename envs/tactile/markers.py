@@ -54,6 +54,9 @@ class MarkerSettings:
         shift_mm: largest shift of a single marker either way along x and y.
         noise_px: standard deviation of the pixel noise.
         loss_probability: probability that a visible marker is not tracked.
+        drift_u_px_s: speed at which the current positions leave the references along u, the same for all markers.
+        drift_v_px_s: the same along v.
+        delay: part of an env step by which what is observed lags behind, from 0 to 1.
     """
 
     interval_mm: tuple[float, float] = (1.95, 2.15)
@@ -62,6 +65,9 @@ class MarkerSettings:
     shift_mm: float = 0.1
     noise_px: float = 0.5
     loss_probability: float = 0.01
+    drift_u_px_s: float = 0.0
+    drift_v_px_s: float = 0.0
+    delay: float = 0.0
 
 
 class SurfaceArrays(NamedTuple):

@@ -28,13 +28,14 @@ class TactileSensor:
     Attributes:
         gel: the elastomer.
         camera: intrinsics.
+        settings: of its markers.
     """
 
     def __init__(self, mesh: GelMesh, settings: MarkerSettings) -> None:
         self.gel = mesh
+        self.settings = settings
         self.camera: CameraIntrinsics = CHALLENGE_CAMERA
         self._eye_distance_m = eye_distance_m(mesh)
-        self._settings = settings
         self._reference_m: FloatArray | None = None
 
     def view_m(self, nodes_m: FloatArray, rotation: FloatArray, centre_m: FloatArray) -> FloatArray:
@@ -67,7 +68,7 @@ class TactileSensor:
     def marker_flow(self, view_m: FloatArray, random: np.random.Generator) -> FloatArray:
         """Return the reference and current marker positions, shape [2, 128, 2] [pixel]."""
         surface = self._surface
-        return marker_flow(surface, self._reference(), view_m, settings=self._settings, random=random)
+        return marker_flow(surface, self._reference(), view_m, settings=self.settings, random=random)
 
     @cached_property
     def _surface(self) -> SensingSurface:
@@ -116,6 +117,6 @@ class DesignedSensor(TactileSensor):
             project(interpolated(side_m, self._corners, self._weights), self.camera)
             for side_m in (self._reference(), view_m)
         ]
-        kept = random.random(len(self._corners)) >= self._settings.loss_probability
+        kept = random.random(len(self._corners)) >= self.settings.loss_probability
         kept[0] |= not kept.any()
-        return tracked(np.stack(seen), kept, self._settings, random)
+        return tracked(np.stack(seen), kept, self.settings, random)

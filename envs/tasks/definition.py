@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import VitacError
 from ..observable import Observable
+from .quantities import Quantity
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -85,6 +86,7 @@ class TaskDefinition:
         batch_size: number of episodes of a shard that are played at once, in one simulation.
         accepts_start: place of a function that says of a shape and a drawn offset whether an episode may start there;
             None where it may anywhere.
+        quantities: what a track file may draw for every episode.
         info_lengths: numbers of those entries of an info that have more for some shapes than for others, at most.
     """
 
@@ -102,6 +104,7 @@ class TaskDefinition:
     pictures_repeat: bool = True
     batch_size: int = 1
     accepts_start: str | None = None
+    quantities: tuple[Quantity, ...] = ()
     info_lengths: Mapping[str, int] = field(default_factory=dict)
 
     @property
@@ -132,7 +135,7 @@ def chosen_observables(listed: Sequence[Observable[Any]], keys: Collection[str])
     return tuple(entry for entry in listed if entry.name in keys)
 
 
-def append_tables(docstring: str, task: TaskDefinition) -> str:
+def with_tables(docstring: str, task: TaskDefinition) -> str:
     """Return the docstring of an environment with the tables of its actions and observations at the end."""
     actions = [
         f"| {index} | {component.name} | {component.scale:g} {component.unit} | {component.meaning} |"

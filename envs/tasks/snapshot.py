@@ -36,6 +36,7 @@ class EpisodeSnapshot:
         commanded: what was commanded so far and what else the task's scene keeps, beside the physics.
         grasp: state of the physics, the gripper and the sensors.
         error: how far the episode was from its goal.
+        drawn: quantities of the episode.
         generators: as they were.
     """
 
@@ -44,6 +45,7 @@ class EpisodeSnapshot:
     commanded: dict[str, Any]
     grasp: GraspState
     error: float
+    drawn: dict[str, float]
     generators: Generators
 
     def __reduce__(self) -> NoReturn:

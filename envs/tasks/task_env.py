@@ -26,10 +26,11 @@ from ..scene.stopwatch import Stopwatch
 from ..tactile.design import SensorDesign
 from ..vision.still import StillCamera
 from .contact_model import with_contact_model
-from .definition import TaskDefinition, append_tables, chosen_observables
+from .definition import TaskDefinition, chosen_observables, with_tables
 from .ending import EndReason, Flags
 from .options import RNG_SEED, chosen_shapes, refuse_unknown, seeded_generator
-from .randomization import Randomization, Ranges, drawn_settings, find_randomization
+from .quantities import check_draws
+from .randomization import Randomization, Ranges, draw_quantities, drawn_settings, find_randomization, with_quantities
 from .settings import read_task_settings, require
 from .snapshot import EpisodeSnapshot, Generators
 
@@ -93,6 +94,8 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         shapes: which shapes are drawn where `reset` names none; all by default. Autoreset keeps them.
         randomization: "challenge" draws what has a published training range for every episode, from the episode's
             generator and after its start; "none" draws nothing.
+        draws: ranges of the task's quantities (`TaskDefinition.quantities`), from which every episode has values of its
+            own; they are in the info as `draws`, and in no observation.
         contact_model: "challenge-2025" or "arena-1", with its own constants; by default that of the task's settings.
         render_mode: "rgb_array" for pictures by `render`.
         **overrides: fields of the task's settings.
@@ -117,7 +120,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         """Add the tables of the task's actions and observations to the docstring; a base of several tasks has none."""
         super().__init_subclass__(**keywords)
         if cls.__doc__ and hasattr(cls, "task"):
-            cls.__doc__ = append_tables(cls.__doc__, cls.task)
+            cls.__doc__ = with_tables(cls.__doc__, cls.task)
 
     def __init__(
         self,
@@ -130,6 +133,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         observation_keys: Sequence[str] | None = None,
         shapes: Sequence[str] | None = None,
         randomization: str = Randomization.NONE.value,
+        draws: Mapping[str, Sequence[float]] | None = None,
         contact_model: str | None = None,
         render_mode: str | None = None,
         **overrides: Any,
@@ -145,6 +149,8 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         )
         self._shapes: tuple[Any, ...] = chosen_shapes(self.env_id, self.shape_type, shapes)
         self._randomization = find_randomization(randomization)
+        self._draws = check_draws(self.env_id, draws or {}, self.task.quantities)
+        self._drawn: dict[str, float] = {}
         require(render_mode in (None, *self.metadata["render_modes"]), "render_mode", render_mode, "None or rgb_array")
         self.render_mode = render_mode
         self._still: StillCamera | None = None
@@ -194,7 +200,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
 
     def mesh_hash(self) -> str:
         """Return the SHA-256 [hex] of the meshes, materials and settings in use."""
-        return self._meshes.hash(self._solids(), self.settings)
+        return self._meshes.hash(self._solids(), (self.settings, self._draws) if self._draws else self.settings)
 
     def picture_hash(self) -> str | None:
         """Return the SHA-256 [hex] of all pictures of the task after the last reset or env step, observed or not.
@@ -224,6 +230,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         random = self.np_random if rng_seed is None else seeded_generator(self.env_id, rng_seed)
         self._episode_random = random
         self._earlier_ipc_steps = self.ipc_steps
+        self._drawn = draw_quantities(self._draws, random)
         self._scene = self._start(chosen, random)
         self._still = None
         self._scene.grasp()
@@ -240,6 +247,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         """
         command = self._checked(action)
         self.task_scene.env_steps += 1
+        self.scene.begin_env_step()
         self.task_scene.move(command)
         error_now = self._error()
         flags = self._judge()
@@ -264,6 +272,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
             commanded={**vars(scene)},
             grasp=scene.grasped.state(),
             error=self._error_before,
+            drawn=self._drawn,
             generators=Generators(own=own, episode=None if episode is own else episode).copied(),
         )
 
@@ -286,7 +295,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         self._scene = snapshot.scene
         vars(snapshot.scene).update(snapshot.commanded)
         snapshot.scene.grasped.restore(snapshot.grasp)
-        self._error_before = snapshot.error
+        self._error_before, self._drawn = snapshot.error, snapshot.drawn
         generators = snapshot.generators.copied()
         self.np_random = generators.own
         self._episode_random = generators.own if generators.episode is None else generators.episode
@@ -310,9 +319,14 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
 
     def _settings_of_episode(self, random: np.random.Generator) -> SettingsT:
         """Return the settings of an episode, those with a training range drawn where this was asked for."""
+        settings = self._settings_with_draws()
         if self._randomization is Randomization.NONE:
-            return self.settings
-        return drawn_settings(self.settings, self.training_ranges, random)
+            return settings
+        return drawn_settings(settings, self.training_ranges, random)
+
+    def _settings_with_draws(self) -> SettingsT:
+        """Return the settings with what was drawn for the episode out of `draws`."""
+        return with_quantities(self.settings, self.task.quantities, self._drawn)
 
     @abstractmethod
     def _solids(self) -> list[SurfaceMesh]:
@@ -347,7 +361,10 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         return np.asarray(entry.read(scene, self._episode_random)).astype(entry.dtype)
 
     def _completed(self, info: Info, end_reason: EndReason | None) -> Info:
-        return info | {
+        drawn = {"draws": dict(self._drawn)} if self._draws else {}
+        return {
+            **info,
+            **drawn,
             "end_reason": None if end_reason is None else str(end_reason),
             "step_reports": self.scene.take_reports(),
         }

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .back_projection import point_cloud
+from .look import CHALLENGE_LOOK, Look
 from .optics import COLOUR_INTRINSICS, HEIGHT_PX, WIDTH_PX
 from .pictures import colour_picture, depth_picture, segmentation_picture, unit_normals
 from .pinhole import CameraPose
@@ -40,15 +41,17 @@ class Sight:
         *,
         pose: CameraPose,
         depth_mode: DepthMode,
+        look: Look = CHALLENGE_LOOK,
         random: np.random.Generator,
     ) -> None:
         self._surfaces, self._vertices_m, self.pose, self._depth_mode = surfaces, vertices_m, pose, depth_mode
+        self._look = look
         self._noise_keys = draw_noise_keys(random)
         self._cloud_draws = draw_points(random)
 
     @cached_property
     def _view(self) -> View:
-        in_camera_m = self.pose.transform_to_camera(self._vertices_m)
+        in_camera_m = self.pose.in_camera(self._vertices_m)
         return rasterize(
             in_camera_m, self._surfaces.triangles, COLOUR_INTRINSICS, height_px=HEIGHT_PX, width_px=WIDTH_PX
         )
@@ -56,7 +59,7 @@ class Sight:
     @cached_property
     def colours(self) -> NDArray[np.uint8]:
         """Red, green and blue, shape [480, 640, 3]."""
-        return colour_picture(self._view, self._surfaces, self._vertices_m)
+        return colour_picture(self._view, self._surfaces, self._vertices_m, self._look)
 
     @cached_property
     def depth_m(self) -> NDArray[np.float32]:
@@ -103,11 +106,12 @@ class RigCamera:
     Args:
         bodies: what can be seen, made once.
         depth_mode: where depth comes from.
+        look: how pictures differ from the challenge's.
     """
 
-    def __init__(self, bodies: Sequence[Body], depth_mode: DepthMode) -> None:
+    def __init__(self, bodies: Sequence[Body], depth_mode: DepthMode, look: Look = CHALLENGE_LOOK) -> None:
         self._surfaces = VisibleSurfaces(bodies)
-        self._depth_mode = depth_mode
+        self._depth_mode, self._picture_look = depth_mode, look
 
     def look(self, positions_m: Sequence[FloatArray], pose: CameraPose, random: np.random.Generator) -> Sight:
         """Look at the bodies at these vertex positions in the world [m], one array of [n, 3] each.
@@ -118,4 +122,11 @@ class RigCamera:
             random: the noise of this look is drawn from it; as many numbers whatever is seen.
         """
         vertices_m = self._surfaces.vertices_m(positions_m)
-        return Sight(self._surfaces, vertices_m, pose=pose, depth_mode=self._depth_mode, random=random)
+        return Sight(
+            self._surfaces,
+            vertices_m,
+            pose=pose,
+            depth_mode=self._depth_mode,
+            look=self._picture_look,
+            random=random,
+        )

@@ -63,7 +63,7 @@ SEGMENTATION: Observable[HasSight] = Observable(
     shape=(HEIGHT_PX, WIDTH_PX),
     dtype="uint8",
     unit="1",
-    meaning="0 nothing, 1 base, 2 peg, 3 left gel, 4 right gel.",
+    meaning="0 nothing, 1 base, 2 peg, 3 left gel, 4 right gel, 5 and 6 clutter in the base's and the peg's colour.",
     read=lambda scene, _: scene.sight().segmentation,
     privileged=True,
 )

@@ -1,16 +1,13 @@
 """Pictures made of a camera's view: colour, depth and segmentation, as observations hold them (challenge-facts 4.1)."""
 
-from math import sqrt
-
 import numpy as np
 from numpy.typing import NDArray
 
+from .look import CHALLENGE_LOOK, Look, light_direction, turned_hues
 from .rasterizer import View
 from .surfaces import FloatArray, IndexArray, Label, VisibleSurfaces
 
 BACKGROUND = (255, 255, 255)
-# Towards the light; the challenge's shines along (0, -1, -1).
-_TO_LIGHT = (0.0, sqrt(0.5), sqrt(0.5))
 # Red, green and blue of faces that look away from the light, and what is added for those that look at it. Within the
 # ranges of the challenge's pictures (challenge-facts 15), so that its colour rule finds peg and base in these too.
 _DARK_AND_GAIN = {
@@ -19,9 +16,15 @@ _DARK_AND_GAIN = {
     Label.LEFT_GEL: ((147.0, 255.0, 255.0), (13.0, 0.0, 0.0)),
     Label.RIGHT_GEL: ((147.0, 255.0, 255.0), (13.0, 0.0, 0.0)),
 }
+_DARK_AND_GAIN |= {
+    Label.CLUTTER_OF_BASE: _DARK_AND_GAIN[Label.BASE],
+    Label.CLUTTER_OF_PEG: _DARK_AND_GAIN[Label.PEG],
+}
 
 
-def colour_picture(view: View, surfaces: VisibleSurfaces, vertices_m: FloatArray) -> NDArray[np.uint8]:
+def colour_picture(
+    view: View, surfaces: VisibleSurfaces, vertices_m: FloatArray, look: Look = CHALLENGE_LOOK
+) -> NDArray[np.uint8]:
     """Return the flat-lit picture on a white background, shape [height, width, 3], red, green, blue.
 
     Every triangle has one colour: its class's, brighter by (1 + n.l)/2 for normal n and direction to the light l.
@@ -30,9 +33,11 @@ def colour_picture(view: View, surfaces: VisibleSurfaces, vertices_m: FloatArray
         view: which triangle every pixel shows.
         surfaces: the triangles' classes.
         vertices_m: vertices in the world [m], shape [n, 3].
+        look: how it differs from the challenge's.
     """
-    picture = np.full((*view.triangle.shape, 3), 255, dtype=np.uint8)
-    colours = np.concatenate([_triangle_colours(surfaces, vertices_m), [BACKGROUND]]).astype(np.uint8)
+    background = (look.brightness * np.array(BACKGROUND)).astype(np.uint8)
+    picture = np.broadcast_to(background, (*view.triangle.shape, 3)).copy()
+    colours = np.concatenate([_triangle_colours(surfaces, vertices_m, look), [background]]).astype(np.uint8)
     # Triangle -1 is the table's last row.
     picture[view.box] = colours[view.triangle[view.box]]
     return picture
@@ -51,15 +56,17 @@ def segmentation_picture(view: View, surfaces: VisibleSurfaces) -> NDArray[np.ui
     return picture
 
 
-def _triangle_colours(surfaces: VisibleSurfaces, vertices_m: FloatArray) -> FloatArray:
+def _triangle_colours(surfaces: VisibleSurfaces, vertices_m: FloatArray, look: Look) -> FloatArray:
     """Return the colour of every triangle, shape [t, 3], 0 to 255."""
     normals = unit_normals(vertices_m, surfaces.triangles)
-    towards_light = normals[:, 0] * _TO_LIGHT[0] + normals[:, 1] * _TO_LIGHT[1] + normals[:, 2] * _TO_LIGHT[2]
+    to_light = light_direction(look)
+    towards_light = normals[:, 0] * to_light[0] + normals[:, 1] * to_light[1] + normals[:, 2] * to_light[2]
     brightness = (1.0 + towards_light) / 2.0
     dark, gain = np.zeros((len(Label), 3)), np.zeros((len(Label), 3))
     for label, (dark_colour, added) in _DARK_AND_GAIN.items():
         dark[label], gain[label] = dark_colour, added
-    return np.asarray(dark[surfaces.labels] + brightness[:, None] * gain[surfaces.labels])
+    colours = np.asarray(dark[surfaces.labels] + brightness[:, None] * gain[surfaces.labels])
+    return colours if look == CHALLENGE_LOOK else turned_hues(colours, surfaces.labels, look)
 
 
 def unit_normals(vertices_m: FloatArray, triangles: IndexArray) -> FloatArray:

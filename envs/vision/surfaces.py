@@ -21,6 +21,8 @@ class Label(IntEnum):
     PEG = 2
     LEFT_GEL = 3
     RIGHT_GEL = 4
+    CLUTTER_OF_BASE = 5  # in the base's colour
+    CLUTTER_OF_PEG = 6  # in the peg's
 
 
 class VerticesDoNotFit(VitacError):

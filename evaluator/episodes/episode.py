@@ -123,11 +123,12 @@ def make_environment(
         settings: in place of the task's own, for measurements.
     """
     if is_maniskill(task.env_id):
-        return _make_maniskill(task, observation_keys)
+        return _of_maniskill(task, observation_keys)
     import gymnasium
     import vitac.envs  # noqa: F401 - registers the environment ids
 
     arguments: dict[str, Any] = {"assets_dir": assets_dir, "observation_keys": observation_keys, **task.settings}
+    arguments |= {"draws": task.draws} if task.draws else {}
     arguments |= settings or {}
     if sensor is not None:
         arguments["sensor"] = sensor
@@ -135,7 +136,7 @@ def make_environment(
     return cast(Environment, env.unwrapped)
 
 
-def _make_maniskill(task: Task, observation_keys: Sequence[str] | None) -> Environment:
+def _of_maniskill(task: Task, observation_keys: Sequence[str] | None) -> Environment:
     """Return an environment of ManiSkill, which the challenge's own meshes and sensors play no part in."""
     from vitac.envs.maniskill.env import ManiSkillEnv
 
@@ -281,8 +282,10 @@ def _json_value(key: str, value: object) -> JsonValue:
         return cast(JsonValue, value.item())
     if value is None or isinstance(value, bool | int | float | str):
         return value
+    if isinstance(value, Mapping):
+        return {name: _json_value(key, item) for name, item in value.items()}
     if isinstance(value, tuple | list):
         return [_json_value(key, item) for item in value]
     raise EnvironmentBroken(
-        f"info[{key!r}] is a {type(value).__name__}; only arrays, numbers, text and lists can be recorded."
+        f"info[{key!r}] is a {type(value).__name__}; only arrays, numbers, text, lists and mappings can be recorded."
     )

@@ -14,6 +14,7 @@ from vitac.envs.errors import VitacError
 from vitac.envs.maniskill.definition import is_maniskill
 from vitac.envs.observable import Observable
 from vitac.envs.tasks.definition import ActionComponent, TaskDefinition
+from vitac.envs.tasks.quantities import Quantity, check_draws
 
 from ..package_sets import PackageSet
 from ..strict_model import StrictModel, Word
@@ -150,6 +151,9 @@ class Task(StrictModel):
     settings: dict[Word, bool | int | float | str] = Field(
         default={}, description="Settings of the environment that are not its defaults."
     )
+    draws: dict[Word, tuple[float, float]] = Field(
+        default={}, description="Quantities that every episode has a value of its own of: lowest and highest."
+    )
     player: Player = Field(default=Player.POLICY, description="Who chooses the actions.")
     profiles: dict[Word, Profile] = Field(default={}, description="Settings for re-simulation only, by name.")
     episode_list: EpisodeList
@@ -174,10 +178,23 @@ class Task(StrictModel):
         """Return the components of an action, in order."""
         return self.definition.actions
 
+    @property
+    def drawn_quantities(self) -> tuple[Quantity, ...]:
+        """Return what is drawn for every episode, in the order of the environment's table."""
+        return tuple(quantity for quantity in self.definition.quantities if quantity.name in self.draws)
+
     @model_validator(mode="after")
     def _environment_is_known(self) -> Self:
         try:
             _ = self.definition
+        except VitacError as error:
+            raise ValueError(str(error)) from error
+        return self
+
+    @model_validator(mode="after")
+    def _draws_are_known(self) -> Self:
+        try:
+            check_draws(self.env_id, self.draws, self.definition.quantities)
         except VitacError as error:
             raise ValueError(str(error)) from error
         return self
@@ -220,7 +237,7 @@ class Task(StrictModel):
         # A task without settings, methods or a sealed list keeps the digest that it had before there were any.
         tables = [observed, done, *([measured] if measured else [])]
         absent: dict[str, Any] = {"profiles": True}  # never scored
-        absent |= {} if self.settings else {"settings": True}
+        absent |= {name: True for name in ("settings", "draws") if not getattr(self, name)}
         absent |= {"player": True} if self.player is Player.POLICY else {}
         absent |= {"episode_list": {"commitment"}} if self.episode_list.commitment is None else {}
         own = self.model_dump_json(exclude=absent)

@@ -13,31 +13,31 @@ from pathlib import Path
 
 from vitac.envs.tasks.registry import find_package
 
-from ..version import evaluator_hash, evaluator_parts, evaluator_version, format_version, sources_hash
+from ..version import evaluator_hash, evaluator_parts, evaluator_version, sources_hash, version_with
 from .registry import further_track_files, list_tracks, load_track
 
 
-def find_version(track: str) -> str:
+def version_of(track: str) -> str:
     """Return what results of a track are made with; a track that is gone has the version of our own sources."""
-    return format_version(compute_hash(track))
+    return version_with(hash_of(track))
 
 
-def compute_hash(track: str) -> str:
+def hash_of(track: str) -> str:
     """Return the SHA-256 [hex] of all that moves a score of a track."""
     return _hash_with_added(track) if _added_parts(track) else evaluator_hash()
 
 
-def list_parts(track: str) -> Mapping[str, str]:
+def parts_of(track: str) -> Mapping[str, str]:
     """Return what the hash of a track is made of, by name, each as its version or SHA-256."""
     return {**evaluator_parts(), **_added_parts(track)}
 
 
 def current_versions() -> frozenset[str]:
     """Return the versions of all tracks."""
-    return frozenset({evaluator_version(), *map(find_version, list_tracks())})
+    return frozenset({evaluator_version(), *map(version_of, list_tracks())})
 
 
-def find_evaluator(version: str) -> str:
+def evaluator_of(version: str) -> str:
     """Return the evaluator that has a version of a track: this one for all of its own; an older version as it is."""
     return evaluator_version() if version in current_versions() else version
 

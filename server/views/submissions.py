@@ -69,6 +69,9 @@ class EpisodeView(View):
     outcome: str
     success: bool
     env_steps: int
+    draws: dict[str, float] = Field(
+        default={}, description="Quantities that were drawn for it, where the task has any."
+    )
 
 
 class EpisodeOutputView(View):

@@ -9,8 +9,16 @@ from ...scene.observables import MEASURED_POSE, SURFACE_POINTS, played_shape
 from ...vision.observables import DEPTH_PICTURE, OBJECT_POINT_CLOUD, POINT_CLOUD, RGB_PICTURE
 from ...vision.stereo.method import METHOD
 from ..definition import ActionComponent, TaskDefinition
-from ..insertion.interface import MARKER_FLOW, PEG_HEIGHT, gt_offset, horizontal_actions, relative_motion
+from ..insertion.interface import (
+    INSERTION_QUANTITIES,
+    MARKER_FLOW,
+    PEG_HEIGHT,
+    gt_offset,
+    horizontal_actions,
+    relative_motion,
+)
 from ..measures import SURFACE_DIFF
+from ..quantities import Quantity, setting
 
 
 class HasDirection(Protocol):
@@ -28,6 +36,52 @@ GT_DIRECTION: Observable[HasDirection] = Observable(
     meaning="Which peg and hole it is: 1 left, the hexagon; -1 right, the cuboid.",
     read=lambda scene, _: np.array([scene.direction]),
     privileged=True,
+)
+
+LOOK_QUANTITIES = (
+    Quantity(
+        name="peg_hue_deg",
+        unit="degree",
+        meaning="Turn of the peg's hue",
+        range=(-180.0, 180.0),
+        nominal=0.0,
+        two_sided=True,
+        apply=setting("look.peg_hue_deg"),
+    ),
+    Quantity(
+        name="base_hue_deg",
+        unit="degree",
+        meaning="Turn of the base's hue",
+        range=(-180.0, 180.0),
+        nominal=0.0,
+        two_sided=True,
+        apply=setting("look.base_hue_deg"),
+    ),
+    Quantity(
+        name="brightness",
+        unit="1",
+        meaning="Brightness of the picture",
+        range=(0.2, 1.2),
+        nominal=1.0,
+        apply=setting("look.brightness"),
+    ),
+    Quantity(
+        name="light_deg",
+        unit="degree",
+        meaning="Turn of the light about the vertical",
+        range=(-180.0, 180.0),
+        nominal=0.0,
+        two_sided=True,
+        apply=setting("look.light_deg"),
+    ),
+    Quantity(
+        name="clutter",
+        unit="1",
+        meaning="Boxes around the base, rounded down",
+        range=(0.0, 8.99),
+        nominal=0.0,
+        apply=setting("look.clutter"),
+    ),
 )
 
 TASK = TaskDefinition(
@@ -54,5 +108,6 @@ TASK = TaskDefinition(
     methods=(METHOD,),
     perspective="vitac.envs.tasks.fusion_insertion.perspective:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.fusion_insertion.guided_motion:over_the_hole_then_down",
+    quantities=(*INSERTION_QUANTITIES, *LOOK_QUANTITIES),
     info_lengths={PEG_HEIGHT.name: 6},
 )

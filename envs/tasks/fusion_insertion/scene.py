@@ -7,12 +7,16 @@ from ...assets import Meshes
 from ...geometry.bases import RIM_MM
 from ...scene.grasped_scene import Clocks, fixed_at_origin
 from ...vision.camera import DepthMode, RigCamera, Sight
+from ...vision.look import draw_clutter
 from ...vision.rig import colour_camera_pose
 from ...vision.surfaces import Body, Label
 from ..insertion.scene import InsertionScene, Parts
 from .meshes import base_mesh, peg_bottom, peg_mesh
 from .settings import FusionInsertionSettings
 from .variation import START_GAP_MM, Z_TARGET_MM, FusionOffset, FusionShape, FusionStart, RigVariation, Target
+
+# Sets the numbers of clutter apart from the noise, whose stream has the number of the env step here.
+_CLUTTER_STREAM = 2**32
 
 
 class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
@@ -42,7 +46,9 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
             rim_mm=RIM_MM,
         )
         super().__init__(parts, offset=start.offset, settings=settings, clocks=clocks)
-        self._rig = RigCamera(self._visible_bodies(), DepthMode(settings.depth_mode))
+        # A generator of its own, so that clutter leaves the noise of the pictures as it is.
+        self._clutter = draw_clutter(settings.look, np.random.default_rng((rig.noise_seed, _CLUTTER_STREAM)))
+        self._rig = RigCamera(self._visible_bodies(), DepthMode(settings.depth_mode), settings.look)
         self._sight: Sight | None = None
 
     @property
@@ -80,6 +86,7 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
             grasped = self.grasped
             peg_m = grasped.held_vertices_m(np.arange(len(grasped.held.mesh.vertices_m)))
             positions_m = [grasped.fixed.mesh.vertices_m, peg_m, grasped.gel_nodes_m(0), grasped.gel_nodes_m(1)]
+            positions_m += [box.vertices_m for box, _ in self._clutter]
             y_m = (self.offset.y_mm + self.target.y_mm) * 1e-3
             z_m = (self.offset.z_mm + Z_TARGET_MM) * 1e-3
             random = np.random.default_rng((self._rig_variation.noise_seed, self.env_steps))
@@ -91,7 +98,7 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
         return offset.x_mm, offset.y_mm + self.target.y_mm, offset.z_mm + Z_TARGET_MM + START_GAP_MM
 
     def _visible_bodies(self) -> list[Body]:
-        """Return base, peg and both gels, in the order in which `sight` gives their positions."""
+        """Return base, peg, both gels and clutter, in the order in which `sight` gives their positions."""
         grasped = self.grasped
         solids = ((grasped.fixed.mesh, Label.BASE), (grasped.held.mesh, Label.PEG))
         gel = grasped.gel
@@ -100,5 +107,9 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
             *(
                 Body(vertex_count=len(gel.rest_position_m), triangles=gel.surface_triangles, label=label)
                 for label in (Label.LEFT_GEL, Label.RIGHT_GEL)
+            ),
+            *(
+                Body(vertex_count=len(box.vertices_m), triangles=box.triangles, label=label)
+                for box, label in self._clutter
             ),
         ]

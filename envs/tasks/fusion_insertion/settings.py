@@ -6,6 +6,7 @@ from ...geometry.bases import LARGEST_CLEARANCE_MM, OFFICIAL_CLEARANCE_MM
 from ...scene.grasped_scene import PhysicsSettings
 from ...tactile.markers import MarkerSettings
 from ...vision.camera import DepthMode
+from ...vision.look import CHALLENGE_LOOK, Look
 from ..insertion.settings import check_friction, check_settings
 from ..settings import require
 from .definition import TASK
@@ -28,6 +29,7 @@ class FusionInsertionSettings:
         base_friction: friction coefficient of the base.
         clearance_mm: gap between a centred peg and its hole; other bases than the evaluated one are for training.
         depth_mode: "stereo" as the camera measures depth, which is scored; "gt" for the exact one.
+        look: colours, light and clutter in the pictures.
         random_xy_mm: largest |x| and |y| of a random start.
         random_theta_deg: largest |theta| of a random start.
         random_z_mm: smallest and largest z of a random start.
@@ -51,6 +53,7 @@ class FusionInsertionSettings:
     base_friction: float = 0.5
     clearance_mm: float = OFFICIAL_CLEARANCE_MM
     depth_mode: str = DepthMode.STEREO.value
+    look: Look = CHALLENGE_LOOK
     random_xy_mm: float = 5.0
     random_theta_deg: float = 10.0
     random_z_mm: tuple[float, ...] = (3.0, 9.0)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 from ...observable import Observable
 from ...scene.observables import marker_flow
 from ..definition import ActionComponent, Measure
+from ..quantities import TOUCH_QUANTITIES, Quantity, setting
 
 if TYPE_CHECKING:
     from .scene import InsertionScene
@@ -20,6 +21,36 @@ PEG_HEIGHT = Measure(
     read=lambda info: tuple(info["peg_relative_z_mm"]),
 )
 """Height of each bottom corner of the peg above the rim, measured [mm]."""
+
+INSERTION_QUANTITIES = (
+    *TOUCH_QUANTITIES,
+    Quantity(
+        name="gripper_x_mm",
+        unit="mm",
+        meaning="Grasp beside the middle of the peg",
+        range=(-7.0, 7.0),
+        nominal=0.0,
+        two_sided=True,
+        apply=setting("gripper_x_mm"),
+    ),
+    Quantity(
+        name="gripper_z_mm",
+        unit="mm",
+        meaning="Grasp above the peg's upper end",
+        range=(-17.0, -6.0),
+        nominal=-8.0,
+        apply=setting("gripper_z_mm"),
+    ),
+    Quantity(
+        name="clearance_mm",
+        unit="mm",
+        meaning="Clearance of the hole per side",
+        range=(0.1, 3.0),
+        nominal=1.5,
+        apply=setting("clearance_mm"),
+    ),
+)
+"""Of every task that inserts a peg."""
 
 
 def horizontal_actions(*, xy_mm: float, theta_deg: float) -> tuple[ActionComponent, ActionComponent, ActionComponent]:

@@ -10,6 +10,7 @@ from ...observable import Observable
 from ...scene.observables import MEASURED_POSE, SURFACE_POINTS, marker_flow, played_shape
 from ..definition import ActionComponent, InfoView, Measure, TaskDefinition
 from ..measures import SURFACE_DIFF
+from ..quantities import TOUCH_QUANTITIES, Quantity, setting
 
 FloatArray = NDArray[np.float64]
 
@@ -105,4 +106,33 @@ TASK = TaskDefinition(
     ),
     perspective="vitac.envs.tasks.lock_opening.perspective:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.lock_opening.guided_motion:out_and_up",
+    quantities=(
+        *TOUCH_QUANTITIES,
+        Quantity(
+            name="gripper_x_mm",
+            unit="mm",
+            meaning="Grasp beside its nominal place on the handle",
+            range=(-4.0, 4.0),
+            nominal=0.0,
+            two_sided=True,
+            apply=setting("gripper_x_mm"),
+        ),
+        Quantity(
+            name="gripper_z_mm",
+            unit="mm",
+            meaning="Grasp above its nominal place on the handle",
+            range=(-4.0, 4.0),
+            nominal=0.0,
+            two_sided=True,
+            apply=setting("gripper_z_mm"),
+        ),
+        Quantity(
+            name="slot_clearance_mm",
+            unit="mm",
+            meaning="Clearance of the teeth in their slots per side",
+            range=(0.1, 3.0),
+            nominal=2.0,
+            apply=setting("slot_clearance_mm"),
+        ),
+    ),
 )

@@ -44,8 +44,8 @@ class LockOpeningEnv(TactileTaskEnv[LockScene, LockOpeningSettings]):
     option_names: ClassVar[tuple[str, ...]] = (SHAPE, OFFSET, JITTER)
 
     def _solids(self) -> list[SurfaceMesh]:
-        meshes = self._meshes
-        return [solid for shape in KeyShape for solid in (key_mesh(meshes, shape), lock_mesh(meshes, shape))]
+        meshes, gap_mm = self._meshes, self.settings.slot_clearance_mm
+        return [solid for shape in KeyShape for solid in (key_mesh(meshes, shape), lock_mesh(meshes, shape, gap_mm))]
 
     def _start(self, options: dict[str, Any], random: np.random.Generator) -> LockScene:
         settings = self.settings

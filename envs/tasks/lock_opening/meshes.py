@@ -3,7 +3,7 @@
 from ...assets import Meshes
 from ...fem.model.mesh import SurfaceMesh
 from ...geometry.keys import KeyShape, key_surface
-from ...geometry.locks import lock_surface
+from ...geometry.locks import OWN_CLEARANCE, lock_surface
 
 
 def key_mesh(meshes: Meshes, shape: KeyShape) -> SurfaceMesh:
@@ -11,7 +11,9 @@ def key_mesh(meshes: Meshes, shape: KeyShape) -> SurfaceMesh:
     return meshes.part(lambda: key_surface(shape), f"key_lock/{shape}.STL")
 
 
-def lock_mesh(meshes: Meshes, shape: KeyShape) -> SurfaceMesh:
-    """Return the lock for this key."""
+def lock_mesh(meshes: Meshes, shape: KeyShape, slot_clearance_mm: float = OWN_CLEARANCE) -> SurfaceMesh:
+    """Return the lock for this key; the challenge has files of its own clearance only."""
+    if slot_clearance_mm != OWN_CLEARANCE:
+        return lock_surface(shape, slot_clearance_mm)
     number = list(KeyShape).index(shape) + 1
     return meshes.part(lambda: lock_surface(shape), f"key_lock/lock_core_sim{number}.STL")

@@ -70,8 +70,8 @@ class LockScene:
             front_tooth=nearest_vertices(key, points.front_tooth_m),
             tip=nearest_vertices(key, points.tip_m),
         )
-        self._lock_points = lock_control_points(start.shape)
-        self._grasp_pose = _open_pose(start, meshes.gel())
+        self._lock_points = lock_control_points(start.shape, settings.slot_clearance_mm)
+        self._grasp_pose = _open_pose(start, settings, meshes.gel())
         self.grasped = GraspedScene(
             gripper=Gripper(mounts=MOUNTS, gel=meshes.gel(), pose=self._grasp_pose),
             held=RigidBody(
@@ -81,7 +81,9 @@ class LockScene:
                 density_kg_m3=settings.physics.rigid_density_kg_m3,
                 friction=settings.key_friction,
             ),
-            fixed=fixed_at_origin(lock_mesh(meshes, start.shape), friction=settings.lock_friction),
+            fixed=fixed_at_origin(
+                lock_mesh(meshes, start.shape, settings.slot_clearance_mm), friction=settings.lock_friction
+            ),
             physics=settings.physics,
             sensors=meshes.sensors(settings.markers),
             clocks=clocks,
@@ -162,13 +164,13 @@ def _key_position_m(start: LockStart) -> FloatArray:
     return np.array([START_X_MM + offset.x_mm, offset.y_mm, offset.z_mm]) * 1e-3
 
 
-def _open_pose(start: LockStart, gel: GelMesh) -> GripperPose:
-    """Return the pose of the open gripper around the key's handle, off by the jitter."""
+def _open_pose(start: LockStart, settings: LockOpeningSettings, gel: GelMesh) -> GripperPose:
+    """Return the pose of the open gripper around the key's handle, off by the jitter and as the settings say."""
     x_m, y_m, z_m = _key_position_m(start).tolist()
     return GripperPose(
-        x_m=x_m + (SENSOR_X_MM[start.shape] + start.jitter.x_mm) * 1e-3,
+        x_m=x_m + (SENSOR_X_MM[start.shape] + start.jitter.x_mm + settings.gripper_x_mm) * 1e-3,
         y_m=y_m,
-        z_m=z_m + (GRASP_HEIGHT_MM + start.jitter.z_mm) * 1e-3,
+        z_m=z_m + (GRASP_HEIGHT_MM + start.jitter.z_mm + settings.gripper_z_mm) * 1e-3,
         angle_rad=0.0,
         half_opening_m=(KEY_HALF_THICKNESS_MM + highest_mm(gel) + START_GAP_MM) * 1e-3,
     )

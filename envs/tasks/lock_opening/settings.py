@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from math import isfinite
 
 from ...fem.model.settings import ContactSettings
+from ...geometry.locks import OWN_CLEARANCE
 from ...scene.grasped_scene import PhysicsSettings
 from ...tactile.markers import MarkerSettings
 from ..settings import require
@@ -35,6 +36,10 @@ class LockOpeningSettings:
         final_reward: reward of success.
         failure_penalty: cost of the tactile or error flag.
         indentation_mm: how far each gel is pressed into the key.
+        gripper_x_mm: grasp centre beside its nominal place on the handle, outwards; the jitter is added.
+        gripper_z_mm: the same upwards.
+        slot_clearance_mm: room of a tooth in its slot on both sides; 0 for that of the challenge's lock, which is 2 mm,
+            and 1 mm for key3.
         key_friction: friction coefficient of the key.
         lock_friction: friction coefficient of the lock.
         random_x_mm: largest x of a random start.
@@ -51,6 +56,9 @@ class LockOpeningSettings:
     final_reward: float = 10.0
     failure_penalty: float = 5.0
     indentation_mm: float = 0.875
+    gripper_x_mm: float = 0.0
+    gripper_z_mm: float = 0.0
+    slot_clearance_mm: float = OWN_CLEARANCE
     key_friction: float = 0.6
     lock_friction: float = 0.5
     random_x_mm: float = 5.0
@@ -65,6 +73,10 @@ class LockOpeningSettings:
         usable = len(scale) == 2 and all(isfinite(value) and 0 <= value <= 10 for value in scale)
         require(usable, "action_scale_mm", scale, "two numbers of 0 to 10")
         require(0 < self.indentation_mm <= 2, "indentation_mm", self.indentation_mm, "0 to 2 mm, half the gel")
+        for name in ("gripper_x_mm", "gripper_z_mm"):
+            require(abs(getattr(self, name)) <= 4, name, getattr(self, name), "-4 to 4 mm")
+        gap_mm = self.slot_clearance_mm
+        require(gap_mm == OWN_CLEARANCE or 0.1 <= gap_mm <= 3, "slot_clearance_mm", gap_mm, "0, or 0.1 to 3 mm")
         for name in ("key_friction", "lock_friction"):
             require(0 <= getattr(self, name) <= 1e3, name, getattr(self, name), "0 to 1000")
         require(0 <= self.random_x_mm <= 20, "random_x_mm", self.random_x_mm, "0 to 20 mm")

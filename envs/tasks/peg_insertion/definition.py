@@ -2,8 +2,16 @@
 
 from ...scene.observables import MEASURED_POSE, SURFACE_POINTS, played_shape
 from ..definition import TaskDefinition
-from ..insertion.interface import MARKER_FLOW, PEG_HEIGHT, gt_offset, horizontal_actions, relative_motion
+from ..insertion.interface import (
+    INSERTION_QUANTITIES,
+    MARKER_FLOW,
+    PEG_HEIGHT,
+    gt_offset,
+    horizontal_actions,
+    relative_motion,
+)
 from ..measures import SURFACE_DIFF
+from ..quantities import Quantity, setting
 
 TASK = TaskDefinition(
     env_id="ViTac/PegInsertion-v1",
@@ -21,5 +29,25 @@ TASK = TaskDefinition(
     perspective="vitac.envs.tasks.peg_insertion.perspective:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.peg_insertion.guided_motion:to_the_hole",
     accepts_start="vitac.envs.tasks.peg_insertion.variation:accepts_start",
+    quantities=(
+        *INSERTION_QUANTITIES,
+        Quantity(
+            name="peg_width",
+            unit="1",
+            meaning="Width of the peg over that of its shape",
+            range=(0.5, 1.4),
+            nominal=1.0,
+            apply=setting("peg_width"),
+        ),
+        Quantity(
+            name="peg_taper",
+            unit="1",
+            meaning="Taper of the peg beyond that of its shape",
+            range=(-0.3, 0.3),
+            nominal=0.0,
+            two_sided=True,
+            apply=setting("peg_taper"),
+        ),
+    ),
     info_lengths={PEG_HEIGHT.name: 8},
 )

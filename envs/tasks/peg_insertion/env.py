@@ -44,15 +44,16 @@ class PegInsertionEnv(InsertionEnv[PegScene, PegInsertionSettings]):
     option_names: ClassVar[tuple[str, ...]] = (SHAPE, OFFSET)
 
     def _solids(self) -> list[SurfaceMesh]:
-        meshes = self._meshes
-        return [solid for shape in PegShape for solid in (peg_mesh(meshes, shape), hole_mesh(meshes, shape))]
+        meshes, form = self._meshes, self.settings.form
+        return [mesh(meshes, shape, form) for shape in PegShape for mesh in (peg_mesh, hole_mesh)]
 
     def _start(self, options: dict[str, Any], random: np.random.Generator) -> PegScene:
-        settings = self.settings
+        settings = self._settings_with_draws()
         start = choose_start(
             options,
             random,
             shapes=self._shapes,
+            form=settings.form,
             xy_mm=settings.random_xy_mm,
             theta_deg=settings.random_theta_deg,
         )

@@ -28,12 +28,13 @@ class PegScene(InsertionScene[PegOffset, PegInsertionSettings]):
         self.shape = start.shape
         # Commanded height of the gripper, relative to the grasp.
         self._z_mm = 0.0
-        peg = peg_mesh(meshes, start.shape)
+        form = settings.form
+        peg = peg_mesh(meshes, start.shape, form)
         parts = Parts(
             sensors=meshes.sensors(settings.markers),
             peg=peg,
-            peg_bottom=bottom_vertices(start.shape, peg),
-            fixed=fixed_at_origin(hole_mesh(meshes, start.shape), friction=settings.hole_friction),
+            peg_bottom=bottom_vertices(start.shape, peg, form),
+            fixed=fixed_at_origin(hole_mesh(meshes, start.shape, form), friction=settings.hole_friction),
             rim_mm=PLATE_THICKNESS_MM,
         )
         super().__init__(parts, offset=start.offset, settings=settings, clocks=clocks)

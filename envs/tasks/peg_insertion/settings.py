@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from ...geometry.pegs import CLEARANCE_MM, PegForm
 from ...scene.grasped_scene import PhysicsSettings
 from ...tactile.markers import MarkerSettings
 from ..insertion.settings import check_friction, check_settings
@@ -24,6 +25,9 @@ class PegInsertionSettings:
         gripper_z_mm: grasp centre above the peg's upper end.
         peg_friction: friction coefficient of the peg.
         hole_friction: friction coefficient of the plate.
+        clearance_mm: gap between a centred peg and its hole.
+        peg_width: factor of the peg's width in the middle of the grasp, see `PegForm`.
+        peg_taper: by how much that factor differs at the gripped faces.
         random_xy_mm: largest |x| and |y| of a random start.
         random_theta_deg: largest |theta| of a random start.
         physics: materials of the gels and time stepping.
@@ -40,6 +44,9 @@ class PegInsertionSettings:
     gripper_z_mm: float = -8.0
     peg_friction: float = 9.5
     hole_friction: float = 0.5
+    clearance_mm: float = CLEARANCE_MM
+    peg_width: float = 1.0
+    peg_taper: float = 0.0
     random_xy_mm: float = 5.0
     random_theta_deg: float = 10.0
     physics: PhysicsSettings = field(default_factory=PhysicsSettings)
@@ -48,6 +55,14 @@ class PegInsertionSettings:
     def __post_init__(self) -> None:
         check_settings(self, action_numbers=len(TASK.actions))
         check_friction("hole_friction", self.hole_friction)
+        require(0.1 <= self.clearance_mm <= 3, "clearance_mm", self.clearance_mm, "0.1 to 3 mm")
+        require(0.5 <= self.peg_width <= 1.4, "peg_width", self.peg_width, "0.5 to 1.4")
+        require(abs(self.peg_taper) <= 0.3, "peg_taper", self.peg_taper, "-0.3 to 0.3")
         require(0 < self.z_step_mm <= 5, "z_step_mm", self.z_step_mm, "0 to 5 mm")
         require(0 < self.random_xy_mm <= 12, "random_xy_mm", self.random_xy_mm, "0 to 12 mm")
         require(0 <= self.random_theta_deg <= 15, "random_theta_deg", self.random_theta_deg, "0 to 15 degrees")
+
+    @property
+    def form(self) -> PegForm:
+        """Form of peg and hole."""
+        return PegForm(width=self.peg_width, taper=self.peg_taper, clearance_mm=self.clearance_mm)

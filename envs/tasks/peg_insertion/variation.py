@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...deterministic_math import sine_cosine
-from ...geometry.pegs import PLATE_OUTLINE_MM, PROFILES_MM, PegShape, hole_outline_mm
+from ...geometry.pegs import CHALLENGE_FORM, PLATE_OUTLINE_MM, PegForm, PegShape, hole_outline_mm, profile_mm
 from ...geometry.polygon import overlaps_plate
 from ..insertion.offset import PegOffset
 from ..options import choice, drawn_shape, numbers, refusal
@@ -34,6 +34,7 @@ def choose_start(
     random: np.random.Generator,
     *,
     shapes: Sequence[PegShape] = tuple(PegShape),
+    form: PegForm = CHALLENGE_FORM,
     xy_mm: float,
     theta_deg: float,
 ) -> PegStart:
@@ -43,6 +44,7 @@ def choose_start(
         options: may hold `shape` and `offset_mm_deg`.
         random: the episode's generator.
         shapes: that may be drawn.
+        form: of peg and hole.
         xy_mm: largest |x| and |y| of a drawn offset.
         theta_deg: largest |theta| of a drawn offset.
 
@@ -53,12 +55,16 @@ def choose_start(
     shape = drawn_shape(shapes, random) if given is None else choice(ENV_ID, SHAPE, given, PegShape)
     wanted = options.get(OFFSET)
     offset = (
-        random_blocked_offset(shape, random, xy_mm=xy_mm, theta_deg=theta_deg) if wanted is None else _offset(wanted)
+        random_blocked_offset(shape, random, form=form, xy_mm=xy_mm, theta_deg=theta_deg)
+        if wanted is None
+        else _offset(wanted)
     )
     return PegStart(shape=shape, offset=offset)
 
 
-def random_blocked_offset(shape: PegShape, random: np.random.Generator, *, xy_mm: float, theta_deg: float) -> PegOffset:
+def random_blocked_offset(
+    shape: PegShape, random: np.random.Generator, *, form: PegForm = CHALLENGE_FORM, xy_mm: float, theta_deg: float
+) -> PegOffset:
     """Return a uniform offset (drawn x, y, theta), drawn again until the peg cannot just fall into the hole.
 
     The 2025 code asks a collision library about the solids; prisms with one axis collide where their profiles do.
@@ -66,7 +72,7 @@ def random_blocked_offset(shape: PegShape, random: np.random.Generator, *, xy_mm
     while True:
         x, y, theta = random.uniform(-1.0, 1.0, 3).tolist()
         offset = PegOffset(x_mm=x * xy_mm, y_mm=y * xy_mm, theta_deg=theta * theta_deg)
-        if is_blocked(shape, offset):
+        if is_blocked(shape, offset, form):
             return offset
 
 
@@ -76,12 +82,12 @@ def accepts_start(shape: str, offset_mm_deg: tuple[float, float, float]) -> bool
     return is_blocked(PegShape(shape), PegOffset(x_mm=x_mm, y_mm=y_mm, theta_deg=theta_deg))
 
 
-def is_blocked(shape: PegShape, offset: PegOffset) -> bool:
+def is_blocked(shape: PegShape, offset: PegOffset, form: PegForm = CHALLENGE_FORM) -> bool:
     """Return whether the peg's profile at this offset meets the plate's material."""
     sine, cosine = sine_cosine(radians(offset.theta_deg))
-    x, y = PROFILES_MM[shape][:, 0], PROFILES_MM[shape][:, 1]
+    x, y = profile_mm(shape, form).T
     placed = np.column_stack([cosine * x - sine * y + offset.x_mm, sine * x + cosine * y + offset.y_mm])
-    return overlaps_plate(placed, plate=PLATE_OUTLINE_MM, hole=hole_outline_mm(shape))
+    return overlaps_plate(placed, plate=PLATE_OUTLINE_MM, hole=hole_outline_mm(shape, form))
 
 
 def _offset(value: Any) -> PegOffset:

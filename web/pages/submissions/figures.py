@@ -11,6 +11,7 @@ from vitac.server.views.scores import TaskScoreView
 from vitac.server.views.submissions import EpisodeView, SubmissionView
 
 from ...plots.dates import DatedRate, rates_by_date
+from ...plots.draws import success_by_draw
 from ...plots.episodes import count_outcomes, offset_maps, steps_histogram, success_by_shape
 from ...plots.figure import Figure
 from ...site import Site
@@ -24,12 +25,14 @@ class TaskFigures:
         title: of the task.
         maps: outcomes by start offset, one for each shape.
         outcomes: those in the maps.
+        draws: success against each drawn quantity.
         figures: the others.
     """
 
     title: str
     maps: Sequence[Figure]
     outcomes: Sequence[EpisodeOutcome]
+    draws: Sequence[Figure]
     figures: Sequence[Figure]
 
 
@@ -50,13 +53,13 @@ def figures(
     return {
         "plots": site.plots.get(
             (found.evaluation.id, len(episodes)),
-            lambda: [_draw_task(found, score, titles[score.task], episodes) for score in found.evaluation.scores],
+            lambda: [_of_task(found, score, titles[score.task], episodes) for score in found.evaluation.scores],
         ),
         "history": site.plots.get((found.id, reached), lambda: _histories(found, titles, past)),
     }
 
 
-def _draw_task(found: SubmissionView, score: TaskScoreView, title: str, episodes: Sequence[EpisodeView]) -> TaskFigures:
+def _of_task(found: SubmissionView, score: TaskScoreView, title: str, episodes: Sequence[EpisodeView]) -> TaskFigures:
     ends = [end for end in episodes if end.task == score.task]
     # A stage's own list has other starts than the track file, from which the map takes them.
     known = found.evaluation.commitment is None
@@ -64,6 +67,7 @@ def _draw_task(found: SubmissionView, score: TaskScoreView, title: str, episodes
         title=title,
         maps=offset_maps(found.track, score.task, {end.episode: end for end in ends}) if known else (),
         outcomes=count_outcomes(ends),
+        draws=success_by_draw(found.track, score.task, ends),
         figures=(success_by_shape(score), *([steps_histogram(score.task, ends)] if ends else [])),
     )
 

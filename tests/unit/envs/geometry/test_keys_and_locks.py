@@ -22,6 +22,7 @@ from vitac.envs.geometry.locks import (
     CHANNEL_START_MM,
     LOCKS,
     lock_control_points,
+    lock_dimensions,
     lock_surface,
 )
 from vitac.envs.geometry.polygon import contains, signed_area
@@ -153,3 +154,14 @@ def test_a_solid_is_made_once(shape: KeyShape) -> None:
     assert key_surface(shape) is key_surface(shape)
     assert lock_surface(shape) is lock_surface(shape)
     assert lock_surface(shape).name == f"lock of {shape}"
+
+
+@EACH
+def test_a_slot_clearance_leaves_this_on_both_sides_of_every_tooth(shape: KeyShape) -> None:
+    lock = lock_dimensions(shape, 0.5)
+    for slot, own, tooth in zip(lock.slots_mm, LOCKS[shape].slots_mm, KEYS[shape].teeth_mm, strict=True):
+        assert slot[1] - slot[0] == pytest.approx(tooth[1] - tooth[0] + 1.0)
+        assert sum(slot) == pytest.approx(sum(own))
+    corners_mm = lock_control_points(shape, 0.5).rear_slot_m[:, 0] * 1e3
+    assert (corners_mm.min(), corners_mm.max()) == pytest.approx(lock.slots_mm[lock.rear_slot])
+    assert lock_surface(shape, 0.5).vertices_m.shape == lock_surface(shape).vertices_m.shape

@@ -12,11 +12,13 @@ from vitac.envs.geometry.pegs import (
     PEG_HEIGHT_MM,
     PLATE_THICKNESS_MM,
     PROFILES_MM,
+    PegForm,
     PegShape,
     bottom_vertices,
     hole_outline_mm,
     hole_surface,
     peg_surface,
+    profile_mm,
 )
 from vitac.envs.geometry.polygon import contains, signed_area
 
@@ -94,3 +96,22 @@ def test_a_solid_is_made_once(shape: PegShape) -> None:
     assert hole_surface(shape) is hole_surface(shape)
     assert peg_surface(shape).name == f"{shape} peg"
     assert hole_surface(shape).name == f"{shape} hole"
+
+
+@EACH
+def test_a_form_scales_across_the_gels_alone_and_leaves_its_clearance(shape: PegShape) -> None:
+    form = PegForm(width=0.9, taper=0.2, clearance_mm=0.5)
+    profile, wider = profile_mm(shape, form), PROFILES_MM[shape]
+    assert np.array_equal(profile[:, 1], wider[:, 1])
+    for (x, y), before in zip(profile.tolist(), wider[:, 0].tolist(), strict=True):
+        assert x == pytest.approx(before * (0.9 + 0.2 * y / 15.0))
+    hole = hole_outline_mm(shape, form)
+    assert hole[:, 1].max() == pytest.approx(15.5)
+    peg = peg_surface(shape, form)
+    corners_mm = peg.vertices_m[bottom_vertices(shape, peg, form)] * 1e3
+    assert np.array_equal(np.round(corners_mm[:, :2], 9), np.round(form.scaled(BOTTOM_CORNERS_MM[shape]), 9))
+
+
+@EACH
+def test_the_challenges_form_changes_no_bit(shape: PegShape) -> None:
+    assert np.array_equal(profile_mm(shape), PROFILES_MM[shape])

@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 from fake_scene import FakeScene
@@ -16,7 +18,7 @@ from vitac.envs.tasks.peg_insertion.meshes import hole_mesh, peg_mesh
 POSE = GripperPose(x_m=0.0, y_m=0.0, z_m=0.0621, angle_rad=0.0, half_opening_m=0.0171)
 
 
-def scene() -> GraspedScene:
+def scene(**markers: Any) -> GraspedScene:
     meshes = Meshes()
 
     def placed(fixed: bool) -> RigidBody:
@@ -28,7 +30,7 @@ def scene() -> GraspedScene:
         held=placed(False),
         fixed=placed(True),
         physics=PhysicsSettings(),
-        sensors=meshes.sensors(MarkerSettings()),
+        sensors=meshes.sensors(MarkerSettings(**markers)),
         clocks=Clocks(physics=Stopwatch(), markers=Stopwatch()),
     )
 
@@ -221,3 +223,49 @@ def turn(axis: int, angle_rad: float) -> np.ndarray:
     turned[[after, last], [after, last]] = np.cos(angle_rad)
     turned[last, after], turned[after, last] = np.sin(angle_rad), -np.sin(angle_rad)
     return turned
+
+
+def scene_with(**markers: Any) -> GraspedScene:
+    return scene(noise_px=0.0, loss_probability=0.0, **markers)
+
+
+def flow_after_bulge(made: GraspedScene, physics: FakeScene) -> NDArray[np.float64]:
+    """The motion of the markers after an env step of two IPC steps, whose second one pushes the gels out."""
+    made.capture_references()
+    made.begin_env_step()
+    made.move_to(POSE, ipc_steps=1)
+    physics.bulge_m = 4e-4
+    made.move_to(POSE, ipc_steps=1)
+    flow = made.marker_flow(np.random.default_rng(1)).astype(np.float64)
+    return np.asarray(flow[:, 1] - flow[:, 0])
+
+
+def test_delayed_touch_lies_between_two_moments_of_the_env_step(fake_scenes: list[FakeScene]) -> None:
+    now, quarter, half, whole = (
+        flow_after_bulge(made, fake_scenes[-1]) for delay in (0.0, 0.25, 0.5, 1.0) for made in [scene_with(delay=delay)]
+    )
+    assert np.abs(now).max() > 1.0
+    assert quarter == pytest.approx(0.5 * now, abs=0.05)  # 0.25 of two IPC steps is half of the last one
+    assert half == pytest.approx(0.0, abs=1e-4)
+    assert whole == pytest.approx(0.0, abs=1e-4)
+
+
+def test_delayed_touch_is_the_same_after_going_back_to_a_state(fake_scenes: list[FakeScene]) -> None:
+    made = scene_with(delay=0.25)
+    expected = flow_after_bulge(made, fake_scenes[-1])
+    fake_scenes[-1].state = lambda: None  # type: ignore[attr-defined]
+    fake_scenes[-1].restore = lambda _: None  # type: ignore[attr-defined]
+    state = made.state()
+    made.begin_env_step()
+    made.restore(state)
+    flow = made.marker_flow(np.random.default_rng(1))
+    assert np.array_equal(flow[:, 1] - flow[:, 0], expected.astype(np.float32))
+
+
+def test_drift_grows_with_the_simulated_time_and_is_the_same_for_all_markers(fake_scenes: list[FakeScene]) -> None:
+    made = scene_with(drift_v_px_s=2.0)
+    made.capture_references()
+    made.move_to(POSE, ipc_steps=5)
+    flow = made.marker_flow(np.random.default_rng(1))
+    assert flow[:, 1, :, 0] == pytest.approx(flow[:, 0, :, 0], abs=1e-3)
+    assert flow[:, 1, :, 1] - flow[:, 0, :, 1] == pytest.approx(1.0, abs=1e-3)  # 2 px/s over 5 x 0.1 s

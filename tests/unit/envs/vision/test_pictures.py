@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from visible_scenes import STARTS, fusion_scene
+from vitac.envs.vision.look import Look
 from vitac.envs.vision.pictures import colour_picture, depth_picture, segmentation_picture, unit_normals
 from vitac.envs.vision.surfaces import Label
 
@@ -72,3 +73,27 @@ def test_unit_normals_point_outwards() -> None:
     middles = scene.vertices_m[peg].mean(axis=1)
     assert np.linalg.norm(normals, axis=1) == pytest.approx(np.ones(len(peg)))
     assert ((middles - scene.vertices_m[np.unique(peg)].mean(axis=0)) * normals).sum(axis=1).min() > 0
+
+
+def test_turned_hues_hide_peg_and_base_from_the_colour_rule_and_nothing_else_changes() -> None:
+    scene = fusion_scene(STARTS[0])
+    view = scene.view()
+    plain = colour_picture(view, scene.surfaces, scene.vertices_m)
+    turned = colour_picture(view, scene.surfaces, scene.vertices_m, Look(peg_hue_deg=120.0, base_hue_deg=120.0))
+    label = segmentation_picture(view, scene.surfaces)
+    green = turned[label == Label.PEG]
+    assert (green[:, 1] > green[:, [0, 2]].max(axis=1)).all()
+    assert (turned[label == Label.BASE][:, 0] > 200).all()
+    others = np.isin(label, (Label.NOTHING, Label.LEFT_GEL, Label.RIGHT_GEL))
+    np.testing.assert_array_equal(turned[others], plain[others])
+
+
+def test_brightness_dims_all_and_the_light_moves_what_is_bright() -> None:
+    scene = fusion_scene(STARTS[0])
+    view = scene.view()
+    plain, dim, other = (
+        colour_picture(view, scene.surfaces, scene.vertices_m, look).astype(int)
+        for look in (Look(), Look(brightness=0.5), Look(light_deg=120.0))
+    )
+    assert np.abs(dim - 0.5 * plain).max() <= 1.0
+    assert (other != plain).any()

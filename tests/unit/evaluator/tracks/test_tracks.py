@@ -125,7 +125,7 @@ def test_a_task_without_settings_methods_and_commitment_keeps_the_digest_from_be
     observed = [(row.name, row.shape, row.dtype, row.unit, row.meaning) for row in task.observables]
     done = [(row.name, row.scale, row.unit, row.meaning) for row in task.actions]
     content = task.model_dump_json(
-        exclude={"settings": True, "player": True, "profiles": True, "episode_list": {"commitment"}}
+        exclude={"settings": True, "draws": True, "player": True, "profiles": True, "episode_list": {"commitment"}}
     )
     content += json.dumps([observed, done])
     assert task.digest() == hashlib.sha256(content.encode()).hexdigest()
@@ -277,7 +277,8 @@ def one_task(content: dict[str, object], *, task: str) -> str:
 
 def test_tracks_of_a_folder_stand_beside_ours(further: Path, content: dict[str, object]) -> None:
     (further / "mine.yaml").write_text(one_task(content, task="my-peg"))
-    assert list_tracks() == ("mine", "track_1", "track_2", "track_2_gt", "track_3", "maniskill")
+    assert list_tracks()[:2] == ("mine", "track_1")
+    assert list_tracks()[-1] == "maniskill"
     assert find_task("my-peg")[0].name == "mine"
     assert archive_folders() == ("Mine", "Track_1", "Track_2", "Track_3", "ManiSkill")
 
@@ -410,3 +411,49 @@ def test_player_is_part_of_the_digest(content: dict[str, object]) -> None:
     assert isinstance(tasks, dict)
     tasks["peg-insertion"]["player"] = "blind"
     assert parse(content).tasks["peg-insertion"].digest() != before
+
+
+ROBUST = {
+    "peg-insertion-robust": ("clearance_mm", 0.5, 2.0),
+    "lock-opening-robust": ("slot_clearance_mm", 0.5, 2.0),
+    "fusion-robust": ("clearance_mm", 0.5, 1.5),
+}
+
+
+@pytest.mark.parametrize("name", ROBUST)
+def test_robust_tasks_draw_what_makes_them_hard_under_the_contact_model_that_sticks(name: str) -> None:
+    _, task = find_task(name)
+    clearance, low, high = ROBUST[name]
+    assert task.draws[clearance] == (low, high)
+    assert {"gel_modulus_kpa", "part_friction", "marker_noise_px", "marker_loss", "drift_u_px_s", "touch_delay"} <= set(
+        task.draws
+    )
+    assert task.settings["contact_model"] == "arena-1"
+
+
+@pytest.mark.parametrize(
+    ("draws", "message"),
+    [
+        ({"clearence_mm": [0.5, 2]}, "no quantity 'clearence_mm' to draw; did you mean 'clearance_mm'?"),
+        (
+            {"clearance_mm": [2, 0.5]},
+            "Draw 'clearance_mm' is [2.0, 0.5], expected two numbers from 0.1 to 3 mm, rising.",
+        ),
+        ({"clearance_mm": [0.5, 9]}, "expected two numbers from 0.1 to 3 mm, rising."),
+    ],
+)
+def test_refuses_draws_that_the_task_does_not_have(
+    content: dict[str, object], draws: dict[str, list[float]], message: str
+) -> None:
+    tasks = content["tasks"]
+    assert isinstance(tasks, dict)
+    tasks["peg-insertion"]["draws"] = draws
+    with pytest.raises(DocumentRejected) as refused:
+        parse(content)
+    assert message in str(refused.value)
+
+
+def test_draws_are_part_of_the_digest() -> None:
+    _, task = find_task("peg-insertion-robust")
+    other = task.model_copy(update={"draws": task.draws | {"clearance_mm": (0.5, 1.9)}})
+    assert other.digest() != task.digest()

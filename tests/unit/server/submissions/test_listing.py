@@ -173,3 +173,14 @@ def test_a_teams_list_reads_no_other_teams_rows_and_no_output(database: Database
     assert work.statements <= 6
     assert work.rows_read["submissions"] <= 2
     assert work.rows_read["evaluations"] <= 3
+
+
+def test_what_was_drawn_for_an_episode_is_listed_with_it(database: Database, principal: Principal) -> None:
+    submission, _ = create(database, principal)
+    lease = claim(database, ids_of(database, submission)[0])
+    record = make_record(2)
+    infos = tuple(info | {"draws": {"clearance_mm": 0.75}} for info in record.infos)
+    store(database, lease, [record.model_copy(update={"infos": infos}), make_record(4)])
+    with database.transaction() as session:
+        listed = listing.episodes(session, principal, submission.id)
+    assert [view.draws for view in listed] == [{"clearance_mm": 0.75}, {}]

@@ -1,0 +1,87 @@
+"""Writes the tables of docs/variants.md from the figures beside this file.
+
+python benchmarks/variants/tables.py
+
+`sweep_TASK.json` is what `sweep.py --json` wrote, `headroom_TASK.json` what `headroom.py --json` wrote.
+"""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from vitac.envs.tasks.quantities import Quantity
+from vitac.evaluator.tracks import Task
+from vitac.evaluator.tracks.registry import find_task
+
+FOLDER = Path(__file__).parent
+DOCUMENT = FOLDER.parents[1] / "docs" / "variants.md"
+TASKS = ("peg-insertion-robust", "lock-opening-robust", "fusion-robust")
+
+
+def main() -> None:
+    """Put every table in the place of the one that stands there."""
+    text = DOCUMENT.read_text()
+    for name, table in {"headroom": headroom(), **{task: quantities(task) for task in TASKS}}.items():
+        pattern = re.compile(rf"(<!-- table {name} -->\n).*?(<!-- end -->)", re.DOTALL)
+        assert pattern.search(text), name  # noqa: S101 - the page has a place for each
+        text = pattern.sub(lambda found, made=table: found[1] + made + found[2], text)
+    DOCUMENT.write_text(text)
+
+
+def headroom() -> str:
+    """Return the table of both players' rates in each task."""
+    lines = ["| task | example | planner with the truth | quantities, monotone |", "|---|---|---|---|"]
+    for name in TASKS:
+        found = read("headroom", name)
+        if found is not None:
+            example, truth = (written(found["players"][player]) for player in ("example", "truth"))
+            drawn = found["by_draw"].values()
+            monotone = f"{len(drawn)}, {sum(quantity['monotone'] for quantity in drawn)}"
+            lines.append(f"| `{name}` | {example} | {truth} | {monotone} |")
+    return "\n".join(lines) + "\n"
+
+
+def quantities(name: str) -> str:
+    """Return a row for each quantity: its range, what its ends alone take from the example, and its success there."""
+    _, task = find_task(name)
+    rows, found = read("sweep", name) or [], read("headroom", name)
+    nominal = next((row for row in rows if not row["fixed"]), None)
+    lines = [
+        "| quantity | range | alone, solved by the example | with all, solved by the example along the range |",
+        "|---|---|---|---|",
+    ]
+    if nominal is not None:
+        lines.append(f"| none | | {written(nominal['example'])} | |")
+    lines += [_row(task, quantity, rows, found) for quantity in task.drawn_quantities]
+    return "\n".join(lines) + "\n"
+
+
+def _row(task: Task, quantity: Quantity, rows: list[dict[str, Any]], found: dict[str, Any] | None) -> str:
+    low, high = task.draws[quantity.name]
+    unit = "" if quantity.unit == "1" else f" {quantity.unit}"
+    alone = [
+        f"{value:g}: {written(row['example'])}"
+        for row in rows
+        for name, value in row["fixed"].items()
+        if name == quantity.name
+    ]
+    parts = [] if found is None else found["by_draw"][quantity.name]["parts"]
+    along = ", ".join(f"{100 * part['rate']['success_rate']:.0f}" for part in parts)
+    return f"| `{quantity.name}` | {low:g} to {high:g}{unit} | {'; '.join(alone)} | {along} |"
+
+
+def written(rate: dict[str, Any]) -> str:
+    """Return a rate as "34 % [26, 43] of 150"."""
+    low, high = (100 * rate["interval"][end] for end in ("low", "high"))
+    return f"{100 * rate['success_rate']:.0f} % [{low:.0f}, {high:.0f}] of {rate['episodes']}"
+
+
+def read(kind: str, task: str) -> Any:
+    """Return the figures of a task; None where they were not measured yet."""
+    path = FOLDER / f"{kind}_{task}.json"
+    return json.loads(path.read_text()) if path.exists() else None
+
+
+if __name__ == "__main__":
+    main()

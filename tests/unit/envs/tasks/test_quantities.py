@@ -1,0 +1,105 @@
+"""Quantities that are drawn for every episode from ranges that a track file states."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from fake_scene import FakeScene
+from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
+from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
+from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
+from vitac.envs.tasks.quantities import Quantity
+from vitac.envs.tasks.randomization import draw_quantities, with_quantities
+from vitac.envs.tasks.settings import SettingsError
+
+ENV_TYPES = [PegInsertionEnv, LockOpeningEnv, FusionInsertionEnv]
+DRAWS = {"gel_modulus_kpa": (200.0, 400.0), "marker_noise_px": (1.0, 2.0)}
+
+
+@pytest.fixture(autouse=True)
+def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
+    return fake_scenes
+
+
+def drawn(env: Any, number: int) -> dict[str, float]:
+    _, info = env.reset(options={"rng_seed": (3, number)})
+    return dict(info["draws"])
+
+
+@pytest.mark.parametrize("env_type", ENV_TYPES)
+def test_every_episode_has_values_of_its_own_within_the_ranges(env_type: Any, physics: list[FakeScene]) -> None:
+    env = env_type(draws=DRAWS, observation_keys=())
+    found = [drawn(env, number) for number in range(20)]
+    for name, (low, high) in DRAWS.items():
+        values = [episode[name] for episode in found]
+        assert len(set(values)) == 20
+        assert low <= min(values) < low + 0.3 * (high - low)
+        assert high - 0.3 * (high - low) < max(values) <= high
+    assert [scene.gels[0].youngs_modulus_pa for scene in physics] == [1e3 * draw["gel_modulus_kpa"] for draw in found]
+
+
+@pytest.mark.parametrize("env_type", ENV_TYPES)
+def test_same_seed_has_the_same_draw_in_another_environment_and_order(env_type: Any) -> None:
+    first, second = env_type(draws=DRAWS, observation_keys=()), env_type(draws=DRAWS, observation_keys=())
+    forwards = [drawn(first, number) for number in (1, 2, 3)]
+    assert [drawn(second, number) for number in (3, 2, 1)] == forwards[::-1]
+
+
+def test_another_quantity_leaves_the_draws_of_the_others_as_they_are() -> None:
+    both, one = ({name: DRAWS[name] for name in names} for names in (DRAWS, ["marker_noise_px"]))
+    seeds = [(7, number) for number in range(5)]
+    values = [[draw_quantities(draws, np.random.default_rng(seed)) for seed in seeds] for draws in (both, one)]
+    assert [draw["marker_noise_px"] for draw in values[0]] == [draw["marker_noise_px"] for draw in values[1]]
+
+
+def test_numbers_that_a_task_draws_itself_are_those_without_draws() -> None:
+    """The start, and so the whole 2025 list, does not move when quantities are drawn."""
+    plain, drawing = PegInsertionEnv(privileged=True), PegInsertionEnv(privileged=True, draws=DRAWS)
+    (first, info), (second, _) = (env.reset(seed=4) for env in (plain, drawing))
+    assert np.array_equal(first["gt_offset"], second["gt_offset"])
+    assert "draws" not in info
+
+
+@pytest.mark.parametrize("env_type", ENV_TYPES)
+def test_no_observation_holds_a_draw(env_type: Any) -> None:
+    env = env_type(draws=DRAWS, privileged=True)
+    assert set(env.observation_space.spaces) == {entry.name for entry in env.task.observables}
+
+
+@pytest.mark.parametrize(
+    ("draws", "message"),
+    [
+        ({"gel_modulus": (1, 2)}, r"no quantity 'gel_modulus' to draw; did you mean 'gel_modulus_kpa'\?"),
+        (
+            {"marker_loss": (0.5, 0.1)},
+            r"Draw 'marker_loss' is \[0.5, 0.1\], expected two numbers from 0 to 0.9 1, rising",
+        ),
+        ({"marker_loss": (0.0, 2.0)}, "expected two numbers from 0 to 0.9"),
+        ({"marker_loss": (0.0,)}, "expected two numbers"),
+        ({"marker_loss": (0.0, float("nan"))}, "expected two numbers"),
+    ],
+)
+def test_refuses_unknown_quantities_and_bad_ranges(draws: Any, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        PegInsertionEnv(draws=draws)
+
+
+def test_friction_by_materials_is_refused_under_a_model_without_materials() -> None:
+    env = PegInsertionEnv(draws={"part_friction": (0.2, 0.4)})
+    with pytest.raises(SettingsError, match=r"contact model challenge-2025; set contact_model: arena-1"):
+        env.reset(seed=1)
+
+
+def test_mesh_hash_covers_the_ranges() -> None:
+    hashes = {PegInsertionEnv(draws=draws).mesh_hash() for draws in ({}, DRAWS, {"marker_loss": (0.0, 0.1)})}
+    assert len(hashes) == 3
+
+
+@pytest.mark.parametrize("env_type", ENV_TYPES)
+def test_every_quantity_changes_the_settings_at_both_ends_of_its_range(env_type: Any) -> None:
+    settings = env_type(contact_model="arena-1").settings
+    quantities: tuple[Quantity, ...] = env_type.task.quantities
+    for quantity in quantities:
+        ends = [with_quantities(settings, quantities, {quantity.name: value}) for value in quantity.range]
+        assert ends[0] != ends[1], quantity.name
+        assert quantity.range[0] <= quantity.nominal <= quantity.range[1]
