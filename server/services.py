@@ -25,12 +25,15 @@ class Services:
 
 
 @contextmanager
-def open_services(settings: Settings, *, may_run_database: bool = True) -> Iterator[Services]:
+def open_services(
+    settings: Settings, *, may_run_database: bool = True, statement_timeout_s: float | None = None
+) -> Iterator[Services]:
     """Start or find the database, bring its schema up to date and open the file store.
 
     Args:
         settings: of this process.
         may_run_database: whether the embedded database is run by this process when no other one does.
+        statement_timeout_s: after which the database ends a statement of this process; None: without limit.
 
     Raises:
         VitacError: one of them cannot be used here; the message says what to do.
@@ -44,7 +47,7 @@ def open_services(settings: Settings, *, may_run_database: bool = True) -> Itera
             postgres = EmbeddedPostgres(settings.state_dir, bin_dir=settings.postgres_bin_dir, may_run=may_run_database)
             stack.callback(postgres.stop)
             address, owner_address = postgres.start(), postgres.cluster.owner_dsn()
-        database = Database(address, owner_address=owner_address)
+        database = Database(address, owner_address=owner_address, statement_timeout_s=statement_timeout_s)
         stack.callback(database.dispose)
         try:
             once_available(database, upgrade, patience_s=settings.database_wait_s)

@@ -189,7 +189,7 @@ class Settings(BaseSettings):
     upload_kept_h: PositiveInt = Field(
         default=24, description="After this time without a further piece, an upload in pieces is removed."
     )
-    event_streams: PositiveInt = Field(default=200, description="Event streams that a server keeps open.")
+    event_streams: PositiveInt = Field(default=1000, description="Event streams that a server keeps open.")
 
     playbacks_at_once: PositiveInt = Field(
         default=4,

@@ -36,6 +36,8 @@ Page = Callable[[Request], Awaitable[Response]]
 
 ResultT = TypeVar("ResultT")
 HTML = "text/html"
+PAGE_TIMEOUT_S = 20.0
+"""After which a page says that the database does not answer; its statements are ended before."""
 FRONT_KEPT_S = 5.0
 """The front page is asked for most, and reads the boards of all tracks."""
 MAX_PLOTS = 256
@@ -84,11 +86,28 @@ class Site:
 
     async def ask(self, query: Callable[[Session], ResultT]) -> ResultT:
         """Return what functions of the service layer give in one transaction, which may change something."""
-        return await asyncio.to_thread(_run, self.services.database.transaction, query)
+        return await _run_in_time(self.services.database.transaction, query)
 
     async def read(self, query: Callable[[Session], ResultT]) -> ResultT:
         """Return what functions of the service layer give that only read."""
-        return await asyncio.to_thread(_run, self.services.database.reading, query)
+        return await _run_in_time(self.services.database.reading, query)
+
+
+async def _run_in_time(
+    opened: Callable[[], AbstractContextManager[Session]], query: Callable[[Session], ResultT]
+) -> ResultT:
+    """Run a query in a thread, and leave it there when the database does not answer.
+
+    Raises:
+        ServiceError: it does not.
+    """
+    try:
+        async with asyncio.timeout(PAGE_TIMEOUT_S):
+            return await asyncio.to_thread(_run, opened, query)
+    except TimeoutError as error:
+        raise ServiceError(
+            ProblemCode.DATABASE_UNAVAILABLE, "The database does not answer. Nothing is lost; reload this page later."
+        ) from error
 
 
 def _run(opened: Callable[[], AbstractContextManager[Session]], query: Callable[[Session], ResultT]) -> ResultT:

@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.version import evaluator_version, platform_class
 from vitac.server.db.models import Worker
 from vitac.server.db.schema import installed_revision, newest_revision
-from vitac.server.db.states import WorkerState
+from vitac.server.db.states import WorkerOrder, WorkerState
 from vitac.server.queue import workers
 from vitac.server.queue.declared import declared_versions, explain_other_evaluator
 from vitac.server.services import Services
@@ -50,6 +50,8 @@ class Heartbeat:
         on_upgrade: Callable[[], None],
     ) -> None:
         self.worker_id: UUID = uuid4()
+        self.order = WorkerOrder.WORK
+        """What an organizer wants of this worker, as of the last heartbeat."""
         self._services = services
         self._state = state
         self._report = report
@@ -98,12 +100,20 @@ class Heartbeat:
                 declared = declared_versions(session)
                 disk = workers.measure_disk(self._services.settings.scratch_dir)
                 message = self._message or explain_unfit(declared)
-                workers.heartbeat(session, self.worker_id, state, disk, message)
+                order = workers.heartbeat(session, self.worker_id, state, disk, message)
         except (SQLAlchemyError, OSError) as error:
             logger.warning("heartbeat_failed", error=" ".join(str(error).split())[:200])
         else:
             if explain_other_evaluator(declared):
                 self._on_other_evaluator()
+            if order is not None and state is not WorkerState.STOPPED:
+                self._note(order)
+
+    def _note(self, order: WorkerOrder) -> None:
+        """Say from the next heartbeat on whether this worker takes shards."""
+        self.order = order
+        if self._state is not WorkerState.REFUSING:
+            self._state = WorkerState.READY if order is WorkerOrder.WORK else WorkerState.CORDONED
 
     def _register(self, session: Session) -> None:
         workers.register(session, self._row(self._message or explain_unfit(declared_versions(session))))

@@ -53,7 +53,7 @@ class LeasedRun(ABC, Generic[ProcessT]):
     step: ClassVar[str]
     """What has to happen now and then, or the process counts as one that hangs: `episode ended`."""
 
-    def __init__(self, services: Services, **names: int) -> None:
+    def __init__(self, services: Services, **names: int | str) -> None:
         """Prepare; nothing is started.
 
         Args:

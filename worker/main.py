@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager
 
 import structlog
 from vitac.evaluator.shards.process import ShardProcesses
-from vitac.server.db.states import WorkerState
+from vitac.server.db.states import WorkerOrder, WorkerState
 from vitac.server.housekeeping import Housekeeping
 from vitac.server.queue.declared import declared_versions, explain_other_evaluator
 from vitac.server.services import Services, open_services
@@ -83,11 +83,13 @@ def _take_shards(services: Services, report: IsolationReport, start: StartShard,
         housekeeping = Housekeeping(services, supersedes=False)
         housekeeping.start()
         stack.callback(housekeeping.stop)
-        worker = QueueWorker(services, stage, heartbeat.worker_id, start)
+        worker = QueueWorker(services, stage, heartbeat.worker_id, start, order=lambda: heartbeat.order)
         # A thread, not the signal's handler: that may interrupt whoever holds the locks which `stop` needs.
         threading.Thread(target=_stop_on_event, args=((stopping, leaving), worker), name="stop", daemon=True).start()
         logger.info("worker_started", worker=str(heartbeat.worker_id), slots=services.settings.worker_slots)
         asyncio.run(worker.run())
+        if heartbeat.order is WorkerOrder.DRAIN:
+            stopping.set()
         logger.info("worker_stopped", worker=str(heartbeat.worker_id))
 
 

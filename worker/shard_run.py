@@ -92,7 +92,7 @@ class ShardRun(LeasedRun[RunningShard]):
             slot: left when all is played and the process has ended, or waits for another shard. What is left is to
                 store the result.
         """
-        super().__init__(services, shard=lease.shard_id, attempt=lease.attempt)
+        super().__init__(services, shard=lease.shard_id, attempt=lease.attempt, evaluation=str(lease.evaluation_id))
         self._stage = stage
         self._lease = lease
         self._start = start

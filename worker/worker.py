@@ -13,6 +13,7 @@ import structlog
 from procrastinate.exceptions import ProcrastinateException
 from sqlalchemy.exc import DBAPIError
 from vitac.evaluator.playback.process import making
+from vitac.server.db.states import WorkerOrder
 from vitac.server.metrics.instruments import RetryReason
 from vitac.server.playbacks import work
 from vitac.server.queue import leases
@@ -32,10 +33,15 @@ logger = structlog.get_logger(__name__)
 POLL_S = 1.0
 """A notification wakes the worker at once; polling finds jobs that were enqueued for later."""
 RECONNECT_PAUSE_S = 0.5
+LOOK_S = 0.5
+"""Time between two looks for an order to take no more shards, or to take some again."""
 
 
 class QueueWorker:
-    """Runs shards and makes playbacks of the queue. `run` returns after `stop`, which may be called from any thread."""
+    """Runs shards and makes playbacks of the queue.
+
+    `run` returns after `stop`, which may be called from any thread, or after the last shard when `order` says so.
+    """
 
     def __init__(
         self,
@@ -44,6 +50,7 @@ class QueueWorker:
         worker_id: UUID,
         start: StartShard,
         start_playback: StartPlayback = making,
+        order: Callable[[], WorkerOrder] = lambda: WorkerOrder.WORK,
     ) -> None:
         self._services = services
         self._stage = stage
@@ -55,6 +62,7 @@ class QueueWorker:
         self._lock = threading.Lock()
         self._runs: set[ShardRun | PlaybackRun] = set()
         self._stopping = False
+        self._order = order
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stopped: asyncio.Event | None = None
 
@@ -68,6 +76,8 @@ class QueueWorker:
             while not self._stopped.is_set():
                 try:
                     await self._work_while_connected(threads, self._stopped)
+                    while self._order() is WorkerOrder.CORDON and not self._stopped.is_set():
+                        await asyncio.sleep(LOOK_S)
                 except (ProcrastinateException, OSError) as error:
                     logger.warning("queue_away", error=" ".join(repr(error.__cause__ or error).split())[:200])
                 with contextlib.suppress(TimeoutError):
@@ -81,7 +91,16 @@ class QueueWorker:
         for run in running:
             run.stop()
         if self._loop is not None and self._stopped is not None:
-            self._loop.call_soon_threadsafe(self._stopped.set)
+            with contextlib.suppress(RuntimeError):  # the loop has ended by itself
+                self._loop.call_soon_threadsafe(self._stopped.set)
+
+    async def _until_told(self, stopped: asyncio.Event) -> None:
+        """Return when no further shard is to be taken."""
+        while self._order() is WorkerOrder.WORK and not stopped.is_set():
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(stopped.wait(), LOOK_S)
+        if self._order() is WorkerOrder.DRAIN:
+            stopped.set()
 
     async def _work_while_connected(self, threads: ThreadPoolExecutor, stopped: asyncio.Event) -> None:
         app = make_worker_app(self._services.database.address)
@@ -104,7 +123,7 @@ class QueueWorker:
                     install_signal_handlers=False,
                 )
             )
-            waiting = asyncio.create_task(stopped.wait())
+            waiting = asyncio.create_task(self._until_told(stopped))
             await asyncio.wait({working, waiting}, return_when=asyncio.FIRST_COMPLETED)
             waiting.cancel()
             working.cancel()
@@ -136,19 +155,29 @@ class QueueWorker:
     def _run_shard(self, shard_id: int, slot: Slot) -> None:
         """Do one job, in a thread: the shard's row decides whether there is something to do.
 
-        A job that waited for its slot when the worker was stopped is left; the sweep gives its shard another.
+        A job that waited for its slot when the worker was to take no more is left; the sweep gives its shard another.
         """
-        if self._stopping:
+        if self._stopping or self._order() is not WorkerOrder.WORK:
             return
         lease = self._claim(shard_id)
         if lease is None:
             return
-        end = self._ended(ShardRun(self._services, self._stage, lease, self._start, slot), shard=shard_id)
+        evaluation = str(lease.evaluation_id)
+        run = ShardRun(self._services, self._stage, lease, self._start, slot)
+        end = self._ended(run, shard=shard_id, evaluation=evaluation)
         if end is None:
             return
         self._count(end)
         log: Callable[..., object] = logger.info if end is RunEnd.FINISHED else logger.warning
-        log("shard_ended", shard=shard_id, task=lease.task, number=lease.number, attempt=lease.attempt, end=str(end))
+        log(
+            "shard_ended",
+            shard=shard_id,
+            evaluation=evaluation,
+            task=lease.task,
+            number=lease.number,
+            attempt=lease.attempt,
+            end=str(end),
+        )
 
     def _make_playback(self, playback_id: int, _slot: Slot) -> None:
         """Do the job of a playback, in a thread; its row decides whether there is something to do."""
@@ -162,7 +191,7 @@ class QueueWorker:
             end = self._ended(PlaybackRun(self._services, lease, self._start_playback), playback=playback_id)
             logger.info("playback_ended", playback=playback_id, attempt=lease.attempt, end=str(end))
 
-    def _ended(self, run: ShardRun | PlaybackRun, **names: int) -> RunEnd | None:
+    def _ended(self, run: ShardRun | PlaybackRun, **names: int | str) -> RunEnd | None:
         """Run to the end; None where the database is away for too long, and the sweep gives the work to another."""
         with self._lock:
             self._runs.add(run)

@@ -27,8 +27,12 @@ def load_settings(**overrides: Any) -> Settings:
 
 
 @contextmanager
-def open_service(settings: Settings) -> Iterator[Services]:
+def open_service(settings: Settings, *, statement_timeout_s: float | None = None) -> Iterator[Services]:
     """Open storage and database (by default the embedded one) and migrate the schema to this version.
+
+    Args:
+        settings: of this process.
+        statement_timeout_s: after which the database ends a statement; None: without limit.
 
     Raises:
         DatabaseUnreachable: the configured server does not answer or refuses us.
@@ -37,7 +41,7 @@ def open_service(settings: Settings) -> Iterator[Services]:
     from vitac.server.services import open_services
 
     keep_events_off_output()
-    with open_services(settings) as services:
+    with open_services(settings, statement_timeout_s=statement_timeout_s) as services:
         yield services
 
 

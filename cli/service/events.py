@@ -17,6 +17,7 @@ def configure_events(stream: TextIO, form: LogFormat) -> None:
     from vitac.server.settings import LogFormat
 
     first: list[Processor] = [
+        structlog.contextvars.merge_contextvars,
         structlog.processors.add_log_level,
         structlog.processors.TimeStamper(fmt="iso", utc=True),
     ]

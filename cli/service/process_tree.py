@@ -9,7 +9,7 @@ from typing import IO, TYPE_CHECKING
 from . import process_pool, web_process
 from .database import open_service
 from .process_pool import ProcessPool
-from .web_process import serving
+from .web_process import STATEMENT_TIMEOUT_S, serving
 from .web_server import address_of
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def running_service(
     """
     with ExitStack() as stack:
         stack.callback(listener.close)
-        services = stack.enter_context(open_service(settings))
+        services = stack.enter_context(open_service(settings, statement_timeout_s=STATEMENT_TIMEOUT_S))
         environment = _environment(settings)
         servers = ProcessPool(
             noun="server",

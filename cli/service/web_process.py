@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 COMMAND = ("-c", "import sys; from vitac.cli.service.web_process import main; main(*map(int, sys.argv[1:]))")
 POLL_S = 0.05
+STATEMENT_TIMEOUT_S = 15.0
+"""A request whose statement takes longer is answered with a sentence instead."""
 
 
 def main(listener: int, parent: int) -> None:
@@ -46,7 +48,7 @@ def main(listener: int, parent: int) -> None:
     # Until the services are open, which may take as long as the database is away, SIGTERM ends the process at once: it
     # holds the service's port, and whoever started it may be gone.
     with (
-        open_services(settings, may_run_database=False) as services,
+        open_services(settings, may_run_database=False, statement_timeout_s=STATEMENT_TIMEOUT_S) as services,
         StopRequest().listening() as stop,
         serving(services, socket.socket(fileno=listener), sweeps=False),
     ):

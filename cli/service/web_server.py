@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import resource
 import socket
 import threading
 import time
@@ -67,6 +68,12 @@ def collect_garbage_rarely() -> None:
     gc.set_threshold(young, middle, COLLECTIONS_OF_ALL)
 
 
+def allow_many_connections() -> None:
+    """Open as many files as the system lets this process: each event stream is a connection and some locked files."""
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+
+
 def bind_or_any(host: str, port: int) -> socket.socket:
     """Return a socket bound to the port, or to a free one if it is taken."""
     try:
@@ -108,6 +115,7 @@ class WebServer:
 
         from .http_protocol import BoundedHeadProtocol
 
+        allow_many_connections()
         configuration = uvicorn.Config(
             self.app,
             http=BoundedHeadProtocol,

@@ -23,6 +23,10 @@ _LIMITS: Final = Limits(
     memory_bytes=256 * MIB, action_cpu_s=20.0, action_wall_s=30.0, episode_cpu_s=30.0, output_killed_bytes=MIB
 )
 """Much CPU time: on a busy machine it takes a second to fill the memory."""
+_TOO_SLOW: Final = frozenset(
+    {VerdictCode.START_TIMEOUT, VerdictCode.CPU_TIME, VerdictCode.WALL_TIME, VerdictCode.SHARD_TIME}
+)
+"""Verdicts of an overloaded machine."""
 _OBSERVATION: Final = {"value": np.zeros(1, dtype=np.float32)}
 _EPISODES: Final = 2
 
@@ -32,8 +36,8 @@ class ProbeState(StrEnum):
 
     HELD = "held"
     ESCAPED = "escaped"
-    FAILED = "failed"
-    """The sandbox could not even be started."""
+    FAILED = "could not be tested"
+    """The sandbox could not be started, or the machine was too slow for the attempt."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -299,7 +303,7 @@ def _run(probe: Probe, sessions: _Sessions) -> Outcome:
             isolation = session.isolation
             reached = [_act(session, probe) for _ in range(_EPISODES)]
     except PolicyFailed as failure:
-        state = ProbeState.HELD if failure.verdict is probe.verdict else ProbeState.ESCAPED
+        state = _state_after(failure.verdict, probe)
         detail = f"{failure.verdict}: {failure.message}"
     except SandboxFailed as error:
         state, detail = ProbeState.FAILED, str(error)
@@ -308,6 +312,13 @@ def _run(probe: Probe, sessions: _Sessions) -> Outcome:
         state = ProbeState.HELD if is_held else ProbeState.ESCAPED
         detail = "nothing was reached" if is_held else f"reached in each episode: {reached}"
     return Outcome(name=probe.name, state=state, detail=detail, isolation=isolation)
+
+
+def _state_after(verdict: VerdictCode, probe: Probe) -> ProbeState:
+    """Return what a verdict says of the sandbox; a time limit that ended another attempt says nothing."""
+    if verdict is probe.verdict:
+        return ProbeState.HELD
+    return ProbeState.FAILED if verdict in _TOO_SLOW else ProbeState.ESCAPED
 
 
 def _act(session: PolicySession, probe: Probe) -> int:

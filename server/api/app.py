@@ -16,6 +16,7 @@ from ..notices.sending import NoticeSender
 from ..operations.exposition import Exposition
 from ..services import Services, open_services
 from ..settings import Settings
+from ..submissions.watch import Changes
 from . import (
     appeals,
     competitions,
@@ -33,6 +34,7 @@ from . import (
 from . import rejudging as rejudgements
 from .middleware.body_limit import BodyLimit
 from .middleware.request_head import RequestHead
+from .middleware.request_ids import RequestIds
 from .middleware.request_times import RequestTimes
 from .middleware.shares import Shares
 from .middleware.shutdown import Shutdown
@@ -79,6 +81,7 @@ def create_app(
         redoc_url=None,
     )
     app.state.settings = settings
+    app.state.changes = Changes()
     set_limiters(app, settings)
     _add_routes(app)
     _add_middleware(app, settings, uploads_at)
@@ -102,7 +105,8 @@ def _lifespan(
             for work in (Housekeeping(opened, sweeps=sweeps), NoticeSender(opened.database, opened.settings)):
                 work.start()
                 stack.callback(work.stop)
-            yield
+            async with app.state.changes.listening(opened.database.address):
+                yield
             await run_in_threadpool(stack.close)
 
     return lifespan
@@ -164,3 +168,4 @@ def _add_middleware(app: FastAPI, settings: Settings, uploads_at: Sequence[tuple
     app.add_middleware(Shares, share=settings.client_share, apart=uploads_apart)
     app.add_middleware(Shutdown)
     app.add_middleware(RequestTimes)
+    app.add_middleware(RequestIds)

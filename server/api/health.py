@@ -1,6 +1,10 @@
 """Routes for whoever watches over the service."""
 
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
+from typing import TypeVar
 
 from fastapi import APIRouter, Response
 from sqlalchemy.exc import DBAPIError
@@ -16,8 +20,15 @@ from .access import ServicesOf
 router = APIRouter(tags=["health"])
 
 OK = "ok"
-STORAGE_LIMIT_S = 3.0
-"""Whoever asks whether the service is ready waits for seconds only, a request to a bucket may take half a minute."""
+NO_ANSWER = "does not answer"
+ResultT = TypeVar("ResultT")
+DatabaseState = tuple[str, str, WorkersView | None]
+NOT_KNOWN: DatabaseState = (NO_ANSWER, "not known", None)
+LIMIT_S = 3.0
+"""Whoever asks whether the service is ready waits for seconds only; a bucket may take half a minute to answer, and a
+database that stands still does not answer at all."""
+_LOOKS = ThreadPoolExecutor(2, "ready")
+"""Apart from the threads that answer requests, which all wait where the database does not answer."""
 
 
 @router.get("/health")
@@ -27,10 +38,12 @@ async def get_health() -> HealthView:
 
 
 @router.get("/ready", responses={503: {"model": ReadyView, "description": "A part does not work; it says which."}})
-def get_ready(services: ServicesOf, response: Response) -> ReadyView:
+async def get_ready(services: ServicesOf, response: Response) -> ReadyView:
     """Return whether database, schema and file store work. Workers are listed but do not make the server unready."""
-    database, migrations, workers = _look_at_database(services)
-    storage = _look_at_storage(services)
+    (database, migrations, workers), storage = await asyncio.gather(
+        _within(LIMIT_S, _look_at_database, services, NOT_KNOWN),
+        _within(2 * LIMIT_S, _look_at_storage, services, NO_ANSWER),
+    )
     is_ready = {database, migrations, storage} == {OK}
     response.status_code = 200 if is_ready else 503
     return ReadyView(
@@ -42,22 +55,32 @@ def get_ready(services: ServicesOf, response: Response) -> ReadyView:
     )
 
 
-def _look_at_database(services: Services) -> tuple[str, str, WorkersView | None]:
+async def _within(
+    limit_s: float, look: Callable[[Services], ResultT], services: Services, otherwise: ResultT
+) -> ResultT:
+    """Return what is seen; `otherwise` where it takes too long, or earlier looks still do."""
+    try:
+        return await asyncio.wait_for(asyncio.wrap_future(_LOOKS.submit(look, services)), limit_s)
+    except TimeoutError:
+        return otherwise
+
+
+def _look_at_database(services: Services) -> DatabaseState:
     try:
         with services.database.transaction() as session:
             alive = workers_alive(session, services.settings)
         migrations = OK if is_current(services.database) else "the schema is not the one of this version"
     except DBAPIError:
-        return "does not answer", "not known", None
+        return NOT_KNOWN
     return OK, migrations, WorkersView(alive=alive.alive, last_heartbeat_at=alive.last_heartbeat_at)
 
 
 def _look_at_storage(services: Services) -> str:
     """Return how the file store is; one that hangs is not waited for, and not asked again until it has answered."""
     try:
-        services.blobs.check_within(STORAGE_LIMIT_S)
+        services.blobs.check_within(LIMIT_S)
     except TimeoutError:
-        return f"does not answer within {STORAGE_LIMIT_S:g} s"
+        return f"does not answer within {LIMIT_S:g} s"
     except ServiceError as error:
         return error.detail
     return OK

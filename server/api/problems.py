@@ -14,7 +14,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 from vitac.evaluator.tracks import UnknownTask, UnknownTrack
 
-from ..db.engine import is_connection_loss
+from ..db.engine import is_cancelled, is_connection_loss
 from ..errors import TRACK_REMOVED, ProblemCode, ServiceError, storage_full
 from ..settings import Settings
 from ..storage.disk_space import has_space, is_disk_full
@@ -41,6 +41,7 @@ class ProblemView(BaseModel):
     detail: str
     code: str
     instance: str
+    request_id: str | None = None
     errors: list[dict[str, Any]] | None = None
 
 
@@ -74,6 +75,7 @@ def problem(
         "detail": error.detail,
         "code": str(error.code),
         "instance": request.url.path,
+        "request_id": getattr(request.state, "request_id", None),
         **error.extras,
     }
     return JSONResponse(content, status, {**_headers(error), **(headers or {})}, media_type=MEDIA_TYPE)
@@ -142,6 +144,8 @@ def refusal_of_failure(request: Request, error: Exception) -> ServiceError | Non
         return ServiceError(ProblemCode.TRACK_REMOVED, f"{TRACK_REMOVED} {error}")
     if is_disk_full(error):
         return storage_full()
+    if isinstance(error, DBAPIError) and is_cancelled(error):
+        return ServiceError(ProblemCode.DATABASE_UNAVAILABLE, "The database took too long; try again in a moment.")
     is_lost = isinstance(error, DBAPIError) and is_connection_loss(error)
     if not is_lost and not isinstance(error, PoolTimeout):
         return None

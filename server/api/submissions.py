@@ -24,7 +24,7 @@ from ..principals import Principal
 from ..services import Services
 from ..sharing import public_pages
 from ..submissions import disqualification, listing, output, runs, sensors, upload
-from ..submissions.watch import watch
+from ..submissions.watch import Changes, watch
 from ..teams.teams import REASON_LENGTH
 from ..views.logs import ActionMatchView
 from ..views.submissions import EpisodeView, OutputView, SensorView, SubmissionListView, SubmissionView
@@ -276,7 +276,7 @@ async def follow_submission(
     await run_in_threadpool(_require_own, services, principal, submission_id)
     streams = OpenStreams.of(request, services)
     await streams.require_place(principal)
-    return EventSourceResponse(_events(streams, principal, submission_id), ping=PING_S)
+    return EventSourceResponse(_events(request, streams, principal, submission_id), ping=PING_S)
 
 
 def _require_own(services: Services, principal: Principal, submission_id: UUID) -> None:
@@ -285,10 +285,13 @@ def _require_own(services: Services, principal: Principal, submission_id: UUID) 
         visible(session, principal, submission_id)
 
 
-async def _events(streams: OpenStreams, principal: Principal, submission_id: UUID) -> AsyncIterator[ServerSentEvent]:
+async def _events(
+    request: Request, streams: OpenStreams, principal: Principal, submission_id: UUID
+) -> AsyncIterator[ServerSentEvent]:
     services = streams.services
     async with streams.one(principal):
-        watching = watch(services.database, services.settings, principal, submission_id)
+        changes: Changes = request.app.state.changes
+        watching = watch(services.database, services.settings, principal, submission_id, changes)
         async with aclosing(watching) as views:
             async for view in views:
                 yield ServerSentEvent(view.model_dump_json(), event="submission")

@@ -4,6 +4,7 @@ import select
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import TypeVar
 
 import msgspec
@@ -21,6 +22,7 @@ logger = structlog.get_logger(__name__)
 INSUFFICIENT_RESOURCES = "53"
 """Class of the SQL states that say so."""
 
+QUERY_CANCELED = "57014"
 ENCODING = {"client_encoding": "utf8"}
 """Of connections: without it the driver gives bytes instead of text where the database has no encoding."""
 
@@ -47,9 +49,17 @@ class Database:
         address: with which the service works.
         owner_address: of the role that owns the tables, to migrate and restore; None: that of the service.
         pool_size: number of open connections.
+        statement_timeout_s: after which the database ends a statement; None: without limit.
     """
 
-    def __init__(self, address: str, *, owner_address: str | None = None, pool_size: int = 10) -> None:
+    def __init__(
+        self,
+        address: str,
+        *,
+        owner_address: str | None = None,
+        pool_size: int = 10,
+        statement_timeout_s: float | None = None,
+    ) -> None:
         self.address = address
         self.owner_address = owner_address or address
         self.engine: Engine = create_engine(
@@ -59,7 +69,8 @@ class Database:
             json_deserializer=msgspec.json.decode,
             connect_args={"connect_timeout": 15, "application_name": "vitac", **ENCODING},
         )
-        event.listen(self.engine, "connect", _let_go_when_gone)
+        limit = f"SET statement_timeout = {round(1000 * (statement_timeout_s or 0.0))}"
+        event.listen(self.engine, "connect", partial(_let_go_when_gone, limit))
         event.listen(self.engine, "checkin", _note_use)
         event.listen(self.engine, "checkout", _replace_if_dead)
         self._sessions = sessionmaker(self.engine, expire_on_commit=False)
@@ -118,9 +129,9 @@ class Database:
         self.engine.dispose()
 
 
-def _let_go_when_gone(connection: DBAPIConnection, _: object) -> None:
+def _let_go_when_gone(limit: str, connection: DBAPIConnection, _: object) -> None:
     cursor = connection.cursor()
-    cursor.execute("; ".join(LET_GO))
+    cursor.execute("; ".join((*LET_GO, limit)))
     cursor.close()
     connection.commit()
 
@@ -148,6 +159,11 @@ def _has_said_something(connection: DBAPIConnection) -> bool:
     poll = select.poll()
     poll.register(connection.fileno(), select.POLLIN)
     return bool(poll.poll(0))
+
+
+def is_cancelled(error: DBAPIError) -> bool:
+    """Return whether the database has ended a statement because it took too long."""
+    return getattr(error.orig, "sqlstate", None) == QUERY_CANCELED
 
 
 def is_connection_loss(error: DBAPIError) -> bool:

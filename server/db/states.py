@@ -103,6 +103,15 @@ class WorkerState(StrEnum):
     READY = "ready"  # takes shards
     REFUSING = "refusing"  # its sandbox lets things through, so it takes nothing; the message says what
     STOPPED = "stopped"  # ended in order
+    CORDONED = "cordoned"  # takes no new shards, because an organizer asked; ends after its last one when drained
+
+
+class WorkerOrder(StrEnum):
+    """What an organizer has asked a worker to do."""
+
+    WORK = "work"  # take shards
+    CORDON = "cordon"  # take no new shards
+    DRAIN = "drain"  # take no new shards, and end after the last one
 
 
 EVALUATION_TRANSITIONS: Mapping[EvaluationState, frozenset[EvaluationState]] = MappingProxyType(

@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure, digest_of_stored
 
 from ..db.models import EpisodeResult, Evaluation, Submission
-from ..queue.leases import Lease, lock_held, reset_attempts
+from ..queue.leases import Lease, lock_held, note_progress
 from .differences import report_difference
 from .provenance import note_packages
 
@@ -107,13 +107,13 @@ def store_episodes(
     by_number = {record.episode: record for record in sorted(records, key=lambda record: record.episode, reverse=True)}
     if packages is not None:
         note_packages(session, lease, packages)  # It may lock the evaluation, which comes before its shards.
-    attempts = lock_held(session, lease)
+    lock_held(session, lease)
     rows = {number: row_values(lease, record) for number, record in by_number.items()}
     added = session.scalars(_ADD_NEW, list(rows.values())).all()
     for number in rows.keys() - set(added):
         _compare_with_stored(session, lease, by_number[number], rows[number]["record_digest"])
-    if added and attempts:
-        reset_attempts(session, lease)
+    if added:
+        note_progress(session, lease)
 
 
 def row_values(lease: Lease, record: EpisodeRecord) -> dict[str, Any]:

@@ -92,6 +92,9 @@ def state_families(state: OperationsView) -> Iterator[Metric]:
     yield _gauge(
         "vitac_oldest_evaluation_seconds", "Age of the oldest queued evaluation.", queue.oldest_evaluation_s or 0
     )
+    yield _gauge(
+        "vitac_shard_idle_seconds", "Longest time since a running shard stored an episode.", queue.shard_idle_s or 0
+    )
     yield _gauge("vitac_uploads", "Different uploaded files in the storage.", storage.uploads)
     yield _gauge("vitac_uploads_bytes", "Size of the uploaded files.", storage.uploads_bytes)
     yield _gauge("vitac_database_bytes", "Size of the database.", storage.database_bytes)
@@ -104,10 +107,9 @@ def worker_families(state: OperationsView) -> Iterator[Metric]:
     slots = 0
     free: dict[str, int] = {}
     total: dict[str, int] = {}
-    for entry in state.workers:
-        worker = entry.worker
-        counts[LOST if entry.is_lost else worker.state] += 1
-        if entry.is_lost or worker.state is WorkerState.STOPPED:
+    for worker in state.workers:
+        counts[LOST if worker.is_lost else worker.state] += 1
+        if worker.is_lost or worker.state is WorkerState.STOPPED:
             continue
         slots += worker.slots if worker.state is WorkerState.READY else 0
         if worker.disk_free_bytes is not None and worker.disk_bytes is not None:

@@ -18,12 +18,11 @@ from ..db.states import (
     OPEN_SHARD_STATES,
     EvaluationState,
     ShardState,
-    WorkerState,
 )
 from ..metrics.totals import SeriesKey
-from ..queue.workers import worker_view
+from ..queue.workers import running_shards, worker_view
 from ..settings import Settings
-from ..views.operations import MachineWorkerView, OperationsView, QueueView, StorageView
+from ..views.operations import OperationsView, QueueView, StorageView
 from .counts import make_counts_view
 
 StateT = TypeVar("StateT", bound=StrEnum)
@@ -35,12 +34,13 @@ RATE_WINDOW = timedelta(minutes=5)
 def operations(session: Session, settings: Settings, counted: Mapping[SeriesKey, float]) -> OperationsView:
     """Return the state of the service, with a summary of the totals."""
     now = session.scalars(select(func.clock_timestamp())).one()
+    shards = running_shards(session)
     recent = select(Worker).where(Worker.heartbeat_at > now - WORKERS_SHOWN_FOR).order_by(Worker.host, Worker.pid)
     return OperationsView(
         queue=_queue(session, now),
         storage=_storage(session),
         workers=[
-            MachineWorkerView(worker=worker_view(worker), is_lost=_is_lost(worker, now, settings))
+            worker_view(worker, settings, now=now, shards=shards.get(worker.id, ()))
             for worker in session.scalars(recent)
         ],
         episodes_in_5_minutes=_count_episodes(session, now - RATE_WINDOW),
@@ -51,11 +51,13 @@ def operations(session: Session, settings: Settings, counted: Mapping[SeriesKey,
 
 def _queue(session: Session, now: datetime) -> QueueView:
     shards = _open_rows(session, Shard.state, OPEN_SHARD_STATES, Shard.queued_at)
+    progressed_at = session.scalar(select(func.min(Shard.progressed_at)).where(Shard.state == ShardState.RUNNING))
     evaluations = _open_rows(session, Evaluation.state, ACTIVE_EVALUATION_STATES, Evaluation.created_at)
     return QueueView(
         shards_queued=shards.get(ShardState.QUEUED, (0, now))[0],
         shards_running=shards.get(ShardState.RUNNING, (0, now))[0],
         oldest_shard_s=_age_s(shards.get(ShardState.QUEUED), now),
+        shard_idle_s=None if progressed_at is None else _age_s((1, progressed_at), now),
         evaluations_queued=evaluations.get(EvaluationState.QUEUED, (0, now))[0],
         evaluations_running=evaluations.get(EvaluationState.RUNNING, (0, now))[0],
         oldest_evaluation_s=_age_s(evaluations.get(EvaluationState.QUEUED), now),
@@ -91,11 +93,6 @@ def _storage(session: Session) -> StorageView:
         ).select_from(files)
     ).one()
     return StorageView(uploads=uploads, uploads_bytes=int(uploads_bytes), database_bytes=database_bytes)
-
-
-def _is_lost(worker: Worker, now: datetime, settings: Settings) -> bool:
-    is_late = now - worker.heartbeat_at > timedelta(seconds=settings.worker_lost_after_s)
-    return is_late and worker.state is not WorkerState.STOPPED
 
 
 def _count_episodes(session: Session, moment: datetime) -> int:

@@ -72,7 +72,7 @@ def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> L
     shard.attempts += 1
     shard.worker_id = worker_id
     shard.lease_expires_at = now + timedelta(seconds=lease_s)
-    shard.started_at = now
+    shard.started_at = shard.progressed_at = now
     if evaluation.state is EvaluationState.QUEUED:
         evaluation.state = EvaluationState.RUNNING
         evaluation.started_at = now
@@ -127,13 +127,13 @@ def lock_held(session: Session, lease: Lease) -> int:
     return attempts
 
 
-def reset_attempts(session: Session, lease: Lease) -> None:
-    """Count attempts anew, this one included: the shard has got further.
+def note_progress(session: Session, lease: Lease) -> None:
+    """Note that the shard has got further now; attempts are counted from zero again, this one included.
 
     Raises:
         LeaseLost: the shard is no longer ours.
     """
-    _change_held(session, lease, attempts=0)
+    _change_held(session, lease, attempts=0, progressed_at=func.clock_timestamp())
 
 
 def store_packages_digest(session: Session, lease: Lease, digest: str) -> None:

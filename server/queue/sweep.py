@@ -84,9 +84,15 @@ def _recover(session: Session, shard_id: int, settings: Settings, give_up: GiveU
         return None
     if shard.attempts >= settings.shard_attempts:
         give_up(session, evaluation, _explain(shard))
-        logger.error("shard_given_up", shard=shard_id, attempts=shard.attempts)
+        logger.error("shard_given_up", shard=shard_id, evaluation=str(evaluation.id), attempts=shard.attempts)
         return False
-    logger.warning("shard_lost", shard=shard_id, worker=str(shard.worker_id), attempts=shard.attempts)
+    logger.warning(
+        "shard_lost",
+        shard=shard_id,
+        evaluation=str(evaluation.id),
+        worker=str(shard.worker_id),
+        attempts=shard.attempts,
+    )
     _queue_again(session, shard, evaluation)
     return True
 

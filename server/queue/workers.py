@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import cache
@@ -15,9 +15,11 @@ from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.description import SandboxDescription
 from vitac.evaluator.tracks.versions import evaluator_of
 
-from ..db.models import Worker
-from ..db.states import WorkerState
-from ..errors import not_found
+from ..audit import record
+from ..db.models import Shard, Worker
+from ..db.states import ShardState, WorkerOrder, WorkerState
+from ..errors import ProblemCode, ServiceError, not_found
+from ..principals import Principal
 from ..settings import Settings
 from ..views.workers import WorkerView
 
@@ -85,9 +87,14 @@ def register(session: Session, worker: Worker) -> None:
     session.add(worker)
 
 
-def heartbeat(session: Session, worker_id: UUID, state: WorkerState, disk: Disk, message: str = "") -> None:
-    """Record that a worker is there and what it says about itself and its disk."""
-    session.execute(
+def heartbeat(
+    session: Session, worker_id: UUID, state: WorkerState, disk: Disk, message: str = ""
+) -> WorkerOrder | None:
+    """Record that a worker is there and what it says about itself and its disk; return what it is to do.
+
+    None where nobody knows it any longer.
+    """
+    return session.scalar(
         update(Worker)
         .where(Worker.id == worker_id)
         .values(
@@ -97,6 +104,7 @@ def heartbeat(session: Session, worker_id: UUID, state: WorkerState, disk: Disk,
             disk_bytes=disk.total_bytes,
             disk_free_bytes=disk.free_bytes,
         )
+        .returning(Worker.worker_order)
     )
 
 
@@ -167,6 +175,35 @@ def find(session: Session, worker_id: UUID) -> Worker:
     return worker
 
 
-def worker_view(worker: Worker) -> WorkerView:
+def give_order(session: Session, by: Principal, worker_id: UUID, order: WorkerOrder) -> Worker:
+    """Have a worker take shards, take none, or end after its last one; it obeys at its next heartbeat.
+
+    Raises:
+        ServiceError: not an organizer, there is no such worker, or it has ended.
+    """
+    by.require_organizer()
+    worker = find(session, worker_id)
+    if worker.state is WorkerState.STOPPED:
+        raise ServiceError(ProblemCode.INVALID_REQUEST, f"Worker {worker_id} has ended; it takes no orders.")
+    before = {"order": worker.worker_order.value}
+    worker.worker_order = order
+    record(session, by, "worker.order", f"worker:{worker.id}", {"order": order.value}, before=before)
+    return worker
+
+
+def running_shards(session: Session) -> Mapping[UUID, Sequence[int]]:
+    """Return the shards that run, by worker."""
+    found: dict[UUID, list[int]] = {}
+    running = select(Shard.worker_id, Shard.id).where(Shard.state == ShardState.RUNNING).order_by(Shard.id)
+    for worker_id, shard_id in session.execute(running):
+        if worker_id is not None:
+            found.setdefault(worker_id, []).append(shard_id)
+    return found
+
+
+def worker_view(worker: Worker, settings: Settings, *, now: datetime, shards: Sequence[int]) -> WorkerView:
     """Return a worker as organizers see it."""
-    return WorkerView.model_validate(worker, from_attributes=True)
+    columns = {name: getattr(worker, name) for name in WorkerView.model_fields.keys() - {"is_lost", "shards"}}
+    is_late = now - worker.heartbeat_at > timedelta(seconds=settings.worker_lost_after_s)
+    is_lost = is_late and worker.state is not WorkerState.STOPPED
+    return WorkerView(**columns, is_lost=is_lost, shards=list(shards))

@@ -29,6 +29,8 @@ class QueueView(View):
     shards_queued: int
     shards_running: int
     oldest_shard_s: float | None
+    shard_idle_s: float | None
+    """Longest time since a running shard has stored an episode."""
     evaluations_queued: int
     evaluations_running: int
     oldest_evaluation_s: float | None
@@ -41,14 +43,6 @@ class StorageView(View):
     """Different stored files; the same file uploaded twice is stored once."""
     uploads_bytes: int
     database_bytes: int
-
-
-class MachineWorkerView(View):
-    """A worker of the last hour."""
-
-    worker: WorkerView
-    is_lost: bool
-    """No heartbeat for longer than `VITAC_WORKER_LOST_AFTER_S`, although it did not report its end."""
 
 
 class CountsView(View):
@@ -75,7 +69,7 @@ class OperationsView(View):
 
     queue: QueueView
     storage: StorageView
-    workers: list[MachineWorkerView]
+    workers: list[WorkerView]
     episodes_in_5_minutes: int
     counts: CountsView
     at: datetime

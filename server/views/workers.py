@@ -6,7 +6,7 @@ from uuid import UUID
 from pydantic import Field
 from vitac.envs.tasks.definition import Family
 
-from ..db.states import WorkerState
+from ..db.states import WorkerOrder, WorkerState
 from .base import View
 
 
@@ -27,7 +27,12 @@ class WorkerView(View):
     host: str
     pid: int
     slots: int
-    state: WorkerState
+    state: WorkerState = Field(description="What it last said about itself.")
+    is_lost: bool = Field(
+        description="No heartbeat for longer than `VITAC_WORKER_LOST_AFTER_S`, although it did not report its end."
+    )
+    worker_order: WorkerOrder = Field(description="What an organizer has asked it to do.")
+    shards: list[int] = Field(description="That it runs.")
     message: str
     isolation: str
     evaluator_version: str

@@ -69,9 +69,11 @@ async def _page(request: Request, error: Exception) -> Response:
     status, detail, headers = _explain(request, error)
     title = TITLES.get(status, HTTPStatus(status).phrase)
     # Neither a database that has just failed is asked, nor for somebody who asks too often.
-    asks = status != HTTPStatus.TOO_MANY_REQUESTS and not isinstance(error, SQLAlchemyError)
+    failed = isinstance(error, SQLAlchemyError) or getattr(error, "code", None) is ProblemCode.DATABASE_UNAVAILABLE
+    asks = status != HTTPStatus.TOO_MANY_REQUESTS and not failed
     viewer, viewer_known = await _viewer(request) if asks or COOKIE not in request.cookies else (None, False)
     shown: dict[str, Any] = {"viewer_known": viewer_known, "code": status, "title": title, "detail": detail}
+    shown["request_id"] = getattr(request.state, "request_id", None)
     answer = page(request, "error.html", viewer=viewer, status=status, **shown)
     answer.headers.update(headers)
     answer.headers.update(HEADERS)

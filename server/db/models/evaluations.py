@@ -189,6 +189,7 @@ class Shard(Base):
     packages_digest: Mapped[str | None] = mapped_column(String(64))
     finding: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     queued_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    progressed_at: Mapped[datetime | None]
     started_at: Mapped[datetime | None]
     finished_at: Mapped[datetime | None]
     evaluation: Mapped[Evaluation] = relationship(back_populates="shards")

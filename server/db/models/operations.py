@@ -8,7 +8,7 @@ from sqlalchemy import BigInteger, Float, Text, func
 from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 from sqlalchemy.orm import Mapped, mapped_column
 
-from ..states import WorkerState
+from ..states import WorkerOrder, WorkerState
 from .base import Base, closed_set
 
 
@@ -29,6 +29,9 @@ class Worker(Base):
     families: Mapped[list[str]] = mapped_column(ARRAY(Text), server_default="{tactile}")
     platform_class: Mapped[str]
     isolation: Mapped[str]
+    worker_order: Mapped[WorkerOrder] = mapped_column(
+        closed_set(WorkerOrder, "worker_order"), default=WorkerOrder.WORK, server_default=WorkerOrder.WORK.value
+    )
     message: Mapped[str] = mapped_column(default="")
     started_at: Mapped[datetime] = mapped_column(server_default=func.now())
     heartbeat_at: Mapped[datetime] = mapped_column(server_default=func.now(), index=True)

@@ -61,6 +61,12 @@ def test_a_sandbox_that_does_not_start_is_not_safe(monkeypatch: pytest.MonkeyPat
     assert not is_safe([outcome])
 
 
+def test_an_overloaded_machine_could_not_be_tested_and_is_not_safe() -> None:
+    outcome = outcome_of(Probe(name="is late", code="time.sleep(60)", limits=Limits(action_wall_s=0.2)))
+    assert outcome.state is ProbeState.FAILED
+    assert not is_safe([outcome])
+
+
 def test_probes_can_reach_what_is_open() -> None:
     """Without its isolation the memory probe would not end as expected: the probes look, they do not just agree."""
     memory = next(probe for probe in PROBES if probe.verdict is VerdictCode.OUT_OF_MEMORY)

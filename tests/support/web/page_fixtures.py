@@ -14,7 +14,7 @@ from vitac.evaluator.scoring.ranking import CombinedScore, combine
 from vitac.evaluator.scoring.score import Score, rate
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, load_track
-from vitac.server.db.states import EvaluationState, Role, WorkerState
+from vitac.server.db.states import EvaluationState, Role, WorkerOrder, WorkerState
 from vitac.server.principals import Principal
 from vitac.server.views.contest import (
     CompetitionTrackView,
@@ -40,7 +40,7 @@ from vitac.server.views.leaderboards import (
     TextLogEntryView,
 )
 from vitac.server.views.logs import ActionMatchView, DivergenceView, LogCopyView, LogView, MatchedEpisodeView
-from vitac.server.views.operations import CountsView, MachineWorkerView, OperationsView, QueueView, StorageView
+from vitac.server.views.operations import CountsView, OperationsView, QueueView, StorageView
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 from vitac.server.views.submissions import (
     EpisodeView,
@@ -406,14 +406,17 @@ def name_of(by: Principal) -> str:
     return by.team_name or "organizers"
 
 
-def a_worker(state: WorkerState, *, is_lost: bool = False, message: str = "") -> MachineWorkerView:
+def a_worker(state: WorkerState, *, is_lost: bool = False, message: str = "") -> WorkerView:
     """A worker on a machine with a disk of 100 GiB."""
-    worker = WorkerView(
+    return WorkerView(
         id=an_id(f"worker {state} {is_lost}"),
         host="machine-1",
         pid=4711,
         slots=2,
         state=state,
+        is_lost=is_lost,
+        worker_order=WorkerOrder.WORK,
+        shards=[],
         message=message,
         isolation="user: root, memory: cgroup-v1",
         evaluator_version="1+0123456789ab",
@@ -424,16 +427,16 @@ def a_worker(state: WorkerState, *, is_lost: bool = False, message: str = "") ->
         disk_bytes=100 << 30,
         disk_free_bytes=12 << 30,
     )
-    return MachineWorkerView(worker=worker, is_lost=is_lost)
 
 
-def an_operations_view(*workers: MachineWorkerView) -> OperationsView:
+def an_operations_view(*workers: WorkerView) -> OperationsView:
     """A busy service."""
     return OperationsView(
         queue=QueueView(
             shards_queued=18_000,
             shards_running=4,
             oldest_shard_s=3660.0,
+            shard_idle_s=2.0,
             evaluations_queued=2000,
             evaluations_running=2,
             oldest_evaluation_s=3660.0,

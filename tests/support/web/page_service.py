@@ -42,6 +42,7 @@ from vitac.server.settings import Registration, load_settings
 from vitac.server.sharing import public_pages
 from vitac.server.submissions import listing, output, receipts, runs, sensors, upload
 from vitac.server.submissions.upload import AnnouncedUpload
+from vitac.server.submissions.watch import Changes
 from vitac.server.teams import teams
 from vitac.server.views.archive import ArchiveView
 from vitac.server.views.contest import CompetitionListView, CompetitionView, StageView
@@ -354,6 +355,7 @@ def a_site(data: FixedData, tracks: tuple[str, ...] = ("track_1",)) -> Site:
 def an_application(data: FixedData, tracks: tuple[str, ...] = ("track_1",)) -> FastAPI:
     """Pages over fixed content, as `vitac serve` mounts them."""
     app, site = FastAPI(docs_url=None, redoc_url=None), a_site(data, tracks)
+    app.state.changes = Changes()
     app.state.settings, app.state.services = site.services.settings, site.services
     set_limiters(app, site.services.settings.model_copy(update={"sign_ins_per_hour": 100_000} | data.settings))
     problems.install(app)

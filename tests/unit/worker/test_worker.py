@@ -15,7 +15,7 @@ from vitac.evaluator.playback.order import SCENE_FILE, PlaybackOrder
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardResult
 from vitac.server.db.models import EpisodeResult, Playback, Shard, Submission
-from vitac.server.db.states import EvaluationState, PlaybackState, ShardState
+from vitac.server.db.states import EvaluationState, PlaybackState, ShardState, WorkerOrder
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.episode_store import store_episodes
 from vitac.server.evaluations.history import newest_evaluation
@@ -124,6 +124,35 @@ def test_worker_survives_the_loss_of_all_connections(services: Services, archive
     assert dropped.is_set()
     with services.database.transaction() as session:
         assert len(session.scalars(select(EpisodeResult.id)).all()) == 270
+
+
+@pytest.mark.parametrize("order", [WorkerOrder.CORDON, WorkerOrder.DRAIN])
+def test_a_worker_that_takes_no_more_finishes_its_shard_and_then_waits_or_ends(
+    services: Services, archive_sha256: str, order: WorkerOrder
+) -> None:
+    submission = submit(services, archive_sha256)
+    given, at_five = [WorkerOrder.WORK], threading.Event()
+
+    def gate(number: int) -> None:
+        if number == 5:
+            given[0] = order
+            at_five.set()
+
+    def done() -> list[ShardState]:
+        with services.database.transaction() as session:
+            ids = shard_ids(session, submission)
+            return list(session.scalars(select(Shard.state).where(Shard.id.in_(ids)).order_by(Shard.id)))
+
+    shards = FakeShards(gate=gate)
+    with working(services, shards, order=lambda: given[0]) as worker:
+        assert at_five.wait(120.0)
+        eventually(lambda: done()[0] is ShardState.DONE)
+        if order is WorkerOrder.DRAIN:
+            eventually(lambda: worker._stopped is not None and worker._stopped.is_set())
+        else:
+            given[0] = WorkerOrder.WORK
+            eventually(lambda: state(services, submission) is EvaluationState.COMPLETED)
+    assert len(shards.started) == (1 if order is WorkerOrder.DRAIN else 10)
 
 
 def test_stopped_worker_gives_its_shard_back_and_another_one_goes_on(services: Services, archive_sha256: str) -> None:

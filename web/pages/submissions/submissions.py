@@ -1,10 +1,10 @@
 """Pages of a team's submissions: the list, one submission, its live updates, and cancelling."""
 
-import asyncio
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from http import HTTPStatus
-from typing import Any
+from typing import Any, cast
 
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.requests import Request
@@ -16,6 +16,7 @@ from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from vitac.server.errors import TRACK_REMOVED
 from vitac.server.submissions import runs
 from vitac.server.submissions.listing import list_submissions
+from vitac.server.submissions.watch import Changes
 from vitac.server.views.evaluations import TaskProgressView
 from vitac.server.views.scores import TaskScoreView
 from vitac.server.views.submissions import EpisodeView, RankView, SubmissionView
@@ -28,8 +29,6 @@ from ..leaderboards.tabs import find_stage_title
 from ..submission_detail import SubmissionDetail, read_detail
 from .figures import figures
 from .sharing import shared
-
-POLL_S = 1.0  # period at which a running evaluation is read and its page updated
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,16 +118,18 @@ async def _changes(request: Request, viewer: Viewer) -> AsyncIterator[ServerSent
 
 
 async def _views(request: Request) -> AsyncIterator[ServerSentEvent]:
-    shown = ""
-    while (viewer := await viewer_of(request)) is not None:
-        values = await _values(request, viewer)
-        html = render("submission_live.html", request, viewer=viewer, **values)
-        if html != shown:
-            shown = html
-            yield ServerSentEvent(event="view", data=html)
-        if not values["active"]:
-            break
-        await asyncio.sleep(POLL_S)
+    shown, changes = "", cast("Changes", request.app.state.changes)
+    with changes.of(as_id(request.path_params["submission_id"])) as watched:
+        while (viewer := await viewer_of(request)) is not None:
+            seen = watched.version
+            values = await watched.look(f"page {viewer.principal.account}", partial(_values, request, viewer))
+            html = render("submission_live.html", request, viewer=viewer, **values)
+            if html != shown:
+                shown = html
+                yield ServerSentEvent(event="view", data=html)
+            if not values["active"]:
+                break
+            await watched.wait(seen)
     yield ServerSentEvent(event="end", data="")
 
 

@@ -37,7 +37,7 @@ def test_store_that_hangs_makes_the_service_unready_within_seconds(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = threading.Event()
-    monkeypatch.setattr(health, "STORAGE_LIMIT_S", 0.05)
+    monkeypatch.setattr(health, "LIMIT_S", 0.05)
     monkeypatch.setattr(service.services.blobs, "check", lambda: answers.wait(60.0))
     answer = service.client.get("/ready")
     answers.set()
@@ -52,6 +52,17 @@ def test_database_that_is_away_makes_the_service_unready_but_not_unhealthy(servi
     assert service.client.get("/health").status_code == 200
     problem = service.client.get(f"/api/v1/leaderboards/{TRACK}")
     assert (problem.status_code, problem.json()["code"]) == (503, "database_unavailable")
+
+
+def test_a_database_that_stands_still_makes_the_service_unready_within_seconds(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = threading.Event()
+    monkeypatch.setattr(health, "LIMIT_S", 0.05)
+    monkeypatch.setattr(health, "workers_alive", lambda *_: answers.wait(60.0))
+    found = [service.client.get("/ready") for _ in range(3)]
+    answers.set()
+    assert {(answer.status_code, answer.json()["database"]) for answer in found} == {(503, "does not answer")}
 
 
 def test_openapi_describes_every_route_and_loads_nothing_from_elsewhere(service: Service) -> None:

@@ -9,7 +9,7 @@ from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from vitac.server.db import engine
-from vitac.server.db.engine import Database, is_connection_loss, sqlalchemy_url
+from vitac.server.db.engine import Database, is_cancelled, is_connection_loss, sqlalchemy_url
 from vitac.server.db.models import Worker
 from vitac.server.queue.jobs import enqueue_shards
 
@@ -42,6 +42,17 @@ def test_work_of_a_lost_transaction_is_not_half_done(database: Database) -> None
     database.retrying(work, give_up_after_s=30.0)
     with database.transaction() as session:
         assert session.scalar(text("SELECT count(*) FROM audit_log")) == 1
+
+
+def test_a_statement_that_takes_too_long_is_ended(database: Database) -> None:
+    impatient = Database(database.address, statement_timeout_s=0.05)
+    try:
+        with pytest.raises(DBAPIError) as ended, impatient.reading() as session:
+            session.execute(text("SELECT pg_sleep(60)"))
+    finally:
+        impatient.dispose()
+    assert is_cancelled(ended.value)
+    assert not is_connection_loss(ended.value)
 
 
 JSON_VALUES = st.recursive(

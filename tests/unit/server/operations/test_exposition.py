@@ -16,7 +16,7 @@ from vitac.server.operations.exposition import KEPT_S, LOST, Exposition, server_
 from vitac.server.queue.workers import Disk
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
-from vitac.server.views.operations import CountsView, MachineWorkerView, OperationsView, QueueView, StorageView
+from vitac.server.views.operations import CountsView, OperationsView, QueueView, StorageView
 from vitac.server.views.workers import WorkerView
 
 Series = tuple[str, frozenset[tuple[str, str]]]
@@ -135,14 +135,15 @@ def seen_worker(host: str, state: WorkerState = WorkerState.READY, *, lost: bool
     values = {
         "id": uuid4(), "host": host, "pid": 1, "slots": 2, "state": state, "message": "", "isolation": "",
         "evaluator_version": "1+a", "families": [], "platform_class": "x86_64-linux", "started_at": AT,
-        "heartbeat_at": AT, "disk_bytes": 100, "disk_free_bytes": 40,
+        "heartbeat_at": AT, "disk_bytes": 100, "disk_free_bytes": 40, "is_lost": lost, "worker_order": "work",
+        "shards": [],
     }  # fmt: skip
-    return MachineWorkerView(worker=WorkerView.model_validate(values | changes), is_lost=lost)
+    return WorkerView.model_validate(values | changes)
 
 
 def a_state(*workers: Any, **queue: Any) -> OperationsView:
     nothing = {
-        "shards_queued": 0, "shards_running": 0, "oldest_shard_s": None, "evaluations_queued": 0,
+        "shards_queued": 0, "shards_running": 0, "oldest_shard_s": None, "shard_idle_s": None, "evaluations_queued": 0,
         "evaluations_running": 0, "oldest_evaluation_s": None,
     }  # fmt: skip
     return OperationsView(

@@ -96,3 +96,16 @@ def test_worker_without_heartbeat_that_did_not_report_its_end_is_lost(
         add_worker(session, state, seen_ago=timedelta(seconds=seen_ago_s))
         add_worker(session, state, seen_ago=timedelta(hours=2))
     assert [entry.is_lost for entry in look(database, settings).workers] == [is_lost]
+
+
+def test_a_shard_without_progress_is_seen_however_busy_the_others_are(database: Database, settings: Settings) -> None:
+    with database.transaction() as session:
+        submission = submit(session, make_principal(session))
+        first, second = shard_ids(session, submission)[:2]
+    hanging, busy = claim(database, first), claim(database, second)
+    with database.transaction() as session:
+        session.execute(update(Shard).values(progressed_at=func.clock_timestamp() - timedelta(minutes=2)))
+    store(database, busy, [make_record(busy.episodes[0])])
+    assert look(database, settings).queue.shard_idle_s == pytest.approx(120, abs=60)
+    store(database, hanging, [make_record(hanging.episodes[0])])
+    assert look(database, settings).queue.shard_idle_s == pytest.approx(0, abs=60)

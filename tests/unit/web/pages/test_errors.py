@@ -1,4 +1,5 @@
 import errno
+import threading
 from uuid import UUID
 
 import httpx
@@ -11,6 +12,7 @@ from visits import COMPLETED, form_token, sign_in
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import Principal
 from vitac.server.views.leaderboards import LeaderboardView
+from vitac.web import site
 from vitac.web.headers import HEADERS
 from vitac.web.pages.submission_detail import SubmissionDetail
 
@@ -97,6 +99,16 @@ def test_browsers_get_a_page_and_programs_their_json(browser: AsgiBrowser) -> No
         answer = browser.get(path, headers={"accept": accepted})
         assert answer.headers["content-type"] == "application/problem+json"
         assert answer.json()["code"] == "not_found"
+
+
+def test_a_database_that_stands_still_is_a_page_that_says_so(
+    data: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(site, "PAGE_TIMEOUT_S", 0.05)
+    data.leaderboard = lambda *_: threading.Event().wait(0.5)  # type: ignore[assignment,method-assign]
+    answer = browser.get("/")
+    assert answer.status_code == 503
+    assert "The database does not answer" in answer.text
 
 
 def test_a_crash_is_a_page_that_tells_nothing_of_the_inside(data: FixedData, browser: AsgiBrowser) -> None:
