@@ -104,7 +104,11 @@ def _listed(task: "Task", episode: "Episode") -> Start:
     shape = "" if is_maniskill(task.env_id) else f": {episode.shape}"
     title = f"{task.title}, episode {episode.number}{shape}"
     return Start(
-        env_id=task.env_id, title=title, options=episode.options, settings=task.settings, listed=(task, episode)
+        env_id=task.env_id,
+        title=title,
+        options=episode.options,
+        settings=task.environment_arguments,
+        listed=(task, episode),
     )
 
 

@@ -127,9 +127,8 @@ def make_environment(
     import gymnasium
     import vitac.envs  # noqa: F401 - registers the environment ids
 
-    arguments: dict[str, Any] = {"assets_dir": assets_dir, "observation_keys": observation_keys, **task.settings}
-    arguments |= {"draws": task.draws} if task.draws else {}
-    arguments |= settings or {}
+    arguments: dict[str, Any] = {"assets_dir": assets_dir, "observation_keys": observation_keys}
+    arguments |= {**task.environment_arguments, **(settings or {})}
     if sensor is not None:
         arguments["sensor"] = sensor
     env = gymnasium.make(task.env_id, disable_env_checker=True, privileged=False, **arguments)

@@ -179,6 +179,11 @@ class Task(StrictModel):
         return self.definition.actions
 
     @property
+    def environment_arguments(self) -> Mapping[str, object]:
+        """Return what its environment is made with: settings, and the ranges of what is drawn."""
+        return {**self.settings, **({"draws": self.draws} if self.draws else {})}
+
+    @property
     def drawn_quantities(self) -> tuple[Quantity, ...]:
         """Return what is drawn for every episode, in the order of the environment's table."""
         return tuple(quantity for quantity in self.definition.quantities if quantity.name in self.draws)
