@@ -29,11 +29,11 @@ def issue(
         return tokens.issue(session, principal, role=Role.TEAM, label=label, team=team, lifetime=lifetime)
 
 
-@pytest.mark.parametrize("label", ["", " ", "\u3164", "a\u202eb", "a\nb\x00", "a" * 65])
-def test_a_label_that_cannot_be_shown_is_refused(database: Database, principal: Principal, label: str) -> None:
-    with pytest.raises(ServiceError) as refused:
-        issue(database, principal, label=label)
-    assert refused.value.code is ProblemCode.INVALID_REQUEST
+def test_a_label_that_cannot_be_shown_is_refused(database: Database, principal: Principal) -> None:
+    for label in ["", " ", "\u3164", "a\u202eb", "a\nb\x00", "a" * 65]:
+        with pytest.raises(ServiceError) as refused:
+            issue(database, principal, label=label)
+        assert refused.value.code is ProblemCode.INVALID_REQUEST
 
 
 def refusal(database: Database, secret: str) -> ServiceError:
@@ -59,9 +59,9 @@ def test_secrets_have_256_random_bits(database: Database, principal: Principal) 
     assert all(tokens.SECRET_PATTERN.fullmatch(secret) for secret in secrets)
 
 
-@pytest.mark.parametrize("secret", ["", "vitac_", "vitac_" + "!" * 43, "Bearer x", "vitac_" + "a" * 44, "\0"])
-def test_malformed_secret_is_refused_with_the_form_it_should_have(database: Database, secret: str) -> None:
-    assert "43 letters" in refusal(database, secret).detail
+def test_malformed_secret_is_refused_with_the_form_it_should_have(database: Database) -> None:
+    for secret in ["", "vitac_", "vitac_" + "!" * 43, "Bearer x", "vitac_" + "a" * 44, "\0"]:
+        assert "43 letters" in refusal(database, secret).detail
 
 
 def test_unknown_secret_is_refused(database: Database) -> None:

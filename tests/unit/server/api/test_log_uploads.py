@@ -84,9 +84,9 @@ def test_log_is_accepted_with_its_claims_and_jobs(service: Service) -> None:
     assert count(service, "procrastinate_jobs") == len(cut(load_track(TRACK).tasks["peg-insertion"]))
 
 
-@pytest.mark.parametrize("team", [None, "  team  a "])
-def test_log_may_name_no_team_or_its_own_in_another_spelling(service: Service, team: str | None) -> None:
-    assert upload_log(service, a_log(team=team)).status_code == 202
+def test_log_may_name_no_team_or_its_own_in_another_spelling(service: Service) -> None:
+    for team in [None, "  team  a "]:
+        assert upload_log(service, a_log(team=team)).status_code == 202
 
 
 def test_packed_log_is_the_same_submission(service: Service) -> None:
@@ -117,9 +117,8 @@ def test_log_that_names_another_team_is_refused_also_from_an_organizer(service: 
     assert upload_log(service, LOG, token=service.organizer_token, query="&team=Team A").status_code == 202
 
 
-@pytest.mark.parametrize(
-    ("log", "reason", "line"),
-    [
+def test_damaged_log_is_refused_by_line_and_reason(service: Service) -> None:
+    for log, reason, line in [
         (b"\x00\xff\xfe\x80" * 100, "not_a_log", 1),
         (b"{}\n", "not_a_log", 1),
         (altered(1, lambda content: content.update(version=2)), "unknown_version", 1),
@@ -136,22 +135,15 @@ def test_log_that_names_another_team_is_refused_also_from_an_organizer(service: 
         (a_log([*some_records(), make_record(1)]), "episode_repeated", 272),
         (packed(LOG)[:-100], "damaged", None),
         (packed(LOG) + packed(LOG), "trailing", 273),
-    ],
-    ids=[
-        "junk", "no header", "other format", "unknown key", "unknown key in a record", "altered", "NaN", "NaN actions",
-        "reordered", "line twice", "truncated", "cut in a line", "two logs", "episode twice", "cut gzip", "two gzips",
-    ],
-)  # fmt: skip
-def test_damaged_log_is_refused_by_line_and_reason(service: Service, log: bytes, reason: str, line: int | None) -> None:
-    problem = problem_of(upload_log(service, log), 422, "log_rejected")
-    assert (problem["reason"], problem["line"]) == (reason, line), problem["detail"]
-    assert line is None or problem["detail"].startswith(f"Line {line}: ")
-    assert_nothing_left(service)
+    ]:
+        problem = problem_of(upload_log(service, log), 422, "log_rejected")
+        assert (problem["reason"], problem["line"]) == (reason, line), problem["detail"]
+        assert line is None or problem["detail"].startswith(f"Line {line}: ")
+        assert_nothing_left(service)
 
 
-@pytest.mark.parametrize(
-    ("log", "reason", "line", "episode"),
-    [
+def test_log_that_no_evaluation_can_have_made_is_refused_at_once(service: Service) -> None:
+    for log, reason, line, episode in [
         (a_log(track="track_9"), "other_evaluation", 1, None),
         (a_log(task="peg-removal"), "other_evaluation", 1, None),
         (a_log(task="lock-opening"), "other_evaluation", 1, None),
@@ -164,18 +156,10 @@ def test_damaged_log_is_refused_by_line_and_reason(service: Service, log: bytes,
         (a_log(with_record(5, task="lock-opening")), "other_task", 6, 5),
         (a_log(with_actions(1.5)), "wrong_action", 6, 5),
         (a_log(failures({1, 2, 3})), "broken_policy", 272, 1),
-    ],
-    ids=[
-        "track", "task", "other task's list", "version", "seed", "missing", "empty", "unlisted", "start",
-        "foreign record", "bounds", "broken policy",
-    ],
-)  # fmt: skip
-def test_log_that_no_evaluation_can_have_made_is_refused_at_once(
-    service: Service, log: bytes, reason: str, line: int, episode: int | None
-) -> None:
-    problem = problem_of(upload_log(service, log), 422, "log_impossible")
-    assert (problem["reason"], problem["line"], problem["episode"]) == (reason, line, episode), problem["detail"]
-    assert_nothing_left(service)
+    ]:
+        problem = problem_of(upload_log(service, log), 422, "log_impossible")
+        assert (problem["reason"], problem["line"], problem["episode"]) == (reason, line, episode), problem["detail"]
+        assert_nothing_left(service)
 
 
 def test_policy_may_fail_in_an_episode_of_a_log(service: Service) -> None:
@@ -265,9 +249,8 @@ def changed_test(number: int, old: bytes, new: bytes) -> bytes:
     return before + mark + after.replace(old, new, 1)
 
 
-@pytest.mark.parametrize(
-    ("log", "code", "reason"),
-    [
+def test_text_log_that_is_not_one_whole_evaluation_is_refused(service: Service) -> None:
+    for log, code, reason in [
         (b"\x00\xff" * 100, "log_rejected", "not_a_text_log"),
         (LOG, "log_rejected", "not_a_text_log"),
         (changed_test(3, b"0.25", b"nan"), "log_rejected", "not_a_text_log"),
@@ -283,18 +266,10 @@ def changed_test(number: int, old: bytes, new: bytes) -> bytes:
         (a_text_log(totals=("#SUCCESS_RATE: 999.00%", "#AVG_STEP: 2.00")), "log_rejected", "out_of_place"),
         (a_text_log(totals=(), episodes=[]), "log_impossible", "episode_missing"),
         (TEXT_LOG.replace(b"z_step_size_mm", b"other_key"), "log_rejected", "not_a_text_log"),
-    ],
-    ids=[
-        "junk", "our log", "NaN", "two logs", "log and a half", "truncated", "bounds", "test twice", "start",
-        "long start", "huge number", "unhashable", "rate above 100 %", "empty", "other kind",
-    ],
-)  # fmt: skip
-def test_text_log_that_is_not_one_whole_evaluation_is_refused(
-    service: Service, log: bytes, code: str, reason: str
-) -> None:
-    problem = problem_of(upload_log(service, log, "text_log"), 422, code)
-    assert problem["reason"] == reason, problem["detail"]
-    assert_nothing_left(service)
+    ]:
+        problem = problem_of(upload_log(service, log, "text_log"), 422, code)
+        assert problem["reason"] == reason, problem["detail"]
+        assert_nothing_left(service)
 
 
 def test_problems_of_a_text_log_are_kept_short_and_printable(service: Service) -> None:

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 from service_client import Service, make_archive, problem_of
-from service_factories import LOCK, TASK, TRACK, RecordOf, make_record, outdate, play_all
+from service_factories import LOCK, TASK, TRACK, RecordOf, make_record, play_all
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import registry
 from vitac.server.contest.freezing import freeze
@@ -98,22 +98,3 @@ def test_organizers_see_what_frozen_boards_do_not_show_to_others(service: Servic
     logs = [service.get(f"/leaderboards/{TRACK}/logs", token) for token in (None, service.organizer_token)]
     assert len({answer.headers["etag"] for answer in logs}) == 2
     assert service.client.get(f"/api/v1{path}").json()["entries"] == []
-
-
-def test_of_equal_scores_the_earlier_submission_ranks_first(service: Service) -> None:
-    first = evaluated(service, service.other_token, "x = 1", successes_below(100))
-    second = evaluated(service, service.token, "x = 2", successes_below(100))
-    board = service.client.get(f"/api/v1/leaderboards/{TRACK}").json()
-    assert [entry["submission_id"] for entry in board["entries"]] == [first, second]
-
-
-def test_entry_of_another_evaluator_version_is_shown_but_not_ranked(service: Service) -> None:
-    old = evaluated(service, service.token, "x = 1", successes_below(270))
-    with service.database.transaction() as session:
-        outdate(session)
-    new = evaluated(service, service.other_token, "x = 2", successes_below(10))
-    board = service.client.get(f"/api/v1/leaderboards/{TRACK}").json()
-    assert [(entry["rank"], entry["stale"], entry["submission_id"]) for entry in board["entries"]] == [
-        (1, False, new),
-        (None, True, old),
-    ]

@@ -59,22 +59,28 @@ def test_names_that_readers_would_confuse_are_refused_as_taken(database: Databas
     assert refused.value.code is ProblemCode.TEAM_EXISTS
 
 
-@pytest.mark.parametrize("name", ["Robot Lab 2", "Роботы", "ρομπότ", "ロボット", "Team \N{ROBOT FACE}", "Kim"])
-def test_names_in_other_scripts_are_not_refused(database: Database, name: str) -> None:
+def test_names_in_other_scripts_are_not_refused(database: Database) -> None:
     register(database, "Robot Lab")
     register(database, "Klm")
-    assert register(database, name) == name
+    for name in ("Robot Lab 2", "Роботы", "ρομπότ", "ロボット", "Team \N{ROBOT FACE}", "Kim"):
+        assert register(database, name) == name
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["Organizers", "The 0rganizer", "ADMIN", "adm\u0456n team", "ViTac Arena", "vitac_arena", "V\u0456Tac", "Jury"],
-)
-def test_names_of_those_who_run_the_service_are_theirs(database: Database, name: str) -> None:
-    with pytest.raises(ServiceError, match="reserved"):
-        register(database, name)
-    with database.transaction() as session:
-        teams.register(session, CONSOLE, name=name)
+def test_names_of_those_who_run_the_service_are_theirs(database: Database) -> None:
+    for name in [
+        "Organizers",
+        "The 0rganizer",
+        "ADMIN",
+        "adm\u0456n team",
+        "ViTac Arena",
+        "vitac_arena",
+        "V\u0456Tac",
+        "Jury",
+    ]:
+        with pytest.raises(ServiceError, match="reserved"):
+            register(database, name)
+        with database.transaction() as session:
+            teams.register(session, CONSOLE, name=name)
 
 
 def test_an_anonymous_competition_does_not_say_which_names_are_taken(database: Database) -> None:
@@ -107,11 +113,11 @@ def test_compatibility_forms_are_shown_as_what_they_stand_for(database: Database
     assert register(database, "Ｔｅａｍ\u2460 ﬁn") == "Team1 fin"
 
 
-@pytest.mark.parametrize("name", ["", " ", "a" * 65, "two\x00parts", "turned \u202e around", *MARKED, *BLANKS])
-def test_names_that_cannot_be_shown_are_refused(database: Database, name: str) -> None:
-    with pytest.raises(ServiceError) as refused:
-        register(database, name)
-    assert refused.value.code is ProblemCode.INVALID_REQUEST
+def test_names_that_cannot_be_shown_are_refused(database: Database) -> None:
+    for name in ["", " ", "a" * 65, "two\x00parts", "turned \u202e around", *MARKED, *BLANKS]:
+        with pytest.raises(ServiceError) as refused:
+            register(database, name)
+        assert refused.value.code is ProblemCode.INVALID_REQUEST
 
 
 def test_a_name_may_be_one_character_as_that_of_the_organizers_logs(database: Database) -> None:
@@ -164,11 +170,11 @@ def test_a_disqualified_team_is_reinstated_and_both_are_recorded(database: Datab
     assert (undone.action, undone.before) == ("team.reinstate", {"reason": "two accounts"})
 
 
-@pytest.mark.parametrize("reason", ["", "x", "a" * 201, "two\x00parts"])
-def test_a_reason_can_be_shown(database: Database, reason: str) -> None:
+def test_a_reason_can_be_shown(database: Database) -> None:
     register(database, "Team A")
-    with pytest.raises(ServiceError), database.transaction() as session:
-        teams.disqualify(session, CONSOLE, teams.find(session, "Team A"), reason)
+    for reason in ("", "x", "a" * 201, "two\x00parts"):
+        with pytest.raises(ServiceError), database.transaction() as session:
+            teams.disqualify(session, CONSOLE, teams.find(session, "Team A"), reason)
 
 
 @pytest.mark.parametrize("role", [Role.TEAM, Role.JUDGE])

@@ -88,13 +88,6 @@ def test_options_say_what_is_possible(service: Service) -> None:
     assert (answer.headers["tus-version"], answer.headers["tus-checksum-algorithm"]) == ("1.0.0", "sha256,sha1")
 
 
-def test_another_or_no_protocol_version_is_refused_with_the_one_spoken(service: Service) -> None:
-    for headers in ({}, {"Tus-Resumable": "0.2.2"}):
-        answer = service.client.post(f"{API}/uploads", headers=bearer(service.token) | headers)
-        problem_of(answer, 412, "wrong_protocol_version")
-        assert answer.headers["tus-version"] == answer.headers["tus-resumable"] == "1.0.0"
-
-
 def test_pieces_of_any_length_become_the_submission_of_the_whole(service: Service) -> None:
     archive = big_archive()
     place = begun(service, len(archive), sha256=hashlib.sha256(archive).hexdigest(), track="track_1", filename="x.zip")
@@ -263,12 +256,6 @@ def test_a_piece_with_a_checksum_counts_whole_or_not_at_all(service: Service, al
     assert offset_of(service, place) == len(content)
 
 
-@pytest.mark.parametrize("given", ["md5 AAAA", "sha256", "sha256 ?", ""])
-def test_a_checksum_that_cannot_be_read_is_refused(service: Service, given: str) -> None:
-    place = begun(service, 10)
-    problem_of(send(service, place, 0, b"x", Upload_Checksum=given), 422, "invalid_request")
-
-
 def test_damage_of_the_whole_is_found_and_the_upload_removed(service: Service) -> None:
     archive = make_archive()
     place = begun(service, len(archive), sha256="0" * 64)
@@ -383,9 +370,8 @@ def test_an_organizer_uploads_for_a_team(service: Service) -> None:
     assert made.json()["team"]["name"] == "Team B"
 
 
-@pytest.mark.parametrize(
-    ("length", "metadata", "status", "code"),
-    [
+def test_a_head_that_cannot_be_used_is_refused_by_name(service: Service) -> None:
+    for length, metadata, status, code in [
         ("", "", 400, "length_invalid"),
         ("-1", "", 400, "length_invalid"),
         ("1_0", "", 400, "length_invalid"),
@@ -399,13 +385,9 @@ def test_an_organizer_uploads_for_a_team(service: Service) -> None:
         ("5", "team AA==", 422, "invalid_request"),
         ("5", "sha256 YWJj", 422, "invalid_request"),
         ("5", "again dHJ1ZQ==,again dHJ1ZQ==", 422, "invalid_request"),
-    ],
-)
-def test_a_head_that_cannot_be_used_is_refused_by_name(
-    service: Service, length: str, metadata: str, status: int, code: str
-) -> None:
-    headers = {"Upload-Length": length, "Upload-Metadata": metadata}
-    problem_of(ask(service, "POST", f"{API}/uploads", headers=headers), status, code)
+    ]:
+        headers = {"Upload-Length": length, "Upload-Metadata": metadata}
+        problem_of(ask(service, "POST", f"{API}/uploads", headers=headers), status, code)
 
 
 def test_a_piece_is_announced_as_one(service: Service) -> None:
@@ -463,11 +445,6 @@ def test_an_upload_of_too_many_pieces_is_refused(service: Service, monkeypatch: 
     place = begun(service, 10)
     assert [send(service, place, offset, b"x").status_code for offset in range(4)] == [204, 204, 204, 429]
     assert (offset_of(service, place), len(stored_parts(service))) == (3, 3)
-
-
-def test_without_a_token_nothing_is_begun(service: Service) -> None:
-    answer = service.client.post(f"{API}/uploads", headers=TUS | {"Upload-Length": "5"})
-    problem_of(answer, 401, "missing_credentials")
 
 
 def test_the_name_of_a_file_is_compared_when_all_of_it_is_there(service: Service) -> None:
