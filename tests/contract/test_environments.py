@@ -145,6 +145,7 @@ def test_same_seed_and_actions_repeat_bit_for_bit_in_one_process(env_id: str, di
     assert trajectory_digest(env_id, 6, 1) != digests[env_id]
 
 
+@pytest.mark.slow
 def test_same_seed_and_actions_repeat_bit_for_bit_in_parallel_processes(digests: dict[str, str]) -> None:
     with ProcessPoolExecutor(4, mp_context=get_context("spawn")) as pool:
         others = {env_id: pool.map(trajectory_digest, [env_id] * 4, [5] * 4, [2] * 4) for env_id in ENV_IDS}

@@ -93,6 +93,7 @@ def kept(service: CliService) -> list[object]:
         ]
 
 
+@pytest.mark.slow
 def test_an_episode_of_a_sealed_list_is_played_again_beside_its_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

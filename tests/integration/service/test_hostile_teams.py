@@ -88,6 +88,7 @@ def test_hostile_policies_meet_their_verdicts_and_leave_other_teams_and_the_serv
     assert live.client.get("/ready").json()["status"] == "ready"
 
 
+@pytest.mark.slow
 def test_policy_that_hangs_is_gone_soon_after_a_cancel_and_the_worker_goes_on(
     live: Service, start_worker: StartWorker, undisturbed_hash: str
 ) -> None:

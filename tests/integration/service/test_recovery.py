@@ -81,6 +81,7 @@ def test_two_workers_give_the_same_hash(attempt: Attempt, start_worker: StartWor
     attempt.assert_same_result()
 
 
+@pytest.mark.slow
 def test_kill_of_the_worker_in_the_middle_changes_nothing(
     attempt: Attempt, worker: "subprocess.Popen[bytes]", start_worker: StartWorker
 ) -> None:
@@ -90,6 +91,7 @@ def test_kill_of_the_worker_in_the_middle_changes_nothing(
     attempt.assert_same_result()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("database_address", [None], ids=["embedded"])
 @pytest.mark.usefixtures("worker")
 def test_kill_of_the_database_in_the_middle_changes_nothing(attempt: Attempt) -> None:

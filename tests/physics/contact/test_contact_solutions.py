@@ -47,6 +47,7 @@ def test_creep_on_the_incline_is_what_the_smoothed_law_gives() -> None:
     assert friction * (2 * y - y * y) == pytest.approx(0.5, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_squeezed_gels_push_on_the_box_as_hard_as_their_backs_are_held() -> None:
     """Along the grip, where friction has no part: both backs are held equally hard, and the box is in balance."""
     grip = Grip(friction=2.0)

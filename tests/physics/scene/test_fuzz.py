@@ -12,6 +12,7 @@ from physics_fuzz import LOCK, PEG, fuzz_episode, summary
 EPISODES = int(os.environ.get("FUZZ_EPISODES", "4"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", [PEG, LOCK])
 def test_no_random_episode_makes_bodies_intersect_or_invert_or_overlooks_a_contact_or_stops_unsolved(task: str) -> None:
     steps = [step for seed in range(EPISODES) for step in fuzz_episode(task, seed)]

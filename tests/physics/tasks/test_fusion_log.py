@@ -42,6 +42,7 @@ def test_a_converted_log_has_the_same_starts_and_actions(log_path: Path) -> None
         assert (one.episode, one.actions.tobytes()) == (other.episode, other.actions.tobytes())
 
 
+@pytest.mark.slow
 def test_endings_are_the_logged_ones(log_path: Path) -> None:
     """At least 140 of 150 at the logged step, all others one step earlier; every tactile ending is found, no other."""
     path = log_path.with_suffix(".jsonl")

@@ -130,15 +130,24 @@ def test_a_second_run_reuses_all_episodes_and_keeps_its_token(finished: Finished
     assert result_hash(second) == result_hash(finished.first)
 
 
-def test_again_runs_all_episodes_once_more(finished: FinishedDemo) -> None:
-    again = finished.demo.run("--exit", "--again")
+def test_again_runs_all_episodes_once_more_at_another_port_with_another_token_where_those_do_not_do(
+    finished: FinishedDemo,
+) -> None:
+    invalid = "vitac_" + "x" * 43
+    finished.token.write_text(invalid)
+    with bind("127.0.0.1", 0) as taken:
+        taken.listen()
+        port = taken.getsockname()[1]
+        again = finished.demo.run("--exit", "--again", "--port", str(port))
     assert again.returncode == 0, again.stderr
+    assert f"(port {port} is taken)" in again.stdout
+    assert finished.token.read_text() != invalid
     assert "270 of 270 episodes, 180 successes" in again.stdout
     assert result_hash(again) == result_hash(finished.first)
 
 
-def test_stays_until_ctrl_c(demo: DemoRun) -> None:
-    with demo.start() as process:
+def test_stays_until_ctrl_c(finished: FinishedDemo) -> None:
+    with finished.demo.start() as process:
         assert process.stdout is not None
         for line in process.stdout:
             if "Ctrl-C stops it" in line:
@@ -160,15 +169,6 @@ def test_ctrl_c_during_the_evaluation_says_what_is_stored(demo: DemoRun) -> None
     assert process.returncode == 130
 
 
-def test_takes_another_port_where_its_own_is_taken(finished: FinishedDemo) -> None:
-    with bind("127.0.0.1", 0) as taken:
-        taken.listen()
-        port = taken.getsockname()[1]
-        done = finished.demo.run("--exit", "--port", str(port))
-    assert done.returncode == 0, done.stderr
-    assert f"(port {port} is taken)" in done.stdout
-
-
 def test_a_sandbox_that_does_not_hold_ends_the_demo(demo: DemoRun) -> None:
     done = demo.run("--exit", VITAC_TEST_WORKER="refuses")
     assert done.returncode == 1
@@ -181,15 +181,6 @@ def test_physics_that_do_not_compile_end_the_demo_and_name_the_log(demo: DemoRun
     assert done.returncode == 1
     assert "Compiling the physics failed (exit code 3)" in done.stderr
     assert "demo.log" in done.stderr
-
-
-def test_a_token_that_is_no_longer_valid_is_replaced(finished: FinishedDemo) -> None:
-    invalid = "vitac_" + "x" * 43
-    finished.token.write_text(invalid)
-    done = finished.demo.run("--exit")
-    assert done.returncode == 0, done.stderr
-    assert "270 episodes reused" in done.stdout
-    assert finished.token.read_text() != invalid
 
 
 def test_a_missing_submission_says_what_to_do(demo: DemoRun, tmp_path: Path) -> None:
