@@ -29,13 +29,12 @@ _WAITING: Final = """
     signalfd signalfd4 splice tee vmsplice
 """
 _SOCKETS: Final = """
-    accept accept4 bind connect getpeername getsockname getsockopt listen recvfrom recvmmsg recvmsg sendmmsg sendmsg
-    sendto
+    accept accept4 bind connect getpeername getsockname listen recvfrom recvmmsg recvmsg sendmmsg sendmsg sendto
 """
 _PROCESSES: Final = """
     capget capset execve execveat exit exit_group fork getcpu getegid geteuid getgid getgroups getpgid getpgrp getpid
-    getppid getpriority getresgid getresuid getrlimit getsid gettid getuid ioprio_get pidfd_open setfsgid setfsuid
-    setgid setgroups setpgid setregid setresgid setresuid setreuid setrlimit setsid setuid uname vfork
+    getppid getpriority getresgid getresuid getrlimit getsid gettid getuid ioprio_get setfsgid setfsuid setgid
+    setgroups setpgid setregid setresgid setresuid setreuid setrlimit setsid setuid uname vfork
 """
 _THREADS: Final = """
     arch_prctl futex get_thread_area rseq sched_get_priority_max sched_get_priority_min sched_getaffinity sched_getattr
@@ -54,7 +53,13 @@ _TIMES_OF_FILES: Final = ("futimesat", "utime", "utimensat", "utimes")
 episode (the nodes even the host's), and whoever may write to a file may set its times."""
 _NEW_NAMESPACE_FLAGS: Final = 0x7E020080
 """CLONE_NEWTIME, NEWNS, NEWCGROUP, NEWUTS, NEWIPC, NEWUSER, NEWPID, NEWNET."""
+_CLONE_PIDFD: Final = 0x00001000
+"""A descriptor of a process has the number that the whole machine's processes are counted by (`st_ino`); nor is there
+`pidfd_open`, or the socket option that gives one."""
 _AF_UNIX: Final = 1
+_SOCKET_OPTIONS: Final = (2, 3, 4, 6, 7, 8, 9, 13, 16, 17, 18, 19, 20, 21, 30, 31, 38, 39, 66, 67)
+"""Type, error, buffers, credentials, time-outs and the like. Not SO_COOKIE, which numbers the sockets of the whole
+machine, nor SO_PEERPIDFD, nor what later kernels add."""
 _IOCTLS: Final = (0x5401, 0x540F, 0x5413, 0x541B, 0x5421, 0x5450, 0x5451)
 """TCGETS (is it a terminal), TIOCGPGRP, TIOCGWINSZ, FIONREAD, FIONBIO, FIONCLEX, FIOCLEX."""
 _FCNTLS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 9, 11, 16, 36, 37, 38, 1025, 1030, 1032, 1034, 1035, 1037)
@@ -70,7 +75,6 @@ _SIGNAL_CALLS: Final = {
     "tgkill": 2,
     "rt_sigqueueinfo": 1,
     "rt_tgsigqueueinfo": 2,
-    "pidfd_send_signal": 1,
 }
 """Which argument of a call is the signal."""
 _SIGNAL_BITS: Final = 7
@@ -123,7 +127,8 @@ def _add_rules(syscall_filter: Any, seccomp: Any) -> None:
     allow_only("ioctl", 1, _IOCTLS)
     allow_only("fcntl", 1, _FCNTLS)
     allow_only("prctl", 0, _PRCTLS)
-    allow_only("clone", 0, (0,), mask=_NEW_NAMESPACE_FLAGS)
+    allow_only("clone", 0, (0,), mask=_NEW_NAMESPACE_FLAGS | _CLONE_PIDFD)
+    allow_only("getsockopt", 2, _SOCKET_OPTIONS)
     for name in _CLOCK_CALLS:
         allow_only(name, 0, (0,), mask=_NEGATIVE)
     allow_only("open", 1, (0,), mask=_O_TMPFILE)
