@@ -161,7 +161,7 @@ def newest(session: Session, team_id: UUID, kind: SubmissionKind) -> Submission:
 def add_episodes(session: Session, submission: Submission, rng: np.random.Generator) -> None:
     """Store episodes for a submission, with records as large as real ones."""
     evaluation = session.scalars(select(Evaluation).where(Evaluation.submission_id == submission.id)).one()
-    key = EpisodeKey.of(evaluation, submission)
+    key = EpisodeKey.from_evaluation(evaluation, submission)
     for name in submission.tasks:
         for number, episode in enumerate(load_track(TRACK).tasks[name].episodes, start=1):
             record = {

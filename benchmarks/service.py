@@ -128,7 +128,7 @@ def evaluation_figures(services: Services, principal: Principal, example: Path, 
         raise SystemExit(f"The evaluation ended as {done.state}: {done.verdict_code} {done.verdict_message}")
     with services.database.transaction() as session:
         task = done.submission.tasks[0]
-        records = read_stored_records(session, EpisodeKey.of(done, done.submission), task)
+        records = read_stored_records(session, EpisodeKey.from_evaluation(done, done.submission), task)
         machines = list(session.scalars(select(Worker.platform_class).distinct()))
         idle_at_end_s = idle_after_last_start_s(session, done, n_slots)
     wall_s = (done.finished_at - done.started_at).total_seconds()

@@ -185,7 +185,9 @@ def _chosen_task(manifest: "SubmissionManifest", task: str | None) -> str:
 def _report(evaluation: "Evaluation", manifest: "SubmissionManifest", digest: str) -> str:
     from vitac.evaluator.evaluation.report import EvaluationReport
 
-    return EvaluationReport.of(evaluation, name=manifest.name, digest=digest).model_dump_json(indent=1) + "\n"
+    return (
+        EvaluationReport.from_evaluation(evaluation, name=manifest.name, digest=digest).model_dump_json(indent=1) + "\n"
+    )
 
 
 def _write_log(path: Path, evaluation: "Evaluation", team: str | None, digest: str) -> None:

@@ -117,7 +117,7 @@ def _check_text_log(log: Path, *, json: bool) -> None:
     from .terminal.compiling import compiling_shown
 
     with compiling_shown():
-        check = TextLogCheck.of(log, lambda number: _progress(f"re-simulated {number}"))
+        check = TextLogCheck.from_file(log, lambda number: _progress(f"re-simulated {number}"))
     _progress("")
     summary, count = check.summary, len(check.tests)
     if json:

@@ -43,7 +43,7 @@ def command(
 
     _, definition = find_task(task)
     if profile is not None:
-        definition = _with_profile(definition, profile)
+        definition = _apply_profile(definition, profile)
     recordings = read_recordings(file, definition, on_problems=partial(_tell_problems, file))
     env = make_environment(definition, assets or assets_dir_from_environment(), ())
     episodes = []
@@ -62,7 +62,7 @@ def command(
     )
 
 
-def _with_profile(task: "Task", name: str) -> "Task":
+def _apply_profile(task: "Task", name: str) -> "Task":
     if name not in task.profiles:
         expected = ", ".join(task.profiles) or "none"
         raise typer.BadParameter(f"expected a profile of {task.name} ({expected}), got {name!r:.80}.")

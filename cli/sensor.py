@@ -112,7 +112,7 @@ def show(
     from vitac.envs.drawing.files import Destination, Frame
     from vitac.evaluator.sensors.check import accepted_sensor
 
-    destination = Destination.at(out)
+    destination = Destination.from_path(out)
     if destination.kind is not destination.kind.PNG:
         raise typer.BadParameter("expected FILE.png.", param_hint="--out")
     found = accepted_sensor(sensor)
@@ -183,11 +183,11 @@ def _stored_shards_folder() -> Path:
 
 
 def _evaluate_policy(sensor: Path, policy: Path, episodes: str | None, workers: int | None, json: Path | None) -> None:
-    from vitac.evaluator.submission.sources import manifest_of
+    from vitac.evaluator.submission.sources import read_manifest_file
 
     from .evaluate import command
 
-    task = _OWN if _OWN in manifest_of(policy).tasks else _TASK
+    task = _OWN if _OWN in read_manifest_file(policy).tasks else _TASK
     command(policy, task=task, sensor=sensor, episodes=episodes, workers=workers, json=json)
 
 

@@ -41,10 +41,10 @@ def evaluator_parts() -> dict[str, str]:
 
 def evaluator_version() -> str:
     """Return this evaluator's name, `<release>+<start of its hash>`; results of different ones are never mixed."""
-    return version_with(evaluator_hash())
+    return format_version(evaluator_hash())
 
 
-def version_with(sha256: str) -> str:
+def format_version(sha256: str) -> str:
     """Return the version that has a hash: `<release>+<start of the hash>`."""
     return f"{EVALUATOR_RELEASE}+{sha256[:12]}"
 

@@ -43,7 +43,7 @@ def require_confirmed(concerns: Iterable[Concern], confirmed: Collection[str] | 
         )
 
 
-def revision_of(content: object) -> str:
+def compute_revision(content: object) -> str:
     """Return a short name of a content, by which a change says what it was made against; empty for nothing."""
     if not content:
         return ""

@@ -84,19 +84,19 @@ def look_alike(one: str, other: str) -> bool:
 def _outlines(name: str) -> tuple[str, str]:
     """Return what is drawn: with letters of all cases as one, and with each case for itself."""
     plain = _DIACRITICS.sub("", unicodedata.normalize("NFKD", name))
-    latin = "".join(one if one.isascii() else _drawn_as(one) for one in plain)
+    latin = "".join(one if one.isascii() else _find_original(one) for one in plain)
     return _strokes(latin.casefold()), f"={_strokes(latin)}"
 
 
 def _strokes(name: str) -> str:
     """Return a name in the characters that stand for all that look like them, without spaces and punctuation."""
-    drawn = _DIACRITICS.sub("", unicodedata.normalize("NFKD", "".join(map(_drawn_as, name))))
+    drawn = _DIACRITICS.sub("", unicodedata.normalize("NFKD", "".join(map(_find_original, name))))
     for strokes, alike in _SAME_STROKES:
         drawn = drawn.replace(strokes, alike)
     return "".join(one for one in drawn if unicodedata.category(one)[0] not in "PZ") or drawn
 
 
-def _drawn_as(character: str) -> str:
+def _find_original(character: str) -> str:
     """Return the characters that stand for one in Unicode's table, which the library gives in both directions."""
     from confusable_homoglyphs.confusables import confusables_data  # 1 MB, which only a new name needs
 

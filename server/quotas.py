@@ -83,7 +83,7 @@ class StageQuotaUse:
     used: int
 
 
-def limit_of(session: Session, quotas: Quotas, team_id: UUID, quota: Quota) -> int | None:
+def find_limit(session: Session, quotas: Quotas, team_id: UUID, quota: Quota) -> int | None:
     """Return a team's limit: its own, else that of the settings; None: any number."""
     own = session.get(TeamQuota, (team_id, quota))
     return own.most if own is not None else getattr(quotas, quota.value)
@@ -114,7 +114,7 @@ def check(session: Session, quotas: Quotas, by: Principal, team: Team, *wanted: 
     if by.is_organizer:
         return
     for quota in wanted:
-        limit = limit_of(session, quotas, team.id, quota)
+        limit = find_limit(session, quotas, team.id, quota)
         if limit is not None and (_used(session, team.id, quota) or 0) >= limit:
             raise exceeded(team.name, quota, limit)
 
@@ -161,7 +161,7 @@ def uses(session: Session, quotas: Quotas, team_id: UUID) -> list[QuotaUse]:
     return [
         QuotaUse(
             quota=quota,
-            limit=limit_of(session, quotas, team_id, quota),
+            limit=find_limit(session, quotas, team_id, quota),
             used=_used(session, team_id, quota),
             opens_at=_find_opening(quota, now),
         )

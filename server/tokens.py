@@ -131,7 +131,7 @@ def end_session(session: Session, by: Principal) -> None:
         revoke(session, by, token.id)
 
 
-def end_tokens_of(session: Session, by: Principal, member: Member, *, sessions_only: bool = False) -> None:
+def end_tokens(session: Session, by: Principal, member: Member, *, sessions_only: bool = False) -> None:
     """End a member's sessions, and unless only these are meant the member's token."""
     query = select(ApiToken).where(ApiToken.member_id == member.id, ApiToken.revoked_at.is_(None))
     for token in session.scalars(query.where(ApiToken.is_session) if sessions_only else query):

@@ -40,7 +40,7 @@ class Sight:
     output: bool
 
 
-def sight_of(by: Principal, evaluation: Evaluation) -> Sight:
+def decide_sight(by: Principal, evaluation: Evaluation) -> Sight:
     """Return what of an evaluation is shown to somebody: whatever tells of single episodes asks here.
 
     While a list is sealed, only organizers see its episodes, and what was printed there, because a policy can print
@@ -110,7 +110,7 @@ def require_episodes(by: Principal, evaluation: Evaluation) -> None:
     Raises:
         ServiceError: list_sealed, or track_removed.
     """
-    if not sight_of(by, evaluation).episodes:
+    if not decide_sight(by, evaluation).episodes:
         require_lists(evaluation)
         raise ServiceError(
             ProblemCode.LIST_SEALED,

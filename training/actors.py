@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .episodes import Actor, FloatArray, MakeActor, Moment
-from .learning.critic import Critic, states_of
+from .learning.critic import Critic, stack_states
 from .submission.policy import CANDIDATES, candidate_actions, values
 
 
@@ -60,7 +60,7 @@ def critic_actor(critic: Critic, noise: float) -> MakeActor:
         spread = noise * random.uniform()
 
         def act(moment: Moment) -> FloatArray:
-            state = states_of(moment.truth[None], np.array([moment.shape]), np.array([moment.step]))
+            state = stack_states(moment.truth[None], np.array([moment.shape]), np.array([moment.step]))
             return _noisy(_GRID[int(critic.log_odds(state, _GRID)[0].argmax())], spread, random)
 
         return act

@@ -48,7 +48,7 @@ class Learners:
             self._learn_of_critic(known, random, tell)
         else:
             self._learn_of_assessor(known, played, random, tell)
-        self._belief = fit_belief(make_weights(self._student.state()), _of_actors_without_truth(known))
+        self._belief = fit_belief(make_weights(self._student.state()), _select_without_truth(known))
 
     def networks(self) -> Networks:
         """Return what actors act by."""
@@ -70,7 +70,7 @@ class Learners:
 
     def _learn_of_critic(self, known: Known, random: np.random.Generator, tell: TellTurn) -> None:
         """Give the student the values of one who will know the truth from now on."""
-        histories = make_histories(_of_actors_without_truth(known))
+        histories = make_histories(_select_without_truth(known))
 
         def estimate_value(rows: Any, actions: FloatArray) -> FloatArray:
             return self._critic.log_odds(histories.states[rows], actions)
@@ -79,7 +79,7 @@ class Learners:
 
     def _learn_of_assessor(self, known: Known, played: Episodes, random: np.random.Generator, tell: TellTurn) -> None:
         """Update the student's values to those of its own policy, which changes what it does."""
-        histories, transitions = make_histories(_of_actors_without_truth(known)), assessed(played)
+        histories, transitions = make_histories(_select_without_truth(known)), assessed(played)
         inputs = np.concatenate([histories.states, histories.felt], axis=1)
 
         def estimate_value(rows: Any, actions: FloatArray) -> FloatArray:
@@ -91,7 +91,7 @@ class Learners:
             self._student.learn(histories, estimate_value, random, lambda turn, loss: tell("student", turn, loss))
 
 
-def _of_actors_without_truth(known: Known) -> Episodes:
+def _select_without_truth(known: Known) -> Episodes:
     """Return the episodes whose actions no truth has chosen."""
     return joined([episodes for kind, episodes in known if not kind.knows_truth])
 

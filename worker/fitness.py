@@ -6,7 +6,7 @@ from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.isolation.interpreter import installed_packages
 from vitac.evaluator.package_sets import package_differences, shown_sets
 from vitac.evaluator.tracks import Track, list_tracks, load_track
-from vitac.evaluator.tracks.versions import current_versions, version_of
+from vitac.evaluator.tracks.versions import current_versions, find_version
 from vitac.evaluator.version import evaluator_version
 from vitac.server.queue.declared import explain_other_tracks
 from vitac.server.queue.jobs import queue_name
@@ -54,4 +54,4 @@ def tracks_with_other_packages() -> dict[str, str]:
 
 
 def _list_queues(track: Track) -> Iterator[str]:
-    return (queue_name(version_of(track.name), find_family(track.name, task)) for task in track.tasks)
+    return (queue_name(find_version(track.name), find_family(track.name, task)) for task in track.tasks)

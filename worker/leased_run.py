@@ -124,7 +124,7 @@ class LeasedRun(ABC, Generic[ProcessT]):
         patience_s = 5.0 if self._stopping.is_set() else DATABASE_PATIENCE_S
         return self._services.database.retrying(change, give_up_after_s=patience_s)
 
-    def _with_storage(self, action: Callable[[], ResultT]) -> ResultT:
+    def _retry_storage(self, action: Callable[[], ResultT]) -> ResultT:
         """Do what needs the storage, again and again while that is unavailable and the work has not to end."""
         deadline = time.monotonic() + STORAGE_PATIENCE_S
         while True:

@@ -67,7 +67,7 @@ class PlaybackRun(LeasedRun[RunningPlayback]):
     def _make(self, folder: Path) -> Mapping[str, str]:
         """Return the digests of the stored files by column."""
         made = self._lease.sensor_sha256
-        stored = None if made is None else self._with_storage(partial(self._services.blobs.read, made))
+        stored = None if made is None else self._retry_storage(partial(self._services.blobs.read, made))
         order = PlaybackOrder(
             track=self._lease.track,
             record=self._lease.record,
@@ -84,7 +84,7 @@ class PlaybackRun(LeasedRun[RunningPlayback]):
 
     def _store(self, path: Path) -> str:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        self._with_storage(partial(self._database, partial(self._store_file, path, digest)))
+        self._retry_storage(partial(self._database, partial(self._store_file, path, digest)))
         return digest
 
     def _store_file(self, path: Path, digest: str, session: Session) -> None:

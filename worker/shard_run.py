@@ -161,7 +161,7 @@ class ShardRun(LeasedRun[RunningShard]):
 
     def _fetch(self, stack: ExitStack, stage: Callable[[], AbstractContextManager[Path]]) -> Path:
         """Return where staged files are until the stack is closed."""
-        return self._with_storage(lambda: stack.enter_context(stage()))
+        return self._retry_storage(lambda: stack.enter_context(stage()))
 
     def _secret_file(self, stack: ExitStack) -> Path | None:
         """Return a file with the secret of the list to play, which only this user reads; None for the public list."""
@@ -185,7 +185,7 @@ class ShardRun(LeasedRun[RunningShard]):
                 if result.figures.problem is not None:
                     self._logger.warning("figures_not_measured", error=result.figures.problem)
             for file in files:
-                self._with_storage(partial(self._database, partial(self._keep_file, file)))
+                self._retry_storage(partial(self._database, partial(self._keep_file, file)))
 
     def _keep_file(self, file: UploadedFile, session: Session) -> None:
         stored_files.store(session, self._services.blobs, file.path, file.sha256)
@@ -225,7 +225,7 @@ class ShardRun(LeasedRun[RunningShard]):
         if digest is None:
             return None
         try:
-            content = self._with_storage(partial(self._services.blobs.read, digest))
+            content = self._retry_storage(partial(self._services.blobs.read, digest))
         except StoredFileLost:
             self._logger.warning("coefficients_lost", sha256=digest)
             return None

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.maniskill.env import seed_of
+from vitac.envs.maniskill.env import compute_seed
 from vitac.evaluator.agent.session import PolicySession
 from vitac.evaluator.episodes.episode import Policy, make_environment, run_episode
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
@@ -139,7 +139,7 @@ class BarePlay:
         actions: list[NDArray[np.float32]] = []
         policy, self.succeeded = self._make_policy(), False
         policy.reset(self._task.name)
-        seed = seed_of(self._task.env_id, episode.options)
+        seed = compute_seed(self._task.env_id, episode.options)
         observation, _ = self.env.reset(seed=seed, options={"reconfigure": True})
         while not self.succeeded and len(actions) < self._task.max_steps:
             actions.append(policy.act({"state": np.array(observation.cpu())[0]}))

@@ -85,10 +85,10 @@ class EvaluationProgress:
         if tenth > self._tenths_printed:
             self._tenths_printed = tenth
             line = f"{self._indent}{done}/{total} episodes, {_shown(progress['successes'])} successes"
-            self._console.print(line + _by_task(progress["tasks"]), highlight=False, soft_wrap=True)
+            self._console.print(line + _format_tasks(progress["tasks"]), highlight=False, soft_wrap=True)
 
 
-def _by_task(tasks: list[Json]) -> str:
+def _format_tasks(tasks: list[Json]) -> str:
     """Return the progress of each task, where there are several."""
     parts = [f"{task['task']} {task['episodes_done']}/{task['episodes_total']}" for task in tasks]
     return f" ({', '.join(parts)})" if len(parts) > 1 else ""

@@ -16,7 +16,7 @@ from ..terminal.output import AsJson, print_json
 from .http import make_client
 from .packing import pack
 from .progress import missing_tasks, nobody
-from .upload_kind import kind_of
+from .upload_kind import find_kind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -53,7 +53,7 @@ def command(
     Exit code 0: accepted (with --watch: completed), 1: refused, 2: wrong usage.
     """
     client = make_client(server, token_file)
-    kind = kind or kind_of(submission)
+    kind = kind or find_kind(submission)
     track = track or _find_track(submission, kind)
     with packed(submission) as archive, upload_bar(archive.stat().st_size, shown=not as_json) as on_position:
         answer = client.upload(
@@ -83,10 +83,10 @@ def _find_track(submission: Path, kind: SubmissionKind) -> str | None:
     """
     from vitac.evaluator.logs.log import LogReader
     from vitac.evaluator.logs.packing import open_log
-    from vitac.evaluator.submission.sources import manifest_of
+    from vitac.evaluator.submission.sources import read_manifest_file
 
     if kind is SubmissionKind.MODEL:
-        return manifest_of(submission).track
+        return read_manifest_file(submission).track
     if kind is SubmissionKind.TEXT_LOG:
         return None
     with open_log(submission) as stream:

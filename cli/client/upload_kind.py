@@ -13,6 +13,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def kind_of(path: Path) -> SubmissionKind:
+def find_kind(path: Path) -> SubmissionKind:
     """Return what a file or folder is; the service checks it anyway."""
     return SubmissionKind.MODEL if path.is_dir() else kind_of_file(path.name)

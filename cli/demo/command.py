@@ -67,7 +67,7 @@ def command(
     """
     if not submission.exists():
         raise DemoRefused(f"No submission found at {submission}. Run the demo in a checkout, or give --submission.")
-    from vitac.evaluator.submission.sources import manifest_of
+    from vitac.evaluator.submission.sources import read_manifest_file
 
     settings = load_settings(port=port, worker_slots=min(usable_cores(), MAX_SLOTS))
     display = DemoDisplay()
@@ -80,7 +80,7 @@ def command(
             display=display,
             stop=stop,
             submission=submission,
-            track=manifest_of(submission).track,
+            track=read_manifest_file(submission).track,
             again=again,
             log=log.fileno(),
         )

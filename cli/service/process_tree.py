@@ -10,7 +10,7 @@ from . import process_pool, web_process
 from .database import open_service
 from .process_pool import ProcessPool
 from .web_process import STATEMENT_TIMEOUT_S, serving
-from .web_server import address_of
+from .web_server import format_address
 
 if TYPE_CHECKING:
     import socket
@@ -76,7 +76,9 @@ def running_service(
             stack.enter_context(serving(services, listener))
         pool = ProcessPool(count=workers, log=log, environment=environment, notify=notify, command=process_pool.COMMAND)
         stack.callback(pool.stop)
-        yield RunningService(address=address_of(listener), database=services.database, workers=pool, servers=servers)
+        yield RunningService(
+            address=format_address(listener), database=services.database, workers=pool, servers=servers
+        )
 
 
 @contextmanager

@@ -82,7 +82,7 @@ def bind_or_any(host: str, port: int) -> socket.socket:
         return bind(host, 0)
 
 
-def address_of(listener: socket.socket) -> str:
+def format_address(listener: socket.socket) -> str:
     """Return the address to show: `http://127.0.0.1:8000`."""
     host, port = listener.getsockname()[:2]
     shown = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)  # noqa: S104

@@ -138,7 +138,7 @@ def _destination(path: Path, step: int | None) -> "Destination":
     """
     from vitac.envs.drawing.files import Destination
 
-    destination = Destination.at(path)
+    destination = Destination.from_path(path)
     if step is not None and destination.kind is not destination.kind.PNG:
         raise typer.BadParameter("expected a single PNG as output for one env step.", param_hint="--step")
     return destination

@@ -12,7 +12,7 @@ class NotDrawable(VitacError):
     """A task has no perspective, or nobody has said where it goes; the message says which tasks can be drawn."""
 
 
-def perspective_of(env_id: str) -> Perspective:
+def find_perspective(env_id: str) -> Perspective:
     """Return how the task of an environment is drawn.
 
     Raises:

@@ -61,7 +61,7 @@ class Destination:
     kind: Kind
 
     @classmethod
-    def at(cls, path: Path) -> "Destination":
+    def from_path(cls, path: Path) -> "Destination":
         """Return the kind that the suffix names; no suffix means a folder.
 
         Raises:

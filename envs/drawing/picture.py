@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..scene.perspective import Beside, Perspective
 from .camera_view import CameraStrip
 from .colouring import Quantity, colouring
-from .drawable import perspective_of
+from .drawable import find_perspective
 from .playback import TRUE_OFFSET, Moment, Playback
 from .plots import BELIEF_COLOUR, INK, QUIET, draw_progress, draw_section
 from .scene_view import SceneImage, SceneView
@@ -97,7 +97,7 @@ class Painter:
     def __init__(self, playback: Playback, caption: Caption, *, quantity: Quantity, width_px: int) -> None:
         self._playback = playback
         self._caption = caption
-        self._perspective = perspective_of(playback.env_id)
+        self._perspective = find_perspective(playback.env_id)
         self._size_px = picture_size_px(width_px)
         self._colouring = colouring(playback, quantity)
         self._cmap = _colour_map(quantity)

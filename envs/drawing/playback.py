@@ -137,7 +137,7 @@ def record(
         if action is None:
             break
         if belief is not None and TRUE_OFFSET in info:
-            moments[-1] = _with_belief(moments[-1], belief(len(info[TRUE_OFFSET])))
+            moments[-1] = _add_belief(moments[-1], belief(len(info[TRUE_OFFSET])))
         number, error = moments[-1].env_step + 1, moments[-1].belief_error
         if pace is Pace.IPC_STEP:
             env.scene.after_ipc_step = partial(_keep, moments, env.scene, number, observation, info)
@@ -158,7 +158,7 @@ def _keep(moments: list[Moment], scene: GraspedScene, env_step: int, observation
     moments.append(replace(made, belief_error=moments[-1].belief_error))
 
 
-def _with_belief(moment: Moment, believed: NDArray[np.float32] | None) -> Moment:
+def _add_belief(moment: Moment, believed: NDArray[np.float32] | None) -> Moment:
     """Return a moment with what the policy believes from now on; the same where it does not say."""
     return moment if believed is None else replace(moment, belief_error=believed - moment.info[TRUE_OFFSET])
 

@@ -140,7 +140,7 @@ class ManiSkillEnv:
         Raises:
             ResetOptionsError: an option is unknown.
         """
-        seed = seed_of(self._task.env_id, options)
+        seed = compute_seed(self._task.env_id, options)
         self._env_steps = 0
         with self._working("reset"):
             observation, info = self._env.reset(seed=seed, options={"reconfigure": True})
@@ -228,7 +228,7 @@ class ManiSkillEnv:
             self.physics_cpu_s += self._clock() - started
 
 
-def seed_of(env_id: str, options: Mapping[str, object]) -> int:
+def compute_seed(env_id: str, options: Mapping[str, object]) -> int:
     """Return the seed with which ManiSkill starts the episode of these options.
 
     Raises:

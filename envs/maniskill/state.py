@@ -47,13 +47,13 @@ class StateReader:
         bodies = self._env.scene.state_dict_registry
         for actor in bodies.actors.values():
             if actor.px_body_type != "static":
-                yield from _of_actor(actor)
+                yield from _read_actor(actor)
         for articulation in bodies.articulations.values():
-            yield from _of_articulation(articulation)
+            yield from _read_articulation(articulation)
         yield from _leaves(self._env.agent.get_controller_state())
 
 
-def _of_actor(actor: Any) -> tuple[NDArray[np.float32], ...]:
+def _read_actor(actor: Any) -> tuple[NDArray[np.float32], ...]:
     (entity,), (body,) = actor._objs, actor._bodies
     pose = entity.pose
     if actor.px_body_type != "dynamic":
@@ -61,7 +61,7 @@ def _of_actor(actor: Any) -> tuple[NDArray[np.float32], ...]:
     return pose.p, pose.q, body.linear_velocity, body.angular_velocity
 
 
-def _of_articulation(articulation: Any) -> tuple[NDArray[np.float32], ...]:
+def _read_articulation(articulation: Any) -> tuple[NDArray[np.float32], ...]:
     (joints,), (root,) = articulation._objs, articulation.root._objs
     pose = root.entity_pose
     return pose.p, pose.q, root.linear_velocity, root.angular_velocity, joints.qpos, joints.qvel

@@ -5,7 +5,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..drawing.drawable import NotDrawable, perspective_of
+from ..drawing.drawable import NotDrawable, find_perspective
 from ..drawing.playback import Moment, Playback
 from ..drawing.stress import cauchy_stress_pa, contact_pressure_pa, deformation_gradients, nodal_means
 from ..scene.perspective import Perspective
@@ -97,7 +97,7 @@ def _packed(playback: Playback, moments: list[Moment]) -> bytes:
 
 def _perspective(env_id: str) -> Perspective | None:
     try:
-        return perspective_of(env_id)
+        return find_perspective(env_id)
     except NotDrawable:
         return None
 

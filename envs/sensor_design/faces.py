@@ -13,7 +13,7 @@ MILLIMETRE_M = 1e-3
 _SENSING_COSINE = 0.5
 
 
-def gel_of(mesh: Tetrahedra, *, name: str) -> tuple[GelMesh, IndexArray]:
+def make_gel(mesh: Tetrahedra, *, name: str) -> tuple[GelMesh, IndexArray]:
     """Return the gel of a mesh, with the middle of its thickness at z = 0, and its sensing triangles, shape [s, 3].
 
     The faces in the plane of the base are driven. Faces of the outer shell that lean at most 60 degrees from that plane

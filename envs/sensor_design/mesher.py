@@ -15,7 +15,7 @@ from ..errors import VitacError
 from .columns import Columns
 from .crossings import farthest
 from .height_field import HeightField, Line, heights_of_faces_mm
-from .outlines import add_outlines, in_mm, on_grid
+from .outlines import add_outlines, convert_to_mm, snap_to_grid
 from .plane_mesh import GRID_PER_MM, PlaneMesh, TooManyPoints
 from .refining import refined_tips
 from .sampling import pulled_corners, samples_of_triangles_mm
@@ -91,9 +91,9 @@ def mesh_height_field(surface: DrawnSurface, goal: MeshGoal) -> Tetrahedra:
             outlined = _outlined(list(field.lines(crease_cosine=cosine)), goal)
             for longest_mm in _LONGEST_MM:
                 mesh = _meshed(field, deepcopy(outlined), longest_mm)
-                best = _Deviation.of(mesh, surface)
+                best = _Deviation.measure(mesh, surface)
                 if best.is_within(goal) and goal.min_nodes <= len(mesh.nodes_mm) <= goal.max_nodes:
-                    return _with_tips(mesh, goal)
+                    return _refine_tips(mesh, goal)
         except TooManyPoints:
             continue
     raise FeatureBelowResolution(
@@ -102,7 +102,7 @@ def mesh_height_field(surface: DrawnSurface, goal: MeshGoal) -> Tetrahedra:
     )
 
 
-def _with_tips(mesh: Tetrahedra, goal: MeshGoal) -> Tetrahedra:
+def _refine_tips(mesh: Tetrahedra, goal: MeshGoal) -> Tetrahedra:
     """Return the mesh with nodes enough in its tips, or with half or less of them where tetrahedra get too flat."""
     fewest = goal.min_tip_nodes
     while fewest > 1:
@@ -130,7 +130,7 @@ class _Deviation:
     quality: float
 
     @classmethod
-    def of(cls, mesh: Tetrahedra, surface: DrawnSurface) -> "_Deviation":
+    def measure(cls, mesh: Tetrahedra, surface: DrawnSurface) -> "_Deviation":
         return cls(
             nodes=len(mesh.nodes_mm),
             distance_mm=max_distance_mm(mesh.surface, surface),
@@ -162,7 +162,7 @@ def max_distance_mm(first: DrawnSurface, second: DrawnSurface) -> float:
 def _outlined(lines: list[Line], goal: MeshGoal) -> PlaneMesh:
     """Return the plane mesh of the base with the outlines of the faces and nothing else."""
     half_mm = (0.5 * goal.length_mm, 0.5 * goal.width_mm)
-    plane = PlaneMesh(on_grid(half_mm[0]), on_grid(half_mm[1]), max_points=goal.max_nodes // 2)
+    plane = PlaneMesh(snap_to_grid(half_mm[0]), snap_to_grid(half_mm[1]), max_points=goal.max_nodes // 2)
     add_outlines(plane, lines, half_mm)
     return plane
 
@@ -170,7 +170,7 @@ def _outlined(lines: list[Line], goal: MeshGoal) -> PlaneMesh:
 def _meshed(field: HeightField, plane: PlaneMesh, longest_mm: float) -> Tetrahedra:
     columns = _refined(plane, field, longest_mm)
     return Tetrahedra(
-        nodes_mm=np.array([(*in_mm(plane.points[point]), height) for point, height in columns.nodes()]),
+        nodes_mm=np.array([(*convert_to_mm(plane.points[point]), height) for point, height in columns.nodes()]),
         corners=np.array(columns.tetrahedra(), dtype=np.int64),
     )
 
@@ -185,7 +185,7 @@ def _refined(plane: PlaneMesh, field: HeightField, longest_mm: float) -> Columns
         columns = _columns(plane, field)
         height_mm = heights_of_faces_mm(probes_mm[:, :2], probes_mm[:, :2], columns.top_corners_mm())
         error_mm = np.abs(height_mm - probes_mm[:, 2]) * upward
-        added = [plane.add_near((on_grid(x), on_grid(y)), shortest) for x, y in _worst(probes_mm, error_mm)]
+        added = [plane.add_near((snap_to_grid(x), snap_to_grid(y)), shortest) for x, y in _worst(probes_mm, error_mm)]
         if not any(added):
             break
     return columns
@@ -203,7 +203,7 @@ def _worst(probes_mm: FloatArray, error_mm: FloatArray) -> list[PlanePoint]:
 
 def _columns(plane: PlaneMesh, field: HeightField) -> Columns:
     triangles = plane.triangles
-    corners_mm = np.array([[in_mm(plane.points[corner]) for corner in triangle] for triangle in triangles])
+    corners_mm = np.array([[convert_to_mm(plane.points[corner]) for corner in triangle] for triangle in triangles])
     inside_mm = pulled_corners(corners_mm, _INSIDE_MM).reshape(-1, 2)
     heights_mm = heights_of_faces_mm(inside_mm, corners_mm.reshape(-1, 2), field.upper_corners_mm)
     return Columns(

@@ -34,17 +34,17 @@ def add_outlines(plane: PlaneMesh, lines: list[Line], half_mm: PlanePoint) -> No
         TooManyPoints: the outlines alone have more corners than the mesh may have points.
     """
     for first, second, is_wall in _simplified(_pieces(lines, half_mm)):
-        a, b = (plane.add_point((on_grid(x), on_grid(y))) for x, y in (first, second))
+        a, b = (plane.add_point((snap_to_grid(x), snap_to_grid(y))) for x, y in (first, second))
         if a != b:
             plane.add_segment(a, b, is_wall=is_wall)
 
 
-def on_grid(value_mm: float) -> int:
+def snap_to_grid(value_mm: float) -> int:
     """Return a coordinate of the plane mesh."""
     return round(value_mm * GRID_PER_MM)
 
 
-def in_mm(point: Point) -> PlanePoint:
+def convert_to_mm(point: Point) -> PlanePoint:
     """Return x and y of a point of the plane mesh [mm]."""
     return point[0] / GRID_PER_MM, point[1] / GRID_PER_MM
 

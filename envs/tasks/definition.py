@@ -135,7 +135,7 @@ def chosen_observables(listed: Sequence[Observable[Any]], keys: Collection[str])
     return tuple(entry for entry in listed if entry.name in keys)
 
 
-def with_tables(docstring: str, task: TaskDefinition) -> str:
+def append_tables(docstring: str, task: TaskDefinition) -> str:
     """Return the docstring of an environment with the tables of its actions and observations at the end."""
     actions = [
         f"| {index} | {component.name} | {component.scale:g} {component.unit} | {component.meaning} |"

@@ -26,7 +26,7 @@ from ..scene.stopwatch import Stopwatch
 from ..tactile.design import SensorDesign
 from ..vision.still import StillCamera
 from .contact_model import with_contact_model
-from .definition import TaskDefinition, chosen_observables, with_tables
+from .definition import TaskDefinition, append_tables, chosen_observables
 from .ending import EndReason, Flags
 from .options import RNG_SEED, chosen_shapes, refuse_unknown, seeded_generator
 from .quantities import check_draws
@@ -120,7 +120,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         """Add the tables of the task's actions and observations to the docstring; a base of several tasks has none."""
         super().__init_subclass__(**keywords)
         if cls.__doc__ and hasattr(cls, "task"):
-            cls.__doc__ = with_tables(cls.__doc__, cls.task)
+            cls.__doc__ = append_tables(cls.__doc__, cls.task)
 
     def __init__(
         self,

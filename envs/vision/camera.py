@@ -51,7 +51,7 @@ class Sight:
 
     @cached_property
     def _view(self) -> View:
-        in_camera_m = self.pose.in_camera(self._vertices_m)
+        in_camera_m = self.pose.transform_to_camera(self._vertices_m)
         return rasterize(
             in_camera_m, self._surfaces.triangles, COLOUR_INTRINSICS, height_px=HEIGHT_PX, width_px=WIDTH_PX
         )

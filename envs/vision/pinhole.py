@@ -26,7 +26,7 @@ class CameraPose:
     world_from_camera: FloatArray
     position_m: FloatArray
 
-    def in_camera(self, points_m: FloatArray) -> FloatArray:
+    def transform_to_camera(self, points_m: FloatArray) -> FloatArray:
         """Return the world positions in the camera's frame [m], shape [n, 3]."""
         return _is_in_frame(points_m, self.world_from_camera, self.position_m)
 

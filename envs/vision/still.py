@@ -48,7 +48,7 @@ class StillCamera:
         """Return how the scene looks now: red, green and blue, shape [480, 640, 3]."""
         vertices_m = self._vertices_m()
         view = rasterize(
-            self._pose.in_camera(vertices_m),
+            self._pose.transform_to_camera(vertices_m),
             self._surfaces.triangles,
             self._intrinsics,
             height_px=HEIGHT_PX,
@@ -72,7 +72,7 @@ def _framing(vertices_m: FloatArray, perspective: Perspective) -> tuple[CameraPo
     seen_m = vertices_m @ rotation
     middle_m = 0.5 * (seen_m.min(axis=0) + seen_m.max(axis=0))
     pose = CameraPose(world_from_camera=rotation, position_m=rotation @ middle_m - _DISTANCE_M * away)
-    x, y, z = pose.in_camera(vertices_m).T
+    x, y, z = pose.transform_to_camera(vertices_m).T
     reach_u, reach_v = np.abs(x / z).max() / WIDTH_PX, np.abs(y / z).max() / HEIGHT_PX
     focal_px = (0.5 - _MARGIN) / max(reach_u, reach_v)
     return pose, Intrinsics(focal_px, focal_px, 0.5 * WIDTH_PX, 0.5 * HEIGHT_PX)

@@ -238,7 +238,7 @@ def run(probes: tuple[Probe, ...] = PROBES) -> Iterator[Outcome]:
         (submission / "policy.py").write_text(_policy(probes, canary))
         with _Sessions(submission) as sessions:
             for probe in probes:
-                yield _with_canary(probe, sessions)
+                yield _run_with_canary(probe, sessions)
 
 
 def is_safe(outcomes: list[Outcome]) -> bool:
@@ -287,7 +287,7 @@ def _policy(probes: tuple[Probe, ...], canary: Path) -> str:
     return code
 
 
-def _with_canary(probe: Probe, sessions: _Sessions) -> Outcome:
+def _run_with_canary(probe: Probe, sessions: _Sessions) -> Outcome:
     """Run a probe while the evaluator's own environment holds a secret."""
     os.environ["VITAC_CANARY"] = CANARY
     try:

@@ -123,7 +123,7 @@ def make_environment(
         settings: in place of the task's own, for measurements.
     """
     if is_maniskill(task.env_id):
-        return _of_maniskill(task, observation_keys)
+        return _make_maniskill(task, observation_keys)
     import gymnasium
     import vitac.envs  # noqa: F401 - registers the environment ids
 
@@ -135,7 +135,7 @@ def make_environment(
     return cast(Environment, env.unwrapped)
 
 
-def _of_maniskill(task: Task, observation_keys: Sequence[str] | None) -> Environment:
+def _make_maniskill(task: Task, observation_keys: Sequence[str] | None) -> Environment:
     """Return an environment of ManiSkill, which the challenge's own meshes and sensors play no part in."""
     from vitac.envs.maniskill.env import ManiSkillEnv
 

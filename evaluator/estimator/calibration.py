@@ -9,7 +9,7 @@ import numpy as np
 from ..episodes.episode import Environment, make_environment
 from ..sensors.made import read_design
 from ..tracks import Task
-from .controller import Vector, in_gripper_frame, with_motion
+from .controller import Vector, append_motion, rotate_to_gripper
 from .features import compute_features
 from .regression import Coefficients, fit
 
@@ -77,8 +77,8 @@ def _episode(env: Environment, task: Task, number: int) -> Iterator[Sample]:
     for env_step in range(ENV_STEPS):
         if info["end_reason"] is not None:
             return
-        offset = in_gripper_frame(_floats(info["gt_offset_mm_deg"]))
-        yield env_step, with_motion(compute_features(cast(Any, observation["marker_flow"])), motion, scale), offset
+        offset = rotate_to_gripper(_floats(info["gt_offset_mm_deg"]))
+        yield env_step, append_motion(compute_features(cast(Any, observation["marker_flow"])), motion, scale), offset
         if env_step == ENV_STEPS - 1:
             return
         action = _action(offset, scale, random)

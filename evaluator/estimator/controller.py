@@ -38,7 +38,7 @@ class Controller:
     def _updated(self, features: Vector) -> list[float]:
         """Return the estimate, old and new weighed by their variances (a scalar Kalman filter for each axis)."""
         regression = self._regressions[min(self._env_steps, len(self._regressions) - 1)]
-        found = regression.predict(with_motion(features, self._last_motion, self._scale))
+        found = regression.predict(append_motion(features, self._last_motion, self._scale))
         if self._estimate is None:
             self._variances = list(regression.variances)
             return found
@@ -51,12 +51,12 @@ class Controller:
         return estimate
 
 
-def with_motion(features: Vector, motion: Vector, scale: Vector) -> list[float]:
+def append_motion(features: Vector, motion: Vector, scale: Vector) -> list[float]:
     """Return the features with the last motion behind them, 1 where it was the longest."""
     return [*features, *(value / unit for value, unit in zip(motion, scale, strict=True))]
 
 
-def in_gripper_frame(offset: Vector) -> list[float]:
+def rotate_to_gripper(offset: Vector) -> list[float]:
     """Return an offset [mm, mm, deg] of the world's frame in that of the gripper."""
     x, y, theta_deg = offset
     return [*_turned(x, y, theta_deg), theta_deg]

@@ -30,7 +30,7 @@ class EvaluationReport(StrictModel):
     episodes: tuple[EpisodeRecord, ...]
 
     @classmethod
-    def of(cls, evaluation: Evaluation, *, name: str, digest: str) -> Self:
+    def from_evaluation(cls, evaluation: Evaluation, *, name: str, digest: str) -> Self:
         """Return the report on an evaluation of the submission of that name and digest."""
         return cls(
             name=name,

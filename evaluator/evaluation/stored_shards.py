@@ -15,7 +15,7 @@ from ..episodes.records import EpisodeRecord
 from ..shards.order import ShardOrder
 from ..shards.result import ShardResult
 from ..strict_model import StrictModel
-from ..tracks.versions import version_of
+from ..tracks.versions import find_version
 from ..version import platform_class
 
 # A shard that was neither finished nor used again for this time [s] is removed.
@@ -79,7 +79,7 @@ class StoredShards:
                 raise
 
     def _path(self, order: ShardOrder) -> Path:
-        parts = (version_of(order.track), platform_class(), self._of, order.model_dump_json(exclude=set(_NO_CONTENT)))
+        parts = (find_version(order.track), platform_class(), self._of, order.model_dump_json(exclude=set(_NO_CONTENT)))
         digest = hashlib.sha256("\0".join(parts).encode()).hexdigest()
         return self._folder / f"{digest}.json"
 

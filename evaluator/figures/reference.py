@@ -30,13 +30,13 @@ def reference_design() -> "SensorDesign":
 
 def design_of_gel(gel: "GelMesh") -> "SensorDesign":
     """Return a gel with the default camera and markers, driven and sensing where its geometry says so."""
-    from vitac.envs.sensor_design.faces import gel_of
+    from vitac.envs.sensor_design.faces import make_gel
     from vitac.envs.sensor_design.tetrahedra import Tetrahedra
     from vitac.envs.tactile.design import SensorDesign
 
     nodes_mm = 1e3 * gel.rest_position_m
     nodes_mm[:, 2] -= nodes_mm[:, 2].min()
-    placed, sensing = gel_of(Tetrahedra(nodes_mm=nodes_mm, corners=gel.tetrahedra), name=gel.name)
+    placed, sensing = make_gel(Tetrahedra(nodes_mm=nodes_mm, corners=gel.tetrahedra), name=gel.name)
     manifest = SensorManifest()
     return SensorDesign(
         gel=placed,

@@ -148,14 +148,14 @@ def refined_design(design: "SensorDesign", times: float) -> "SensorDesign":
         design: of the sensor.
         times: above 1.
     """
-    from vitac.envs.sensor_design.faces import gel_of
+    from vitac.envs.sensor_design.faces import make_gel
     from vitac.envs.sensor_design.refining import refined
     from vitac.envs.sensor_design.tetrahedra import Tetrahedra
 
     nodes_mm = 1e3 * design.gel.rest_position_m
     nodes_mm[:, 2] -= nodes_mm[:, 2].min()
     mesh = refined(Tetrahedra(nodes_mm=nodes_mm, corners=design.gel.tetrahedra), int(times * len(nodes_mm)))
-    gel, sensing = gel_of(mesh, name=design.gel.name)
+    gel, sensing = make_gel(mesh, name=design.gel.name)
     return replace(design, gel=gel, sensing_triangles=sensing)
 
 

@@ -9,7 +9,7 @@ from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure
 from ..scoring.failures import breaking_failure
 from ..tracks import Task, Track
 from ..tracks.cut import cut
-from ..tracks.versions import differing_parts, parts_of, version_of
+from ..tracks.versions import differing_parts, find_version, list_parts
 from .findings import Impossibility, ImpossibleReason
 from .log import LogHeader
 from .recordings import RecordingRejected, make_recording
@@ -32,8 +32,8 @@ def known_without_running(track: Track, task: Task) -> dict[str, object]:
         "task": task.name,
         "list_seed": task.episode_list.list_seed,
         "task_hash": task.digest(),
-        "evaluator_version": version_of(track.name),
-        "evaluator_parts": parts_of(track.name),
+        "evaluator_version": find_version(track.name),
+        "evaluator_parts": list_parts(track.name),
     }
 
 

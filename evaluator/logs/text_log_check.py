@@ -57,7 +57,7 @@ class TextLogCheck(StrictModel):
         )
 
     @classmethod
-    def of(cls, path: Path, on_test: Callable[[int], object]) -> Self:
+    def from_file(cls, path: Path, on_test: Callable[[int], object]) -> Self:
         """Check and re-simulate a text log.
 
         Args:

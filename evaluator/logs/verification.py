@@ -120,9 +120,9 @@ def check_episode(
     tolerant = other_platform or not task.definition.repeats
     ended_as_recorded = _ended_as_recorded(record, played)
     if tolerant and not ended_as_recorded:
-        divergence = _divergence_at(min(record.env_steps, played.end_step or record.env_steps), record, played)
+        divergence = _make_divergence(min(record.env_steps, played.end_step or record.env_steps), record, played)
     return CheckedEpisode(
-        record=_with_our_states(record, played),
+        record=_replace_states(record, played),
         divergence=divergence,
         finding=None if divergence and tolerant and ended_as_recorded else _finding(divergence, record, played),
     )
@@ -143,10 +143,10 @@ def find_divergence(record: EpisodeRecord, played: Resimulated) -> Divergence | 
     step = next((step for step, (recorded, ours) in enumerate(pairs) if recorded != ours), None)
     if step is None and _ended_as_recorded(record, played):
         return None
-    return _divergence_at(record.env_steps if step is None else step, record, played)
+    return _make_divergence(record.env_steps if step is None else step, record, played)
 
 
-def _divergence_at(step: int, record: EpisodeRecord, played: Resimulated) -> Divergence:
+def _make_divergence(step: int, record: EpisodeRecord, played: Resimulated) -> Divergence:
     recorded, ours = (record.infos[step - 1], played.infos[step - 1]) if step else (None, None)
     return Divergence(
         episode=record.episode,
@@ -170,7 +170,7 @@ def _ended_as_recorded(record: EpisodeRecord, played: Resimulated) -> bool:
     return (record.outcome, record.env_steps) == (played.outcome, played.end_step)
 
 
-def _with_our_states(record: EpisodeRecord, played: Resimulated) -> EpisodeRecord:
+def _replace_states(record: EpisodeRecord, played: Resimulated) -> EpisodeRecord:
     """Return the record with re-simulated values; the log's own claims, except actions and end, are dropped."""
     failure = record.failure and record.failure.model_copy(
         update={"message": "Claimed by the log; the policy was not seen.", "output_tail": ""}

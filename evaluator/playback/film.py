@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from ..episodes.records import EpisodeRecord
 from ..tracks import Task
 from .order import FILM_FILE, STILL_FILE
-from .recorded import require_same_end, require_same_state, start_of
+from .recorded import find_start, require_same_end, require_same_state
 
 if TYPE_CHECKING:
     from vitac.envs.maniskill.env import ManiSkillEnv
@@ -42,9 +42,9 @@ def make_film(
             yield last
         require_same_end(shot.moment.env_step, record)
 
-    Destination.at(folder / FILM_FILE).write(frames(), end_ms=END_MS)
+    Destination.from_path(folder / FILM_FILE).write(frames(), end_ms=END_MS)
     assert last is not None  # noqa: S101 - the start is drawn in any case
-    Destination.at(folder / STILL_FILE).write([last])
+    Destination.from_path(folder / STILL_FILE).write([last])
 
 
 def _as_recorded(
@@ -54,7 +54,7 @@ def _as_recorded(
     from vitac.envs.maniskill.film import play
 
     remaining = iter(record.actions.to_array())
-    options = start_of(task, record, list_seed).options
+    options = find_start(task, record, list_seed).options
     for moment in play(env, options=options, next_action=lambda _, __: next(remaining, None)):
         require_same_state(env.state_hash(), record, moment.env_step)
         on_step(moment.env_step)

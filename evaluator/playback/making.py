@@ -19,7 +19,7 @@ from ..episodes.records import EpisodeRecord
 from ..tracks import Task, load_track
 from .film import make_film
 from .order import CAMERAS_FILE, SCENE_FILE, STILL_FILE, NotPlayable, PlaybackMessage, PlaybackOrder
-from .recorded import require_same_end, require_same_state, start_of
+from .recorded import find_start, require_same_end, require_same_state
 
 if TYPE_CHECKING:
     import numpy as np
@@ -91,7 +91,9 @@ def replay(
         played += 1
         return next(remaining, None)
 
-    playback = play(env, options=start_of(task, record, list_seed).options, next_action=next_action, pace=Pace.IPC_STEP)
+    playback = play(
+        env, options=find_start(task, record, list_seed).options, next_action=next_action, pace=Pace.IPC_STEP
+    )
     last = playback.moments[-1].env_step
     require_same_state(env.state_hash(), record, last)
     require_same_end(last, record)
@@ -120,7 +122,7 @@ def _draw_still(playback: "Playback", title: str, folder: Path) -> None:
         moments=slice(-1, None),
     )
     with suppress(NotDrawable):
-        Destination.at(folder / STILL_FILE).write(Frame(picture=picture, name="still") for picture in pictures)
+        Destination.from_path(folder / STILL_FILE).write(Frame(picture=picture, name="still") for picture in pictures)
 
 
 def serve(order: bytes, answers: IO[str]) -> None:

@@ -10,7 +10,7 @@ class StatesDiffer(VitacError):
     """A re-simulated state is not the recorded one, so what would be shown is not what was scored."""
 
 
-def start_of(task: Task, record: EpisodeRecord, list_seed: int | None = None) -> Episode:
+def find_start(task: Task, record: EpisodeRecord, list_seed: int | None = None) -> Episode:
     """Return where a recorded episode started, in the public list or in one with another seed."""
     listed = task.episode_list
     return Episode(

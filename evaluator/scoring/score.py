@@ -85,11 +85,11 @@ def score(records: Collection[EpisodeRecord]) -> Score:
     return Score(
         **dict(rate(len(steps), len(records))),
         mean_steps=fmean(steps) if steps else None,
-        by_shape={shape: _rate_of(record for record in records if record.shape == shape) for shape in shapes},
+        by_shape={shape: _compute_rate(record for record in records if record.shape == shape) for shape in shapes},
         outcomes=dict(sorted(Counter(record.outcome for record in records).items())),
     )
 
 
-def _rate_of(records: Iterable[EpisodeRecord]) -> Rate:
+def _compute_rate(records: Iterable[EpisodeRecord]) -> Rate:
     solved = [record.success for record in records]
     return rate(sum(solved), len(solved))

@@ -39,10 +39,10 @@ def appearance(made: MadeSensor) -> Appearance:
         MadeSensorDamaged: the mesh is not the one of its digest.
     """
     import numpy as np
-    from vitac.envs.sensor_design.faces import gel_of
+    from vitac.envs.sensor_design.faces import make_gel
 
     mesh = made.mesh()
-    gel, sensing = gel_of(mesh, name="the gel")
+    gel, sensing = make_gel(mesh, name="the gel")
     triangles = gel.surface_triangles
     kinds = np.where(gel.driven[triangles].all(axis=1), DRIVEN, 0)
     rows = {tuple(sorted(row)) for row in sensing.tolist()}

@@ -81,11 +81,11 @@ class MadeSensor(StrictModel):
         Raises:
             MadeSensorDamaged: the mesh is not the one of its digest.
         """
-        from vitac.envs.sensor_design.faces import gel_of
+        from vitac.envs.sensor_design.faces import make_gel
         from vitac.envs.tactile.camera import CameraIntrinsics
         from vitac.envs.tactile.design import SensorDesign
 
-        gel, sensing = gel_of(self.mesh(), name="the gel")
+        gel, sensing = make_gel(self.mesh(), name="the gel")
         return SensorDesign(
             gel=gel,
             sensing_triangles=sensing,

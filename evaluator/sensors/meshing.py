@@ -48,10 +48,10 @@ class MeshedGel:
 
     def design(self, manifest: SensorManifest) -> "SensorDesign":
         """Return the sensor that is simulated."""
-        from vitac.envs.sensor_design.faces import gel_of
+        from vitac.envs.sensor_design.faces import make_gel
         from vitac.envs.tactile.design import SensorDesign
 
-        gel, sensing = gel_of(self.mesh, name="the gel")
+        gel, sensing = make_gel(self.mesh, name="the gel")
         return SensorDesign(
             gel=gel,
             sensing_triangles=sensing,
@@ -116,7 +116,7 @@ class MeshCheck:
     def _read(self, path: Path) -> Tetrahedra | None:
         """Return the mesh of a tet.msh with the low corner of its box where that of the base is."""
         from vitac.envs.fem.model.mesh import MeshError
-        from vitac.envs.sensor_design.faces import gel_of
+        from vitac.envs.sensor_design.faces import make_gel
         from vitac.envs.tactile.gel_files import GelFilesError, read_gmsh
 
         limits = self._limits
@@ -137,7 +137,7 @@ class MeshCheck:
         nodes_mm = nodes_m * _METRE_MM
         mesh = Tetrahedra(nodes_mm=nodes_mm - nodes_mm.min(axis=0) - to, corners=corners)
         try:
-            gel_of(mesh, name=path.name)
+            make_gel(mesh, name=path.name)
         except MeshError as error:
             self._refuse(Rule.TET_MSH, "cannot be simulated", "positive tetrahedra in metres", error)
             return None

@@ -97,7 +97,7 @@ def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnE
         slot=order.slot,
         assets_dir=order.assets_dir,
         load_policy=partial(preparation.policy, load),
-        make_env=partial(preparation.environment, partial(make_environment, sensor=_sensor_of(order))),
+        make_env=partial(preparation.environment, partial(make_environment, sensor=_find_sensor(order))),
         skip=order.skip,
         failures=list(order.earlier_failures),
     )
@@ -107,7 +107,7 @@ def _run_estimator(ordered: OrderedShard, _: Preparation, on_episode: OnEpisode)
     return run_estimator(ordered.order, ordered.track, ordered.task, ordered.shard, on_episode)
 
 
-def _sensor_of(order: ShardOrder) -> "SensorDesign | None":
+def _find_sensor(order: ShardOrder) -> "SensorDesign | None":
     return read_design(order.sensor) if order.sensor else None
 
 

@@ -63,11 +63,11 @@ def resimulate_log(part: LogShard, on_episode: Callable[[EpisodeRecord], None]) 
     """
     env = part.make_env(part.task, None, ())
     manifest = make_manifest(part.track, part.task, env)
-    finding = _why_impossible(part, manifest) or _first_divergence(part, env, manifest, on_episode)
+    finding = _explain_impossible(part, manifest) or _first_divergence(part, env, manifest, on_episode)
     return part.result(manifest, finding)
 
 
-def _why_impossible(part: LogShard, manifest: Manifest) -> LogFinding | None:
+def _explain_impossible(part: LogShard, manifest: Manifest) -> LogFinding | None:
     """Return the upload was checked, but not against the mesh and the solver, which only an environment knows."""
     with open_log(part.log) as stream:
         reader = LogReader(stream)

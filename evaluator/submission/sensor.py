@@ -56,8 +56,8 @@ def make_sensor(folder: Path, *, limits: Limits = LIMITS, wall_s: float = WALL_S
     )
     uid = bubblewrap.sandbox_uid(0)
     with contextlib.ExitStack() as exits:
-        filter_file = exits.enter_context(bubblewrap.file_of(seccomp.filter_program()))
-        passwd = exits.enter_context(bubblewrap.file_of(bubblewrap.passwd_file(uid)))
+        filter_file = exits.enter_context(bubblewrap.open_data(seccomp.filter_program()))
+        passwd = exits.enter_context(bubblewrap.open_data(bubblewrap.passwd_file(uid)))
         command = bubblewrap.tool_command(
             tool, interpreter=interpreter.current(), limits=limits, uid=uid, seccomp=filter_file, passwd=passwd
         )

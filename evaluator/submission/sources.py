@@ -56,7 +56,7 @@ def _unknown_track(path: Path) -> str:
     )
 
 
-def manifest_of(source: Path, limits: Limits | None = None) -> SubmissionManifest:
+def read_manifest_file(source: Path, limits: Limits | None = None) -> SubmissionManifest:
     """Read the manifest of a zip or a folder; nothing is unpacked.
 
     Raises:
@@ -99,7 +99,7 @@ def stage(source: Path, destination: Path, limits: Limits | None = None) -> Path
     """
     limits = limits or Limits()
     if source.is_file():
-        manifest_of(source, limits)  # refuses the folder of another track
+        read_manifest_file(source, limits)  # refuses the folder of another track
         return unpack(source, destination, limits)
     found = find_submission(source)
     top = top_folder(found)

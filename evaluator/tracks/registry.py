@@ -91,7 +91,7 @@ def _tracks_by_task(further: str | None) -> Mapping[str, Track]:
 @cache
 def _find_track_files(further: str | None) -> Mapping[str, Path]:
     """Return the files by track; looked for once in a process, as the evaluator's version is."""
-    own = _files_in(Path(__file__).parent)
+    own = _list_files(Path(__file__).parent)
     if not further:
         return own
     added = _further_files(further)
@@ -104,10 +104,10 @@ def _find_track_files(further: str | None) -> Mapping[str, Path]:
 
 @cache
 def _further_files(folder: str) -> dict[str, Path]:
-    return _files_in(Path(folder))
+    return _list_files(Path(folder))
 
 
-def _files_in(folder: Path) -> dict[str, Path]:
+def _list_files(folder: Path) -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 

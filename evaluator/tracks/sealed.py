@@ -99,11 +99,11 @@ def sealed_track(track: Track, secret: bytes) -> Track:
     Raises:
         SecretRejected: a task refuses every start that was drawn.
     """
-    tasks = {name: _with(task, episode_list=_derived(track, task, secret)) for name, task in track.tasks.items()}
-    return _with(track, tasks=tasks)
+    tasks = {name: _copy_with(task, episode_list=_derived(track, task, secret)) for name, task in track.tasks.items()}
+    return _copy_with(track, tasks=tasks)
 
 
-def _with(model: ModelT, **changes: object) -> ModelT:
+def _copy_with(model: ModelT, **changes: object) -> ModelT:
     """Return the model with other fields, and without what the given one has computed and kept."""
     return type(model)(**({name: getattr(model, name) for name in type(model).model_fields} | changes))
 

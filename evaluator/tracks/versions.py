@@ -13,31 +13,31 @@ from pathlib import Path
 
 from vitac.envs.tasks.registry import find_package
 
-from ..version import evaluator_hash, evaluator_parts, evaluator_version, sources_hash, version_with
+from ..version import evaluator_hash, evaluator_parts, evaluator_version, format_version, sources_hash
 from .registry import further_track_files, list_tracks, load_track
 
 
-def version_of(track: str) -> str:
+def find_version(track: str) -> str:
     """Return what results of a track are made with; a track that is gone has the version of our own sources."""
-    return version_with(hash_of(track))
+    return format_version(compute_hash(track))
 
 
-def hash_of(track: str) -> str:
+def compute_hash(track: str) -> str:
     """Return the SHA-256 [hex] of all that moves a score of a track."""
     return _hash_with_added(track) if _added_parts(track) else evaluator_hash()
 
 
-def parts_of(track: str) -> Mapping[str, str]:
+def list_parts(track: str) -> Mapping[str, str]:
     """Return what the hash of a track is made of, by name, each as its version or SHA-256."""
     return {**evaluator_parts(), **_added_parts(track)}
 
 
 def current_versions() -> frozenset[str]:
     """Return the versions of all tracks."""
-    return frozenset({evaluator_version(), *map(version_of, list_tracks())})
+    return frozenset({evaluator_version(), *map(find_version, list_tracks())})
 
 
-def evaluator_of(version: str) -> str:
+def find_evaluator(version: str) -> str:
     """Return the evaluator that has a version of a track: this one for all of its own; an older version as it is."""
     return evaluator_version() if version in current_versions() else version
 

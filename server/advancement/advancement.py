@@ -10,7 +10,7 @@ from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from ..audit import record
-from ..confirmations import require_base, revision_of
+from ..confirmations import compute_revision, require_base
 from ..contest.contest import Contest
 from ..contest.definition import Advancement
 from ..contest.stages import Stage
@@ -50,7 +50,7 @@ def propose(session: Session, by: Principal, stage: Stage) -> AdvancementView:
         unranked=[entry.team for entry in entries if entry.rank is None],
         running=count_running(session, before),
         confirmed=sorted(qualified.values()),
-        revision=_revision_of(qualified),
+        revision=_compute_revision(qualified),
     )
 
 
@@ -93,7 +93,7 @@ def confirm(
         require_base(
             f"the list of teams confirmed for {stage}",
             base=base,
-            revision=_revision_of(previous),
+            revision=_compute_revision(previous),
             difference=lambda: f"Yours would add {_names(new)} and take away {_names(leaving)}.",
         )
     _refuse_loss(session, stage, previous.keys() - chosen.keys())
@@ -118,7 +118,7 @@ def confirm(
 
 def qualified_revision(session: Session, stage: Stage) -> str:
     """Return what a decision says that it was made against; empty where no team is confirmed."""
-    return _revision_of(_qualified(session, stage))
+    return _compute_revision(_qualified(session, stage))
 
 
 def qualified_teams(session: Session, stage: Stage) -> list[str]:
@@ -202,8 +202,8 @@ def _qualified(session: Session, stage: Stage) -> dict[UUID, str]:
     return {row.id: row.name for row in rows}
 
 
-def _revision_of(qualified: Mapping[UUID, str]) -> str:
-    return revision_of(sorted(map(str, qualified)))
+def _compute_revision(qualified: Mapping[UUID, str]) -> str:
+    return compute_revision(sorted(map(str, qualified)))
 
 
 def _names(teams: Iterable[tuple[UUID, str]]) -> str:

@@ -53,14 +53,14 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
 
 def install(app: FastAPI) -> None:
     """Make every error of the app a problem."""
-    app.add_exception_handler(ServiceError, _on_service_error)
-    app.add_exception_handler(RequestValidationError, _on_invalid_request)
-    app.add_exception_handler(HTTPException, _on_http_error)
-    app.add_exception_handler(SQLAlchemyError, _on_failure)
-    app.add_exception_handler(OSError, _on_failure)
-    app.add_exception_handler(UnknownTrack, _on_failure)
-    app.add_exception_handler(UnknownTask, _on_failure)
-    app.add_exception_handler(Exception, _on_bug)
+    app.add_exception_handler(ServiceError, _answer_service_error)
+    app.add_exception_handler(RequestValidationError, _answer_invalid_request)
+    app.add_exception_handler(HTTPException, _answer_http_error)
+    app.add_exception_handler(SQLAlchemyError, _answer_failure)
+    app.add_exception_handler(OSError, _answer_failure)
+    app.add_exception_handler(UnknownTrack, _answer_failure)
+    app.add_exception_handler(UnknownTask, _answer_failure)
+    app.add_exception_handler(Exception, _answer_bug)
 
 
 def problem(
@@ -94,7 +94,7 @@ def _headers(error: ServiceError) -> dict[str, str]:
     return {}
 
 
-def _on_service_error(request: Request, error: Exception) -> JSONResponse:
+def _answer_service_error(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, ServiceError)  # noqa: S101 - the registration says so
     # An upload that is refused early still has its body on the way: the connection cannot be used again.
     return problem(request, error, {"Connection": "close"} if _leaves_body_unread(request) else None)
@@ -104,7 +104,7 @@ def _leaves_body_unread(request: Request) -> bool:
     return request.method == "PATCH" or (request.method == "POST" and request.url.path.endswith("/submissions"))
 
 
-def _on_invalid_request(request: Request, error: Exception) -> JSONResponse:
+def _answer_invalid_request(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)  # noqa: S101 - the registration says so
     errors = [{"place": _place(item["loc"]), "message": item["msg"]} for item in error.errors()]
     detail = " ".join(f"{item['place']}: {item['message']}." for item in errors)
@@ -116,7 +116,7 @@ def _place(location: Sequence[object]) -> str:
     return ".".join(map(str, location)).encode("utf-8", "backslashreplace").decode()
 
 
-def _on_http_error(request: Request, error: Exception) -> JSONResponse:
+def _answer_http_error(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)  # noqa: S101 - the registration says so
     code = _CODE_OF_STATUS.get(error.status_code)
     if code is ProblemCode.NOT_FOUND:
@@ -133,9 +133,9 @@ def _on_http_error(request: Request, error: Exception) -> JSONResponse:
     return problem(request, fallback, error.headers, status=error.status_code)
 
 
-def _on_failure(request: Request, error: Exception) -> JSONResponse:
+def _answer_failure(request: Request, error: Exception) -> JSONResponse:
     refusal = refusal_of_failure(request, error)
-    return _on_service_error(request, refusal) if refusal is not None else _on_bug(request, error)
+    return _answer_service_error(request, refusal) if refusal is not None else _answer_bug(request, error)
 
 
 def refusal_of_failure(request: Request, error: Exception) -> ServiceError | None:
@@ -157,7 +157,7 @@ def refusal_of_failure(request: Request, error: Exception) -> ServiceError | Non
     return ServiceError(ProblemCode.DATABASE_UNAVAILABLE, detail)
 
 
-def _on_bug(request: Request, error: Exception) -> JSONResponse:
+def _answer_bug(request: Request, error: Exception) -> JSONResponse:
     logger.error("request_failed", path=request.url.path, method=request.method, exc_info=error)
     detail = "The server made a mistake; it was logged. Try again later or tell the organizers when it happened."
     return problem(request, ServiceError(ProblemCode.INTERNAL_ERROR, detail))

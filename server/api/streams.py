@@ -11,7 +11,7 @@ from fastapi.concurrency import run_in_threadpool
 from ..db.states import Quota
 from ..limiter import ConcurrencyLimiter
 from ..principals import Principal
-from ..quotas import exceeded, limit_of
+from ..quotas import exceeded, find_limit
 from ..services import Services
 from .attempts import address_of
 
@@ -36,7 +36,7 @@ class OpenStreams:
     address: str
 
     @classmethod
-    def of(cls, request: Request, services: Services) -> Self:
+    def from_request(cls, request: Request, services: Services) -> Self:
         """Return those of the server that answers a request."""
         return cls(services=services, limiter=request.app.state.stream_limiter, address=address_of(request))
 
@@ -71,4 +71,4 @@ class OpenStreams:
         if principal.team_id is None:
             return None
         with self.services.database.transaction() as session:
-            return limit_of(session, self.services.settings.quotas, principal.team_id, Quota.EVENT_STREAMS)
+            return find_limit(session, self.services.settings.quotas, principal.team_id, Quota.EVENT_STREAMS)

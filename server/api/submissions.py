@@ -274,7 +274,7 @@ async def follow_submission(
     """Return the submission as server-sent events: now, after each change, and `end` when its evaluation has ended."""
     # Before the stream begins, so that a foreign id is answered with 404 and not with an empty stream.
     await run_in_threadpool(_require_own, services, principal, submission_id)
-    streams = OpenStreams.of(request, services)
+    streams = OpenStreams.from_request(request, services)
     await streams.require_place(principal)
     return EventSourceResponse(_events(request, streams, principal, submission_id), ping=PING_S)
 

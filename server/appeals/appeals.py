@@ -19,7 +19,7 @@ from ..principals import Principal
 from ..teams import teams
 from ..texts import clean_text
 from ..views.appeals import AppealReplayView, AppealView
-from ..visibility import changeable, sight_of
+from ..visibility import changeable, decide_sight
 
 MAX_OPEN = 3
 MAX_A_DAY = 20
@@ -188,7 +188,7 @@ def require_episode(session: Session, evaluation: Evaluation, task: str | None, 
         raise ServiceError(ProblemCode.INVALID_REQUEST, "Give both a task and an episode of it, or neither.")
     found = None
     if task.isprintable() and 0 < episode <= _MAX_EPISODE:
-        key = EpisodeKey.of(evaluation, evaluation.submission)
+        key = EpisodeKey.from_evaluation(evaluation, evaluation.submission)
         wanted = EpisodeResult.task == task, EpisodeResult.episode == episode
         found = session.scalar(select(EpisodeResult).where(*key.conditions(), *wanted))
     if found is None:
@@ -243,7 +243,7 @@ def visible(
 def appeal_view(appeal: Appeal, by: Principal) -> AppealView:
     """Return an appeal with what was played again, as far as its episodes are not sealed to who asks."""
     submission = appeal.evaluation.submission
-    replays = appeal.replays if sight_of(by, appeal.evaluation).episodes else []
+    replays = appeal.replays if decide_sight(by, appeal.evaluation).episodes else []
     return AppealView(
         id=appeal.id,
         team=appeal.team.name,
@@ -284,11 +284,11 @@ def _require_time(session: Session, evaluation: Evaluation) -> None:
         )
     if days is None:
         raise ServiceError(ProblemCode.APPEAL_TOO_LATE, "This service takes no appeals; ask the organizers a question.")
-    until = (_count_since(session, evaluation) or evaluation.finished_at) + timedelta(days=days)
+    until = (_find_application(session, evaluation) or evaluation.finished_at) + timedelta(days=days)
     if datetime.now(UTC) >= until:
         raise ServiceError(ProblemCode.APPEAL_TOO_LATE, f"Appeals were possible until {until:%F %T} UTC, {days} days.")
 
 
-def _count_since(session: Session, evaluation: Evaluation) -> datetime | None:
+def _find_application(session: Session, evaluation: Evaluation) -> datetime | None:
     """Return when the rejudgement that made an evaluation was applied; until then nobody saw its result."""
     return session.scalar(select(Rejudgement.applied_at).where(Rejudgement.id == evaluation.rejudgement_id))

@@ -10,14 +10,14 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import ListKind
 
 from ..audit import newest_entries, record
-from ..confirmations import Concern, require_base, require_confirmed, revision_of
+from ..confirmations import Concern, compute_revision, require_base, require_confirmed
 from ..db.models import Competition, Submission
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
 from .contest import Contest
 from .definition import CompetitionDefinition
 from .sealing import refuse_reopening, seal, withdraw, withdraw_unplayed
-from .touching import concerns_about
+from .touching import find_concerns
 
 _NAMES = ("name", "place")
 """Fields that identify the members of a list."""
@@ -48,7 +48,7 @@ class Change:
 
 def list_concerns(session: Session, definition: CompetitionDefinition) -> list[Concern]:
     """Return what applying a file touches that already happened; `apply` wants each confirmed by its name."""
-    return concerns_about(Contest.read(session, definition.name), definition, datetime.now(UTC))
+    return find_concerns(Contest.read(session, definition.name), definition, datetime.now(UTC))
 
 
 def list_changes(session: Session, definition: CompetitionDefinition) -> list[Change]:
@@ -118,7 +118,7 @@ def apply(
     return found
 
 
-def warnings_about(definition: CompetitionDefinition, changes: Sequence[Change]) -> list[str]:
+def list_warnings(definition: CompetitionDefinition, changes: Sequence[Change]) -> list[str]:
     """Return what takes effect at once where a file is applied, and cannot be taken back or is easily overlooked.
 
     Args:
@@ -151,7 +151,7 @@ def _describe_difference_since(contest: Contest, base: str | None, definition: C
         for entry in newest_entries(contest.session, action="competition.apply", subject=contest.subject)
         for content in (entry.after, entry.before)
     )
-    old = next((content for content in known if base and revision_of(content) == base), None)
+    old = next((content for content in known if base and compute_revision(content) == base), None)
     if old is None:
         present = contest.definition if contest.is_held else None
         return f"The file would change {_listed(_differences(present, definition))}."
@@ -196,12 +196,12 @@ def _values(content: object, place: str = "") -> Iterator[tuple[str, object]]:
         for key, value in content.items():
             yield from _values(value, f"{place}.{key}" if place else key)
     elif isinstance(content, list) and content and isinstance(content[0], Mapping):
-        yield place, [_name_of(member) for member in content]
+        yield place, [_read_name(member) for member in content]
         for member in content:
-            yield from _values(member, f"{place}.{_name_of(member)}")
+            yield from _values(member, f"{place}.{_read_name(member)}")
     elif content is not None:
         yield place, content
 
 
-def _name_of(member: Mapping[str, Any]) -> str:
+def _read_name(member: Mapping[str, Any]) -> str:
     return next(str(member[name]) for name in _NAMES if name in member)

@@ -13,7 +13,7 @@ from typing import Self
 from sqlalchemy import ColumnElement, and_, select
 from sqlalchemy.orm import Session
 
-from ..confirmations import revision_of
+from ..confirmations import compute_revision
 from ..db.models import Competition, Rejudgement, Submission
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
@@ -189,7 +189,7 @@ class Contest:
     @property
     def revision(self) -> str:
         """What a changed file says it was made from; empty where there is no competition."""
-        return revision_of(self.row.definition)
+        return compute_revision(self.row.definition)
 
     @property
     def frozen_at(self) -> datetime | None:

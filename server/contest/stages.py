@@ -10,7 +10,7 @@ from sqlalchemy import ColumnElement, and_, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
-from vitac.evaluator.tracks.versions import version_of
+from vitac.evaluator.tracks.versions import find_version
 
 from ..db.models import Competition, Qualification, SealedList, Submission, Team
 from ..errors import ProblemCode, ServiceError
@@ -179,7 +179,7 @@ class Stage:
         boards = () if self.is_practice else self.competition.boards or ()
         final = (board["evaluator_version"] for board in boards if board["track"] == self.track)
         return CountedResults(
-            evaluator_version=next(final, version_of(self.track)),
+            evaluator_version=next(final, find_version(self.track)),
             frozen_at=None if live else self.frozen_at,
             final_since=self.final_since,
         )

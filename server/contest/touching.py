@@ -12,7 +12,7 @@ from .definition import CompetitionDefinition, StageRules, TrackRules
 from .stages import Stage
 
 
-def concerns_about(contest: Contest, new: CompetitionDefinition, at: datetime) -> list[Concern]:
+def find_concerns(contest: Contest, new: CompetitionDefinition, at: datetime) -> list[Concern]:
     """Return what a file touches, by its places in the file.
 
     Args:
@@ -33,9 +33,9 @@ def _touched(contest: Contest, new: CompetitionDefinition, at: datetime) -> Iter
         if old is None:
             yield from _list_for_new_track(contest, name)
         else:
-            yield from _of_track(contest, name, old, track)
+            yield from _touched_in_track(contest, name, old, track)
     for stage in contest.stages:
-        yield from _of_stage(contest, stage, new, at)
+        yield from _touched_in_stage(contest, stage, new, at)
 
 
 def _list_for_new_contest(contest: Contest, new: CompetitionDefinition) -> Iterator[tuple[str, str]]:
@@ -67,7 +67,7 @@ def _list_for_new_track(contest: Contest, track: str) -> Iterator[tuple[str, str
         yield f"tracks.{track}", f"{track} has {count} submissions for practice; they are in none of its stages."
 
 
-def _of_track(contest: Contest, name: str, old: TrackRules, new: TrackRules) -> Iterator[tuple[str, str]]:
+def _touched_in_track(contest: Contest, name: str, old: TrackRules, new: TrackRules) -> Iterator[tuple[str, str]]:
     count = _count(contest, contest.submissions, Submission.track == name)
     if not count:
         return
@@ -80,7 +80,9 @@ def _of_track(contest: Contest, name: str, old: TrackRules, new: TrackRules) -> 
         yield f"{place}.judging", f"{submitted}, which were made under another rule of judging; their totals change."
 
 
-def _of_stage(contest: Contest, stage: Stage, new: CompetitionDefinition, at: datetime) -> Iterator[tuple[str, str]]:
+def _touched_in_stage(
+    contest: Contest, stage: Stage, new: CompetitionDefinition, at: datetime
+) -> Iterator[tuple[str, str]]:
     track = new.tracks.get(stage.track)
     rules = next((one for one in track.stages if one.name == stage.name), None) if track else None
     place = f"tracks.{stage.track}.stages.{stage.name}"
@@ -92,13 +94,13 @@ def _of_stage(contest: Contest, stage: Stage, new: CompetitionDefinition, at: da
             "everybody sees that. The stage has the same list if it is sealed again.",
         )
     if rules is not None:
-        yield from _of_times(contest, stage, rules, at)
+        yield from _touched_by_times(contest, stage, rules, at)
         confirmed = contest.session.scalar(select(func.count()).select_from(Qualification).where(stage.qualifications))
         if confirmed and rules.qualified != stage.rules.qualified:
             yield f"{place}.qualified", f"{confirmed} teams were confirmed by another rule; they stay confirmed."
 
 
-def _of_times(contest: Contest, stage: Stage, new: StageRules, at: datetime) -> Iterator[tuple[str, str]]:
+def _touched_by_times(contest: Contest, stage: Stage, new: StageRules, at: datetime) -> Iterator[tuple[str, str]]:
     old, place = stage.rules, f"tracks.{stage.track}.stages.{stage.name}"
     early = _count(contest, stage.submissions, Submission.submitted_at < new.opens) if new.opens > old.opens else 0
     if early:

@@ -48,7 +48,7 @@ def competition_list_view(session: Session, *, at: datetime | None = None) -> Co
     )
 
 
-def competitions_to_choose_from(session: Session) -> Sequence[CompetitionSummaryView]:
+def list_choices(session: Session) -> Sequence[CompetitionSummaryView]:
     """Return the competitions between which an upload has to choose; empty where no track has several now."""
     names = {contest.name for contest in list_contest_choices(session, datetime.now(UTC))}
     return [view for view in competition_list_view(session).items if view.name in names]

@@ -115,7 +115,7 @@ def find_copies(session: Session, evaluations: Collection[UUID], names: ShownNam
         return {}
     rows = session.execute(_copies_with_teams(), {"evaluations": list(evaluations)})
     return {
-        evaluation_id: LogCopyView(team=names.name_of(team), episodes=episodes, ranked=not is_copy)
+        evaluation_id: LogCopyView(team=names.show_name(team), episodes=episodes, ranked=not is_copy)
         for evaluation_id, team, episodes, is_copy in rows
     }
 
@@ -190,7 +190,7 @@ def _first_with_states(evaluation: Evaluation) -> Select[Any]:
         .join(theirs, theirs.half_way_state == ours.half_way_state)
         .join(Submission, Submission.digest == theirs.submission_digest)
         # Without an env step there are only the states of the reset, which are everybody's.
-        .where(*EpisodeKey.of(evaluation, evaluation.submission).conditions(ours), ours.env_steps > 0)
+        .where(*EpisodeKey.from_evaluation(evaluation, evaluation.submission).conditions(ours), ours.env_steps > 0)
         .group_by(ours.id, Submission.id)
         .subquery()
     )

@@ -34,7 +34,7 @@ class EpisodeKey:
     commitment: str
 
     @classmethod
-    def of(cls, evaluation: Evaluation, submission: Submission) -> Self:
+    def from_evaluation(cls, evaluation: Evaluation, submission: Submission) -> Self:
         """Return the key of an evaluation's episodes."""
         return cls(
             submission_digest=submission.digest,

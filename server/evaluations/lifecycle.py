@@ -14,7 +14,7 @@ from vitac.evaluator.scoring.score import score
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
-from vitac.evaluator.tracks.versions import hash_of, version_of
+from vitac.evaluator.tracks.versions import compute_hash, find_version
 
 from ..contest.contest import stage_of
 from ..db.models import Evaluation, Shard, Submission
@@ -30,7 +30,7 @@ from ..tracks import find_family
 from ..visibility import played_list_kind
 from .copies import flag_copies
 from .episode_store import EpisodeKey, count_stored, missing_episodes, read_stored_records
-from .provenance import manifest_of
+from .provenance import read_provenance
 from .scores import combine_hashes, combined_result, store_scores
 from .verdicts import ServiceVerdict
 
@@ -72,8 +72,8 @@ def start(
     evaluation = Evaluation(
         submission=submission,
         run=run,
-        evaluator_version=version_of(submission.track),
-        evaluator_hash=hash_of(submission.track),
+        evaluator_version=find_version(submission.track),
+        evaluator_hash=compute_hash(submission.track),
         state=EvaluationState.QUEUED,
         episodes_reused=0,
         commitment=stage_of(session, submission).commitment,
@@ -102,7 +102,7 @@ def start(
     session.add(evaluation)
     session.flush()
     if _was_evaluated(session, evaluation, submission):
-        evaluation.episodes_reused = count_stored(session, EpisodeKey.of(evaluation, submission))
+        evaluation.episodes_reused = count_stored(session, EpisodeKey.from_evaluation(evaluation, submission))
     for task in submission.tasks:
         ids = [shard.id for shard in evaluation.shards if shard.task == task]
         queue = queue_name(evaluation.evaluator_version, find_family(submission.track, task))
@@ -219,9 +219,9 @@ def _conclude(session: Session, evaluation: Evaluation) -> None:
         return
     submission = evaluation.submission
     track = load_track(submission.track)
-    key = EpisodeKey.of(evaluation, submission)
+    key = EpisodeKey.from_evaluation(evaluation, submission)
     records = {task: read_stored_records(session, key, task) for task in submission.tasks}
-    evaluation.log_tail = _output_of(records)
+    evaluation.log_tail = _collect_output(records)
     for task in submission.tasks:
         failure = breaking_failure(cut(track.task(task)), records[task])
         if failure is not None:
@@ -231,7 +231,7 @@ def _conclude(session: Session, evaluation: Evaluation) -> None:
 
 
 def _complete(session: Session, evaluation: Evaluation, records: dict[str, list[EpisodeRecord]]) -> None:
-    manifests = {task: manifest_of(session, evaluation, task) for task in records}
+    manifests = {task: read_provenance(session, evaluation, task) for task in records}
     hashes = {task: result_hash(manifests[task], records[task]) for task in records}
     finished_at = datetime.now(UTC)
     store_scores(evaluation, {task: score(records[task]) for task in records}, hashes, finished_at=finished_at)
@@ -272,7 +272,7 @@ def _fail(session: Session, evaluation: Evaluation, code: str, message: str) -> 
         announce_evaluation(session, NoticeKind.FAILED, evaluation)
 
 
-def _output_of(records: dict[str, list[EpisodeRecord]]) -> str:
+def _collect_output(records: dict[str, list[EpisodeRecord]]) -> str:
     """Return what the policy printed in the few episodes that it failed in, the last ones if that is too much."""
     parts = [
         f"[{task}, episode {record.episode}: {record.failure.code}]\n{record.failure.output_tail}\n"

@@ -39,7 +39,7 @@ def known_manifest(session: Session, lease: Lease) -> Manifest | None:
     return Manifest.model_validate(found) if found is not None else None
 
 
-def manifest_of(session: Session, evaluation: Evaluation, task: str) -> Manifest:
+def read_provenance(session: Session, evaluation: Evaluation, task: str) -> Manifest:
     """Return what a completed evaluation played a task with."""
     found = session.scalars(
         select(Shard.manifest).where(

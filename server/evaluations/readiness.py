@@ -3,7 +3,7 @@
 from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks.versions import version_of
+from vitac.evaluator.tracks.versions import find_version
 
 from ..contest.stages import Stage
 from ..db.models import BoardResult, Evaluation, Submission, Team
@@ -46,7 +46,7 @@ def require_current(session: Session, stage: Stage) -> None:
         ServiceError: results_outdated.
     """
     has_result = select(BoardResult).where(BoardResult.submission_id == Submission.id).exists()
-    is_stale = select_newest(Evaluation.evaluator_version) != version_of(stage.track)
+    is_stale = select_newest(Evaluation.evaluator_version) != find_version(stage.track)
     models = _teams(stage).where(Submission.kind == SubmissionKind.MODEL, has_result, is_stale)
     if stale := session.scalars(models).all():
         raise ServiceError(

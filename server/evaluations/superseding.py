@@ -9,7 +9,7 @@ from sqlalchemy import Text, and_, func, literal, or_, select
 from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import list_tracks, load_track
-from vitac.evaluator.tracks.versions import current_versions, version_of
+from vitac.evaluator.tracks.versions import current_versions, find_version
 from vitac.evaluator.version import evaluator_version
 
 from ..db.advisory_locks import AdvisoryLock, try_lock
@@ -63,7 +63,7 @@ def _begin_again(session: Session, evaluation_id: UUID) -> bool:
     evaluation = try_lock_evaluation(session, evaluation_id)
     if evaluation is None or evaluation.state not in ACTIVE_EVALUATION_STATES:
         return False
-    current = version_of(evaluation.submission.track)
+    current = find_version(evaluation.submission.track)
     lifecycle.cancel(session, evaluation)
     session.flush()
     done_before = session.scalar(

@@ -40,7 +40,7 @@ _SENTENCES = {
 REFUTING_RESULTS = frozenset({ServiceVerdict.DIVERGED, ServiceVerdict.OTHER_PICTURE, ServiceVerdict.IMPOSSIBLE})
 
 
-def sentence_of(code: str) -> str:
+def find_sentence(code: str) -> str:
     """Return the sentence of a stored verdict."""
     if code in {verdict.value for verdict in ServiceVerdict}:
         return ServiceVerdict(code).sentence

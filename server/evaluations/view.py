@@ -27,7 +27,7 @@ from ..views.evaluations import (
     VerdictView,
 )
 from ..views.scores import TaskScoreView
-from ..visibility import has_lists, played_list_kind, sight_of
+from ..visibility import decide_sight, has_lists, played_list_kind
 from .differences import differing_episodes
 from .episode_store import EpisodeKey
 from .lifecycle import LOG_TAIL_CHARACTERS
@@ -42,7 +42,7 @@ from .progress import (
 )
 from .provenance import isolation_levels
 from .scores import bounds, combine_scores, counted_tasks, make_score_views, task_views
-from .verdicts import sentence_of
+from .verdicts import find_sentence
 
 PROGRESS_STEPS = 10
 """Number of steps in which a team sees the progress on a sealed list."""
@@ -91,7 +91,7 @@ class EvaluationRows:
             by: who asks, and gets what may be shown to them.
             with_output: with what the policies printed and could import, which `histories` then reads with the rest.
         """
-        sights = {found.id: sight_of(by, found) for found in evaluations}
+        sights = {found.id: decide_sight(by, found) for found in evaluations}
         organized = [found for found in evaluations if by.organizes(found.submission.contest)]
         hidden = frozenset(found for found, sight in sights.items() if not sight.episodes)
         kept = {
@@ -193,7 +193,7 @@ def verdict_view(evaluation: Evaluation) -> VerdictView | None:
         return None
     return VerdictView(
         code=evaluation.verdict_code,
-        title=sentence_of(evaluation.verdict_code),
+        title=find_sentence(evaluation.verdict_code),
         message=evaluation.verdict_message or "",
         task=evaluation.verdict_task,
         episode=evaluation.verdict_episode,
@@ -240,7 +240,9 @@ def _output(session: Session, evaluation: Evaluation) -> str:
         return evaluation.log_tail
     tail = session.scalar(
         select(EpisodeResult.record["failure"]["output_tail"].astext)
-        .where(*EpisodeKey.of(evaluation, submission).conditions(), EpisodeResult.outcome == "policy_failed")
+        .where(
+            *EpisodeKey.from_evaluation(evaluation, submission).conditions(), EpisodeResult.outcome == "policy_failed"
+        )
         .order_by(EpisodeResult.created_at.desc())
         .limit(1)
     )

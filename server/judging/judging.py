@@ -25,10 +25,10 @@ from ..evaluations.history import newest_evaluation
 from ..evaluations.scores import counted_tasks
 from ..leaderboards.standings import leaderboard
 from ..principals import CONSOLE, Principal
-from ..submissions.figures import figures_of
+from ..submissions.figures import read_figures
 from ..teams import teams
 from ..views.leaderboards import LeaderboardEntryView
-from ..visibility import sight_of, visible
+from ..visibility import decide_sight, visible
 
 BEST_MARK = 10.0
 
@@ -153,7 +153,7 @@ def judged(session: Session, by: Principal, stage: Stage) -> list[JudgedTeam]:
     """
     by.require_organizer(stage.contest)
     rubric = find_rubric(Contest.read(session, stage.contest), stage.track)
-    return _by_total(session, rubric, leaderboard(session, stage, live=True).view.entries)
+    return _sort_by_total(session, rubric, leaderboard(session, stage, live=True).view.entries)
 
 
 def ranked_by_total(session: Session, stage: Stage) -> list[tuple[LeaderboardEntryView, float]]:
@@ -165,7 +165,7 @@ def ranked_by_total(session: Session, stage: Stage) -> list[tuple[LeaderboardEnt
     board = leaderboard(session, stage, live=True).view.entries
     entries = {entry.submission_id: entry for entry in board if entry.rank is not None}
     rubric = find_rubric(Contest.read(session, stage.contest), stage.track)
-    found = _by_total(session, rubric, list(entries.values()))
+    found = _sort_by_total(session, rubric, list(entries.values()))
     if missing := [f"{team.team} ({_missing(rubric, team)})" for team in found if team.total is None]:
         raise ServiceError(
             ProblemCode.STAGE_NOT_OVER,
@@ -227,10 +227,10 @@ def figures_of_entry(session: Session, by: Principal, entry: LeaderboardEntryVie
     evaluation = session.get_one(Evaluation, entry.evaluation_id)
     if not load_track(evaluation.submission.track).has_sensor:
         return None
-    return figures_of(session, evaluation.submission, evaluation, with_starts=sight_of(by, evaluation).episodes)
+    return read_figures(session, evaluation.submission, evaluation, with_starts=decide_sight(by, evaluation).episodes)
 
 
-def _by_total(session: Session, rubric: Judging, entries: Sequence[LeaderboardEntryView]) -> list[JudgedTeam]:
+def _sort_by_total(session: Session, rubric: Judging, entries: Sequence[LeaderboardEntryView]) -> list[JudgedTeam]:
     """Return the teams of entries, the best total first, those without one last, else in the order given."""
     figures = percentiles({entry.submission_id: figures_of_entry(session, CONSOLE, entry) for entry in entries})
     found = [_judged(session, rubric, entry, figures[entry.submission_id]) for entry in entries]

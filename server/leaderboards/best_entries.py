@@ -50,7 +50,7 @@ class Board:
     until: datetime = _EVER
 
     @classmethod
-    def of(
+    def from_results(
         cls,
         stage: Stage,
         counted: CountedResults,
@@ -153,7 +153,7 @@ def ranking_order(
 @cache
 def _best_of_teams(ranking: tuple[RankingKey, ...]) -> Select[UUID, UUID]:
     """Return the ids of evaluation and submission of each team's best entry of a version, best first."""
-    best = _best_result(ranking, bindparam("board"), _of_version(BoardResult), ~BoardResult.is_copy)
+    best = _best_result(ranking, bindparam("board"), _has_version(BoardResult), ~BoardResult.is_copy)
     found = _ids(best).select_from(Team).join(best, true()).where(takes_part())
     return found.order_by(*ranking_order(best, ranking))
 
@@ -166,7 +166,7 @@ def _best_of_other_versions(ranking: tuple[RankingKey, ...]) -> Select[UUID, UUI
         select(ranked.evaluation_id)
         .where(
             *_board_conditions(ranked, bindparam("board")),
-            _of_version(ranked),
+            _has_version(ranked),
             ~ranked.is_copy,
             ranked.team_id == Team.id,
         )
@@ -208,7 +208,7 @@ def takes_part() -> ColumnElement[bool]:
     return Team.disqualified_at.is_(None)
 
 
-def _of_version(result: type[BoardResult]) -> ColumnElement[bool]:
+def _has_version(result: type[BoardResult]) -> ColumnElement[bool]:
     return result.evaluator_version == bindparam("version")
 
 

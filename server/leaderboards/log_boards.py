@@ -21,7 +21,7 @@ from ..db.models import BoardResult, Evaluation, Team
 from ..evaluations.copies import find_copies
 from ..evaluations.scores import score_views
 from ..logs.claims import LogClaim
-from ..logs.view import verification_of
+from ..logs.view import read_verification
 from ..principals import VISITOR
 from ..teams import teams
 from ..teams.shown_names import ShownNames
@@ -31,7 +31,7 @@ from ..views.logs import LogCopyView
 from ..visibility import played_list_kind
 from .best_entries import BestEntry, Board, best_entries, takes_part
 from .changes import kept_until_change
-from .made_boards import MadeBoard, MadeBoards, revision_of
+from .made_boards import MadeBoard, MadeBoards, compute_revision
 from .standings import completed_evaluations, made_entries, unranked
 
 _USUAL_RANKING = (
@@ -91,15 +91,15 @@ class _Shown:
 def _found(
     session: Session, track: Track, stage: Stage, counted: CountedResults, shown_names: ShownNames, rule: str
 ) -> _Shown:
-    boards = {task: Board.of(stage, counted, kind=SubmissionKind.LOG, task=task) for task in track.tasks}
+    boards = {task: Board.from_results(stage, counted, kind=SubmissionKind.LOG, task=task) for task in track.tasks}
     best = {task: best_entries(session, board) for task, board in boards.items()}
-    until = Board.of(stage, counted).until
+    until = Board.from_results(stage, counted).until
     named = {"track": stage.track, "stage": stage.name, "until": until, "at_most": MAX_TEXT_LOGS}
     text_logs = session.scalars(_newest_text_logs(), named).all()
     copies = find_copies(session, [entry.evaluation_id for entries in best.values() for entry in entries], shown_names)
     ranked = [part for task, entries in best.items() for part in (task, *entries)]
     names = f"{teams.find_last_naming(session)} {shown_names.hidden}"
-    revision = revision_of(
+    revision = compute_revision(
         f"logs of {stage.track} {stage.name} {counted} {names} {rule}", [*ranked, *sorted(copies.items()), *text_logs]
     )
     return _Shown(
@@ -194,11 +194,11 @@ def _entry(entry: BestEntry, evaluation: Evaluation, *, version: str, names: Sho
     return LogEntryView(
         rank=entry.rank,
         stale=evaluation.evaluator_version != version,
-        team=names.name_of(submission.team),
+        team=names.show_name(submission.team),
         evaluation_id=evaluation.id,
         submission_id=submission.id,
         submission_name=submission.name,
-        verdict=verification_of(claim, evaluation),
+        verdict=read_verification(claim, evaluation),
         copy_of=None,
         submitted_at=submission.submitted_at,
         episodes=score.episodes,
@@ -216,7 +216,7 @@ def _text_log(evaluation: Evaluation, names: ShownNames) -> TextLogEntryView:
     submission = evaluation.submission
     claim, score = LogClaim.model_validate(submission.manifest), score_views(evaluation)[0]
     return TextLogEntryView(
-        team=names.name_of(submission.team),
+        team=names.show_name(submission.team),
         task=score.task,
         evaluation_id=evaluation.id,
         submission_id=submission.id,

@@ -59,7 +59,7 @@ class MadeBoards(Generic[BoardT]):
         return made
 
 
-def revision_of(board: str, entries: Iterable[object]) -> str:
+def compute_revision(board: str, entries: Iterable[object]) -> str:
     """Return what changes with everything that a board shows: its entries, their order, the software that made it.
 
     Args:

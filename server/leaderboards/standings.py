@@ -23,7 +23,7 @@ from ..views.leaderboards import LeaderboardEntryView, LeaderboardView, LogEntry
 from ..visibility import played_list_kind
 from .best_entries import BestEntry, Board, best_entries
 from .changes import kept_until_change
-from .made_boards import MadeBoard, MadeBoards, revision_of
+from .made_boards import MadeBoard, MadeBoards, compute_revision
 from .outdated import explain_unranked
 from .rank_ranges import rank_ranges
 
@@ -58,7 +58,7 @@ def leaderboard(
     if task is not None:
         require_task(track, task)
     counted = stage.counted_results(live=live or unfrozen)
-    board = Board.of(stage, counted, kind=kind, task=task)
+    board = Board.from_results(stage, counted, kind=kind, task=task)
     best, named_at = kept_until_change(
         session,
         ("best entries", board),
@@ -68,7 +68,7 @@ def leaderboard(
     list_kind = ListKind.SEALED if stage.is_sealed else played
     shown_names = ShownNames.read(session, CONSOLE if live else VISITOR)
     names = f"{named_at} {shown_names.hidden and not live}"
-    revision = revision_of(f"{board} {counted} {list_kind} {names}", best)
+    revision = compute_revision(f"{board} {counted} {list_kind} {names}", best)
     shown = _Shown(
         board=board,
         list_kind=list_kind,
@@ -105,7 +105,7 @@ class _Shown:
 def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView | None) -> LeaderboardView:
     task = shown.board.task
     entry_of = partial(_entry, board=shown.board, names=shown.names)
-    entries = _with_rank_ranges(made_entries(session, shown.best, last.entries if last else (), entry_of))
+    entries = _add_rank_ranges(made_entries(session, shown.best, last.entries if last else (), entry_of))
     return LeaderboardView(
         track=track.name,
         title=track.title,
@@ -133,7 +133,7 @@ def unranked(
     return explain_unranked(made_by, counted, board.track, kind=board.kind, of=len(entries))
 
 
-def _with_rank_ranges(entries: list[LeaderboardEntryView]) -> list[LeaderboardEntryView]:
+def _add_rank_ranges(entries: list[LeaderboardEntryView]) -> list[LeaderboardEntryView]:
     ranked = [entry.success_rate_interval for entry in entries if entry.rank is not None]
     ranges = iter(rank_ranges(ranked))
     return [entry.model_copy(update={"rank_range": None if entry.rank is None else next(ranges)}) for entry in entries]
@@ -158,13 +158,13 @@ def made_entries(
     made = (
         make(entry, new[entry.evaluation_id])
         if entry.evaluation_id in new
-        else _with_rank(kept[entry.evaluation_id], entry.rank)
+        else _add_rank(kept[entry.evaluation_id], entry.rank)
         for entry in best
     )
     return [view for view in made if view is not None]
 
 
-def _with_rank(view: EntryT, rank: int | None) -> EntryT:
+def _add_rank(view: EntryT, rank: int | None) -> EntryT:
     return view if view.rank == rank else view.model_copy(update={"rank": rank})
 
 
@@ -193,7 +193,7 @@ def _entry(entry: BestEntry, evaluation: Evaluation, *, board: Board, names: Sho
         rank=entry.rank,
         rank_range=None,
         stale=evaluation.evaluator_version != board.evaluator_version,
-        team=names.name_of(submission.team),
+        team=names.show_name(submission.team),
         evaluation_id=evaluation.id,
         submission_id=submission.id,
         submission_name=submission.name,

@@ -22,7 +22,7 @@ from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation
 from ..principals import Principal
 from ..views.logs import ActionMatchView, MatchedEpisodeView
-from ..visibility import sight_of, visible
+from ..visibility import decide_sight, visible
 
 MAX_MODELS = 20
 """Number of models that are compared, the ones evaluated last."""
@@ -48,9 +48,9 @@ def read_matches(session: Session, by: Principal, evaluation: Evaluation) -> lis
     log = evaluation.submission
     if not log.kind.form.is_verified or evaluation.state is not EvaluationState.COMPLETED:
         return []
-    if not sight_of(by, evaluation).episodes:
+    if not decide_sight(by, evaluation).episodes:
         return []
-    from_log = cache(lambda: _actions(session, EpisodeKey.of(evaluation, log), log.tasks[0]))
+    from_log = cache(lambda: _actions(session, EpisodeKey.from_evaluation(evaluation, log), log.tasks[0]))
     return [
         _matches.get((evaluation.id, model), partial(_compared, session, model, log.tasks[0], from_log))
         for model in _models(session, log, evaluation)
@@ -61,7 +61,7 @@ def _compared(session: Session, model_id: UUID, task: str, from_log: Callable[[]
     model = session.get_one(
         Evaluation, model_id, options=[defer(Evaluation.log_tail), joinedload(Evaluation.submission)]
     )
-    return _compare(model, from_log(), _actions(session, EpisodeKey.of(model, model.submission), task))
+    return _compare(model, from_log(), _actions(session, EpisodeKey.from_evaluation(model, model.submission), task))
 
 
 def _models(session: Session, log: Submission, evaluation: Evaluation) -> Sequence[UUID]:

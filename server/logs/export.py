@@ -10,7 +10,7 @@ from ..db.states import EvaluationState
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.episode_store import EpisodeKey, read_stored_records
 from ..evaluations.history import newest_evaluation
-from ..evaluations.provenance import manifest_of
+from ..evaluations.provenance import read_provenance
 from ..principals import Principal
 from ..teams.shown_names import ShownNames
 from ..visibility import require_episodes, visible
@@ -49,10 +49,10 @@ def export_log(session: Session, by: Principal, submission_id: UUID, task: str |
             tasks=submission.tasks,
         )
     header = LogHeader(
-        team=ShownNames.read(session, by).name_of(submission.team),
+        team=ShownNames.read(session, by).show_name(submission.team),
         submission_digest=submission.digest if submission.kind.form.runs_policy else None,
-        manifest=manifest_of(session, evaluation, chosen),
+        manifest=read_provenance(session, evaluation, chosen),
     )
     stream = BytesIO()
-    write_log(stream, header, read_stored_records(session, EpisodeKey.of(evaluation, submission), chosen))
+    write_log(stream, header, read_stored_records(session, EpisodeKey.from_evaluation(evaluation, submission), chosen))
     return stream.getvalue()

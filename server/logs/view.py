@@ -31,7 +31,7 @@ def log_view(
     """
     claim = LogClaim.model_validate(submission.manifest)
     holds = submission.kind.form.is_verified and evaluation.state is EvaluationState.COMPLETED
-    held = verification_of(claim, evaluation) if holds else None
+    held = read_verification(claim, evaluation) if holds else None
     verdict = finding.verdict if finding else held
     divergence = finding.divergence if finding else None
     return LogView(
@@ -69,7 +69,7 @@ def make_finding_views(session: Session, evaluations: Collection[Evaluation]) ->
     return {evaluation_id: LogFinding.model_validate(finding) for evaluation_id, finding in rows}
 
 
-def verification_of(claim: LogClaim, evaluation: Evaluation) -> VerificationResult:
+def read_verification(claim: LogClaim, evaluation: Evaluation) -> VerificationResult:
     """Return the verdict on one of our logs whose evaluation is completed, so that nothing was found against it.
 
     The result hash covers every state: where it is the log's own, no state differs. An evaluation with another one is

@@ -132,16 +132,16 @@ def remove(session: Session, by: Principal, member: Member) -> None:
     _lock_present(session, by, member)
     if member.role is MemberRole.CAPTAIN:
         raise ServiceError(
-            ProblemCode.INVALID_REQUEST, f"{member.name} is the captain. {_how_to_hand_over(session, member)}"
+            ProblemCode.INVALID_REQUEST, f"{member.name} is the captain. {_explain_handing_over(session, member)}"
         )
-    tokens.end_tokens_of(session, by, member)
+    tokens.end_tokens(session, by, member)
     member.left_at, member.password_hash, member.email = datetime.now(UTC), None, None
     member.email_confirmed_at, member.email_code_sha256 = None, None
     action = "member.leave" if by.member_id == member.id else "member.remove"
     record(session, by, action, f"member:{member.id}", {"member": False}, before={"member": True, "name": member.name})
 
 
-def _how_to_hand_over(session: Session, captain: Member) -> str:
+def _explain_handing_over(session: Session, captain: Member) -> str:
     others = [
         one.name for one in list_team_members(session, captain.team_id) if one.left_at is None and one.id != captain.id
     ]
@@ -226,7 +226,7 @@ def set_password(
         if member.password_hash != stored:
             raise ServiceError(ProblemCode.FORBIDDEN, f"{name}'s password was changed meanwhile; try again.")
         member.password_hash = password_hash
-        tokens.end_tokens_of(session, by, member, sessions_only=True)
+        tokens.end_tokens(session, by, member, sessions_only=True)
         before, after = {"password": stored is not None}, {"password": password is not None}
         record(session, by, "member.password", f"member:{member.id}", after, before=before)
 

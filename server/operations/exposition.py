@@ -127,11 +127,13 @@ def total_families(counted: Mapping[SeriesKey, float]) -> Iterator[Metric]:
     for family in instruments.registry.collect():
         names = {f"{family.name}{suffix}" for suffix in ("_total", "_bucket", "_count", "_sum")}
         of_family = [key for key in values if key.name in names]
-        family.samples = [Sample(key.name, key.label_values(), values[key]) for key in sorted(of_family, key=_in_order)]
+        family.samples = [
+            Sample(key.name, key.label_values(), values[key]) for key in sorted(of_family, key=_bucket_order)
+        ]
         yield family
 
 
-def _in_order(key: SeriesKey) -> tuple[str, str, float]:
+def _bucket_order(key: SeriesKey) -> tuple[str, str, float]:
     """Sort buckets of one series by their bounds, as the format asks."""
     labels = key.label_values()
     bound = float(labels.pop("le", "inf"))

@@ -15,7 +15,7 @@ from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeRecord, canonical_json
 from vitac.evaluator.playback.order import FORMAT, NotPlayable, require_playable
 from vitac.evaluator.tracks import load_track
-from vitac.evaluator.tracks.versions import version_of
+from vitac.evaluator.tracks.versions import find_version
 
 from ..db.advisory_locks import AdvisoryLock, wait_for_turn
 from ..db.models import EpisodeResult, Playback, Shard
@@ -31,7 +31,7 @@ from ..sharing.public_pages import readable
 from ..teams.shown_names import ShownNames
 from ..tracks import find_playback_family
 from ..views.playbacks import PlaybackView, ShownEpisodeView
-from ..visibility import sight_of
+from ..visibility import decide_sight
 
 NOBODY_DRAWS = "no running worker can draw ManiSkill’s environments, which takes its packages and a Vulkan driver"
 """Why nobody makes a film of ManiSkill."""
@@ -48,10 +48,10 @@ def find_episode(session: Session, by: Principal, submission_id: UUID, task: str
     """
     submission = readable(session, by, submission_id)
     evaluation = newest_evaluation(session, submission)
-    key = EpisodeKey.of(evaluation, submission)
+    key = EpisodeKey.from_evaluation(evaluation, submission)
     wanted = (EpisodeResult.task == task, EpisodeResult.episode == number)
     episode = session.scalar(select(EpisodeResult).where(*key.conditions(), *wanted))
-    if episode is None or not sight_of(by, evaluation).episodes:
+    if episode is None or not decide_sight(by, evaluation).episodes:
         raise not_found("episode", f"{number} of {task} of submission {submission_id}")
     return episode
 
@@ -87,7 +87,7 @@ def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeRes
     playback = Playback(
         key=playback_key(episode),
         episode_id=episode.id,
-        evaluator_version=version_of(episode.track),
+        evaluator_version=find_version(episode.track),
         state=PlaybackState.QUEUED,
         asked_by=asked_by,
         asked_at=datetime.now(UTC),
@@ -108,7 +108,7 @@ def playback_key(episode: EpisodeResult) -> str:
     """Return the SHA-256 [hex] of all that a playback is made from."""
     content = {
         "format": FORMAT,
-        "evaluator_version": version_of(episode.track),
+        "evaluator_version": find_version(episode.track),
         "track": episode.track,
         "record_digest": episode.record_digest,
     }
@@ -136,7 +136,7 @@ def shown_episode(
     playback = find_playback(session, episode)
     return ShownEpisodeView(
         submission_name=submission.name,
-        team=ShownNames.read(session, by).name_of(submission.team),
+        team=ShownNames.read(session, by).show_name(submission.team),
         track=episode.track,
         task=task,
         episode=number,
@@ -161,7 +161,7 @@ def playback_view(session: Session, settings: Settings, playback: Playback) -> P
         state=playback.state,
         env_steps=playback.episode.env_steps,
         env_steps_played=playback.env_steps_played,
-        waits_for=_waits_for(session, playback) if playback.state is PlaybackState.QUEUED else 0,
+        waits_for=_count_before(session, playback) if playback.state is PlaybackState.QUEUED else 0,
         family=family,
         workers=alive,
         problem=playback.problem,
@@ -178,7 +178,7 @@ def _may_retry(playback: Playback) -> bool:
 def _require_somebody_who_draws(session: Session, settings: Settings, episode: EpisodeResult) -> None:
     """Refuse a film that no running worker can make; most machines never can, and it would count as waiting."""
     family = find_playback_family(episode.track, episode.task)
-    if family is not Family.TACTILE and not fleet(session, settings).alive(version_of(episode.track), family).alive:
+    if family is not Family.TACTILE and not fleet(session, settings).alive(find_version(episode.track), family).alive:
         raise ServiceError(ProblemCode.INVALID_REQUEST, f"There is no playback of this episode, as {NOBODY_DRAWS}.")
 
 
@@ -196,7 +196,7 @@ def _refuse_one_more(session: Session, settings: Settings, asked_by: str) -> Non
             )
 
 
-def _waits_for(session: Session, playback: Playback) -> int:
+def _count_before(session: Session, playback: Playback) -> int:
     """Return how many shards and playbacks come before."""
     shards = select(func.count()).where(Shard.state == ShardState.QUEUED)
     earlier = select(func.count()).where(Playback.state == PlaybackState.QUEUED, Playback.id < playback.id)

@@ -25,7 +25,7 @@ class PlaybackFile(StrEnum):
     """Pictures of an episode of ManiSkill one after the other, an animated WebP."""
 
 
-def digest_of(session: Session, episode: EpisodeResult, file: PlaybackFile) -> str:
+def find_digest(session: Session, episode: EpisodeResult, file: PlaybackFile) -> str:
     """Return the SHA-256 of a file of an episode's playback.
 
     Raises:

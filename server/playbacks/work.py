@@ -66,7 +66,7 @@ def claim(session: Session, playback_id: int, lease_s: float) -> PlaybackLease |
         track=episode.track,
         record=EpisodeRecord.model_validate(episode.record),
         list_seed=derive_list_seed(session, episode.commitment, episode.track, episode.task),
-        sensor_sha256=_sensor_of(session, episode),
+        sensor_sha256=_find_sensor(session, episode),
     )
 
 
@@ -187,7 +187,7 @@ def _give_up(playback: Playback, now: datetime, problem: str) -> None:
     playback.state, playback.finished_at, playback.problem = PlaybackState.FAILED, now, problem
 
 
-def _sensor_of(session: Session, episode: EpisodeResult) -> str | None:
+def _find_sensor(session: Session, episode: EpisodeResult) -> str | None:
     """Return the digest of the sensor of an episode; equal submissions have the same one."""
     found = select(SubmissionFile.sha256).join(Submission, Submission.id == SubmissionFile.submission_id)
     of_episode = (Submission.digest == episode.submission_digest, Submission.track == episode.track)

@@ -138,7 +138,7 @@ def finalize_again(session: Session, by: Principal, name: str | None = None) -> 
     return found
 
 
-def decided_again_at(session: Session, contest: Contest) -> datetime | None:
+def find_last_decision(session: Session, contest: Contest) -> datetime | None:
     """Return when winners and boards of a final competition were last decided again; None: never."""
     lines = newest_entries(session, 1, action=FINALIZE_AGAIN, subject=contest.subject)
     return lines[0].at if lines else None
@@ -252,11 +252,13 @@ def _find_winners(session: Session, stage: Stage, currency: str) -> list[Winner]
             result_hash=entry.result_hash,
             total=total,
         )
-        for rank, (prize, (entry, total)) in enumerate(zip(prizes, _in_order(session, stage), strict=False), start=1)
+        for rank, (prize, (entry, total)) in enumerate(
+            zip(prizes, _order_for_prizes(session, stage), strict=False), start=1
+        )
     ]
 
 
-def _in_order(session: Session, stage: Stage) -> Sequence[tuple[LeaderboardEntryView, float | None]]:
+def _order_for_prizes(session: Session, stage: Stage) -> Sequence[tuple[LeaderboardEntryView, float | None]]:
     """Return the ranked entries as prizes go to them: by total where judged, else as on the board."""
     if stage.track_rules.judging is not None:
         return ranked_by_total(session, stage)

@@ -5,7 +5,7 @@ from sqlalchemy.orm import Session
 from ..contest.contest import Contest
 from ..contest.view import competition_view
 from ..errors import ProblemCode, ServiceError
-from ..prizes.finishing import decided_again_at
+from ..prizes.finishing import find_last_decision
 from ..receipts.chain import chain_state
 from ..views.archive import ArchiveView
 from ..views.leaderboards import LeaderboardView
@@ -28,7 +28,7 @@ def archive_view(session: Session, name: str | None = None) -> ArchiveView:
         competition=found,
         boards=[LeaderboardView.model_validate(board) for board in contest.row.boards or []],
         public_key=state.public_key,
-        decided_again_at=decided_again_at(session, contest),
+        decided_again_at=find_last_decision(session, contest),
         citation=_citation(found.name, found.title, found.finalized_at.year, found.website),
     )
 

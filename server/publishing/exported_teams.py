@@ -10,7 +10,7 @@ from ..db.models import AuditEntry, Evaluation, Submission, Team
 from ..receipts.export import ExportedTeam
 
 
-def teams_of(session: Session, evaluations: Collection[UUID]) -> tuple[ExportedTeam, ...]:
+def read_teams(session: Session, evaluations: Collection[UUID]) -> tuple[ExportedTeam, ...]:
     """Return the teams of some evaluations, by name."""
     rows = session.execute(
         select(Team, Evaluation.id, Submission.disqualified_at)

@@ -21,7 +21,7 @@ from ..db.models import BoardResult, Evaluation
 from ..db.states import FileRole
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.episode_store import EpisodeKey, read_stored_records
-from ..evaluations.provenance import manifest_of
+from ..evaluations.provenance import read_provenance
 from ..leaderboards.standings import leaderboard
 from ..prizes.finishing import judged_entries, winning_entries
 from ..receipts.chain import chain_state, links, receipts_of_board, receipts_of_ends
@@ -41,10 +41,10 @@ from ..rejudging.rejudging import set_aside
 from ..storage.blobs import BlobStore
 from ..storage.new_file import new_file
 from ..submissions.figures import coefficients_digest
-from ..submissions.files import file_of
+from ..submissions.files import find_file
 from ..tracks import load_known_track
 from ..visibility import is_sealed
-from .exported_teams import teams_of
+from .exported_teams import read_teams
 from .publishing import ResultsNotWritten
 
 
@@ -92,7 +92,7 @@ def export_receipts(
         kind=kind,
         receipts=state.receipts,
         last=state.last,
-        teams=teams_of(session, results),
+        teams=read_teams(session, results),
         set_aside=set_aside(session, results),
         copies=_copies(session, results),
         winners=winning_entries(contest),
@@ -142,7 +142,7 @@ def _write_played(session: Session, blobs: BlobStore, archive: zipfile.ZipFile, 
     submission = evaluation.submission
     if is_sealed(evaluation):
         return
-    sensor = file_of(session, submission.id, FileRole.SENSOR)
+    sensor = find_file(session, submission.id, FileRole.SENSOR)
     if (
         sensor is not None
         and submission.team.erased_at is None
@@ -150,11 +150,11 @@ def _write_played(session: Session, blobs: BlobStore, archive: zipfile.ZipFile, 
     ):
         archive.writestr(sensor_name(evaluation.id), blobs.read(sensor.sha256))
     for task in submission.tasks:
-        records = read_stored_records(session, EpisodeKey.of(evaluation, submission), task)
+        records = read_stored_records(session, EpisodeKey.from_evaluation(evaluation, submission), task)
         if not records:
             continue
         policy = submission.digest if submission.kind.form.runs_policy else None
-        header = LogHeader(submission_digest=policy, manifest=manifest_of(session, evaluation, task))
+        header = LogHeader(submission_digest=policy, manifest=read_provenance(session, evaluation, task))
         stream = BytesIO()
         write_log(stream, header, records)
         archive.writestr(log_name(evaluation.id, task), stream.getvalue())

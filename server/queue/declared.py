@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import list_tracks
-from vitac.evaluator.tracks.versions import version_of
+from vitac.evaluator.tracks.versions import find_version
 from vitac.evaluator.version import evaluator_version
 
 from ..db.models import DeclaredEvaluator
@@ -19,7 +19,7 @@ OWN_SOURCES = ""
 
 def versions_here() -> dict[str, str]:
     """Return the versions of this process, by track."""
-    return {OWN_SOURCES: evaluator_version(), **{track: version_of(track) for track in list_tracks()}}
+    return {OWN_SOURCES: evaluator_version(), **{track: find_version(track) for track in list_tracks()}}
 
 
 def declare(session: Session, versions: Mapping[str, str]) -> None:

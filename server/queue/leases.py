@@ -90,7 +90,7 @@ def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> L
         run=evaluation.run,
         commitment=evaluation.commitment,
         archive_sha256=submission.archive_sha256,
-        sensor_sha256=_sensor_of(session, submission.id),
+        sensor_sha256=_find_sensor(session, submission.id),
         task=shard.task,
         number=shard.number,
         episodes=tuple(shard.episodes),
@@ -98,7 +98,7 @@ def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> L
     )
 
 
-def _sensor_of(session: Session, submission_id: UUID) -> str | None:
+def _find_sensor(session: Session, submission_id: UUID) -> str | None:
     return session.scalar(
         select(SubmissionFile.sha256).where(
             SubmissionFile.submission_id == submission_id, SubmissionFile.role == FileRole.SENSOR

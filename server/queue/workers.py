@@ -13,7 +13,7 @@ from sqlalchemy import ColumnElement, Select, and_, delete, func, select, update
 from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.description import SandboxDescription
-from vitac.evaluator.tracks.versions import evaluator_of
+from vitac.evaluator.tracks.versions import find_evaluator
 
 from ..audit import record
 from ..db.models import Shard, Worker
@@ -54,7 +54,7 @@ class Fleet:
 
     def alive(self, evaluator_version: str | None = None, family: Family | None = None) -> WorkersAlive:
         """Return those alive of one evaluator version, of one family; None: of any."""
-        wanted = evaluator_of(evaluator_version) if evaluator_version else None
+        wanted = find_evaluator(evaluator_version) if evaluator_version else None
         found = [
             group
             for group in self.groups

@@ -28,7 +28,7 @@ from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.evaluator.tracks import Track, load_track
 from vitac.evaluator.tracks.registry import TRACKS_FOLDER_VARIABLE
 from vitac.evaluator.tracks.sealed import load_played_track, make_commitment
-from vitac.evaluator.tracks.versions import version_of
+from vitac.evaluator.tracks.versions import find_version
 
 from ..views.leaderboards import LeaderboardEntryView
 from .completeness import (
@@ -298,10 +298,10 @@ def _check_logs(reader: ExportReader, receipts: Mapping[UUID, Receipt], found: A
         for task in receipt.result.tasks if receipt else ():
             if receipt is None or not reader.has_log(entry.evaluation_id, task.task):
                 found.unchecked.append(f"{entry.team}, {task.task}: the records are not in the export.")
-            elif receipt.result.evaluator_version != version_of(receipt.result.track):
+            elif receipt.result.evaluator_version != find_version(receipt.result.track):
                 found.unchecked.append(
                     f"{entry.team}, {task.task}: made by evaluator {receipt.result.evaluator_version}, this is "
-                    f"{version_of(receipt.result.track)}."
+                    f"{find_version(receipt.result.track)}."
                 )
             else:
                 log = _checked_log(reader, receipt.result, task, entry.team, found)

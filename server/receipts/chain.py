@@ -64,7 +64,7 @@ def ensure_key(session: Session) -> ReceiptKey:
 
 def issue_for_submission(session: Session, submission: Submission) -> None:
     """Add the receipt of a submission that has arrived to the chain, in the transaction that stores it; see `issue`."""
-    issue(session, lambda at: Arrival.model_validate(_of_submission(submission, at)), submission_id=submission.id)
+    issue(session, lambda at: Arrival.model_validate(_describe_submission(submission, at)), submission_id=submission.id)
 
 
 def issue_for_result(session: Session, evaluation: Evaluation, combined: CombinedResult | None) -> None:
@@ -186,7 +186,7 @@ def _link(row: ReceiptRow) -> Link:
     return Link(**values | {"content": row.stands_for, "issued_at": row.issued_at.astimezone(UTC)})
 
 
-def _of_submission(submission: Submission, issued_at: datetime) -> dict[str, Any]:
+def _describe_submission(submission: Submission, issued_at: datetime) -> dict[str, Any]:
     """Return what the receipts of a submission and of its results have in common."""
     salt = new_salt()
     return {
@@ -207,7 +207,7 @@ def _result(evaluation: Evaluation, combined: CombinedResult | None, issued_at: 
     finished_at, scores = evaluation.finished_at, evaluation.scores or []
     return Result.model_validate(
         {
-            **_of_submission(evaluation.submission, issued_at),
+            **_describe_submission(evaluation.submission, issued_at),
             "evaluation": evaluation.id,
             "run": evaluation.run,
             "evaluator_version": evaluation.evaluator_version,

@@ -85,7 +85,7 @@ def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmi
     )
 
 
-def revision_of(rows: Sequence[RejudgedSubmission]) -> str:
+def compute_revision(rows: Sequence[RejudgedSubmission]) -> str:
     """Return what changes whenever applying a rejudgement would do something else."""
     content = {str(row.submission): asdict(row) | {"submission": None} for row in rows}
     return hashlib.sha256(canonical_json(content)).hexdigest()

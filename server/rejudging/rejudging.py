@@ -8,7 +8,7 @@ from uuid import UUID
 from sqlalchemy import delete, exists, select
 from sqlalchemy.orm import Session, aliased
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks.versions import version_of
+from vitac.evaluator.tracks.versions import find_version
 
 from .. import names
 from ..audit import record
@@ -28,7 +28,7 @@ from ..notices.outbox import announce_evaluation
 from ..principals import Principal
 from ..receipts.chain import issue_for_result
 from ..tracks import load_known_track
-from .comparison import RejudgedSubmission, comparison, find_newest_evaluations, revision_of
+from .comparison import RejudgedSubmission, comparison, compute_revision, find_newest_evaluations
 
 REASON_LENGTH = 500
 
@@ -63,13 +63,13 @@ def start(
                 ProblemCode.NOT_REQUEUABLE,
                 f"Submission {submission.id} of {submission.team.name} is being evaluated; wait or cancel.",
             )
-        run = 1 + max((run.run for run in runs if run.evaluator_version == version_of(stage.track)), default=0)
+        run = 1 + max((run.run for run in runs if run.evaluator_version == find_version(stage.track)), default=0)
         lifecycle.start(session, submission, run, rejudgement_id=made.id)
     after = {
         "track": stage.track,
         "stage": stage.name,
         "submissions": [str(submission.id) for submission in chosen],
-        "evaluator_version": version_of(stage.track),
+        "evaluator_version": find_version(stage.track),
         "reason": shown_reason,
     }
     record(session, by, "rejudgement.start", _subject(made), after)
@@ -125,7 +125,7 @@ def apply(
         session: of the transaction.
         by: an organizer.
         rejudgement_id: which one.
-        shown: the revision of what was seen before (`revision_of`); None: whatever it is now.
+        shown: the revision of what was seen before (`compute_revision`); None: whatever it is now.
 
     Raises:
         ServiceError: not an organizer, no such rejudgement, it has ended, the competition is final or its boards
@@ -147,7 +147,7 @@ def apply(
             ProblemCode.STAGE_NOT_OVER,
             f"Expected no evaluation of the rejudgement that waits or runs, got {len(going_on)}; wait, or discard it.",
         )
-    if shown is not None and shown != revision_of(rows):
+    if shown is not None and shown != compute_revision(rows):
         raise ServiceError(
             ProblemCode.RESULTS_OUTDATED, "Something has changed since you looked, so nothing was applied. Look again."
         )

@@ -7,7 +7,7 @@ from sqlalchemy.orm import Session
 
 from ..db.models import Rejudgement
 from ..views.rejudging import RejudgedSubmissionView, RejudgementDetailView, RejudgementView
-from .comparison import RejudgedSubmission, comparison, revision_of
+from .comparison import RejudgedSubmission, comparison, compute_revision
 
 
 def rejudgement_view(rejudgement: Rejudgement) -> RejudgementView:
@@ -31,6 +31,6 @@ def rejudgement_detail_view(
     found = comparison(session, rejudgement) if rows is None else rows
     return RejudgementDetailView(
         **dict(rejudgement_view(rejudgement)),
-        revision=revision_of(found),
+        revision=compute_revision(found),
         submissions=[RejudgedSubmissionView.model_validate(asdict(row)) for row in found],
     )

@@ -72,7 +72,9 @@ class BlobStore:
             stored_at = self._find_stored_time(sha256)
             if stored_at is None or stored_at <= datetime.now(UTC) - RECENTLY:
                 with path.open("rb") as file:
-                    obstore.put(self._store, key_of(sha256), file, chunk_size=PART_BYTES, max_concurrency=PARTS_AT_ONCE)
+                    obstore.put(
+                        self._store, make_key(sha256), file, chunk_size=PART_BYTES, max_concurrency=PARTS_AT_ONCE
+                    )
 
     def fetch(self, sha256: str, destination: Path) -> None:
         """Write a stored file to a local path and check its digest on the way.
@@ -99,7 +101,7 @@ class BlobStore:
         digest = hashlib.sha256()
         with _working():
             try:
-                for chunk in obstore.get(self._store, key_of(sha256)).stream(min_chunk_size=_COPY_BYTES):
+                for chunk in obstore.get(self._store, make_key(sha256)).stream(min_chunk_size=_COPY_BYTES):
                     digest.update(chunk)
                     yield chunk
             except (NotFoundError, FileNotFoundError) as error:
@@ -128,7 +130,7 @@ class BlobStore:
             ServiceError: the store does not work.
         """
         with _working():
-            self._delete(key_of(sha256))
+            self._delete(make_key(sha256))
 
     def list_older_than(self, age: timedelta) -> list[str]:
         """Return the digests of all files that were stored at least this long ago.
@@ -136,7 +138,7 @@ class BlobStore:
         Raises:
             ServiceError: the store cannot be read.
         """
-        return [path.rsplit("/", 1)[-1] for path in self._paths_older_than(age, "sha256")]
+        return [path.rsplit("/", 1)[-1] for path in self._list_older_paths(age, "sha256")]
 
     def put_part(self, upload: str, name: str, content: bytes) -> str:
         """Store a part of an upload that is not complete and return its key.
@@ -184,9 +186,9 @@ class BlobStore:
         Raises:
             ServiceError: the store cannot be read.
         """
-        return {path.split("/")[-2] for path in self._paths_older_than(age, PART_FOLDER)}
+        return {path.split("/")[-2] for path in self._list_older_paths(age, PART_FOLDER)}
 
-    def _paths_older_than(self, age: timedelta, folder: str) -> list[str]:
+    def _list_older_paths(self, age: timedelta, folder: str) -> list[str]:
         oldest_kept = datetime.now(UTC) - age
         with _working():
             files = [meta for batch in obstore.list(self._store, prefix=folder) for meta in batch]
@@ -226,7 +228,7 @@ class BlobStore:
 
     def _find_stored_time(self, sha256: str) -> datetime | None:
         try:
-            return obstore.head(self._store, key_of(sha256))["last_modified"]
+            return obstore.head(self._store, make_key(sha256))["last_modified"]
         except (NotFoundError, FileNotFoundError):
             return None
 
@@ -240,7 +242,7 @@ class BlobStore:
                     self._delete(key)
 
 
-def key_of(sha256: str) -> str:
+def make_key(sha256: str) -> str:
     """Return the key of a digest; two characters make a folder, so that none gets too many files."""
     return f"sha256/{sha256[:2]}/{sha256}"
 

@@ -70,7 +70,7 @@ def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUI
             contest=upload.contest,
             again=upload.again,
             quotas=services.settings.quotas,
-            at=_in_time_at(session, locked, checked.track),
+            at=_find_arrival_in_time(session, locked, checked.track),
         )
         partial.finish(session, locked, submission.id)
     with suppress(ServiceError):  # The submission is made; housekeeping removes the parts with the upload.
@@ -78,7 +78,7 @@ def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUI
     return submission.id, is_new
 
 
-def _in_time_at(session: Session, upload: PartialUpload, track: str) -> datetime | None:
+def _find_arrival_in_time(session: Session, upload: PartialUpload, track: str) -> datetime | None:
     """Return when an upload was complete if its track took submissions then: its bytes count, not the last request."""
     at = upload.completed_at
     named = upload.contest

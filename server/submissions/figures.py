@@ -110,7 +110,7 @@ def part_file(part: FiguresPart, lease: Lease, folder: Path) -> UploadedFile:
     return _written(FileRole.FIGURES, folder / "figures-part.json", content, facts)
 
 
-def figures_of(
+def read_figures(
     session: Session, submission: Submission, evaluation: Evaluation, *, with_starts: bool = True
 ) -> SensorFigures | None:
     """Return the figures of a submission's sensor as far as an evaluation's evaluator has measured them on its list.

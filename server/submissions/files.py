@@ -39,7 +39,7 @@ def add_files(session: Session, submission_id: UUID, files: Iterable[UploadedFil
         )
 
 
-def file_of(session: Session, submission_id: UUID, role: FileRole) -> SubmissionFile | None:
+def find_file(session: Session, submission_id: UUID, role: FileRole) -> SubmissionFile | None:
     """Return a submission's file of a role, the last by digest where there are several; None without one."""
     return session.scalars(
         select(SubmissionFile)

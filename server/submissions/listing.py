@@ -17,7 +17,7 @@ from ..settings import Settings
 from ..sharing.public_pages import readable
 from ..teams import teams
 from ..views.submissions import EpisodeView, SubmissionListView, SubmissionView
-from ..visibility import sight_of, visible
+from ..visibility import decide_sight, visible
 from .view import submission_views
 
 _ends: Cache[UUID, Sequence[EpisodeView]] = Cache(at_most=128)
@@ -85,7 +85,7 @@ def episodes(session: Session, by: Principal, submission_id: UUID) -> Sequence[E
 
 def list_episodes(session: Session, by: Principal, evaluation: Evaluation) -> Sequence[EpisodeView]:
     """Return how each finished episode of an evaluation ended, in order; none where they are not shown."""
-    if not sight_of(by, evaluation).episodes:
+    if not decide_sight(by, evaluation).episodes:
         return ()
     if evaluation.state is not EvaluationState.COMPLETED:
         return _read_episodes(session, evaluation)
@@ -93,7 +93,7 @@ def list_episodes(session: Session, by: Principal, evaluation: Evaluation) -> Se
 
 
 def _read_episodes(session: Session, evaluation: Evaluation) -> Sequence[EpisodeView]:
-    key = EpisodeKey.of(evaluation, evaluation.submission)
+    key = EpisodeKey.from_evaluation(evaluation, evaluation.submission)
     rows = session.execute(
         select(
             EpisodeResult.task,

@@ -14,7 +14,7 @@ from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation
 from ..principals import Principal
 from ..views.submissions import EpisodeOutputView, OutputView
-from ..visibility import require_lists, sight_of, visible
+from ..visibility import decide_sight, require_lists, visible
 
 PAGE_EPISODES = 20
 _HAS_SOMETHING = or_(
@@ -47,7 +47,7 @@ def episode_outputs(
     """
     submission = visible(session, by, submission_id)
     evaluation = newest_evaluation(session, submission)
-    if not sight_of(by, evaluation).output:
+    if not decide_sight(by, evaluation).output:
         require_lists(evaluation)
         raise ServiceError(
             ProblemCode.FORBIDDEN,
@@ -79,13 +79,13 @@ def episode_outputs(
 
 def episodes_with_output(session: Session, by: Principal, evaluation: Evaluation) -> int:
     """Return in how many episodes of an evaluation the policy printed something or failed; 0 where it is not shown."""
-    if not sight_of(by, evaluation).output:
+    if not decide_sight(by, evaluation).output:
         return 0
-    return session.scalar(_with_output(), EpisodeKey.of(evaluation, evaluation.submission).given()) or 0
+    return session.scalar(_count_query(), EpisodeKey.from_evaluation(evaluation, evaluation.submission).given()) or 0
 
 
 @cache
-def _with_output() -> Select[int]:
+def _count_query() -> Select[int]:
     """Return the query of their number, put together once: each page of a submission asks it."""
     return select(func.count()).select_from(EpisodeResult).where(*EpisodeKey.conditions_given(), _HAS_SOMETHING)
 
@@ -102,4 +102,4 @@ def _view(row: Row[Any]) -> EpisodeOutputView:
 
 
 def _key(evaluation: Evaluation) -> tuple[Any, ...]:
-    return EpisodeKey.of(evaluation, evaluation.submission).conditions()
+    return EpisodeKey.from_evaluation(evaluation, evaluation.submission).conditions()

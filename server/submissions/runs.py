@@ -4,7 +4,7 @@ from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
-from vitac.evaluator.tracks.versions import version_of
+from vitac.evaluator.tracks.versions import find_version
 
 from ..audit import record
 from ..db.models import Evaluation, Submission
@@ -100,7 +100,7 @@ def next_run(session: Session, submission: Submission, *, again: bool) -> int | 
 
     A score answers it, and so does what was found against a log: its actions would lead to the same states again.
     """
-    current = version_of(submission.track)
+    current = find_version(submission.track)
     runs = session.scalars(all_runs(submission)).all()
     if any(evaluation.state in ACTIVE_EVALUATION_STATES for evaluation in runs):
         return None

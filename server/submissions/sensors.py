@@ -13,9 +13,9 @@ from ..errors import not_found
 from ..evaluations.history import newest_evaluation
 from ..principals import Principal
 from ..views.submissions import DocumentView, EpisodeView, SensorView
-from ..visibility import sight_of, visible
-from .figures import coefficients_digest, figures_of
-from .files import file_of
+from ..visibility import decide_sight, visible
+from .figures import coefficients_digest, read_figures
+from .files import find_file
 from .listing import episodes
 
 
@@ -34,7 +34,7 @@ def sensor(session: Session, by: Principal, submission_id: UUID) -> SensorView:
         document=DocumentView(name=described.name, n_bytes=described.n_bytes, sha256=described.sha256),
         coefficients_sha256=coefficients_digest(session, submission_id, evaluation.id, made.sha256),
         gain=_gain(session, by, submission),
-        figures=figures_of(session, submission, evaluation, with_starts=sight_of(by, evaluation).episodes),
+        figures=read_figures(session, submission, evaluation, with_starts=decide_sight(by, evaluation).episodes),
     )
 
 
@@ -65,7 +65,7 @@ def to_save(submission_id: UUID, document: DocumentView) -> dict[str, str]:
 
 
 def _file(session: Session, submission_id: UUID, role: FileRole) -> SubmissionFile:
-    found = file_of(session, submission_id, role)
+    found = find_file(session, submission_id, role)
     if found is None:
         raise not_found(f"{role} of submission", submission_id)
     return found
@@ -74,15 +74,15 @@ def _file(session: Session, submission_id: UUID, role: FileRole) -> SubmissionFi
 def _gain(session: Session, by: Principal, submission: Submission) -> SensingGain | None:
     """Return the gain; None where its two runs are not over, not both played, or their episodes not shown."""
     evaluation = newest_evaluation(session, submission)
-    if evaluation.state is not EvaluationState.COMPLETED or not sight_of(by, evaluation).episodes:
+    if evaluation.state is not EvaluationState.COMPLETED or not decide_sight(by, evaluation).episodes:
         return None
     players = {task.player: name for name, task in load_track(submission.track).tasks.items()}
     ends = episodes(session, by, submission.id)
     try:
-        return sensing_gain(_of(ends, players[Player.ESTIMATOR]), _of(ends, players[Player.BLIND]))
+        return sensing_gain(_select_task(ends, players[Player.ESTIMATOR]), _select_task(ends, players[Player.BLIND]))
     except RunsDiffer:
         return None
 
 
-def _of(ends: Sequence[EpisodeView], task: str) -> list[EpisodeView]:
+def _select_task(ends: Sequence[EpisodeView], task: str) -> list[EpisodeView]:
     return [end for end in ends if end.task == task]

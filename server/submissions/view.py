@@ -75,7 +75,7 @@ def submission_views(
 
 def _places(session: Session, by: Principal, stage: Stage) -> PlacesOfBoards:
     """Return all places as the boards show them, which may be frozen for all but organizers."""
-    return places(session, Board.of(stage, stage.counted_results(live=by.organizes(stage.contest))))
+    return places(session, Board.from_results(stage, stage.counted_results(live=by.organizes(stage.contest))))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,7 +36,7 @@ class ShownNames:
         """Return whether the team stays anonymous; its members, judges and organizers always see its name."""
         return self.hidden and not (self.to_organizer or self.by.may_see(team.id))
 
-    def name_of(self, team: Team) -> str:
+    def show_name(self, team: Team) -> str:
         """Return the name that is shown."""
         return team.pseudonym if self.hides(team) else team.name
 
@@ -44,6 +44,6 @@ class ShownNames:
         """Return the name that is shown to everybody else."""
         return team.pseudonym if self.hidden else team.name
 
-    def id_of(self, team: Team) -> UUID:
+    def show_id(self, team: Team) -> UUID:
         """Return the id that is shown: a hidden team's own one would tell which it was elsewhere."""
         return uuid5(NAMESPACE_OID, team.pseudonym) if self.hides(team) else team.id

@@ -129,13 +129,13 @@ def require_unlocked(session: Session, by: Principal | None) -> None:
     """
     if by is not None and by.is_organizer:
         return
-    if at := locked_since(session):
+    if at := find_lock_date(session):
         raise ServiceError(
             ProblemCode.REGISTRATION_CLOSED, f"Teams are locked since {at:%F %T} UTC; only organizers change them."
         )
 
 
-def locked_since(session: Session) -> datetime | None:
+def find_lock_date(session: Session) -> datetime | None:
     """Return the last lock date of the competitions that are not final, if all are over; with none, of all."""
     contests = Contest.read_all(session)
     running = [one for one in contests if one.row.finalized_at is None] or contests
@@ -241,8 +241,8 @@ def reinstate(session: Session, by: Principal, team: Team) -> None:
 def team_view(team: Team, names_shown: ShownNames) -> TeamView:
     """Return a team as somebody sees it."""
     return TeamView(
-        id=names_shown.id_of(team),
-        name=names_shown.name_of(team),
+        id=names_shown.show_id(team),
+        name=names_shown.show_name(team),
         shown_as=names_shown.name_for_others(team),
         created_at=None if names_shown.hides(team) else team.created_at,
     )
@@ -278,7 +278,7 @@ def _checked_name(session: Session, by: Principal | None, name: str, *, but: Tea
     """
     shown = names.clean(name, what="A team's name", min_length=1, max_length=NAME_LENGTH)
     session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _REGISTRATION_LOCK})
-    problem = _problem_of(session, by, shown, but)
+    problem = _find_name_problem(session, by, shown, but)
     if problem is not None and not (by is not None and by.is_organizer) and ShownNames.read(session).hidden:
         problem = f"The name {shown!r} is reserved, taken, or looks like one that is"
     if problem is not None:
@@ -286,7 +286,7 @@ def _checked_name(session: Session, by: Principal | None, name: str, *, but: Tea
     return shown
 
 
-def _problem_of(session: Session, by: Principal | None, shown: str, but: Team | None) -> str | None:
+def _find_name_problem(session: Session, by: Principal | None, shown: str, but: Team | None) -> str | None:
     """Return why nobody else may have a name; an organizer's own team may have a reserved one."""
     if not (by is not None and by.is_organizer) and names.is_reserved(shown):
         return f"The name {shown!r} is reserved for those who run this service"

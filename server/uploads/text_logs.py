@@ -51,7 +51,7 @@ def check_text_log(received: ReceivedFile, owner: str, settings: Settings) -> Ch
     except UnpackFailed as error:
         raise rejected(str(error), error.problem, None) from error
     require_own_team(log.team, owner)
-    track, task = _task_of(script)
+    track, task = _find_task(script)
     _require_whole(log, script, task)
     digest = _compute_digest(received, settings.log_bytes)
     return CheckedUpload(
@@ -66,7 +66,7 @@ def check_text_log(received: ReceivedFile, owner: str, settings: Settings) -> Ch
     )
 
 
-def _task_of(script: Script) -> tuple[str, Task]:
+def _find_task(script: Script) -> tuple[str, Task]:
     track_name, task_name = track_and_task_names(script)
     track = load_known_track(track_name)
     if task_name not in track.tasks:

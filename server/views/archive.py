@@ -13,7 +13,7 @@ class ArchiveView(View):
     """What was final at the end of a competition."""
 
     competition: CompetitionView
-    boards: list[LeaderboardView] = Field(description="Of every stage, as of the end or `decided_again_at`.")
+    boards: list[LeaderboardView] = Field(description="Of every stage, as of the end or `find_last_decision`.")
     public_key: str = Field(description="That signed the receipts of the results.")
     decided_again_at: datetime | None = Field(
         default=None, description="When it was last decided without teams that were disqualified then; null: never."

@@ -102,8 +102,8 @@ def transitions(episodes: Episodes) -> Transitions:
     """Return what a critic learns from episodes."""
     before, shapes = episodes.observations, np.repeat(episodes.shapes, episodes.lengths)
     return Transitions(
-        before=states_of(episodes.truths[before], shapes, episodes.step),
-        after=states_of(episodes.truths[before + 1], shapes, episodes.step + 1),
+        before=stack_states(episodes.truths[before], shapes, episodes.step),
+        after=stack_states(episodes.truths[before + 1], shapes, episodes.step + 1),
         actions=episodes.actions,
         reached=episodes.reached,
         last=episodes.last,
@@ -111,7 +111,7 @@ def transitions(episodes: Episodes) -> Transitions:
     )
 
 
-def states_of(truths: FloatArray, shapes: NDArray[np.int64], steps: NDArray[np.int64]) -> FloatArray:
+def stack_states(truths: FloatArray, shapes: NDArray[np.int64], steps: NDArray[np.int64]) -> FloatArray:
     """Return what a critic sees, shape [n, STATE_SIZE].
 
     Args:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..episodes import Episodes
 from ..submission.policy import HISTORY_SIZE, history_features
-from .critic import states_of
+from .critic import stack_states
 from .ensemble import Ensemble
 from .network import FloatArray, Layout, Learner, probability
 from .symmetry import HISTORY, TURNABLE
@@ -139,7 +139,7 @@ def make_weights(state: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 def make_histories(episodes: Episodes) -> Histories:
     """Return what a student learns from episodes: every moment at which an action was chosen."""
     shapes = np.repeat(episodes.shapes, episodes.lengths)
-    states = states_of(episodes.truths[episodes.observations], shapes, episodes.step)
+    states = stack_states(episodes.truths[episodes.observations], shapes, episodes.step)
     return Histories(
         felt=student_inputs(episodes)[episodes.observations], states=states, turnable=np.isin(shapes, TURNABLE)
     )

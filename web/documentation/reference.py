@@ -10,7 +10,7 @@ from inspect import cleandoc
 from itertools import pairwise
 from pathlib import Path
 
-from vitac.envs.tasks.definition import with_tables
+from vitac.envs.tasks.definition import append_tables
 from vitac.envs.tasks.registry import task_definitions
 
 PACKAGES = Path(__file__).parents[2]
@@ -29,7 +29,7 @@ def environments() -> str:
         module, _, name = task.environment.partition(":")
         if module.startswith("vitac."):  # those of other packages have their own documentation
             (found,) = [node for node in _tree(module).body if isinstance(node, ast.ClassDef) and node.name == name]
-            lines += [f"## {env_id}", SOURCE_NOTE.sub("", with_tables(ast.get_docstring(found) or "", task)), ""]
+            lines += [f"## {env_id}", SOURCE_NOTE.sub("", append_tables(ast.get_docstring(found) or "", task)), ""]
     return "\n".join(lines)
 
 

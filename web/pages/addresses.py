@@ -22,7 +22,7 @@ def as_id(text: str) -> UUID:
     return found
 
 
-def contest_in(request: Request) -> str | None:
+def read_contest_name(request: Request) -> str | None:
     """Return the name of the competition in an address below `/competitions`; None in others."""
     name: str | None = request.path_params.get("contest")
     return name

@@ -9,8 +9,8 @@ from vitac.server.appeals import appeals
 from vitac.server.principals import Principal
 
 from ..site import page, require_viewer, site_of
-from .addresses import competition_address, contest_in
-from .forms import act, id_in, number_in
+from .addresses import competition_address, read_contest_name
+from .forms import act, read_id, read_number
 
 ADDRESS = "/appeals"
 
@@ -18,7 +18,7 @@ ADDRESS = "/appeals"
 async def list_appeals(request: Request) -> Response:
     """Show the appeals of the team, all to organizers and judges."""
     viewer = await require_viewer(request)
-    by, contest = viewer.principal, contest_in(request)
+    by, contest = viewer.principal, read_contest_name(request)
     found = await site_of(request).ask(lambda session: appeals.visible(session, by, contest))
     given = request.query_params.get("submission", "")
     return page(
@@ -37,9 +37,9 @@ async def open_appeal(request: Request) -> Response:
 
     def opened(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
         task = fields.get("task", "").strip() or None
-        episode = number_in(fields, "episode") if fields.get("episode", "").strip() else None
+        episode = read_number(fields, "episode") if fields.get("episode", "").strip() else None
         text = fields.get("text", "")
-        return appeals.open_appeal(session, by, id_in(fields, "submission"), text, task=task, episode=episode)
+        return appeals.open_appeal(session, by, read_id(fields, "submission"), text, task=task, episode=episode)
 
     return await act(request, opened, back=_address(request))
 
@@ -48,11 +48,11 @@ async def withdraw(request: Request) -> Response:
     """Withdraw an appeal."""
     return await act(
         request,
-        lambda session, by, fields: appeals.withdraw(session, by, number_in(fields, "id")),
+        lambda session, by, fields: appeals.withdraw(session, by, read_number(fields, "id")),
         back=_address(request),
     )
 
 
 def _address(request: Request) -> str:
-    contest = contest_in(request)
+    contest = read_contest_name(request)
     return ADDRESS if contest is None else f"{competition_address(contest)}{ADDRESS}"

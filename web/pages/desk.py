@@ -18,7 +18,7 @@ from vitac.server.teams import teams
 
 from ..site import page, require_viewer, site_of
 from .addresses import board_address
-from .forms import act, id_in, number_in
+from .forms import act, read_id, read_number
 
 Change = Callable[[Session, Principal, Mapping[str, str]], object]
 
@@ -45,16 +45,16 @@ async def change(request: Request) -> Response:
 
 
 def _team(session: Session, by: Principal, fields: Mapping[str, str]) -> Team:
-    return teams.find_as_organizer(session, by, str(id_in(fields, "id")))
+    return teams.find_as_organizer(session, by, str(read_id(fields, "id")))
 
 
 def _answer(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
-    return questions.answer(session, by, number_in(fields, "id"), fields.get("text", ""), public="public" in fields)
+    return questions.answer(session, by, read_number(fields, "id"), fields.get("text", ""), public="public" in fields)
 
 
 def _rule(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
     upheld = fields.get("upheld") == "yes"
-    return appeals.rule(session, by, number_in(fields, "id"), fields.get("text", ""), upheld=upheld)
+    return appeals.rule(session, by, read_number(fields, "id"), fields.get("text", ""), upheld=upheld)
 
 
 def _announce(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
@@ -68,9 +68,9 @@ CHANGES: Mapping[str, Change] = {
         session, by, _team(session, by, fields), fields.get("reason", "")
     ),
     "answer": _answer,
-    "hide": lambda session, by, fields: questions.hide(session, by, number_in(fields, "id")),
+    "hide": lambda session, by, fields: questions.hide(session, by, read_number(fields, "id")),
     "rule": _rule,
     "announce": _announce,
-    "withdraw": lambda session, by, fields: announcements.withdraw(session, by, number_in(fields, "id")),
+    "withdraw": lambda session, by, fields: announcements.withdraw(session, by, read_number(fields, "id")),
 }
 """What the forms of the page do, by the last part of their address."""

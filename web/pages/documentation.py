@@ -11,14 +11,14 @@ from ..documentation.library import ADDRESS, INDEX, MAX_FOUND, Library, is_docum
 from ..site import page, viewer_of
 
 
-def library_of(request: Request) -> Library:
+def get_library(request: Request) -> Library:
     """Return the documents, which `routes.install` stored in the application."""
     return cast("Library", request.app.state.library)
 
 
 async def documentation(request: Request) -> Response:
     """Show a document, or answer with a file that one links to."""
-    library = library_of(request)
+    library = get_library(request)
     name = request.path_params["name"] or INDEX
     path = library.files.get(name)
     if path is None:
@@ -32,11 +32,11 @@ async def documentation(request: Request) -> Response:
 async def search(request: Request) -> Response:
     """Show the sections that have all words of a query."""
     query = request.query_params.get("q", "")[:200]
-    found = await asyncio.to_thread(library_of(request).search, query)
+    found = await asyncio.to_thread(get_library(request).search, query)
     return await _page(request, "document_search.html", query=query, found=found, max_found=MAX_FOUND)
 
 
 async def _page(request: Request, template: str, **values: Any) -> Response:
     viewer = await viewer_of(request)
-    chapters = library_of(request).chapters
+    chapters = get_library(request).chapters
     return page(request, template, viewer=viewer, section=ADDRESS, chapters=chapters, **{"query": "", **values})

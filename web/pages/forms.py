@@ -42,7 +42,7 @@ def checked_form(form: type[FormT], values: Mapping[str, str | None]) -> FormT:
         raise ServiceError(ProblemCode.INVALID_REQUEST, problems) from error
 
 
-def number_in(fields: Mapping[str, str], name: str) -> int:
+def read_number(fields: Mapping[str, str], name: str) -> int:
     """Return the number of a row out of a form.
 
     Raises:
@@ -56,7 +56,7 @@ def number_in(fields: Mapping[str, str], name: str) -> int:
     return int(given)
 
 
-def id_in(fields: Mapping[str, str], name: str) -> UUID:
+def read_id(fields: Mapping[str, str], name: str) -> UUID:
     """Return an id out of a form.
 
     Raises:

@@ -14,7 +14,7 @@ from vitac.server.judging.sheet import sheets
 from vitac.server.principals import Principal
 
 from ..site import page, require_viewer, site_of
-from .forms import act, id_in
+from .forms import act, read_id
 
 ADDRESS = "/judging"
 _MARK = "mark-"
@@ -37,7 +37,7 @@ async def give_marks(request: Request) -> Response:
 
     def given(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
         marks = {name.removeprefix(_MARK): _mark(text) for name, text in fields.items() if name.startswith(_MARK)}
-        marking.give_marks(session, by, id_in(fields, "id"), marks, judge=_judge(fields))
+        marking.give_marks(session, by, read_id(fields, "id"), marks, judge=_judge(fields))
 
     return await act(request, given, back=ADDRESS)
 

@@ -5,12 +5,12 @@ from starlette.responses import Response
 from vitac.server.submissions import receipts as of_submissions
 
 from ..site import page, require_viewer, site_of, viewer_of
-from .addresses import as_id, contest_in
+from .addresses import as_id, read_contest_name
 
 
 async def receipts(request: Request) -> Response:
     """Show the public key, how long the chain is, its end, and how to check a receipt."""
-    contest = contest_in(request)
+    contest = read_contest_name(request)
     return page(
         request,
         "receipts.html",

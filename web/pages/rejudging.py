@@ -13,7 +13,7 @@ from vitac.server.rejudging import rejudging
 from vitac.server.rejudging.view import rejudgement_detail_view, rejudgement_view
 
 from ..site import page, require_viewer, site_of
-from .forms import act, id_in
+from .forms import act, read_id
 
 ADDRESS = "/rejudging"
 
@@ -80,7 +80,7 @@ async def apply(request: Request) -> Response:
     """Make the new results count, if they are those that the page showed."""
 
     def applied(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
-        rejudging.apply(session, by, id_in(fields, "id"), shown=fields.get("shown", ""))
+        rejudging.apply(session, by, read_id(fields, "id"), shown=fields.get("shown", ""))
 
     return await act(request, applied, back=ADDRESS)
 
@@ -88,5 +88,5 @@ async def apply(request: Request) -> Response:
 async def discard(request: Request) -> Response:
     """Leave the present results as they are."""
     return await act(
-        request, lambda session, by, fields: rejudging.discard(session, by, id_in(fields, "id")), back=ADDRESS
+        request, lambda session, by, fields: rejudging.discard(session, by, read_id(fields, "id")), back=ADDRESS
     )

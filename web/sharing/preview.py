@@ -137,10 +137,10 @@ def _runs(text: str, files: Sequence[Path]) -> Iterator[tuple[str, Path]]:
         yield text, whole[0]
         return
 
-    def font_for(character: str) -> Path:
+    def choose_font(character: str) -> Path:
         return next((file for file in files if _can_write(character, file)), files[0])
 
-    for file, characters in groupby(text, font_for):
+    for file, characters in groupby(text, choose_font):
         yield "".join(characters), file
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from sqlalchemy.orm import Session
 from vitac.server.confirmations import Concern
-from vitac.server.contest.applying import Change, list_concerns, warnings_about
+from vitac.server.contest.applying import Change, list_concerns, list_warnings
 from vitac.server.contest.applying import apply as apply_definition
 from vitac.server.contest.contest import Contest
 from vitac.server.contest.definition import read_competition
@@ -81,7 +81,7 @@ def apply(
     def show(shown: "tuple[list[Change], list[Concern], str]") -> None:
         found, _, revision = shown
         _print_changes(found, as_json=as_json)
-        for warning in warnings_about(definition, found) if found else ():
+        for warning in list_warnings(definition, found) if found else ():
             warn(warning)
         if dry_run and found and revision:
             print(f"Made against revision {revision}: --yes needs --base {revision}.", file=sys.stderr)

@@ -46,7 +46,7 @@ class Target(StrEnum):
     RIGHT = "right"  # the rectangular hole, at the origin
 
     @classmethod
-    def of(cls, shape: FusionShape) -> "Target":
+    def from_shape(cls, shape: FusionShape) -> "Target":
         """Return the hole that a peg belongs into."""
         return cls.LEFT if shape is FusionShape.HEXAGON else cls.RIGHT
 
@@ -149,7 +149,7 @@ def choose_start(
     side = Target.LEFT if random.random() < 0.5 else Target.RIGHT
     if shape is None and side.shape not in shapes:
         (shape,) = shapes
-    target = side if shape is None else Target.of(shape)
+    target = side if shape is None else Target.from_shape(shape)
     return _placed((x * xy_mm, y * xy_mm, theta * theta_deg, z), target)
 
 
@@ -163,7 +163,7 @@ def _given(value: Any, shape: FusionShape | None) -> FusionStart:
     if not (inside and 0.0 <= z <= _LARGEST_START_Z_MM and left in (0.0, 1.0)):
         raise refusal(ENV_ID, START, value, expected)
     target = Target.LEFT if left else Target.RIGHT
-    if shape is not None and target is not Target.of(shape):
+    if shape is not None and target is not Target.from_shape(shape):
         raise refusal(ENV_ID, SHAPE, shape.value, f"expected {target.shape}, which is the peg of the start's side")
     return _placed((x, y, theta, z), target)
 

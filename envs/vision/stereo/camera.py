@@ -53,13 +53,13 @@ def infrared_pair(
         colour_view: what the colour camera sees there.
         noise_keys: from `draw_noise_keys`.
     """
-    in_colour_m = pose.in_camera(vertices_m)
+    in_colour_m = pose.transform_to_camera(vertices_m)
     normals = unit_normals(in_colour_m, surfaces.triangles)
     projector = Projector(dot_pattern(), colour_view.depth_m, colour_view.triangle, COLOUR_INTRINSICS)
     pictures = []
     for x_m, key in zip((LEFT_INFRARED_X_M, RIGHT_INFRARED_X_M), noise_keys, strict=True):
         view = rasterize(
-            pose.moved_right(x_m).in_camera(vertices_m),
+            pose.moved_right(x_m).transform_to_camera(vertices_m),
             surfaces.triangles,
             INFRARED_INTRINSICS,
             height_px=HEIGHT_PX,
@@ -87,10 +87,10 @@ def _exposed_part(picture: Picture) -> tuple[slice, slice]:
     """Return the rows and columns of what is not background, with a margin."""
     exposed = picture > 0
     rows, columns = np.flatnonzero(exposed.any(axis=1)), np.flatnonzero(exposed.any(axis=0))
-    return _with_margin(rows, picture.shape[0]), _with_margin(columns, picture.shape[1])
+    return _widen(rows, picture.shape[0]), _widen(columns, picture.shape[1])
 
 
-def _with_margin(places: NDArray[np.int64], end: int) -> slice:
+def _widen(places: NDArray[np.int64], end: int) -> slice:
     """Return the range of places from the first to the last, widened by the margin; one place where there is none."""
     if len(places) == 0:
         return slice(0, 1)

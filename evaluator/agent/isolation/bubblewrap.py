@@ -299,7 +299,7 @@ def _cpu_limits(limits: Limits) -> tuple[str, str]:
 
 
 @contextmanager
-def file_of(data: bytes) -> Iterator[int]:
+def open_data(data: bytes) -> Iterator[int]:
     """Return a descriptor from which bubblewrap reads data."""
     descriptor = os.memfd_create("vitac")
     try:

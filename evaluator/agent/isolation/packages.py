@@ -68,15 +68,15 @@ def _distributions(folder: Path) -> Iterator[tuple[str, str, list[str]]]:
 
 def _covering(seen: Iterable[str], unseen: Iterable[str], above: str = "") -> Iterator[str]:
     """Yield files and folders that together hold all seen paths and none of the unseen ones, as few as possible."""
-    shared = _by_first_part(unseen)
-    for first, rest in _by_first_part(seen).items():
+    shared = _group_by_first_part(unseen)
+    for first, rest in _group_by_first_part(seen).items():
         if first not in shared or "" in rest:
             yield above + first
         else:
             yield from _covering(rest, filter(None, shared[first]), f"{above}{first}/")
 
 
-def _by_first_part(paths: Iterable[str]) -> dict[str, list[str]]:
+def _group_by_first_part(paths: Iterable[str]) -> dict[str, list[str]]:
     parts: dict[str, list[str]] = {}
     for path in paths:
         first, _, rest = path.partition("/")

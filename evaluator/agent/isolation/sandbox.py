@@ -152,8 +152,8 @@ class Sandbox:
             descriptors = bubblewrap.Descriptors(
                 channel=theirs.fileno(),
                 status=status_write,
-                seccomp=given_away.enter_context(bubblewrap.file_of(seccomp.filter_program())),
-                passwd=given_away.enter_context(bubblewrap.file_of(bubblewrap.passwd_file(uid))),
+                seccomp=given_away.enter_context(bubblewrap.open_data(seccomp.filter_program())),
+                passwd=given_away.enter_context(bubblewrap.open_data(bubblewrap.passwd_file(uid))),
                 info=info_write,
             )
             self._process = self._spawn(self._command(uid, descriptors), descriptors, output_write)

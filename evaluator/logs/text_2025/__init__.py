@@ -4,7 +4,7 @@ from .checks import check
 from .conversion import to_json_lines
 from .messages import TextLogRejected, is_text_log
 from .reader import TextEpisode, TextLog, TextStep, read_text_log
-from .scripts import Script, script_of
+from .scripts import Script, find_script
 from .summary import WHY_RATES_DIFFER, TextLogSummary, summarize
 
 __all__ = [
@@ -16,9 +16,9 @@ __all__ = [
     "TextLogSummary",
     "TextStep",
     "check",
+    "find_script",
     "is_text_log",
     "read_text_log",
-    "script_of",
     "summarize",
     "to_json_lines",
 ]

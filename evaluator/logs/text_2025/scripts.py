@@ -149,6 +149,6 @@ def all_scripts() -> tuple[Script, ...]:
     return parse_yaml(_Scripts, files(__package__).joinpath(origin).read_text(encoding="utf-8"), origin).scripts
 
 
-def script_of(environment: dict[str, Any]) -> Script | None:
+def find_script(environment: dict[str, Any]) -> Script | None:
     """Return the script that prints these environment settings, or None."""
     return next((script for script in all_scripts() if script.marked_by in environment), None)

@@ -6,7 +6,7 @@ from ...strict_model import StrictModel
 from .checks import check, hole_top
 from .messages import TextLogRejected
 from .reader import TextLog
-from .scripts import Script, script_of
+from .scripts import Script, find_script
 
 WHY_RATES_DIFFER: Final = (
     "Claimed and re-simulated rate differ systematically: in the 2025 simulator the same actions lead to other states, "
@@ -37,7 +37,7 @@ def summarize(log: TextLog) -> tuple[Script, TextLogSummary]:
     Raises:
         TextLogRejected: its environment is not that of any known script.
     """
-    script = script_of(log.environment)
+    script = find_script(log.environment)
     if script is None:
         raise TextLogRejected("The environment in the header is not that of any task of the 2025 challenge.")
     successes = sum(episode.success is True for episode in log.episodes)

@@ -34,7 +34,7 @@ class BodyLimit:
 
         async def counted() -> Message:
             nonlocal received, is_complete
-            message = await receive() if is_complete else await _received_by(deadline, receive)
+            message = await receive() if is_complete else await _receive_before(deadline, receive)
             received += len(message.get("body", b""))
             is_complete = not message.get("more_body", False)
             if received > self._limit_bytes:
@@ -50,7 +50,7 @@ def is_one_of(routes: frozenset[tuple[str, str]], scope: Scope) -> bool:
     return not routes.isdisjoint({(scope["method"], path), (scope["method"], path[: path.rfind("/") + 1])})
 
 
-async def _received_by(deadline: float, receive: Receive) -> Message:
+async def _receive_before(deadline: float, receive: Receive) -> Message:
     try:
         async with asyncio.timeout_at(deadline):
             return await receive()

@@ -16,7 +16,7 @@ from service_client import make_archive, problem_of, running_service
 from service_factories import make_settings
 from vitac.server.db.engine import Database
 from vitac.server.errors import ServiceError
-from vitac.server.storage.blobs import PART_BYTES, BlobStore, StoredFileLost, key_of
+from vitac.server.storage.blobs import PART_BYTES, BlobStore, StoredFileLost, make_key
 from worker_fakes import eventually
 
 LARGE_BYTES = 160 << 20
@@ -76,7 +76,7 @@ def test_files_go_into_the_bucket_and_come_back_whole(
     path, digest = a_file(tmp_path, n_bytes)
     for _again in range(2):
         blobs.put(path, digest)
-    assert s3.stored_keys() == [f"files/{key_of(digest)}"]
+    assert s3.stored_keys() == [f"files/{make_key(digest)}"]
     assert blobs.list_older_than(timedelta(seconds=-60)) == [digest]
     blobs.fetch(digest, tmp_path / "copy")
     assert (tmp_path / "copy").stat().st_size == n_bytes

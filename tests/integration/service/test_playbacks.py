@@ -19,7 +19,7 @@ from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.tracks import find_task
 from vitac.server.db.engine import Database
 from vitac.server.db.states import PlaybackState
-from vitac.server.playbacks.files import PlaybackFile, digest_of, read
+from vitac.server.playbacks.files import PlaybackFile, find_digest, read
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
 from vitac.worker.staging import SubmissionStage
@@ -88,7 +88,9 @@ def test_an_episode_becomes_files_that_a_page_plays(services: Services) -> None:
     assert made.state is PlaybackState.MADE
     assert "The state after env step 0 is not the recorded one" in (failed.problem or "")
     with services.database.transaction() as session:
-        digests = {file: digest_of(session, team.episode(1), file) for file in (PlaybackFile.SCENE, PlaybackFile.STILL)}
+        digests = {
+            file: find_digest(session, team.episode(1), file) for file in (PlaybackFile.SCENE, PlaybackFile.STILL)
+        }
     scene = read(services.database, services.blobs, digests[PlaybackFile.SCENE])
     assert unpack(scene).arrays["action_values"].tolist() == [[0.25, 0.25, 0.25]] * 2
     assert read(services.database, services.blobs, digests[PlaybackFile.STILL]).startswith(b"\x89PNG")

@@ -15,7 +15,7 @@ from service_factories import make_principal, make_secret, make_settings, make_u
 from sqlalchemy import update
 from sqlalchemy.orm import Session
 from starlette.routing import Route
-from vitac.cli.service.web_server import WebServer, address_of, bind
+from vitac.cli.service.web_server import WebServer, bind, format_address
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult, Submission
@@ -129,12 +129,12 @@ def remaining(
         app, listener = create(services), bind("127.0.0.1", 0)
         server = WebServer(app=app, listener=listener)
         server.start()
-        visitor = PageVisitor(address=address_of(listener))
+        visitor = PageVisitor(address=format_address(listener))
         assert visitor.post("/sign-in", data={"token": secret}).status_code == 303
         cookies = "; ".join(f"{name}={value}" for name, value in visitor.cookies.items())
         headers = {"accept": "text/html", "authorization": f"Bearer {secret}", "cookie": cookies}
         yield RemainingSubmissions(
-            address=address_of(listener),
+            address=format_address(listener),
             app=app,
             removed=request.param,
             ids=ids,

@@ -9,7 +9,7 @@ from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.logs.recorded_files import read_recordings
-from vitac.evaluator.logs.text_2025 import check, read_text_log, script_of, summarize
+from vitac.evaluator.logs.text_2025 import check, find_script, read_text_log, summarize
 from vitac.evaluator.logs.text_2025.recordings import explain_not_resimulated, text_log_recordings
 from vitac.evaluator.tracks import load_track
 
@@ -34,7 +34,7 @@ def test_books_reward_and_flags_follow_from_the_numbers_without_exception(log_pa
 def test_a_converted_log_has_the_same_starts_and_actions(log_path: Path) -> None:
     with log_path.open("rb") as stream:
         log = read_text_log(stream)
-    script = script_of(log.environment)
+    script = find_script(log.environment)
     assert script is not None
     assert explain_not_resimulated(log, script, TASK) is None
     ours, converted = text_log_recordings(log, script, TASK), read_recordings(log_path.with_suffix(".jsonl"), TASK)

@@ -94,7 +94,7 @@ class SeenScene:
         self, intrinsics: Intrinsics = COLOUR_INTRINSICS, *, height_px: int = HEIGHT_PX, width_px: int = WIDTH_PX
     ) -> View:
         """What the camera sees."""
-        vertices_m = self.pose.in_camera(self.vertices_m)
+        vertices_m = self.pose.transform_to_camera(self.vertices_m)
         return rasterize(vertices_m, self.surfaces.triangles, intrinsics, height_px=height_px, width_px=width_px)
 
 

@@ -29,7 +29,7 @@ from vitac.evaluator.scoring.score import Score, rate
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import find_task
-from vitac.evaluator.tracks.versions import hash_of, version_of
+from vitac.evaluator.tracks.versions import compute_hash, find_version
 from vitac.evaluator.version import evaluator_hash, evaluator_version, platform_class
 from vitac.server import tokens
 from vitac.server.cache import Cache
@@ -254,8 +254,8 @@ def make_manifest(task: str = TASK) -> Manifest:
         task=task,
         list_seed=0,
         task_hash=sha256("task"),
-        evaluator_version=version_of(track),
-        evaluator_hash=hash_of(track),
+        evaluator_version=find_version(track),
+        evaluator_hash=compute_hash(track),
         solver_version="1",
         mesh_hash=sha256("mesh"),
         platform_class=platform_class(),

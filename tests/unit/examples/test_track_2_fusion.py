@@ -77,7 +77,7 @@ def test_camera_is_that_of_the_task(example: SimpleNamespace) -> None:
     points_mm = np.random.default_rng(0).uniform([-90, -60, -30], [40, 60, 60], (50, 3))
     y_mm, lower_end_mm = 12.0, 21.0
     pose = colour_camera_pose(y_mm * 1e-3, (lower_end_mm - 1.0) * 1e-3)
-    in_camera_mm = pose.in_camera((points_mm + np.array([0.0, y_mm, lower_end_mm])) * 1e-3) * 1e3
+    in_camera_mm = pose.transform_to_camera((points_mm + np.array([0.0, y_mm, lower_end_mm])) * 1e-3) * 1e3
     expected = in_camera_mm[:, :2] / in_camera_mm[:, 2:] * 604.3075 + [317.2341, 233.7944]
     in_picture = example.camera.project(points_mm)
     assert in_picture == pytest.approx(expected)

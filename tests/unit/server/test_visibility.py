@@ -14,7 +14,15 @@ from vitac.server.db.models import Evaluation
 from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import CONSOLE, VISITOR, Principal
-from vitac.server.visibility import Sight, changeable, is_sealed, played_list_kind, require_episodes, sight_of, visible
+from vitac.server.visibility import (
+    Sight,
+    changeable,
+    decide_sight,
+    is_sealed,
+    played_list_kind,
+    require_episodes,
+    visible,
+)
 
 OURS = uuid4()
 READERS = {
@@ -65,7 +73,7 @@ SEEN = {
 @pytest.mark.parametrize("reader", READERS)
 def test_what_is_shown_of_a_model(reader: str) -> None:
     for listed, public in product((OPEN, REVEALED, SEALED), (False, True)):
-        found = sight_of(READERS[reader], evaluation(listed=listed, public=public))
+        found = decide_sight(READERS[reader], evaluation(listed=listed, public=public))
         assert found == SEEN[reader][listed == SEALED][public], (listed, public)
 
 
@@ -74,7 +82,7 @@ def test_what_is_shown_of_a_model(reader: str) -> None:
 def test_nobody_sees_an_output_of_a_log_because_no_policy_ran(reader: str, kind: SubmissionKind) -> None:
     for listed, public in product((OPEN, REVEALED, SEALED), (False, True)):
         of_model = SEEN[reader][listed == SEALED][public]
-        found = sight_of(READERS[reader], evaluation(listed=listed, public=public, kind=kind))
+        found = decide_sight(READERS[reader], evaluation(listed=listed, public=public, kind=kind))
         assert found == Sight(episodes=of_model.episodes, output=False), (listed, public)
 
 
@@ -111,15 +119,15 @@ def test_a_stage_or_a_task_of_the_file_can_have_a_sealed_list(monkeypatch: pytes
 
 def test_a_list_that_was_removed_with_its_task_counts_as_sealed() -> None:
     assert played_list_kind(evaluation(tasks=(TASK, "gone"))) is ListKind.SEALED
-    assert not sight_of(VISITOR, evaluation(tasks=("gone",))).episodes
-    assert sight_of(CONSOLE, evaluation(tasks=("gone",))).episodes
+    assert not decide_sight(VISITOR, evaluation(tasks=("gone",))).episodes
+    assert decide_sight(CONSOLE, evaluation(tasks=("gone",))).episodes
 
 
 def test_the_kind_that_was_kept_counts_whatever_the_track_file_says_later(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vitac.server.tracks.load_track", lambda _: pytest.fail("the track file was asked"))
     public, sealed = (evaluation(tasks=(TASK,), list_kind=kind) for kind in ListKind)
     assert (played_list_kind(public), played_list_kind(sealed)) == (ListKind.PUBLIC, ListKind.SEALED)
-    assert sight_of(READERS["own"], public) == EVERYTHING
+    assert decide_sight(READERS["own"], public) == EVERYTHING
     require_episodes(READERS["own"], public)
     assert is_sealed(evaluation(listed=SEALED, list_kind=ListKind.PUBLIC)), "the stage's secret counts first"
     assert not is_sealed(evaluation(listed=REVEALED, list_kind=ListKind.SEALED))
@@ -134,7 +142,7 @@ def test_a_sealed_list_of_the_file_opens_when_its_commitment_is_taken_out(monkey
     for file, seen in ((closed, NOTHING), (track, EVERYTHING)):
         monkeypatch.setattr("vitac.server.tracks.load_track", lambda _, file=file: file)
         assert is_sealed(played) is (seen == NOTHING)
-        assert sight_of(READERS["own"], played) == seen
+        assert decide_sight(READERS["own"], played) == seen
         assert played_list_kind(played) is ListKind.SEALED, "who could know it while it was played stays"
     assert is_sealed(evaluation(commitment="c" * 64, list_kind=ListKind.SEALED)), "of a stage whose secret is lost"
     gone = evaluation(tasks=(TASK, "gone"), list_kind=ListKind.SEALED)

@@ -5,7 +5,7 @@ import pytest
 from toy_peg import ToyPeg
 from vitac.training.actors import MOTION, ActorKind, critic_actor, guided_actor, random_actor, student_actor
 from vitac.training.episodes import Moment, play
-from vitac.training.learning.critic import Critic, CriticPlan, states_of
+from vitac.training.learning.critic import Critic, CriticPlan, stack_states
 from vitac.training.learning.network import Layout, new_parameters
 from vitac.training.submission.policy import CANDIDATES, FELT_SIZE, HISTORY_SIZE, History, candidate_actions, values
 
@@ -88,7 +88,7 @@ def test_critic_actor_without_noise_takes_the_best_of_the_candidates(critic: Cri
     act = critic_actor(critic, 0.0)(np.random.default_rng(0))
     for step, shape in ((0, 0), (3, 2)):
         at = moment((2.0, 1.0, -4.0), shape=shape, step=step)
-        state = states_of(at.truth[None], np.array([shape]), np.array([step]))
+        state = stack_states(at.truth[None], np.array([shape]), np.array([step]))
         best = grid[int(critic.log_odds(state, grid)[0].argmax())]
         np.testing.assert_array_equal(act(at), best)
 

@@ -6,7 +6,7 @@ from vitac.envs.maniskill.abilities import Abilities
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.isolation.packages import PolicyPackages
 from vitac.evaluator.package_sets import PackageSet, locked_versions
-from vitac.evaluator.tracks.versions import version_of
+from vitac.evaluator.tracks.versions import find_version
 from vitac.evaluator.version import evaluator_version
 from vitac.server.queue.declared import explain_other_evaluator, explain_other_tracks
 from vitac.server.queue.jobs import queue_name
@@ -35,7 +35,7 @@ def test_a_worker_with_the_declared_packages_takes_shards_of_all_tracks(monkeypa
     install(monkeypatch, torch="2.13.0+cpu")
     assert fitness.explain_unfit({}) == ""
     assert fitness.fit_families() == (Family.TACTILE, Family.MANISKILL, Family.MANISKILL_PICTURES)
-    assert queue_name(version_of("cubes"), Family.MANISKILL) in fitness.queues_here()
+    assert queue_name(find_version("cubes"), Family.MANISKILL) in fitness.queues_here()
 
 
 def test_a_worker_with_another_torch_takes_shards_of_the_tracks_that_show_none(
@@ -50,7 +50,7 @@ def test_a_worker_with_another_torch_takes_shards_of_the_tracks_that_show_none(
     queues = fitness.queues_here()
     assert queue_name(evaluator_version()) in queues
     assert queue_name(evaluator_version(), Family.MANISKILL) not in queues
-    assert queue_name(version_of("cubes"), Family.MANISKILL) in queues
+    assert queue_name(find_version("cubes"), Family.MANISKILL) in queues
 
 
 @pytest.mark.parametrize("here", ["other", "none"])
@@ -58,7 +58,7 @@ def test_a_worker_whose_track_file_is_not_the_services_says_which(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, here: str
 ) -> None:
     install(monkeypatch)
-    declared = {"": evaluator_version(), "track_1": evaluator_version(), "cubes": version_of("cubes")}
+    declared = {"": evaluator_version(), "track_1": evaluator_version(), "cubes": find_version("cubes")}
     assert explain_other_tracks(declared) == {}
     monkeypatch.delenv("VITAC_TRACKS_DIR")
     if here == "other":
@@ -69,7 +69,7 @@ def test_a_worker_whose_track_file_is_not_the_services_says_which(
     assert explain_other_evaluator(declared) is None
     assert list(explain_other_tracks(declared)) == ["cubes"]
     said = fitness.explain_unfit(declared)
-    got = version_of("cubes") if here == "other" else "none"
+    got = find_version("cubes") if here == "other" else "none"
     assert f"cubes: the service has version {declared['cubes']} of it, this worker {got}." in said
     assert "VITAC_TRACKS_DIR" in said
 

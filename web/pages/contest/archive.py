@@ -5,7 +5,7 @@ from starlette.responses import Response
 from vitac.server.publishing.archive import archive_view
 
 from ...site import page, site_of, viewer_of
-from ..addresses import competition_address, contest_in
+from ..addresses import competition_address, read_contest_name
 
 
 async def archive(request: Request) -> Response:
@@ -14,7 +14,7 @@ async def archive(request: Request) -> Response:
     Raises:
         ServiceError: there is no such competition that is final.
     """
-    contest = contest_in(request)
+    contest = read_contest_name(request)
     found = await site_of(request).read(lambda session: archive_view(session, contest))
     return page(
         request,

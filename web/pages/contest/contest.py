@@ -14,7 +14,7 @@ from vitac.server.views.contest import CompetitionView
 from vitac.server.views.messages import AnnouncementView
 
 from ...site import page, principal_of, site_of, viewer_of
-from ..addresses import board_address, competition_address, contest_in
+from ..addresses import board_address, competition_address, read_contest_name
 from ..forms import act
 
 N_SAID = 3
@@ -33,7 +33,7 @@ async def competition(request: Request) -> Response:
     Raises:
         ServiceError: there is no such competition.
     """
-    contest = contest_in(request)
+    contest = read_contest_name(request)
 
     def read(session: Session) -> tuple[CompetitionView, Sequence[AnnouncementView], int]:
         shown = competition_view(session, contest)
@@ -58,7 +58,7 @@ async def competition(request: Request) -> Response:
 
 async def freeze(request: Request) -> Response:
     """Freeze the boards for everybody but organizers."""
-    contest = contest_in(request)
+    contest = read_contest_name(request)
     return await act(
         request, lambda session, by, _: freezing.freeze(session, by, contest), back=competition_address(contest)
     )
@@ -66,7 +66,7 @@ async def freeze(request: Request) -> Response:
 
 async def unfreeze(request: Request) -> Response:
     """Show all results on the boards again."""
-    contest = contest_in(request)
+    contest = read_contest_name(request)
     return await act(
         request, lambda session, by, _: freezing.unfreeze(session, by, contest), back=competition_address(contest)
     )

@@ -227,7 +227,7 @@ async def _read_file(request: Request, viewer: Viewer | None, place: EpisodeAddr
 
     def read(session: Session) -> str:
         found = asking.find_episode(session, by, place.submission_id, place.task, place.number)
-        return files.digest_of(session, found, file)
+        return files.find_digest(session, found, file)
 
     digest = await site_of(request).ask(read)
     return await asyncio.to_thread(files.read, services.database, services.blobs, digest)

@@ -6,7 +6,7 @@ from vitac.server.leaderboards.shown import shown_leaderboard, shown_log_boards
 from vitac.server.views.leaderboards import LeaderboardEntryView, LogBoardsView, LogEntryView
 
 from ...site import principal_of, site_of, viewer_of
-from ..addresses import contest_in
+from ..addresses import read_contest_name
 from .formats import csv_file
 
 BOARD_COLUMNS = (
@@ -24,12 +24,12 @@ async def leaderboard(request: Request) -> Response:
     """Return a board with a row for each entry."""
     track, asked = request.path_params["track"], request.query_params
     task, stage = asked.get("task"), asked.get("stage")
-    by, contest = principal_of(await viewer_of(request)), contest_in(request)
+    by, contest = principal_of(await viewer_of(request)), read_contest_name(request)
     board = await site_of(request).read(
         lambda session: shown_leaderboard(session, by, track, task=task, stage=stage, contest=contest).view
     )
     rows = (_ranked(entry) for entry in board.entries)
-    return csv_file(_name(contest_in(request), track, stage, task or "all"), BOARD_COLUMNS, rows)
+    return csv_file(_name(read_contest_name(request), track, stage, task or "all"), BOARD_COLUMNS, rows)
 
 
 async def logs(request: Request) -> Response:
@@ -47,7 +47,7 @@ async def logs(request: Request) -> Response:
         for board in found.boards
         for entry in board.entries
     )
-    return csv_file(_name(contest_in(request), track, stage, "logs"), LOG_COLUMNS, rows)
+    return csv_file(_name(read_contest_name(request), track, stage, "logs"), LOG_COLUMNS, rows)
 
 
 async def text_logs(request: Request) -> Response:
@@ -69,11 +69,11 @@ async def text_logs(request: Request) -> Response:
         )
         for log in found.text_logs
     )
-    return csv_file(_name(contest_in(request), track, stage, "text-logs"), TEXT_LOG_COLUMNS, rows)
+    return csv_file(_name(read_contest_name(request), track, stage, "text-logs"), TEXT_LOG_COLUMNS, rows)
 
 
 async def _log_boards(request: Request) -> LogBoardsView:
-    track, stage, contest = request.path_params["track"], request.query_params.get("stage"), contest_in(request)
+    track, stage, contest = request.path_params["track"], request.query_params.get("stage"), read_contest_name(request)
     by = principal_of(await viewer_of(request))
     return await site_of(request).read(
         lambda session: shown_log_boards(session, by, track, stage=stage, contest=contest).view

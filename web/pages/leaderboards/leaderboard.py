@@ -17,7 +17,7 @@ from ...plots.dates import DatedRate, rates_by_date
 from ...plots.figure import Figure
 from ...rendering import steps, words
 from ...site import Site, page, principal_of, site_of, viewer_of
-from ..addresses import board_address, board_query, contest_in
+from ..addresses import board_address, board_query, read_contest_name
 from .paging import board_page
 from .tabs import known_track, read_surroundings
 
@@ -44,7 +44,11 @@ async def leaderboard(request: Request) -> Response:
     track = known_track(request.path_params["track"])
     site, viewer = site_of(request), await viewer_of(request)
     by, own_names = principal_of(viewer), viewer.own_names if viewer else frozenset()
-    task, stage, contest = request.query_params.get("task"), request.query_params.get("stage"), contest_in(request)
+    task, stage, contest = (
+        request.query_params.get("task"),
+        request.query_params.get("stage"),
+        read_contest_name(request),
+    )
     address = board_address(contest, track.name) + board_query(task, stage)
 
     def read(session: Session) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from vitac.server.leaderboards.shown import shown_log_boards
 from vitac.server.sharing.public_pages import public_among
 
 from ...site import page, principal_of, site_of, viewer_of
-from ..addresses import board_address, board_query, contest_in
+from ..addresses import board_address, board_query, read_contest_name
 from .paging import PAGE_ENTRIES, board_page
 from .tabs import known_track, read_surroundings
 
@@ -22,7 +22,7 @@ async def logs(request: Request) -> Response:
     track = known_track(request.path_params["track"])
     viewer = await viewer_of(request)
     by, own_names = principal_of(viewer), viewer.own_names if viewer else frozenset()
-    stage, contest = request.query_params.get("stage"), contest_in(request)
+    stage, contest = request.query_params.get("stage"), read_contest_name(request)
     address = f"{board_address(contest, track.name)}/logs"
     paged = partial(board_page, request, address + board_query(None, stage), own_names=own_names)
 

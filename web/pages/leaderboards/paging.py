@@ -67,15 +67,15 @@ class BoardPage(Generic[EntryT]):
     def link(self, number: int) -> str:
         """Return the address of a page of the same search."""
         asked = ([("q", self.search)] if self.search else []) + ([(self.parameter, str(number))] if number > 1 else [])
-        return self._with(asked) + (f"#{self.section}" if self.section else "")
+        return self._add_query(asked) + (f"#{self.section}" if self.section else "")
 
     @property
     def own_link(self) -> str:
         """Return the address of the visitor's own row."""
-        asked = self._with([(self.parameter, str(self.own_page))] if self.own_page > 1 else [])
+        asked = self._add_query([(self.parameter, str(self.own_page))] if self.own_page > 1 else [])
         return f"{asked}#{self.section or 'own'}"
 
-    def _with(self, asked: list[tuple[str, str]]) -> str:
+    def _add_query(self, asked: list[tuple[str, str]]) -> str:
         if not asked:
             return self.address
         return f"{self.address}{'&' if '?' in self.address else '?'}{urlencode(asked)}"

@@ -11,7 +11,7 @@ from vitac.server.contest.view import competition_list_view, track_stages
 from vitac.server.views.contest import StageView
 
 from ...site import Site, Tab, site_of
-from ..addresses import board_address, board_data_address, board_query, competition_address, contest_in
+from ..addresses import board_address, board_data_address, board_query, competition_address, read_contest_name
 
 
 def known_track(name: str) -> Track:
@@ -43,7 +43,7 @@ def read_surroundings(
         shown_stage: the stage that they are of.
         logs: whether they are the boards of logs.
     """
-    contest, part = contest_in(request), "/logs" if logs else ""
+    contest, part = read_contest_name(request), "/logs" if logs else ""
     task, stage = None if logs else request.query_params.get("task"), request.query_params.get("stage")
     address, stages = board_address(contest, track.name), track_stages(session, track.name, contest)
     return {

@@ -53,13 +53,13 @@ def figures(
     return {
         "plots": site.plots.get(
             (found.evaluation.id, len(episodes)),
-            lambda: [_of_task(found, score, titles[score.task], episodes) for score in found.evaluation.scores],
+            lambda: [_draw_task(found, score, titles[score.task], episodes) for score in found.evaluation.scores],
         ),
         "history": site.plots.get((found.id, reached), lambda: _histories(found, titles, past)),
     }
 
 
-def _of_task(found: SubmissionView, score: TaskScoreView, title: str, episodes: Sequence[EpisodeView]) -> TaskFigures:
+def _draw_task(found: SubmissionView, score: TaskScoreView, title: str, episodes: Sequence[EpisodeView]) -> TaskFigures:
     ends = [end for end in episodes if end.task == score.task]
     # A stage's own list has other starts than the track file, from which the map takes them.
     known = found.evaluation.commitment is None

@@ -134,7 +134,7 @@ async def _views(request: Request) -> AsyncIterator[ServerSentEvent]:
 
 
 def _open_streams(request: Request) -> OpenStreams:
-    return OpenStreams.of(request, site_of(request).services)
+    return OpenStreams.from_request(request, site_of(request).services)
 
 
 async def _read_detail(request: Request, viewer: Viewer | None) -> SubmissionDetail:

@@ -6,7 +6,7 @@ from uuid import UUID
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.submission_kinds import kind_of_file
-from vitac.server.contest.view import competitions_to_choose_from
+from vitac.server.contest.view import list_choices
 from vitac.server.errors import ServiceError
 from vitac.server.limiter import UPLOADS
 from vitac.server.principals import Principal
@@ -68,7 +68,7 @@ async def _form(request: Request, viewer: Viewer, *, wrong: str | None = None, s
         section="/submissions",
         status=status,
         wrong=wrong,
-        contests=await site.read(competitions_to_choose_from),
+        contests=await site.read(list_choices),
         archive_size=size(settings.limits.archive_packed_bytes),
         log_size=size(settings.log_bytes),
     )

@@ -79,5 +79,5 @@ async def _register(request: Request, given: Mapping[str, str]) -> RegisteredTea
 
 
 async def _page(request: Request, **values: object) -> Response:
-    shown = {"made": None, "wrong": None, "locked_since": await site_of(request).ask(teams.locked_since), **values}
+    shown = {"made": None, "wrong": None, "locked_since": await site_of(request).ask(teams.find_lock_date), **values}
     return page(request, "register.html", section="/register", **shown)  # type: ignore[arg-type]

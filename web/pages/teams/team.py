@@ -24,7 +24,7 @@ from vitac.server.views.teams import OwnTeamView, TokenView
 
 from ...session.forms import read_form
 from ...site import page, require_viewer, signed_in_form, site_of, viewer_of
-from ..forms import act, checked_form, id_in
+from ..forms import act, checked_form, read_id
 from .sign_in import begin_session
 
 Change = Callable[[Session, Principal, Mapping[str, str]], object]
@@ -54,7 +54,7 @@ async def team(request: Request) -> Response:
 
     def read(session: Session) -> tuple[OwnTeamView, list[TokenView], datetime | None]:
         good = [tokens.token_view(found) for found in tokens.list_tokens(session, by) if found.revoked_at is None]
-        return members.own_team_view(session, by, teams.own(session, by)), good, teams.locked_since(session)
+        return members.own_team_view(session, by, teams.own(session, by)), good, teams.find_lock_date(session)
 
     found, good, locked_since = await site_of(request).ask(read)
     myself = next(
@@ -195,7 +195,7 @@ def _choose_notices(session: Session, by: Principal, fields: Mapping[str, str]) 
 
 
 def _member(session: Session, by: Principal, fields: Mapping[str, str]) -> Member:
-    return members.find(session, by, teams.own(session, by).id, id_in(fields, "id"))
+    return members.find(session, by, teams.own(session, by).id, read_id(fields, "id"))
 
 
 CHANGES: Mapping[str, Change] = {
@@ -206,9 +206,9 @@ CHANGES: Mapping[str, Change] = {
     "remove": lambda session, by, fields: members.remove(session, by, _member(session, by, fields)),
     "captain": lambda session, by, fields: members.hand_over(session, by, _member(session, by, fields)),
     "withdraw": lambda session, by, fields: members.withdraw_invitation(
-        session, by, teams.own(session, by), id_in(fields, "id")
+        session, by, teams.own(session, by), read_id(fields, "id")
     ),
-    "revoke": lambda session, by, fields: tokens.revoke(session, by, id_in(fields, "id")),
+    "revoke": lambda session, by, fields: tokens.revoke(session, by, read_id(fields, "id")),
 }
 """What the forms of the page do, by the last part of their address."""
 
@@ -218,7 +218,7 @@ def _token_lifetime(request: Request) -> timedelta:
 
 
 async def _join_page(request: Request, **values: object) -> Response:
-    locked = await site_of(request).ask(teams.locked_since)
+    locked = await site_of(request).ask(teams.find_lock_date)
     given = {"code": "", "name": "", "email": ""}
     shown = {"made": None, "wrong": None, "given": given, "locked_since": locked, **values}
     return page(request, "teams/join.html", section="/register", **shown)  # type: ignore[arg-type]

@@ -10,7 +10,7 @@ from sqlalchemy import func, select
 from text_log_writer import text_log
 from uploaded_logs import EPISODES, a_log, a_text_log, packed
 from vitac.cli.client.refusals import RequestRefused, ServiceUnreachable
-from vitac.cli.client.upload_kind import kind_of
+from vitac.cli.client.upload_kind import find_kind
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.submission.sources import NoSubmission, submission_digest
 from vitac.server.db.models import PartialUpload
@@ -161,7 +161,7 @@ def test_a_refused_log_tells_line_and_hint(service: CliService, tmp_path: Path) 
      ("a.log.gz", "text_log"), ("a.txt", "text_log"), ("a.gz", "model")],
 )  # fmt: skip
 def test_a_file_is_told_by_its_name(tmp_path: Path, name: str, kind: str) -> None:
-    assert kind_of(tmp_path / name) == kind
+    assert find_kind(tmp_path / name) == kind
 
 
 def test_the_name_of_the_folder_is_sent_along(service: CliService, tmp_path: Path) -> None:

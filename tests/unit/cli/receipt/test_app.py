@@ -11,7 +11,7 @@ from typer.testing import Result
 from vitac.server.db.states import Role
 from vitac.server.principals import Principal
 from vitac.server.publishing import exporting
-from vitac.server.publishing.exported_teams import teams_of
+from vitac.server.publishing.exported_teams import read_teams
 from vitac.server.receipts.export import ExportedTeam
 from vitac.server.teams import teams
 
@@ -76,10 +76,10 @@ def test_boards_are_exported_and_audited(
         with service.database.transaction() as other:
             late = submit(other, make_principal(other, "Bees"), tasks=(LOCK,))
         play_all(service.database, late)
-        return teams_of(session, evaluations)
+        return read_teams(session, evaluations)
 
     with monkeypatch.context() as patched:
-        patched.setattr(exporting, "teams_of", with_a_late_result)
+        patched.setattr(exporting, "read_teams", with_a_late_result)
         assert service.run("admin", "receipt", "export", TRACK, files[LOCK], "--task", LOCK).exit_code == 0
     assert json.loads(service.run("admin", "receipt", "key", "--json").stdout)["receipts"] == 4
     key = json.loads(service.run("admin", "receipt", "key", "--json").stdout)["public_key"]

@@ -16,10 +16,10 @@ from vitac.cli.service.web_server import (
     PortTaken,
     ServerDidNotStart,
     WebServer,
-    address_of,
     bind,
     bind_or_any,
     collect_garbage_rarely,
+    format_address,
 )
 
 
@@ -48,14 +48,14 @@ def test_another_port_is_taken_where_any_will_do() -> None:
 
 def test_address_is_one_that_a_browser_can_open() -> None:
     with bind("0.0.0.0", 0) as listener:  # noqa: S104 - all addresses is the case
-        assert address_of(listener) == f"http://127.0.0.1:{listener.getsockname()[1]}"
+        assert format_address(listener) == f"http://127.0.0.1:{listener.getsockname()[1]}"
 
 
 def test_serves_from_start_to_stop() -> None:
     app = FastAPI()
     app.add_api_route("/", lambda: "here")
     listener = bind("127.0.0.1", 0)
-    address = address_of(listener)
+    address = format_address(listener)
     server = WebServer(app=app, listener=listener)
     server.start()
     assert httpx.get(address, timeout=60).json() == "here"

@@ -213,13 +213,13 @@ def test_missing_extra_is_refused_with_the_command_that_installs_it(
 
 
 def test_every_task_of_ours_that_is_scored_can_be_drawn() -> None:
-    from vitac.envs.drawing.drawable import perspective_of, straight_to_target
+    from vitac.envs.drawing.drawable import find_perspective, straight_to_target
     from vitac.evaluator.tracks import list_tracks, load_track
 
     drawn = [task.env_id for name in list_tracks() if name != "maniskill" for task in load_track(name).tasks.values()]
     assert drawn
     for env_id in drawn:
-        assert perspective_of(env_id).held_name
+        assert find_perspective(env_id).held_name
         assert callable(straight_to_target(env_id))
 
 

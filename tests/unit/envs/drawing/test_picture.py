@@ -7,7 +7,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from vitac.envs.drawing.colouring import Quantity
-from vitac.envs.drawing.drawable import NotDrawable, perspective_of, straight_to_target
+from vitac.envs.drawing.drawable import NotDrawable, find_perspective, straight_to_target
 from vitac.envs.drawing.picture import Caption, Painter, draw, picture_size_px
 from vitac.envs.drawing.playback import Playback, record
 from vitac.envs.drawing.sensor_view import arrows, magnification
@@ -95,7 +95,7 @@ def test_caption_says_what_the_policy_believes_beside_what_is_true(peg_playback:
 def test_parts_sensors_and_units_are_named(task: str, request: pytest.FixtureRequest) -> None:
     playback = request.getfixturevalue(task)
     found = texts(painted(playback).figure(0))
-    perspective = perspective_of(playback.env_id)
+    perspective = find_perspective(playback.env_id)
     for name in ("left gel", "right gel", perspective.held_name, perspective.fixed_name, "von Mises stress [kPa]"):
         assert name in found
     for side in ("left", "right"):

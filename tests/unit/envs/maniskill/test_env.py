@@ -14,7 +14,7 @@ import pytest
 from fake_pick_cube import FakePickCube, in_place_of_maniskill
 from vitac.envs.maniskill import env as adapter
 from vitac.envs.maniskill.abilities import abilities
-from vitac.envs.maniskill.env import ManiSkillEnv, ManiSkillFailed, ManiSkillMissing, seed_of
+from vitac.envs.maniskill.env import ManiSkillEnv, ManiSkillFailed, ManiSkillMissing, compute_seed
 from vitac.envs.tasks.definition import UnknownObservationKey
 from vitac.envs.tasks.options import ResetOptionsError
 
@@ -45,7 +45,7 @@ def test_every_reset_builds_the_scene_anew_with_a_seed_of_the_episode_alone(fake
 def test_seeds_of_published_lists_stay(fake: FakePickCube) -> None:
     options = START | {"rng_seed": (0, 1)}
     pick_cube().reset(options=options)
-    assert fake.resets[0][0] == seed_of(PICK_CUBE, options) == 1121323793
+    assert fake.resets[0][0] == compute_seed(PICK_CUBE, options) == 1121323793
 
 
 def test_observations_are_plain_arrays_without_the_batch_and_infos_plain_values(fake: FakePickCube) -> None:
@@ -181,7 +181,7 @@ def test_an_unknown_option_is_refused(fake: FakePickCube) -> None:
     with pytest.raises(ResetOptionsError, match="has no reset option 'sede'"):
         pick_cube().reset(options={"sede": 1})
     with pytest.raises(ResetOptionsError, match="has no reset option 'sede'"):
-        seed_of(PICK_CUBE, {"sede": 1})
+        compute_seed(PICK_CUBE, {"sede": 1})
 
 
 def test_without_the_packages_the_error_names_size_and_command(monkeypatch: pytest.MonkeyPatch) -> None:

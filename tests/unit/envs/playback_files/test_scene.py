@@ -106,7 +106,7 @@ def test_a_task_that_is_not_drawn_is_played_all_the_same(
     def undrawn(env_id: str) -> None:
         raise NotDrawable(env_id)
 
-    monkeypatch.setattr(scene, "perspective_of", undrawn)
+    monkeypatch.setattr(scene, "find_perspective", undrawn)
     found = unpack(pack_scene(peg_playback))
     assert found.header["held_name"] == "held part"
     assert "heights_mm" not in found.arrays

@@ -11,7 +11,7 @@ from pathlib import Path
 import drawn_gels
 import numpy as np
 import pytest
-from vitac.envs.sensor_design.faces import gel_of
+from vitac.envs.sensor_design.faces import make_gel
 from vitac.envs.sensor_design.height_field import NotAHeightField
 from vitac.envs.sensor_design.mesher import FeatureBelowResolution, MeshGoal, max_distance_mm, mesh_height_field
 from vitac.envs.sensor_design.placing import placed_on_base
@@ -125,7 +125,7 @@ def test_features_too_small_for_the_nodes_are_refused() -> None:
 
 
 def test_driven_and_sensing_faces_follow_from_the_geometry() -> None:
-    gel, sensing = gel_of(meshed("ridge"), name="ridge")
+    gel, sensing = make_gel(meshed("ridge"), name="ridge")
     z_mm = gel.rest_position_m[:, 2] * 1e3
     assert (z_mm[gel.driven] == -2.0).all()
     assert gel.driven.sum() == (z_mm == -2.0).sum()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from vitac.envs.sensor_design.height_field import Line
-from vitac.envs.sensor_design.outlines import add_outlines, in_mm, on_grid
+from vitac.envs.sensor_design.outlines import add_outlines, convert_to_mm, snap_to_grid
 from vitac.envs.sensor_design.plane_mesh import GRID_PER_MM, PlaneMesh, TooManyPoints
 
 HALF_MM = (12.0, 10.0)
@@ -23,7 +23,7 @@ def ring(points: list[PlanePoint], *, is_wall: bool = True) -> list[Line]:
 
 
 def meshed(lines: list[Line], *, max_points: int = 1000) -> PlaneMesh:
-    plane = PlaneMesh(on_grid(HALF_MM[0]), on_grid(HALF_MM[1]), max_points=max_points)
+    plane = PlaneMesh(snap_to_grid(HALF_MM[0]), snap_to_grid(HALF_MM[1]), max_points=max_points)
     add_outlines(plane, lines, HALF_MM)
     plane.conform(shortest=0.5 * GRID_PER_MM)
     return plane
@@ -31,17 +31,17 @@ def meshed(lines: list[Line], *, max_points: int = 1000) -> PlaneMesh:
 
 def inner_points(plane: PlaneMesh) -> set[PlanePoint]:
     """Points beside the rectangle's own corners, rounded to a thousandth of a millimetre."""
-    return {(round(x, 3), round(y, 3)) for x, y in map(in_mm, plane.points[4:])}
+    return {(round(x, 3), round(y, 3)) for x, y in map(convert_to_mm, plane.points[4:])}
 
 
 def wall_length_mm(plane: PlaneMesh) -> float:
-    ends = [[in_mm(plane.points[corner]) for corner in edge] for edge in plane.walls]
+    ends = [[convert_to_mm(plane.points[corner]) for corner in edge] for edge in plane.walls]
     return sum(hypot(a[0] - b[0], a[1] - b[1]) for a, b in ends)
 
 
 @given(st.floats(-1e4, 1e4))
 def test_grid_is_finer_than_a_millionth_of_a_millimetre(value_mm: float) -> None:
-    x, y = in_mm((on_grid(value_mm), on_grid(-value_mm)))
+    x, y = convert_to_mm((snap_to_grid(value_mm), snap_to_grid(-value_mm)))
     assert abs(x - value_mm) <= 0.5 / GRID_PER_MM
     assert y == -x
 

@@ -5,7 +5,7 @@ import drawn_gels
 import numpy as np
 import own_sensors
 import pytest
-from vitac.envs.sensor_design.faces import gel_of
+from vitac.envs.sensor_design.faces import make_gel
 from vitac.envs.sensor_design.mesher import MeshGoal, mesh_height_field
 from vitac.envs.sensor_design.placing import placed_on_base
 from vitac.envs.tactile.attachment import Fault, attach_along_rays
@@ -109,7 +109,7 @@ def refined(min_nodes: int) -> SensorDesign:
         tip_depth_mm=0.875,
         min_tip_nodes=25,
     )
-    gel, sensing = gel_of(mesh_height_field(drawn, goal), name="dome")
+    gel, sensing = make_gel(mesh_height_field(drawn, goal), name="dome")
     return replace(own_sensors.designed("dome"), gel=gel, sensing_triangles=sensing)
 
 

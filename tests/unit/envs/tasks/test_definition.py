@@ -1,6 +1,6 @@
 import numpy as np
 from vitac.envs.observable import Observable
-from vitac.envs.tasks.definition import ActionComponent, TaskDefinition, with_tables
+from vitac.envs.tasks.definition import ActionComponent, TaskDefinition, append_tables
 
 HEIGHT: Observable[float] = Observable(
     name="height", shape=(1,), unit="mm", meaning="Above the table.", read=lambda scene, _: np.array([scene])
@@ -26,7 +26,7 @@ def test_a_policy_sees_nothing_privileged() -> None:
 
 
 def test_tables_of_the_docstring_are_the_lists() -> None:
-    docstring = with_tables(
+    docstring = append_tables(
         """Lift it.
 
         More.

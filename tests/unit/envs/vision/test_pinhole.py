@@ -19,7 +19,7 @@ def random_pose(random: np.random.Generator) -> CameraPose:
 def test_distances_are_the_same_in_every_frame(seed: int) -> None:
     random = np.random.default_rng(seed)
     pose, points_m = random_pose(random), random.normal(size=(6, 3))
-    seen_m = pose.in_camera(points_m)
+    seen_m = pose.transform_to_camera(points_m)
     assert np.linalg.norm(seen_m, axis=1) == pytest.approx(np.linalg.norm(points_m - pose.position_m, axis=1))
     assert seen_m @ pose.world_from_camera.T + pose.position_m == pytest.approx(points_m)
 
@@ -27,7 +27,7 @@ def test_distances_are_the_same_in_every_frame(seed: int) -> None:
 def test_axes_of_a_camera_are_right_down_and_forward() -> None:
     pose = random_pose(np.random.default_rng(3))
     ahead_m = pose.position_m + pose.world_from_camera.T
-    assert pose.in_camera(ahead_m) == pytest.approx(np.eye(3))
+    assert pose.transform_to_camera(ahead_m) == pytest.approx(np.eye(3))
 
 
 @some
@@ -35,14 +35,14 @@ def test_axes_of_a_camera_are_right_down_and_forward() -> None:
 def test_a_camera_moved_right_sees_everything_further_left(seed: int) -> None:
     random = np.random.default_rng(seed)
     pose, points_m, distance_m = random_pose(random), random.normal(size=(6, 3)), float(random.normal())
-    seen_m = pose.moved_right(distance_m).in_camera(points_m)
-    assert seen_m - pose.in_camera(points_m) == pytest.approx(np.tile([-distance_m, 0.0, 0.0], (6, 1)))
+    seen_m = pose.moved_right(distance_m).transform_to_camera(points_m)
+    assert seen_m - pose.transform_to_camera(points_m) == pytest.approx(np.tile([-distance_m, 0.0, 0.0], (6, 1)))
     back = pose.moved_right(distance_m).moved_right(-distance_m)
     assert back.position_m == pytest.approx(pose.position_m)
 
 
 def test_no_points_are_no_error() -> None:
-    assert random_pose(np.random.default_rng(0)).in_camera(np.empty((0, 3))).shape == (0, 3)
+    assert random_pose(np.random.default_rng(0)).transform_to_camera(np.empty((0, 3))).shape == (0, 3)
 
 
 @some

@@ -132,6 +132,6 @@ def test_the_task_is_seen_at_the_stated_depths_and_places(start: tuple[float, fl
 def test_a_camera_between_two_bodies_sees_only_the_one_before_it() -> None:
     wall = np.array([[-1.0, -1.0, 0.5], [1.0, -1.0, 0.5], [0.0, 1.0, 0.5]])
     pose = CameraPose(world_from_camera=np.eye(3), position_m=np.zeros(3))
-    vertices = pose.in_camera(np.concatenate([wall, -wall]))
+    vertices = pose.transform_to_camera(np.concatenate([wall, -wall]))
     view = rasterize(vertices, np.array([[0, 1, 2], [3, 4, 5]]), SMALL, height_px=HEIGHT_PX, width_px=WIDTH_PX)
     assert set(view.triangle.ravel().tolist()) == {0, NO_TRIANGLE}

@@ -34,7 +34,9 @@ def test_infrared_cameras_are_55_mm_apart_and_see_32_78_pixels_of_disparity_at_o
     pose = colour_camera_pose(0.0, 0.0)
     point = pose.position_m + pose.world_from_camera @ [0.01, 0.02, 1.0]
     columns = [
-        INFRARED_INTRINSICS.focal_u_px * camera.in_camera(point[None])[0, 0] / camera.in_camera(point[None])[0, 2]
+        INFRARED_INTRINSICS.focal_u_px
+        * camera.transform_to_camera(point[None])[0, 0]
+        / camera.transform_to_camera(point[None])[0, 2]
         for camera in (pose.moved_right(LEFT_INFRARED_X_M), pose.moved_right(RIGHT_INFRARED_X_M))
     ]
     assert columns[0] - columns[1] == pytest.approx(32.78, abs=0.005)

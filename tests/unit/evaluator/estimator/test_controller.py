@@ -2,7 +2,7 @@ from collections.abc import Sequence
 from math import cos, radians, sin
 
 import pytest
-from vitac.evaluator.estimator.controller import Controller, after_motion, in_gripper_frame, with_motion
+from vitac.evaluator.estimator.controller import Controller, after_motion, append_motion, rotate_to_gripper
 from vitac.evaluator.estimator.regression import Coefficients, Regression
 
 SCALE = (2.0, 2.0, 4.0)
@@ -51,7 +51,7 @@ def test_last_regression_holds_for_all_later_env_steps() -> None:
 
 
 def test_last_motion_is_a_feature() -> None:
-    assert with_motion([7.0], [2.0, -1.0, 4.0], SCALE) == [7.0, 1.0, -0.5, 1.0]
+    assert append_motion([7.0], [2.0, -1.0, 4.0], SCALE) == [7.0, 1.0, -0.5, 1.0]
 
 
 @pytest.mark.parametrize("theta_deg", [-15.0, 0.0, 8.0])
@@ -64,5 +64,5 @@ def test_frames_of_world_and_gripper_agree_on_motions(theta_deg: float) -> None:
         y + sin(angle) * motion[0] + cos(angle) * motion[1],
         theta_deg + motion[2],
     )
-    followed = after_motion(in_gripper_frame((x, y, theta_deg)), motion)
-    assert followed == pytest.approx(in_gripper_frame(moved))
+    followed = after_motion(rotate_to_gripper((x, y, theta_deg)), motion)
+    assert followed == pytest.approx(rotate_to_gripper(moved))

@@ -85,7 +85,7 @@ def test_only_the_same_shard_of_the_same_sensor_and_evaluator_is_found(
     for other in ({"episodes": (1, 2)}, {"shard": 1}, {"task": "lock-opening"}, {"track": "track_3"}):
         assert stored.load(ORDER.model_copy(update=other)) is None
     assert StoredShards(tmp_path, of="b").load(ORDER) is None
-    monkeypatch.setattr(stored_shards, "version_of", lambda _: "another")
+    monkeypatch.setattr(stored_shards, "find_version", lambda _: "another")
     assert stored.load(ORDER) is None
 
 

@@ -16,7 +16,7 @@ from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.playback import making
 from vitac.evaluator.playback.making import make, replay, serve
 from vitac.evaluator.playback.order import CAMERAS_FILE, SCENE_FILE, STILL_FILE, NotPlayable, PlaybackOrder
-from vitac.evaluator.playback.recorded import StatesDiffer, start_of
+from vitac.evaluator.playback.recorded import StatesDiffer, find_start
 from vitac.evaluator.sensors.check import accepted_sensor
 from vitac.evaluator.sensors.made import made_sensor
 from vitac.evaluator.tracks import find_task
@@ -101,8 +101,8 @@ def test_an_environment_of_another_kind_is_not_shown(recorded: Recorded, monkeyp
 
 def test_the_start_is_the_recorded_one_with_the_seed_of_the_list(recorded: Recorded) -> None:
     _, task = find_task("peg-insertion")
-    assert start_of(task, recorded(number=7)) == task.episodes[6]
-    assert start_of(task, recorded(number=7), list_seed=5).list_seed == 5
+    assert find_start(task, recorded(number=7)) == task.episodes[6]
+    assert find_start(task, recorded(number=7), list_seed=5).list_seed == 5
 
 
 def test_progress_and_end_are_told_line_by_line(recorded: Recorded, tmp_path: Path) -> None:

@@ -16,7 +16,13 @@ from submissions import FILES, MANIFEST, submission_folder, submission_zip, zip_
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.submission.archive import ArchiveFault, ArchiveRejected, unpack
 from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest, load_unpacked_manifest, parse_manifest
-from vitac.evaluator.submission.sources import NoSubmission, find_submission, manifest_of, stage, submission_digest
+from vitac.evaluator.submission.sources import (
+    NoSubmission,
+    find_submission,
+    read_manifest_file,
+    stage,
+    submission_digest,
+)
 from vitac.evaluator.tracks import registry
 
 
@@ -345,7 +351,7 @@ def second_track(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("second_track")
-@pytest.mark.parametrize("read", [manifest_of, lambda archive: stage(archive, archive.parent / "out")])
+@pytest.mark.parametrize("read", [read_manifest_file, lambda archive: stage(archive, archive.parent / "out")])
 def test_top_folder_of_another_track_is_refused(tmp_path: Path, read: Callable[[Path], object]) -> None:
     archive = tmp_path / "s.zip"
     archive.write_bytes(submission_zip(top="Mine"))
@@ -380,7 +386,7 @@ def test_wrong_name_of_the_manifest_lists_the_files_that_are_there(tmp_path: Pat
     archive = tmp_path / "packed.zip"
     archive.write_bytes(zip_bytes({"Track_1/submission.yml": MANIFEST, "Track_1/policy.py": ""}))
     with pytest.raises(ManifestRejected, match=rf"{mend} The archive holds 'policy\.py', 'submission\.yml'\."):
-        manifest_of(archive)
+        read_manifest_file(archive)
 
 
 def test_the_folder_of_a_track_that_this_machine_lacks_is_named(tmp_path: Path) -> None:
@@ -396,7 +402,7 @@ def test_a_manifest_of_the_right_name_is_not_to_be_renamed(tmp_path: Path) -> No
     archive = tmp_path / "packed.zip"
     archive.write_bytes(zip_bytes({"Track_1/submission.yaml": "#" * 20_000}))
     with pytest.raises(ManifestRejected, match=r"; put it directly into the submission's folder\. The archive holds"):
-        manifest_of(archive)
+        read_manifest_file(archive)
 
 
 def test_wrong_name_of_a_submission_lists_what_lies_beside_it(tmp_path: Path) -> None:

@@ -7,12 +7,12 @@ import pytest
 from vitac.envs.tasks import registry
 from vitac.evaluator.tracks import load_track, versions
 from vitac.evaluator.tracks.versions import (
+    compute_hash,
     current_versions,
     differing_parts,
-    evaluator_of,
-    hash_of,
-    parts_of,
-    version_of,
+    find_evaluator,
+    find_version,
+    list_parts,
 )
 from vitac.evaluator.version import evaluator_hash, evaluator_parts, evaluator_version
 
@@ -51,37 +51,37 @@ def toy_tracks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_our_own_tracks_have_the_evaluators_version() -> None:
-    assert version_of("track_1") == evaluator_version()
-    assert hash_of("track_1") == evaluator_hash()
-    assert parts_of("track_1") == evaluator_parts()
-    assert version_of("gone") == evaluator_version()
+    assert find_version("track_1") == evaluator_version()
+    assert compute_hash("track_1") == evaluator_hash()
+    assert list_parts("track_1") == evaluator_parts()
+    assert find_version("gone") == evaluator_version()
     assert current_versions() == {evaluator_version()}
 
 
 def test_a_package_and_a_track_file_beside_them_change_only_their_own_track(
     toy_package: Path, toy_tracks: Path
 ) -> None:
-    assert version_of("track_1") == evaluator_version()
-    assert hash_of("track_1") == evaluator_hash()
-    found = version_of("toy")
+    assert find_version("track_1") == evaluator_version()
+    assert compute_hash("track_1") == evaluator_hash()
+    found = find_version("toy")
     assert found != evaluator_version()
     assert len(found) == len(evaluator_version())  # the queue's name has no room for more
-    assert evaluator_of(found) == evaluator_version()
-    assert evaluator_of("1+000000000000") == "1+000000000000"
+    assert find_evaluator(found) == evaluator_version()
+    assert find_evaluator("1+000000000000") == "1+000000000000"
     assert current_versions() == {evaluator_version(), found}
-    assert parts_of("toy").keys() - evaluator_parts().keys() == {"toy.yaml", toy_package.name}
+    assert list_parts("toy").keys() - evaluator_parts().keys() == {"toy.yaml", toy_package.name}
 
 
 @pytest.mark.parametrize("changed", ["package", "track file"])
 def test_a_track_changes_with_its_file_and_with_the_package_of_its_task(
     toy_package: Path, toy_tracks: Path, changed: str
 ) -> None:
-    before, parts = version_of("toy"), parts_of("toy")
+    before, parts = find_version("toy"), list_parts("toy")
     file = toy_package / "__init__.py" if changed == "package" else toy_tracks / "toy.yaml"
     file.write_text(file.read_text() + "\n# another\n")
     versions._parts_of_file.cache_clear()
     assert load_track("toy").name == "toy"
-    assert version_of("toy") != before
+    assert find_version("toy") != before
     expected = toy_package.name if changed == "package" else "toy.yaml"
-    assert differing_parts(parts, parts_of("toy")) == (expected,)
-    assert version_of("track_1") == evaluator_version()
+    assert differing_parts(parts, list_parts("toy")) == (expected,)
+    assert find_version("track_1") == evaluator_version()

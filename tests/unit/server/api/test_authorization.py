@@ -32,7 +32,7 @@ from vitac.server.db.states import Role
 from vitac.server.members import members
 from vitac.server.messages import announcements, questions
 from vitac.server.principals import CONSOLE
-from vitac.server.rejudging.comparison import revision_of
+from vitac.server.rejudging.comparison import compute_revision
 
 from competitions import make_competition, put_in_place
 
@@ -343,7 +343,7 @@ BODIES: dict[tuple[str, str], Options] = {
     ("post", "/api/v1/rejudgements"): lambda setting, _: {
         "json": {"track": TRACK, "submissions": [setting.new_result()], "reason": "Look again."}
     },
-    ("post", f"{REJUDGEMENT}/apply"): lambda *_: {"json": {"shown": revision_of([])}},
+    ("post", f"{REJUDGEMENT}/apply"): lambda *_: {"json": {"shown": compute_revision([])}},
     ("post", "/api/v1/tokens"): lambda *_: {"json": {"label": "new"}},
     ("post", "/api/v1/submissions"): lambda _, who: {
         "content": make_archive(),

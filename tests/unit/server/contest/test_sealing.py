@@ -32,7 +32,7 @@ from vitac.server.logs.export import export_log
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import listing
 from vitac.server.submissions.output import episode_outputs
-from vitac.server.visibility import Sight, sight_of
+from vitac.server.visibility import Sight, decide_sight
 
 from competitions import stored_stage
 
@@ -229,7 +229,7 @@ def test_sight_is_by_role_and_list(database: Database, principal: Principal, sea
         public = newest_evaluation(session, submit(session, principal, tasks=(TASK, LOCK)))
         hidden = session.scalars(select(Evaluation).where(Evaluation.commitment.is_not(None))).one()
         everything, nothing = Sight(episodes=True, output=True), Sight(episodes=False, output=False)
-        seen = {by: (sight_of(by, public), sight_of(by, hidden)) for by in (CONSOLE, principal, JUDGE, other)}
+        seen = {by: (decide_sight(by, public), decide_sight(by, hidden)) for by in (CONSOLE, principal, JUDGE, other)}
     assert seen == {
         CONSOLE: (everything, everything),
         principal: (everything, nothing),

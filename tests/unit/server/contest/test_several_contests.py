@@ -32,7 +32,7 @@ from vitac.server.submissions import creation, listing
 from vitac.server.submissions.disqualification import disqualify, reinstate
 from vitac.server.submissions.runs import run_again
 from vitac.server.teams import teams
-from vitac.server.visibility import sight_of, visible
+from vitac.server.visibility import decide_sight, visible
 
 from competitions import FIRST, SECOND, make_competition, moved, open_now, put_in_place
 
@@ -168,7 +168,7 @@ def test_an_organizer_of_one_contest_sees_only_what_belongs_to_it(both: Database
         listed = listing.list_submissions(session, Settings(), by, team="Ants").items
         assert [one.id for one in listed] == [made[CLASS].id]
         assert [one.submission_id for one in appeals.visible(session, by)] == [made[CLASS].id]
-        seen = {name: sight_of(by, newest_evaluation(session, made[name])).episodes for name in made}
+        seen = {name: decide_sight(by, newest_evaluation(session, made[name])).episodes for name in made}
         assert seen == {MAIN: False, CLASS: True}
         for stage in (Contest.find(session, name).stage(TRACK, FIRST) for name in made):
             rejudging.start(session, CONSOLE, stage, reason="Look again.")

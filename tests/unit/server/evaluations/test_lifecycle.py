@@ -231,7 +231,7 @@ def test_records_are_read_back_as_they_were_written(database: Database) -> None:
         submission = submit(session, make_principal(session))
     play_all(database, submission, some_record)
     with database.transaction() as session:
-        key = EpisodeKey.of(newest_evaluation(session, submission), submission)
+        key = EpisodeKey.from_evaluation(newest_evaluation(session, submission), submission)
         read = read_stored_records(session, key, TASK)
     assert read == [some_record(episode) for episode in range(1, 271)]
 

@@ -3,12 +3,12 @@ import hashlib
 import pytest
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.server.evaluations.scores import combine_hashes
-from vitac.server.evaluations.verdicts import ServiceVerdict, sentence_of
+from vitac.server.evaluations.verdicts import ServiceVerdict, find_sentence
 
 
 @pytest.mark.parametrize("code", [*VerdictCode, *ServiceVerdict])
 def test_every_verdict_has_a_sentence(code: VerdictCode | ServiceVerdict) -> None:
-    assert sentence_of(code.value).endswith(".")
+    assert find_sentence(code.value).endswith(".")
 
 
 def test_codes_of_service_and_policy_are_different() -> None:

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import pytest
 from vitac.evaluator.tracks import ListKind
 from vitac.server.leaderboards import made_boards
-from vitac.server.leaderboards.made_boards import MadeBoards, revision_of
+from vitac.server.leaderboards.made_boards import MadeBoards, compute_revision
 from vitac.server.views.leaderboards import LeaderboardView
 
 
@@ -86,19 +86,19 @@ def test_the_body_is_the_view_as_json_and_made_once() -> None:
 
 def test_a_revision_is_short_and_depends_on_every_entry_and_their_order() -> None:
     revisions = {
-        revision_of("board", []),
-        revision_of("another", []),
-        revision_of("board", ["a"]),
-        revision_of("board", ["a", "b"]),
-        revision_of("board", ["b", "a"]),
+        compute_revision("board", []),
+        compute_revision("another", []),
+        compute_revision("board", ["a"]),
+        compute_revision("board", ["a", "b"]),
+        compute_revision("board", ["b", "a"]),
     }
     assert len(revisions) == 5
     assert {len(revision) for revision in revisions} == {32}
-    assert revision_of("board", iter(["a", "b"])) == revision_of("board", ("a", "b"))
+    assert compute_revision("board", iter(["a", "b"])) == compute_revision("board", ("a", "b"))
 
 
 @pytest.mark.parametrize("name", ["version", "evaluator_version"])
 def test_a_revision_changes_with_the_software(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = revision_of("board", ["a"])
+    before = compute_revision("board", ["a"])
     monkeypatch.setattr(made_boards, name, lambda *_: "another")
-    assert revision_of("board", ["a"]) != before
+    assert compute_revision("board", ["a"]) != before

@@ -39,7 +39,7 @@ from vitac.server.contest import sealing
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission, Team
 from vitac.server.evaluations import lifecycle
-from vitac.server.evaluations.verdicts import sentence_of
+from vitac.server.evaluations.verdicts import find_sentence
 from vitac.server.leaderboards import log_boards
 from vitac.server.logs import action_matches
 from vitac.server.principals import CONSOLE
@@ -162,7 +162,7 @@ def test_other_pictures_fail_the_evaluation_with_a_sentence_that_says_what_to_do
     assert (verdict["code"], verdict["episode"], verdict["message"]) == ("other_picture", 3, finding.reason)
     assert (found["log"]["verdict"], found["log"]["divergence"]) == ("other_picture", None)
     assert f"expected the pictures {sha256('ours')[:12]}… of env step 4, got no pictures" in found["log"]["reason"]
-    assert sentence_of("other_picture").endswith("unchanged version of vitac and upload the new log.")
+    assert find_sentence("other_picture").endswith("unchanged version of vitac and upload the new log.")
     assert service.get("/leaderboards/track_1/logs").json()["boards"][0]["entries"] == []
 
 

@@ -17,7 +17,7 @@ from vitac.server.db.states import PlaybackState, Role, ShardState, WorkerState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.playbacks import asking, work
 from vitac.server.playbacks.asking import ask, find_episode, find_playback, playback_key, playback_view, requester
-from vitac.server.playbacks.files import PlaybackFile, digest_of
+from vitac.server.playbacks.files import PlaybackFile, find_digest
 from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD, queue_name
 from vitac.server.sharing.public_pages import set_public
@@ -99,7 +99,7 @@ def test_another_evaluator_or_format_makes_another_playback(team_a: Played, monk
     keys = {playback_key(episode)}
     monkeypatch.setattr(asking, "FORMAT", 2)
     keys.add(playback_key(episode))
-    monkeypatch.setattr(asking, "version_of", lambda _: "2+other")
+    monkeypatch.setattr(asking, "find_version", lambda _: "2+other")
     keys.add(playback_key(episode))
     assert len(keys) == 3
 
@@ -221,7 +221,7 @@ def test_a_film_waits_for_workers_that_can_draw_until_it_is_made(database: Datab
         session.expire_all()
         assert asked.state is PlaybackState.MADE
         assert {"1" * 64, "2" * 64} <= work.stored_digests(session)
-        assert digest_of(session, asked.episode, PlaybackFile.FILM) == "1" * 64
+        assert find_digest(session, asked.episode, PlaybackFile.FILM) == "1" * 64
 
 
 def test_a_film_that_no_running_worker_can_draw_is_refused_to_all_but_the_made_one_is_shown(

@@ -6,7 +6,7 @@ from asked_playbacks import Played
 from obstore.store import MemoryStore
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.playbacks import work
-from vitac.server.playbacks.files import PlaybackFile, digest_of, read
+from vitac.server.playbacks.files import PlaybackFile, find_digest, read
 from vitac.server.storage.blobs import BlobStore
 
 SCENE = b"all that moves"
@@ -26,7 +26,7 @@ def made(team_a: Played) -> Played:
 
 def digest(made: Played, file: PlaybackFile, number: int = 1) -> str:
     with made.database.transaction() as session:
-        return digest_of(session, made.episode(number), file)
+        return find_digest(session, made.episode(number), file)
 
 
 def test_a_file_is_read_by_its_digest(made: Played, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from sqlalchemy import text
 from sqlalchemy.orm import Session
 from submission_steps import make_worker, view_of
 from vitac.envs.tasks.definition import Family
-from vitac.evaluator.tracks.versions import version_of
+from vitac.evaluator.tracks.versions import find_version
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
@@ -42,8 +42,8 @@ def submission(database: Database) -> Submission:
 
 def queue_of_cubes() -> str:
     """The queue of the track beside ours, whose file makes its version another."""
-    assert version_of("cubes") != evaluator_version()
-    return queue_name(version_of("cubes"), Family.MANISKILL)
+    assert find_version("cubes") != evaluator_version()
+    return queue_name(find_version("cubes"), Family.MANISKILL)
 
 
 def waiting(session: Session) -> dict[str, int]:
@@ -139,7 +139,7 @@ def test_pictures_and_physics_on_a_gpu_wait_for_workers_whose_machine_can(
         patch.setenv("VITAC_TRACKS_DIR", str(folder))
         with database.transaction() as session:
             seen = submit_to(session, make_principal(session), track="seen", task="pick-cube")
-            assert waiting(session) == {queue_name(version_of("seen"), Family(family)): 2}
+            assert waiting(session) == {queue_name(find_version("seen"), Family(family)): 2}
         make_worker(database, families=BOTH)
         assert view_of(database, CONSOLE, seen).workers.missing_family == family
         make_worker(database, families=["tactile", family])

@@ -25,7 +25,7 @@ from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.sharing.public_pages import public_among, readable, set_public
 from vitac.server.submissions import listing, runs
-from vitac.server.visibility import sight_of
+from vitac.server.visibility import decide_sight
 
 from competitions import make_competition, open_now, put_in_place, sealed_competition, stored_stage
 
@@ -118,9 +118,9 @@ def test_others_see_the_score_and_episodes_but_no_output_and_no_earlier_runs(two
     assert (len(own.evaluations), len(shown.evaluations)) == (2, 1)
     assert shown.evaluation.success_rate == own.evaluation.success_rate
     assert shown.evaluation.differing_episodes is None
-    assert sight_of(VISITOR, evaluation).episodes
-    assert not sight_of(two.other, evaluation).output
-    assert sight_of(two.owner, evaluation).output
+    assert decide_sight(VISITOR, evaluation).episodes
+    assert not decide_sight(two.other, evaluation).output
+    assert decide_sight(two.owner, evaluation).output
 
 
 def test_disqualified_teams_and_results_that_frozen_boards_do_not_show_are_left_out(two: Two) -> None:

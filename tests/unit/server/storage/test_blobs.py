@@ -14,7 +14,7 @@ from obstore.store import LocalStore, MemoryStore
 from service_factories import make_settings
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.storage import blobs as blobs_module
-from vitac.server.storage.blobs import PART_BYTES, BlobStore, StoredFileLost, key_of
+from vitac.server.storage.blobs import PART_BYTES, BlobStore, StoredFileLost, make_key
 
 CONTENT = b"content " * 1000
 
@@ -228,7 +228,7 @@ def test_a_long_reason_of_the_store_is_cut(tmp_path: Path, monkeypatch: pytest.M
 
 @pytest.mark.parametrize("digest", ["ab" + "0" * 62, "ff" + "1" * 62])
 def test_keys_are_spread_over_folders(digest: str) -> None:
-    assert key_of(digest) == f"sha256/{digest[:2]}/{digest}"
+    assert make_key(digest) == f"sha256/{digest[:2]}/{digest}"
 
 
 @pytest.mark.parametrize("content", [b"", b"a", CONTENT], ids=["empty", "short", "long"])

@@ -4,7 +4,7 @@ from pathlib import Path
 from service_factories import claim, make_principal, shard_ids, submit
 from vitac.server.db.engine import Database
 from vitac.server.db.states import FileRole
-from vitac.server.submissions.files import add_files, file_of, stored_digests
+from vitac.server.submissions.files import add_files, find_file, stored_digests
 from vitac.server.uploads.checked_upload import UploadedFile
 
 
@@ -18,7 +18,7 @@ def test_a_submission_has_one_sensor_which_is_the_one_made_last(database: Databa
         submission = submit(session, make_principal(session))
         for digit in "b", "c", "a":
             add_files(session, submission.id, [uploaded(FileRole.SENSOR, digit), uploaded(FileRole.FIGURES, digit)])
-            shown = file_of(session, submission.id, FileRole.SENSOR)
+            shown = find_file(session, submission.id, FileRole.SENSOR)
             assert shown is not None
             assert shown.sha256 == 64 * digit
         shards = shard_ids(session, submission)
@@ -34,6 +34,6 @@ def test_new_facts_of_a_file_are_added_to_those_it_has(database: Database) -> No
         for facts in {"first": "a"}, {"second": "b"}, {"first": "c"}:
             add_files(session, submission.id, [replace(uploaded(FileRole.COEFFICIENTS, "a"), facts=facts)])
         session.expire_all()
-        stored = file_of(session, submission.id, FileRole.COEFFICIENTS)
+        stored = find_file(session, submission.id, FileRole.COEFFICIENTS)
         assert stored is not None
         assert stored.facts == {"first": "c", "second": "b"}

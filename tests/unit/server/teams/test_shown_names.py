@@ -160,8 +160,8 @@ def test_organizers_boards_winners_and_receipts_have_the_names(service: CliServi
         submission = session.scalars(select(Submission).where(*model_of(team))).one()
         (receipt,) = receipts(session, member_of(team), submission.id)
         assert receipt.result.is_of_team(NAME), "so that the audit works with the names that are published at the end"
-        assert ShownNames.read(session, member_of(team)).id_of(team) == team.id
-        assert ShownNames.read(session, VISITOR).id_of(team) != team.id
+        assert ShownNames.read(session, member_of(team)).show_id(team) == team.id
+        assert ShownNames.read(session, VISITOR).show_id(team) != team.id
 
 
 def test_the_names_are_shown_again_once_the_competition_is_final(service: CliService) -> None:
@@ -179,5 +179,5 @@ def test_the_names_are_shown_again_once_the_competition_is_final(service: CliSer
         assert Contest.read(session).hides_names
         row.definition = row.definition | {"anonymous": False}
         assert not Contest.read(session).hides_names
-        assert ShownNames.read(session).name_of(teams.find(session, NAME)) == NAME
+        assert ShownNames.read(session).show_name(teams.find(session, NAME)) == NAME
         row.definition = row.definition | {"anonymous": True}

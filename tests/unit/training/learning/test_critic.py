@@ -5,7 +5,7 @@ import pytest
 from toy_peg import ToyPeg
 from vitac.training.actors import critic_actor, guided_actor, random_actor
 from vitac.training.episodes import Episodes, joined, play
-from vitac.training.learning.critic import STATE_SIZE, Critic, CriticPlan, states_of, transitions
+from vitac.training.learning.critic import STATE_SIZE, Critic, CriticPlan, stack_states, transitions
 
 PLAN = CriticPlan(networks=2, hidden=32, sweeps=4, epochs=2, batch=64)
 
@@ -16,7 +16,7 @@ def episodes(count: int = 60) -> Episodes:
 
 def test_state_has_the_offset_in_the_grippers_own_axes_and_the_shape() -> None:
     truth = np.array([[4.0, 0.0, 90.0, 4, 0, 19.875, 0, 0, 90]], dtype=np.float32)
-    (state,) = states_of(truth, np.array([2]), np.array([0]))
+    (state,) = stack_states(truth, np.array([2]), np.array([0]))
     assert state.shape == (STATE_SIZE,)
     assert state[:5] == pytest.approx([1.0, 0.0, 90 / 8, 0.0, -1.0], abs=1e-6)
     assert state[5:].tolist() == pytest.approx([0] * 7 + [0, 0, 1])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from vitac.training.learning.critic import STATE_SIZE, states_of
+from vitac.training.learning.critic import STATE_SIZE, stack_states
 from vitac.training.learning.symmetry import HISTORY, STATE, TURNABLE, Signs, both
 from vitac.training.submission.policy import HISTORY_SIZE, History, felt_motion
 
@@ -11,7 +11,7 @@ ACTION = np.array([[0.1, 0.2, 0.3]], dtype=np.float32)
 
 
 def state(truth: list[float]) -> np.ndarray:
-    return states_of(np.array([truth], dtype=np.float32), np.array([0]), np.array([2]))
+    return stack_states(np.array([truth], dtype=np.float32), np.array([0]), np.array([2]))
 
 
 # A peg at an offset that slipped by 0.3 and -0.2 mm and is tilted; the same in the mirror, and after half a turn.

@@ -3,7 +3,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from vitac.evaluator.logs.text_2025.scripts import PRINTED_MM, Script, all_scripts, is_printed, script_of
+from vitac.evaluator.logs.text_2025.scripts import PRINTED_MM, Script, all_scripts, find_script, is_printed
 
 SCRIPTS = {script.name: script for script in all_scripts()}
 PEG, LOCK = SCRIPTS["track 1 peg insertion"], SCRIPTS["track 1 lock opening"]
@@ -56,9 +56,9 @@ def test_a_part_is_named_without_its_side() -> None:
 
 def test_a_script_is_recognised_by_a_key_that_only_it_prints() -> None:
     for script in all_scripts():
-        assert script_of(script.environment) == script
-    assert script_of({}) is None
-    assert script_of({"max_steps": 8}) is None
+        assert find_script(script.environment) == script
+    assert find_script({}) is None
+    assert find_script({"max_steps": 8}) is None
 
 
 @given(st.lists(st.floats(-100.0, 100.0), max_size=5), st.floats(-0.99, 0.99))
