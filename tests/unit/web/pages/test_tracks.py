@@ -179,6 +179,13 @@ def test_rules_of_track_2_show_keys_shapes_actions_limits_and_a_picture_of_the_c
     assert browser.get(picture).headers["content-type"] == "image/png"
 
 
+def test_rules_of_a_variant_show_what_is_drawn_from_which_range(browser: AsgiBrowser) -> None:
+    html = browser.get("/tracks/track_1_peg_robust/rules").text
+    for shown in ("Drawn for every episode", "clearance_mm", "0.5 to 2 mm", "Clearance of the hole per side"):
+        assert shown in html
+    assert "Drawn for every episode" not in browser.get("/tracks/track_1/rules").text
+
+
 def test_rules_show_the_scene_of_each_task_before_its_words(browser: AsgiBrowser) -> None:
     html = browser.get("/tracks/track_1/rules").text
     for number, (name, task) in enumerate(load_track("track_1").tasks.items()):
