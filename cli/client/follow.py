@@ -3,15 +3,11 @@
 Called by `status`, `submit` and `demo`.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from .http import Client, Json
-    from .progress import EvaluationProgress
+from .http import Client, Json
+from .progress import EvaluationProgress
 
 POLL_S = 0.5
 _ENDED = frozenset({"completed", "failed", "cancelled"})

@@ -1,13 +1,8 @@
 """The team of a token, for the commands that change it."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from vitac.envs.errors import VitacError
 
-if TYPE_CHECKING:
-    from .http import Client
+from .http import Client
 
 
 class NoTeam(VitacError):

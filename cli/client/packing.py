@@ -3,16 +3,11 @@
 Called by `submit` and `demo`. The evaluator decides which files are ignored.
 """
 
-from __future__ import annotations
-
 import shutil
 import zipfile
 import zlib
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+from collections.abc import Iterator
+from pathlib import Path
 
 FIXED_TIME = (1980, 1, 1, 0, 0, 0)
 READABLE_FILE = 0o100644 << 16

@@ -4,19 +4,16 @@ The other side is the service's `/uploads`, by the protocol tus 1.0. The service
 digest of its content, so a command that was killed continues when it is started again. Called by `Client.upload`.
 """
 
-from __future__ import annotations
-
 import base64
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import httpx
 
 from .refusals import NO_CODE, RequestRefused, ServiceUnreachable
-
-if TYPE_CHECKING:
-    import httpx
 
 UPLOADS = "/api/v1/uploads"
 PROTOCOL = {"Tus-Resumable": "1.0.0"}

@@ -3,17 +3,12 @@
 Called by `status`, `submit` and `demo`.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
-if TYPE_CHECKING:
-    from rich.progress import TaskID
-
-    from .http import Json
+from .http import Json
 
 LINES_PER_EVALUATION = 10
 

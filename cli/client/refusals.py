@@ -1,13 +1,7 @@
 """Refusals of a service as the command line prints them. Raised by the client, distinguished by its callers."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+import httpx
 from vitac.envs.errors import VitacError
-
-if TYPE_CHECKING:
-    import httpx
 
 HINTS = {
     "missing_credentials": "Get a token with `vitac register TEAM`, or give yours to `vitac login`.",

@@ -1,8 +1,6 @@
 """`vitac status`: the state and results of submissions."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from vitac.envs.errors import VitacError
@@ -10,11 +8,8 @@ from vitac.envs.errors import VitacError
 from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, percent, print_json, print_pairs, print_table
 from .follow import follow
-from .http import make_client
+from .http import Client, Json, make_client
 from .progress import EvaluationProgress, missing_tasks, nobody
-
-if TYPE_CHECKING:
-    from .http import Client, Json
 
 
 class EvaluationEndedWithoutScore(VitacError):

@@ -1,11 +1,10 @@
 """`vitac submit`: uploads a model or a log to a service."""
 
-from __future__ import annotations
-
 import tempfile
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -13,15 +12,10 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from ..terminal.existing import existing
 from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, print_json
-from .http import make_client
+from .http import Client, Json, make_client
 from .packing import pack
 from .progress import missing_tasks, nobody
 from .upload_kind import find_kind
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from .http import Client, Json
 
 
 def command(

@@ -1,9 +1,7 @@
 """`vitac team`: the own team and its members, over the API."""
 
-from __future__ import annotations
-
 import sys
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from vitac.server.db.states import NoticeKind
@@ -11,11 +9,8 @@ from vitac.server.db.states import NoticeKind
 from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, print_json, print_pairs, print_records
 from . import credentials, webhook
-from .http import make_client
+from .http import Client, Json, make_client
 from .own_team import NoTeam, own_path
-
-if TYPE_CHECKING:
-    from .http import Client, Json
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(webhook.app, name="webhook", help="Addresses that get the team's notices: list, add, remove.")

@@ -3,14 +3,9 @@
 Called by `submit`.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from vitac.evaluator.submission_kinds import SubmissionKind, kind_of_file
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def find_kind(path: Path) -> SubmissionKind:

@@ -1,15 +1,8 @@
 """`vitac whoami`: whose token the commands use, and what the team may have."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, print_json, print_pairs, print_records
-from .http import make_client
-
-if TYPE_CHECKING:
-    from .http import Json
+from .http import Json, make_client
 
 
 def command(

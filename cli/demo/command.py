@@ -1,7 +1,5 @@
 """`vitac demo`: a whole evaluation on this machine, from an empty state directory to a leaderboard."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -11,31 +9,26 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from vitac.envs.errors import VitacError
+from vitac.server.db.models import Worker
+from vitac.server.settings import Settings
 
 from ..client.follow import follow, has_ended
-from ..client.http import Client
+from ..client.http import Client, Json
 from ..client.progress import EvaluationProgress
 from ..client.status import require_score
 from ..client.submit import packed
 from ..service.database import load_settings
 from ..service.events import configure_events
-from ..service.process_tree import running_service
+from ..service.process_tree import RunningService, running_service
 from ..service.stop_request import StopRequest
 from ..service.web_server import bind_or_any
 from ..terminal.program import program_name
 from .display import INDENT, DemoDisplay
 from .team import TEAM, TOKEN_FILE, team_token
-
-if TYPE_CHECKING:
-    from vitac.server.db.models import Worker
-    from vitac.server.settings import Settings
-
-    from ..client.http import Json
-    from ..service.process_tree import RunningService
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "peg_insertion_trained"
 MAX_SLOTS = 4

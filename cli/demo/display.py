@@ -1,11 +1,10 @@
 """What the demo prints: stages with their times, the leaderboard, addresses. Called by `command`."""
 
-from __future__ import annotations
-
 import sys
 import time
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from rich.console import Console
 from rich.live import Live
@@ -14,14 +13,9 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
+from ..client.http import Json
 from ..terminal.output import percent
 from ..terminal.program import program_name
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
-    from ..client.http import Json
 
 INDENT = 2
 LABEL_WIDTH = 12

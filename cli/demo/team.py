@@ -1,17 +1,12 @@
 """The demo's own team and its token, stored between runs in the state directory. Called by `demo`."""
 
-from __future__ import annotations
-
 import os
 from datetime import timedelta
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from sqlalchemy.orm import Session
-    from vitac.server.db.engine import Database
-    from vitac.server.db.models import Team
+from sqlalchemy.orm import Session
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Team
 
 TEAM = "demo"
 TOKEN_FILE = "demo-token"  # noqa: S105 - a file's name

@@ -1,18 +1,14 @@
 """Opens the service's database and files for the commands that work on them directly: `serve`, `demo`, `admin`."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from sqlalchemy.orm import Session
+from vitac.server.services import Services
+from vitac.server.settings import Settings
 
 from .events import keep_events_off_output
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from sqlalchemy.orm import Session
-    from vitac.server.services import Services
-    from vitac.server.settings import Settings
 
 
 def load_settings(**overrides: Any) -> Settings:

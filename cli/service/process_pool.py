@@ -3,18 +3,14 @@
 Called by `process_tree`.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import IO, TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+from typing import IO
 
 COMMAND = ("-c", "import sys; from vitac.cli.main import main; main(['worker', '--end-with', sys.argv[1]])")
 STOP_LIMIT_S = 15.0

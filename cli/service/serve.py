@@ -1,20 +1,16 @@
 """`vitac serve`: runs the service on this machine."""
 
-from __future__ import annotations
-
 import sys
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from vitac.server.settings import Settings
 
 from .database import load_settings
 from .events import configure_events
 from .process_tree import running_service
 from .stop_request import StopRequest
 from .web_server import bind
-
-if TYPE_CHECKING:
-    from vitac.server.settings import Settings
 
 
 def command(

@@ -1,14 +1,9 @@
 """Waits for Ctrl-C or SIGTERM. Called by `serve` and `demo`."""
 
-from __future__ import annotations
-
 import signal
 import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 SUPERVISION_PERIOD_S = 0.5
 
@@ -20,7 +15,7 @@ class StopRequest:
         self._received = threading.Event()
 
     @contextmanager
-    def listening(self) -> Iterator[StopRequest]:
+    def listening(self) -> Iterator["StopRequest"]:
         """Handle the two signals inside the block; restore the previous handlers after it."""
         numbers = (signal.SIGINT, signal.SIGTERM)
         before = {number: signal.signal(number, self._handle) for number in numbers}

@@ -3,28 +3,22 @@
 `process_tree` starts them. They use the database, which stays with the process that started them.
 """
 
-from __future__ import annotations
-
 import socket
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager
 from http.client import HTTPConnection, HTTPException
-from typing import TYPE_CHECKING
+
+from vitac.server.services import Services
 
 from .database import load_settings
 from .events import configure_events
 from .loading import no_collections
+from .process_pool import ProcessPool
 from .stop_request import StopRequest
 from .web_server import BACKLOG, START_LIMIT_S, ServerDidNotStart, WebServer
 from .worker import exit_with_parent
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from vitac.server.services import Services
-
-    from .process_pool import ProcessPool
 
 COMMAND = ("-c", "import sys; from vitac.cli.service.web_process import main; main(*map(int, sys.argv[1:]))")
 POLL_S = 0.05

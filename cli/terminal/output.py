@@ -1,17 +1,13 @@
 """Prints the results of commands: aligned columns for people, JSON for programs. Called by the commands."""
 
-from __future__ import annotations
-
 import json
 import sys
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from typing import Annotated, Any, cast
 
 import typer
 from rich.cells import cell_len
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from datetime import datetime
 
 GAP = "  "
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
