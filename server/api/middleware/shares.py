@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from hashlib import sha256
 
+import structlog
 from starlette.requests import HTTPConnection, Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -21,6 +22,8 @@ from ...errors import ProblemCode, ServiceError
 from ..attempts import address_of
 from ..problems import problem
 from .body_limit import is_one_of
+
+logger = structlog.get_logger(__name__)
 
 AT_WORK = 8
 """Requests of one client that are answered at the same time."""
@@ -107,6 +110,7 @@ class Shares:
         self._time = SharedTime()
         self._clients: dict[str, Client] = {}
         self._accounts: dict[bytes, str] = {}
+        self._is_warned = False
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Hand the request on when its client has a place, or refuse it."""
@@ -157,6 +161,10 @@ class Shares:
         """Return for whom a request counts; credentials that have not been found good count for the address."""
         credentials = _credentials(scope)
         account = self._accounts.get(credentials) if credentials else None
+        if not self._is_warned and any(name == b"x-forwarded-for" for name, _ in scope["headers"]):
+            self._is_warned = True
+            client = scope.get("client") or ("unknown",)
+            logger.info("forwarded_request", counted_for=client[0], advice="VITAC_TRUSTED_PROXIES names the proxies")
         return account or f"address {address_of(HTTPConnection(scope))}"
 
     def _note_account(self, scope: Scope) -> None:
