@@ -95,7 +95,7 @@ class QueueWorker:
                 self._loop.call_soon_threadsafe(self._stopped.set)
 
     async def _until_told(self, stopped: asyncio.Event) -> None:
-        """Return when no further shard is to be taken."""
+        """Wait until no further shard is to be taken."""
         while self._order() is WorkerOrder.WORK and not stopped.is_set():
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(stopped.wait(), LOOK_S)

@@ -49,7 +49,7 @@ def _require_public_url(settings: Settings) -> None:
     if not is_local and settings.public_url is None:
         raise SettingsError(
             f"The service would listen at {settings.host}, beyond this machine, and does not know its address for "
-            "others. Set VITAC_PUBLIC_URL, such as https://arena.example.org."
+            "others. Set VITAC_PUBLIC_URL to it (https://arena.example.org/)."
         )
 
 

@@ -33,8 +33,8 @@ from . import (
 )
 from . import rejudging as rejudgements
 from .middleware.body_limit import BodyLimit
+from .middleware.correlation import RequestIds
 from .middleware.request_head import RequestHead
-from .middleware.request_ids import RequestIds
 from .middleware.request_times import RequestTimes
 from .middleware.shares import Shares
 from .middleware.shutdown import Shutdown

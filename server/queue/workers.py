@@ -163,6 +163,22 @@ def list_workers(session: Session) -> Sequence[Worker]:
     return session.scalars(select(Worker).order_by(Worker.heartbeat_at.desc())).all()
 
 
+def list_views(session: Session, settings: Settings) -> list[WorkerView]:
+    """Return all known workers as organizers see them, the one with the newest heartbeat first."""
+    shards, now = running_shards(session), datetime.now(UTC)
+    return [worker_view(one, settings, now=now, shards=shards.get(one.id, ())) for one in list_workers(session)]
+
+
+def view_of(session: Session, settings: Settings, worker_id: UUID) -> WorkerView:
+    """Return one worker as organizers see it.
+
+    Raises:
+        ServiceError: there is none.
+    """
+    shards = running_shards(session).get(worker_id, ())
+    return worker_view(find(session, worker_id), settings, now=datetime.now(UTC), shards=shards)
+
+
 def find(session: Session, worker_id: UUID) -> Worker:
     """Return the worker of that id.
 
@@ -187,6 +203,7 @@ def give_order(session: Session, by: Principal, worker_id: UUID, order: WorkerOr
         raise ServiceError(ProblemCode.INVALID_REQUEST, f"Worker {worker_id} has ended; it takes no orders.")
     before = {"order": worker.worker_order.value}
     worker.worker_order = order
+    session.flush()
     record(session, by, "worker.order", f"worker:{worker.id}", {"order": order.value}, before=before)
     return worker
 

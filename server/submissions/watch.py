@@ -61,7 +61,7 @@ class Watched:
         return cast("ResultT", await asyncio.shield(found[1]))
 
     async def wait(self, seen: int) -> None:
-        """Return when there is another version than the one seen, which is so after a while at the latest."""
+        """Wait until there is another version than the one seen, which is so after a while at the latest."""
         if self.version == seen:
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._changed.wait(), LOOK_AGAIN_S)
