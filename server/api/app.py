@@ -48,7 +48,7 @@ Register a team, upload a zip with a policy, follow its evaluation, read the lea
 document (RFC 9457, `application/problem+json`) with a stable `code`.
 """
 
-PASSWORDS_AT_ONCE = 3
+PASSWORDS_AT_ONCE = 2
 """Of one address or device."""
 UNLIMITED = (
     ("POST", f"{API_PREFIX}{submissions.router.prefix}"),

@@ -2,7 +2,7 @@
 
 import select
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import TypeVar
@@ -69,8 +69,8 @@ class Database:
             json_deserializer=msgspec.json.decode,
             connect_args={"connect_timeout": 15, "application_name": "vitac", **ENCODING},
         )
-        limit = f"SET statement_timeout = {round(1000 * (statement_timeout_s or 0.0))}"
-        event.listen(self.engine, "connect", partial(_let_go_when_gone, limit))
+        limits = [] if statement_timeout_s is None else [f"SET statement_timeout = {round(1000 * statement_timeout_s)}"]
+        event.listen(self.engine, "connect", partial(_let_go_when_gone, limits))
         event.listen(self.engine, "checkin", _note_use)
         event.listen(self.engine, "checkout", _replace_if_dead)
         self._sessions = sessionmaker(self.engine, expire_on_commit=False)
@@ -129,9 +129,9 @@ class Database:
         self.engine.dispose()
 
 
-def _let_go_when_gone(limit: str, connection: DBAPIConnection, _: object) -> None:
+def _let_go_when_gone(limits: Sequence[str], connection: DBAPIConnection, _: object) -> None:
     cursor = connection.cursor()
-    cursor.execute("; ".join((*LET_GO, limit)))
+    cursor.execute("; ".join((*LET_GO, *limits)))
     cursor.close()
     connection.commit()
 

@@ -15,8 +15,8 @@ ResultT = TypeVar("ResultT")
 Given = ParamSpec("Given")
 
 MIN_LENGTH, MAX_LENGTH = 12, 256
-WAITING = 8
-"""Works that one thread may have before it; the last of them waits about a second."""
+WAITING = 24
+"""Works that one thread may have before it; the last of them waits about four seconds."""
 RETRY_AFTER_S = 5
 _HASHER = PasswordHasher(parallelism=1)
 _NOBODYS_HASH = "$argon2id$v=19$m=65536,t=3,p=1$y3oRZcNK+zJAFtg3k16d0A$vtT4WUlBwckmil4asvbHXRuuKskjurxWuRwOUIsnLWs"
