@@ -1,14 +1,14 @@
 """`vitac admin judging`: judges' marks by the rubric of a track, conflicts of interest, and what follows from them."""
 
-from dataclasses import asdict
 from typing import Annotated
 from uuid import UUID
 
 import typer
 from vitac.server.contest.contest import Contest
-from vitac.server.judging.judging import JudgedTeam, declare_conflict, find_rubric, give_marks, judged
+from vitac.server.judging.judging import declare_conflict, find_rubric, give_marks, judged
 from vitac.server.principals import CONSOLE
 from vitac.server.tokens import is_judge
+from vitac.server.views.judging import JudgedTeamView
 
 from ..service.database import transaction
 from ..terminal.output import AsJson, percent, print_done, print_json, print_table, warn
@@ -82,7 +82,7 @@ def show(
     with transaction() as session:
         found = judged(session, CONSOLE, Contest.find(session, contest, track=track).shown_stage(track, stage))
     if as_json:
-        print_json([asdict(team) | {"submission": str(team.submission)} for team in found])
+        print_json([team.model_dump() for team in found])
         return
     columns = ("team", "submission", "success", "judges", "mark", "spread", "figures", "total", "conflicts")
     print_table(columns, [_row(team) for team in found], none="Nobody is on the board.")
@@ -94,7 +94,7 @@ def _warn_of_stranger(judge: str, *, known: bool) -> None:
         warn(f"no judge with a token is named {judge!r}; check the spelling, for another name counts as another judge.")
 
 
-def _row(team: "JudgedTeam") -> list[object]:
+def _row(team: JudgedTeamView) -> list[object]:
     return [
         team.team,
         team.submission,

@@ -1,6 +1,5 @@
 """`vitac admin rejudge`: submissions evaluated again beside their results, applied or discarded as one step."""
 
-from dataclasses import asdict
 from typing import Annotated
 from uuid import UUID
 
@@ -9,8 +8,9 @@ from sqlalchemy.orm import Session
 from vitac.server.contest.contest import Contest
 from vitac.server.principals import CONSOLE
 from vitac.server.rejudging import rejudging
-from vitac.server.rejudging.comparison import RejudgedSubmission, comparison
+from vitac.server.rejudging.comparison import comparison
 from vitac.server.rejudging.rejudging import rejudgements
+from vitac.server.views.rejudging import RejudgedSubmissionView
 
 from ..service.database import transaction
 from ..terminal.output import AsJson, percent, print_done, print_json, print_table
@@ -82,15 +82,15 @@ def discard(session: Session, rejudgement: RejudgementId) -> dict[str, object]:
     return {"id": rejudgement, "discarded": True}
 
 
-def _print(found: "list[RejudgedSubmission]", *, as_json: bool) -> None:
+def _print(found: list[RejudgedSubmissionView], *, as_json: bool) -> None:
     if as_json:
-        print_json([asdict(row) | {"submission": str(row.submission)} for row in found])
+        print_json([row.model_dump() for row in found])
         return
     print_table(COLUMNS, [_row(row) for row in found], none="It has no submissions.")
     print(f"{sum(row.changes for row in found)} of {len(found)} submissions would change score or rank")
 
 
-def _row(row: "RejudgedSubmission") -> list[object]:
+def _row(row: RejudgedSubmissionView) -> list[object]:
     pairs = [(percent(row.before.success_rate), percent(row.after.success_rate))]
     pairs += [(getattr(row.before, name), getattr(row.after, name)) for name in ("mean_steps", "rank")]
     note = "keeps its result" if row.keeps_result else row.after.verdict or ("changes" if row.changes else None)

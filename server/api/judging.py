@@ -1,6 +1,5 @@
 """Routes of judging: marks and conflicts of interest by judges, and for organizers what follows from them."""
 
-from dataclasses import asdict
 from http import HTTPStatus
 from typing import Annotated
 from uuid import UUID
@@ -65,5 +64,4 @@ def get_judged(
     """Return each team's marks with their spread, its figures and its total, best first (organizers only)."""
     with services.database.transaction() as session:
         wanted = Contest.find_by_track(session, track, contest or principal.contest).shown_stage(track, stage)
-        found = judging.judged(session, principal, wanted)
-    return [JudgedTeamView(**asdict(team)) for team in found]
+        return judging.judged(session, principal, wanted)

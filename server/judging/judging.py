@@ -4,7 +4,6 @@ Only the weights and the rubric of the competition's file decide; none were publ
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import inf, isfinite
 from statistics import fmean, stdev
 from uuid import UUID
@@ -27,46 +26,11 @@ from ..leaderboards.standings import leaderboard
 from ..principals import CONSOLE, Principal
 from ..submissions.figures import read_figures
 from ..teams import teams
+from ..views.judging import JudgedCriterionView, JudgedTeamView
 from ..views.leaderboards import LeaderboardEntryView
 from ..visibility import decide_sight, visible
 
 BEST_MARK = 10.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class JudgedCriterion:
-    """What the judges think of one criterion. `spread` is the standard deviation, None of fewer than two marks."""
-
-    criterion: str
-    mean: float
-    spread: float | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class JudgedTeam:
-    """A team's best entry of a stage with its marks.
-
-    Attributes:
-        judges: who gave marks.
-        conflicts: judges who declared a conflict of interest with the team.
-        set_aside: those of them who had given marks, before a merge brought the conflict; these do not count.
-        mark: mean of the judges' means; None without any.
-        spread: standard deviation of the judges' means; None of fewer than two.
-        figures: share of the other sensors that this one is better than, over all figures; None where not measured.
-        total: by the weights; None while something that it weighs is missing.
-    """
-
-    team: str
-    submission: UUID
-    success_rate: float
-    judges: tuple[str, ...]
-    conflicts: tuple[str, ...]
-    set_aside: tuple[str, ...]
-    criteria: tuple[JudgedCriterion, ...]
-    mark: float | None
-    spread: float | None
-    figures: float | None
-    total: float | None
 
 
 def give_marks(
@@ -145,7 +109,7 @@ def declare_conflict(session: Session, by: Principal, team: str, reason: str, *,
     record(session, by, "judging.conflict", f"team:{found.id}", {"judge": name, "reason": reason}, before=before)
 
 
-def judged(session: Session, by: Principal, stage: Stage) -> list[JudgedTeam]:
+def judged(session: Session, by: Principal, stage: Stage) -> list[JudgedTeamView]:
     """Return the teams on a stage's board with marks, figures and total; the best total first, those without one last.
 
     Raises:
@@ -230,20 +194,20 @@ def figures_of_entry(session: Session, by: Principal, entry: LeaderboardEntryVie
     return read_figures(session, evaluation.submission, evaluation, with_starts=decide_sight(by, evaluation).episodes)
 
 
-def _sort_by_total(session: Session, rubric: Judging, entries: Sequence[LeaderboardEntryView]) -> list[JudgedTeam]:
+def _sort_by_total(session: Session, rubric: Judging, entries: Sequence[LeaderboardEntryView]) -> list[JudgedTeamView]:
     """Return the teams of entries, the best total first, those without one last, else in the order given."""
     figures = percentiles({entry.submission_id: figures_of_entry(session, CONSOLE, entry) for entry in entries})
     found = [_judged(session, rubric, entry, figures[entry.submission_id]) for entry in entries]
     return sorted(found, key=lambda team: (team.total is None, -(team.total or 0.0)))
 
 
-def _missing(rubric: Judging, team: JudgedTeam) -> str:
+def _missing(rubric: Judging, team: JudgedTeamView) -> str:
     """Return in words why a team has no total."""
     needs_judges = rubric.weights.judges and len(team.judges) < rubric.judges_at_least
     return f"{len(team.judges)} of {rubric.judges_at_least} judges" if needs_judges else "no figures"
 
 
-def _judged(session: Session, rubric: Judging, entry: LeaderboardEntryView, figures: float | None) -> JudgedTeam:
+def _judged(session: Session, rubric: Judging, entry: LeaderboardEntryView, figures: float | None) -> JudgedTeamView:
     rows = session.scalars(select(JudgingMark).where(JudgingMark.submission_id == entry.submission_id)).all()
     team_id = session.get_one(Submission, entry.submission_id).team_id
     conflicts = session.scalars(select(JudgingConflict.judge).where(JudgingConflict.team_id == team_id)).all()
@@ -253,7 +217,7 @@ def _judged(session: Session, rubric: Judging, entry: LeaderboardEntryView, figu
         judge: fmean(row.mark for row in known if row.judge == judge) for judge in sorted({row.judge for row in known})
     }
     mark = fmean(by_judge.values()) if by_judge else None
-    return JudgedTeam(
+    return JudgedTeamView(
         team=entry.team,
         submission=entry.submission_id,
         success_rate=entry.success_rate,
@@ -270,8 +234,8 @@ def _judged(session: Session, rubric: Judging, entry: LeaderboardEntryView, figu
     )
 
 
-def _criterion(name: str, marks: Sequence[float]) -> JudgedCriterion:
-    return JudgedCriterion(criterion=name, mean=fmean(marks), spread=_spread(marks))
+def _criterion(name: str, marks: Sequence[float]) -> JudgedCriterionView:
+    return JudgedCriterionView(criterion=name, mean=fmean(marks), spread=_spread(marks))
 
 
 def _spread(values: Sequence[float]) -> float | None:

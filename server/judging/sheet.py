@@ -15,8 +15,9 @@ from ..db.models import JudgingConflict, JudgingMark, Submission
 from ..errors import ProblemCode, ServiceError
 from ..leaderboards.standings import leaderboard
 from ..principals import Principal
+from ..views.judging import JudgedTeamView
 from ..views.leaderboards import LeaderboardEntryView
-from .judging import JudgedTeam, figures_of_entry, judged
+from .judging import figures_of_entry, judged
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +52,7 @@ class Sheet:
     rubric: Judging
     has_sensors: bool
     entries: Sequence[SheetEntry]
-    judged: Sequence[JudgedTeam]
+    judged: Sequence[JudgedTeamView]
 
 
 def sheets(session: Session, by: Principal) -> list[Sheet]:

@@ -2,7 +2,6 @@
 
 import hashlib
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from datetime import datetime
 from uuid import UUID
 
@@ -20,46 +19,10 @@ from ..db.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from ..evaluations.scores import combined_score
 from ..evaluations.verdicts import ServiceVerdict
 from ..leaderboards.best_entries import takes_part
+from ..views.rejudging import RejudgedSubmissionView, StandingView
 
 
-@dataclass(frozen=True, kw_only=True)
-class Standing:
-    """What a submission reaches over all tasks of its track; without a score all but the verdict is None.
-
-    Attributes:
-        rank: of its team's best entry, where it is that.
-        verdict: why there is no score.
-    """
-
-    success_rate: float | None = None
-    mean_steps: float | None = None
-    rank: int | None = None
-    evaluator_version: str | None = None
-    verdict: str | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class RejudgedSubmission:
-    """A submission before and after its rejudgement.
-
-    Attributes:
-        state: of the new evaluation.
-        changes: whether score or rank would be another one; False before the end.
-        keeps_result: whether it keeps its present result: machines failed it, it was cancelled, or the submission was
-            evaluated again since the rejudgement began.
-    """
-
-    team: str
-    submission: UUID
-    name: str
-    state: EvaluationState
-    before: Standing
-    after: Standing
-    changes: bool
-    keeps_result: bool
-
-
-def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmission]:
+def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmissionView]:
     """Return each submission before and after, those that change first.
 
     Ranks are those among all models of the stage as if every evaluator version counted alike, so that a board from
@@ -85,9 +48,9 @@ def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmi
     )
 
 
-def compute_revision(rows: Sequence[RejudgedSubmission]) -> str:
+def compute_revision(rows: Sequence[RejudgedSubmissionView]) -> str:
     """Return what changes whenever applying a rejudgement would do something else."""
-    content = {str(row.submission): asdict(row) | {"submission": None} for row in rows}
+    content = {str(row.submission): row.model_dump() | {"submission": None} for row in rows}
     return hashlib.sha256(canonical_json(content)).hexdigest()
 
 
@@ -176,12 +139,12 @@ def _key(key: RankingKey, evaluation: Evaluation, score: CombinedScore) -> float
 
 def _compared(
     new: Evaluation, old: Evaluation | None, ranks: tuple[int | None, int | None], *, keeps_result: bool
-) -> RejudgedSubmission:
+) -> RejudgedSubmissionView:
     before, after = _standing(old, ranks[0]), _standing(new, ranks[1])
     same = all(
         getattr(before, name) == getattr(after, name) for name in ("success_rate", "mean_steps", "rank", "verdict")
     )
-    return RejudgedSubmission(
+    return RejudgedSubmissionView(
         team=new.submission.team.name,
         submission=new.submission_id,
         name=new.submission.name,
@@ -193,9 +156,9 @@ def _compared(
     )
 
 
-def _standing(evaluation: Evaluation | None, rank: int | None) -> Standing:
+def _standing(evaluation: Evaluation | None, rank: int | None) -> StandingView:
     score = combined_score(evaluation) if evaluation else None
-    return Standing(
+    return StandingView(
         success_rate=score.success_rate if score else None,
         mean_steps=score.mean_steps if score else None,
         rank=rank,

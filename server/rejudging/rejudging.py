@@ -1,7 +1,6 @@
 """Submissions evaluated again, beside their results, with the present evaluator; applied or discarded together."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import asdict
 from datetime import UTC, datetime
 from uuid import UUID
 
@@ -28,7 +27,8 @@ from ..notices.outbox import announce_evaluation
 from ..principals import Principal
 from ..receipts.chain import issue_for_result
 from ..tracks import load_known_track
-from .comparison import RejudgedSubmission, comparison, compute_revision, find_newest_evaluations
+from ..views.rejudging import RejudgedSubmissionView
+from .comparison import comparison, compute_revision, find_newest_evaluations
 
 REASON_LENGTH = 500
 
@@ -115,7 +115,7 @@ def set_aside(session: Session, evaluations: Collection[UUID]) -> tuple[UUID, ..
 
 def apply(
     session: Session, by: Principal, rejudgement_id: UUID, *, shown: str | None = None
-) -> list[RejudgedSubmission]:
+) -> list[RejudgedSubmissionView]:
     """Make the new results those of their submissions, with a receipt each; the present ones leave the boards.
 
     What machines failed or somebody cancelled keeps its present result, and so does what was evaluated again since
@@ -230,8 +230,8 @@ def _lock_contest(session: Session, name: str) -> None:
     Contest.lock(session, name, shared=True).require_not_final()
 
 
-def _audited(rows: Sequence[RejudgedSubmission], side: str) -> dict[str, object]:
-    return {str(row.submission): asdict(getattr(row, side)) for row in rows if not row.keeps_result}
+def _audited(rows: Sequence[RejudgedSubmissionView], side: str) -> dict[str, object]:
+    return {str(row.submission): getattr(row, side).model_dump() for row in rows if not row.keeps_result}
 
 
 def _subject(rejudgement: Rejudgement) -> str:

@@ -1,13 +1,12 @@
 """Makes the views of rejudgements; called by API and pages."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
 
 from sqlalchemy.orm import Session
 
 from ..db.models import Rejudgement
 from ..views.rejudging import RejudgedSubmissionView, RejudgementDetailView, RejudgementView
-from .comparison import RejudgedSubmission, comparison, compute_revision
+from .comparison import comparison, compute_revision
 
 
 def rejudgement_view(rejudgement: Rejudgement) -> RejudgementView:
@@ -25,12 +24,12 @@ def rejudgement_view(rejudgement: Rejudgement) -> RejudgementView:
 
 
 def rejudgement_detail_view(
-    session: Session, rejudgement: Rejudgement, rows: Sequence[RejudgedSubmission] | None = None
+    session: Session, rejudgement: Rejudgement, rows: Sequence[RejudgedSubmissionView] | None = None
 ) -> RejudgementDetailView:
     """Return a rejudgement with its submissions; `rows`: as they were compared before it was applied."""
     found = comparison(session, rejudgement) if rows is None else rows
     return RejudgementDetailView(
         **dict(rejudgement_view(rejudgement)),
         revision=compute_revision(found),
-        submissions=[RejudgedSubmissionView.model_validate(asdict(row)) for row in found],
+        submissions=list(found),
     )

@@ -21,12 +21,12 @@ class JudgedTeamView(View):
     team: str
     submission: UUID
     success_rate: float
-    judges: list[str]
-    conflicts: list[str] = Field(description="Judges who do not judge this team.")
-    set_aside: list[str] = Field(
+    judges: tuple[str, ...]
+    conflicts: tuple[str, ...] = Field(description="Judges who do not judge this team.")
+    set_aside: tuple[str, ...] = Field(
         description="Those of them who had given marks, before a merge of teams brought the conflict: not counted."
     )
-    criteria: list[JudgedCriterionView]
+    criteria: tuple[JudgedCriterionView, ...]
     mark: float | None = Field(description="Mean of the judges' means, from 0 to 10.")
     spread: float | None = Field(description="Standard deviation of these; null of fewer than two judges.")
     figures: float | None = Field(description="Share of the other sensors that it is better than; null: not measured.")

@@ -13,9 +13,10 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import Competition, JudgingMark, Submission
 from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode
-from vitac.server.judging.judging import JudgedTeam, declare_conflict, give_marks, judged, percentiles
+from vitac.server.judging.judging import declare_conflict, give_marks, judged, percentiles
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.teams import merging, teams
+from vitac.server.views.judging import JudgedTeamView
 
 from competitions import make_competition, open_now, put_in_place, shown_stage
 
@@ -46,7 +47,7 @@ def mark(
         give_marks(session, by, submission.id, MARKS | marks, judge=judge)
 
 
-def shown(database: Database) -> dict[str, JudgedTeam]:
+def shown(database: Database) -> dict[str, JudgedTeamView]:
     with database.transaction() as session:
         return {team.team: team for team in judged(session, CONSOLE, shown_stage(session, TRACK))}
 

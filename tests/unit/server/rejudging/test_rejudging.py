@@ -36,8 +36,9 @@ from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.receipts.chain import chain_state, receipts_of_submission
 from vitac.server.rejudging import rejudging
-from vitac.server.rejudging.comparison import RejudgedSubmission, comparison
+from vitac.server.rejudging.comparison import comparison
 from vitac.server.submissions import creation, runs
+from vitac.server.views.rejudging import RejudgedSubmissionView
 
 from competitions import make_competition, open_now, put_in_place, shown_stage
 
@@ -89,7 +90,7 @@ def play_proposed(database: Database, rejudgement: UUID, **plays: RecordOf) -> N
                 play(database, shard_id, plays.get(team, of_task))
 
 
-def compared(database: Database, rejudgement: UUID) -> dict[str, RejudgedSubmission]:
+def compared(database: Database, rejudgement: UUID) -> dict[str, RejudgedSubmissionView]:
     with database.transaction() as session:
         rows = comparison(session, rejudging.find(session, CONSOLE, rejudgement))
     return {row.team: row for row in rows}
