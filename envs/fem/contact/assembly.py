@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from ...compilation import kernel, large_kernel
 from ..algebra.mat3 import add_matrices, outer, scale_matrix, transpose
-from ..algebra.vec3 import Vec3, dot, load, scale, subtract
+from ..algebra.vec3 import add, dot, load, scale, subtract
 from ..model.model import Model, Parameters
-from ..model.newton_system import NO_MATRIX, PROJECTED_MATRIX, NewtonSystem
+from ..model.newton_system import EXACT_MATRIX, NO_MATRIX, PROJECTED_MATRIX, NewtonSystem
 from .barrier import barrier
 from .broad_phase import Candidates
-from .contact import Contact, ContactGeometry, Friction, NormalForce, contact_geometry, contact_terms
+from .contact import Contact, ContactGeometry, Friction, NormalForce, contact_geometry, contact_terms, weighted_sum
 from .distance import EDGE_EDGE, closest_points
+from .friction import update_dual
 from .memory import ContactMemory, recall_slip
 from .mollifier import mollifier, squared_cross_norm, squared_cross_norm_blocks, squared_cross_norm_gradient
 from .stencil import (
@@ -53,9 +54,8 @@ class PointState(NamedTuple):
 class PairProperties(NamedTuple):
     """What a candidate carries beside its points."""
 
-    friction: float  # friction coefficient
+    friction: Friction
     mollifier_eps_m4: float  # threshold of the mollifier; 0 for pairs without
-    remembered_m: Vec3  # elastic slip at the start of the step
 
 
 class MollifierRates(NamedTuple):
@@ -92,7 +92,13 @@ def add_contacts(
         smallest = min(smallest, geometry.d)
         active += 1
         remembered = recall_slip(points.memory, pair_type, corners, k, x, geometry.n)
-        pair = PairProperties(candidates.friction[k], candidates.mollifier_eps_m4[k], remembered)
+        w = add(weighted_sum(c, moves), remembered)
+        u = subtract(w, scale(dot(w, geometry.n), geometry.n))
+        dual = u
+        if matrix == EXACT_MATRIX and model.parameters.remembers_slip:
+            dual = update_dual(candidates.dual, k, u, model.parameters.slip_scale_m)
+        friction = Friction(candidates.friction[k], model.parameters.slip_scale_m, w, u, dual)
+        pair = PairProperties(friction, candidates.mollifier_eps_m4[k])
         modes = _write_modes(model.parameters, pair, geometry, stencil, matrix)
         split = 2 if pair_type == EDGE_EDGE else 1
         count = collect_nodes(model.points, corners, k, split, modes, stencil)
@@ -114,8 +120,7 @@ def _write_modes(
         c = squared_cross_norm(subtract(x[1], x[0]), subtract(x[3], x[2]))
         e, de_dc, d2e_dc2 = mollifier(c, pair.mollifier_eps_m4)
     normal = NormalForce(-kappa * e * db_dd, kappa * e * d2b_dd2)
-    friction = Friction(pair.friction, parameters.slip_scale_m, pair.remembered_m)
-    contact = contact_terms(geometry, normal, friction, matrix == PROJECTED_MATRIX)
+    contact = contact_terms(geometry, normal, pair.friction, matrix == PROJECTED_MATRIX)
     set_point_weights(weights, C, geometry.c)
     set_point_weights(weights, FIRST, geometry.first.dc)
     set_point_weights(weights, SECOND, geometry.second.dc)

@@ -31,6 +31,7 @@ class Candidates(NamedTuple):
     mollifier_eps_m4: FloatArray  # [k] 0 for point-triangle pairs
     distance_m: FloatArray  # [k] when the list was made
     bodies: IndexArray  # [k] row of `Surfaces.pairs`
+    dual: FloatArray  # [k, 6] slip [m] and dual variable of friction at the last matrix; nan where there was none
 
 
 class Search(NamedTuple):
@@ -76,6 +77,7 @@ def find_candidates(surfaces: Surfaces, y: FloatArray, reach_m: FloatArray) -> C
             np.zeros(capacity),
             np.empty(capacity),
             np.empty(capacity, np.int64),
+            np.empty((0, 6)),
         )
         count = 0
         for k in range(len(surfaces.pairs)):
@@ -89,6 +91,7 @@ def find_candidates(surfaces: Surfaces, y: FloatArray, reach_m: FloatArray) -> C
                 found.mollifier_eps_m4[:count],
                 found.distance_m[:count],
                 found.bodies[:count],
+                np.full((count, 6), np.nan),
             )
         capacity = count
 

@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...compilation import kernel
-from ..algebra.mat3 import Mat3, add_matrices, apply_rows, identity_and_outer, multiply_rows
+from ..algebra.mat3 import Mat3, add_matrices, apply_rows, identity_and_outer, identity_and_outers, multiply_rows
 from ..algebra.vec3 import Vec3, add, combine, dot, scale, subtract
 from .distance import Coefficients, Sliding
 from .friction import slip_factor
@@ -70,7 +70,9 @@ class Friction(NamedTuple):
 
     coefficient: float  # mu
     slip_scale_m: float  # slip at which friction is fully developed
-    remembered_m: Vec3  # elastic slip at the start of the step
+    whole_slip_m: Vec3  # w
+    slip_m: Vec3  # u, its tangential part
+    dual_m: Vec3  # what stands for one u in the Jacobian's u u^T: u, or from the dual variable of `friction`
 
 
 class Contact(NamedTuple):
@@ -150,14 +152,13 @@ def contact_terms(geometry: ContactGeometry, normal: NormalForce, friction: Fric
     With `projected` the factors of the positive semi-definite replacement: no tangential barrier term, friction held.
     """
     d, n, force_n = geometry.d, geometry.n, normal.force_n
-    w = add(weighted_sum(geometry.c, geometry.moves), friction.remembered_m)
+    w, u = friction.whole_slip_m, friction.slip_m
     w_n = dot(w, n)
-    u = subtract(w, scale(w_n, n))
     a, slope = slip_factor(np.sqrt(dot(u, u)), friction.slip_scale_m)
     coulomb = friction.coefficient * force_n
     phi = scale(coulomb * a, u)
     f = subtract(phi, scale(force_n, n))
-    dphi_du = identity_and_outer(coulomb * a, coulomb * slope, u)
+    dphi_du = identity_and_outers(coulomb * a, coulomb * slope, friction.dual_m, u, 0.0)
     T0, T1 = geometry.first.tangent, geometry.second.tangent
     if projected:
         P = identity_and_outer(1.0, -1.0, n)

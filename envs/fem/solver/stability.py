@@ -18,8 +18,11 @@ from .workspace import Workspace
 
 @large_kernel
 def is_stable(model: Model, candidates: Candidates, s: Solve, workspace: Workspace, matrix: int) -> bool:
-    """Return whether the exact Jacobian has no negative determinant; the projected one cannot tell and is replaced."""
-    if matrix == PROJECTED_MATRIX:
+    """Return whether the exact Jacobian has no negative determinant.
+
+    A projected one cannot tell and is replaced, as is one whose friction had dual variables on their way.
+    """
+    if matrix == PROJECTED_MATRIX or model.parameters.remembers_slip:
         assemble(model, candidates, s.iterate, s.start, workspace, EXACT_MATRIX)
         if not factorise(model.system, workspace.system.entries, workspace.factor, False):
             return False

@@ -29,6 +29,7 @@ def listed(pair_types: list[int], points: list[list[int]], x: FloatArray) -> Can
         np.zeros(pairs),
         np.array(distances),
         np.zeros(pairs, dtype=np.int64),
+        np.full((pairs, 6), np.nan),
     )
 
 

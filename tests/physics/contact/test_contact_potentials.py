@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from vectors import differences, vec3
 from vitac.envs.fem.contact.barrier import barrier
-from vitac.envs.fem.contact.friction import slip_factor, slip_potential
+from vitac.envs.fem.contact.friction import slip_factor, slip_potential, update_dual
 from vitac.envs.fem.contact.mollifier import (
     mollifier,
     squared_cross_norm,
@@ -119,6 +119,30 @@ def test_friction_potential_is_smooth_at_full_slip() -> None:
     below, above = SLIP_SCALE * (1 - 1e-9), SLIP_SCALE * (1 + 1e-9)
     assert slip_potential(below, SLIP_SCALE) == pytest.approx(slip_potential(above, SLIP_SCALE), rel=1e-8)
     assert slip_factor(below, SLIP_SCALE)[0] == pytest.approx(slip_factor(above, SLIP_SCALE)[0], rel=1e-8)
+
+
+def newton_slips_m(load_n: float, spring_n_m: float, *, dual: bool) -> list[float]:
+    """Newton's iterates of the slip at which a spring and a unit friction force hold a load, from a sliding start."""
+    duals, slips, s = np.full((1, 6), np.nan), [2e-5], 1e-5
+    for _ in range(12):
+        u = (slips[-1], 0.0, 0.0)
+        a, slope = slip_factor(abs(u[0]), s)
+        stands_for_u = update_dual(duals, 0, u, s)[0] if dual else u[0]
+        force = spring_n_m * u[0] - load_n + a * u[0]
+        slips.append(u[0] - force / (spring_n_m + a + slope * stands_for_u * u[0]))
+    return slips
+
+
+@pytest.mark.parametrize("load_n", [-3.0, -0.9, 0.5, 0.99, 1.2])
+def test_dual_variable_leads_newtons_method_to_the_slip_where_it_cycles_without(load_n: float) -> None:
+    slips = newton_slips_m(load_n, 100.0, dual=True)
+    u = slips[-1]
+    assert 100.0 * u + u * slip_factor(abs(u), 1e-5)[0] == pytest.approx(load_n, rel=1e-9)
+
+
+def test_newtons_method_without_a_dual_variable_does_not_find_the_slip() -> None:
+    u = newton_slips_m(0.5, 100.0, dual=False)[-1]
+    assert abs(100.0 * u + u * slip_factor(abs(u), 1e-5)[0] - 0.5) > 0.1
 
 
 def test_all_agree_with_the_ipc_toolkit() -> None:

@@ -82,7 +82,9 @@ class Probe:
         w = self._workspace
         w.system.prescribed_move[:] = move
         start = StepStart(self.x_hat_m, y_start, self.memory, np.zeros_like(x_m))
-        assemble(self.model, near, State(x_m, y, motion), start, w, matrix)
+        # Dual variables of friction are those of the state only where it was not moved to from another one.
+        for _ in range(2 if self.model.parameters.remembers_slip else 1):
+            assemble(self.model, near, State(x_m, y, motion), start, w, matrix)
         return Assembled(
             forces_n=w.system.gradient[self.unknown_nodes].ravel().copy(),
             all_forces_n=w.system.gradient.copy(),
