@@ -1,7 +1,8 @@
 // The gel of a sensor in 3D on the sensor's page, coloured by what its faces do; the drawing stays without WebGL.
 
-import { BufferAttribute, Color, EdgesGeometry, LineBasicMaterial, LineSegments, Mesh, MeshLambertMaterial, SRGBColorSpace } from "three";
+import { BufferAttribute, Color, EdgesGeometry, LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, SRGBColorSpace } from "three";
 
+import { Studio } from "./studio.js";
 import { geometryOf, INK, View } from "./view.js";
 
 const COLOURS = [0xccd1d6, 0xd99e59, 0x5c9eb8]; // neither, driven, sensing: as in player.css
@@ -18,10 +19,14 @@ class Gel extends View {
       return [...colour, ...colour, ...colour];
     });
     faces.setAttribute("color", new BufferAttribute(new Float32Array(colours), 3));
-    const mesh = new Mesh(faces, new MeshLambertMaterial({ vertexColors: true, flatShading: true }));
+    const mesh = new Mesh(faces, new MeshStandardMaterial({ vertexColors: true, flatShading: true, roughness: 0.6 }));
     mesh.add(new LineSegments(new EdgesGeometry(faces, 0), new LineBasicMaterial({ color: INK, transparent: true, opacity: 0.35 })));
+    mesh.castShadow = true;
     this.scene.add(mesh);
+    faces.computeBoundingBox();
     faces.computeBoundingSphere();
+    const { min } = faces.boundingBox;
+    new Studio(this, faces.boundingSphere, min.z, () => this.draw());
     this.lookAt(faces.boundingSphere, VIEW_DEG);
   }
 }

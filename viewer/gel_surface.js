@@ -1,6 +1,6 @@
 // The surface of a gel in the scene. The graphics card bends and colours it; a moment of the episode is sent to it once.
 
-import { BufferAttribute, BufferGeometry, DataTexture, Mesh, MeshLambertMaterial, NearestFilter, RGBAFormat, SRGBColorSpace } from "three";
+import { BufferAttribute, BufferGeometry, DataTexture, Mesh, MeshStandardMaterial, NearestFilter, RGBAFormat, SRGBColorSpace } from "three";
 
 import { LEVELS, scale } from "./colours.js";
 
@@ -35,7 +35,7 @@ export class GelSurface {
       showsPressure: { value: false },
       colourScale: { value: this.scales.displacement },
     };
-    const material = new MeshLambertMaterial({ vertexColors: true, flatShading: true });
+    const material = new MeshStandardMaterial({ vertexColors: true, flatShading: true, roughness: 0.5 });
     material.onBeforeCompile = (shader) => {
       Object.assign(shader.uniforms, this.uniforms);
       shader.vertexShader = MEANINGS + shader.vertexShader.replace("#include <begin_vertex>", BEND);
@@ -46,6 +46,7 @@ export class GelSurface {
     this.states = [0, 1].map(() => ({ moment: undefined, attribute: new BufferAttribute(new Float32Array(PARTS * episode.nodes), PARTS) }));
     this.mesh = new Mesh(this.geometry, material);
     this.mesh.frustumCulled = false;
+    this.mesh.receiveShadow = true;
     this.mesh.matrixAutoUpdate = false;
   }
 

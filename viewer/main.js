@@ -8,6 +8,7 @@ import { element } from "./elements.js";
 import { Episode } from "./episode.js";
 import { showGel } from "./gel.js";
 import { Plots } from "./plots.js";
+import { Sections } from "./sections.js";
 import { drawFlow, magnification } from "./sensors.js";
 import { Stage } from "./stage.js";
 import { Transport } from "./transport.js";
@@ -22,36 +23,43 @@ class Player {
       fetchFile(address("scene")),
       "cameras" in section.dataset ? fetchFile(address("cameras")) : null,
     ]);
-    return new Player(section, new Episode(scene), cameras);
+    return { section, episode: new Episode(scene), cameras };
   }
 
-  constructor(section, episode, cameras) {
+  /** `factor` is how many times longer than they are arrows are drawn, the same in all players of a page. */
+  constructor({ section, episode, cameras }, factor) {
     this.section = section;
     this.episode = episode;
     this.stage = this.#stage();
-    this.factor = magnification(episode);
     this.panels = section.querySelector(".panels");
     this.legend = this.stage && this.#legend();
-    this.flows = ["left", "right"].map((side) => this.#panel(`${side} sensor, marker flow ×${this.factor}`, "flow"));
-    this.plots = new Plots(section.querySelector(".plots"), episode);
+    this.flows = ["left", "right"].map((side) => this.#panel(`${side} sensor, marker flow ×${factor}`, "flow"));
+    this.sections = new Sections(episode, {
+      above: this.#panel(`${episode.header.held_name} and ${episode.header.fixed_name} from above`, "flow"),
+      upright: this.#panel(`${episode.header.held_name} and ${episode.header.fixed_name}, section`, "flow"),
+    });
+    this.factor = factor;
+    this.plots = new Plots(section.querySelector(".plots"), episode, [...section.querySelectorAll("[data-env-step]")]);
     this.cameras = cameras && this.#cameras(cameras);
-    this.step = undefined;
-    this.quantity = undefined;
-    this.isCutOpen = true;
+    this.shown = {};
   }
 
   /** `largest` are the upper ends of the colour scales, which all players of a page share. */
-  show(time, { quantity, isCutOpen }, largest) {
+  show(time, { quantity, isCutOpen, isXray, view }, largest) {
     const step = this.episode.stepAt(time);
-    if (isCutOpen !== this.isCutOpen) this.stage?.cutOpen(isCutOpen);
-    this.stage?.show(Math.min(time, this.episode.lastStep), quantity, largest[quantity]);
+    const ended = Math.min(time, this.episode.lastStep);
+    if (isCutOpen !== (this.shown.isCutOpen ?? true)) this.stage?.cutOpen(isCutOpen);
+    if (isXray !== (this.shown.isXray ?? false)) this.stage?.xray(isXray);
+    if (view !== (this.shown.view ?? "task")) this.stage?.lookFrom(view);
+    this.stage?.show(ended, quantity, largest[quantity]);
+    this.sections.show(this.episode.around(ended));
     this.plots.show(time);
-    if (step !== this.step) {
+    if (step !== this.shown.step) {
       this.flows.forEach((canvas, side) => drawFlow(canvas, this.episode, step, side, this.factor));
       this.cameras?.show(step);
     }
-    if (this.legend && quantity !== this.quantity) this.#showLegend(quantity, largest);
-    Object.assign(this, { step, quantity, isCutOpen });
+    if (this.legend && quantity !== this.shown.quantity) this.#showLegend(quantity, largest);
+    this.shown = { step, quantity, isCutOpen, isXray, view };
   }
 
   /** The scene, or the still picture where the browser has no WebGL. */
@@ -109,13 +117,18 @@ async function start() {
   const made = sections.filter((section) => section.dataset.state === "made");
   const form = document.querySelector("form.transport");
   if (!made.length || !form) return;
-  const players = await Promise.all(made.map(Player.load));
+  const loaded = await Promise.all(made.map(Player.load));
+  const factor = Math.min(...loaded.map(({ episode }) => magnification(episode)));
+  const players = loaded.map((found) => new Player(found, factor));
   const length = Math.max(...players.map((player) => player.episode.lastStep));
   const largest = {};
   for (const quantity of Object.keys(LEGENDS)) {
     largest[quantity] = Math.max(...players.map((player) => player.episode.largest()[quantity]));
   }
-  new Transport(form, length, (time, options) => players.forEach((player) => player.show(time, options, largest)));
+  const transport = new Transport(form, length, (time, options) => players.forEach((player) => player.show(time, options, largest)));
+  for (const moment of document.querySelectorAll("[data-env-step]")) {
+    moment.addEventListener("click", () => transport.moveTo(Number(moment.dataset.envStep)));
+  }
   reveal("player");
   if (players.some((player) => player.stage)) reveal("scene");
 }

@@ -8,8 +8,10 @@ const COLOURS = 6;
 const BOX = { left: 40, right: 292, top: 22, bottom: 106 };
 
 export class Plots {
-  constructor(parent, episode) {
+  /** `moments` are elements that mark an env step. */
+  constructor(parent, episode, moments) {
     this.episode = episode;
+    this.marked = new Set(moments.map(({ dataset }) => Number(dataset.envStep)));
     this.cursors = [];
     this.shown = undefined;
     for (const series of allSeries(episode)) parent.append(this.#plot(series));
@@ -30,7 +32,7 @@ export class Plots {
     return BOX.left + (BOX.right - BOX.left) * (step / Math.max(1, this.episode.lastStep));
   }
 
-  #plot({ title, lines, first, goal }) {
+  #plot({ title, lines, first, goal, isLimit }) {
     const kind = (at) => `line-${at % COLOURS}${at < COLOURS ? "" : " again"}`;
     const values = lines.flatMap((line) => line.values).concat([0], goal === undefined ? [] : [goal]);
     const [low, high] = [Math.min(...values), Math.max(...values)];
@@ -51,7 +53,8 @@ export class Plots {
       label(BOX.right, HEIGHT - 8, `${this.episode.lastStep}`, "end"),
       label(0.5 * (BOX.left + BOX.right), HEIGHT - 8, "env step", "middle"),
     );
-    if (goal !== undefined) svg.append(drawn("line", { class: "goal", x1: BOX.left, x2: BOX.right, y1: y(goal), y2: y(goal) }));
+    if (goal !== undefined) svg.append(drawn("line", { class: isLimit ? "limit" : "goal", x1: BOX.left, x2: BOX.right, y1: y(goal), y2: y(goal) }));
+    for (const step of this.marked) svg.append(drawn("line", { class: "moment", x1: this.#x(step), x2: this.#x(step), y1: BOX.top, y2: BOX.bottom }));
     lines.forEach((line, at) => {
       const points = line.values.map((value, index) => `${this.#x(first + index).toFixed(1)},${y(value).toFixed(1)}`);
       svg.append(drawn("polyline", { class: kind(at), points: points.join(" ") }));
@@ -70,7 +73,7 @@ function allSeries({ header, arrays }) {
   const series = [
     { title: "Action", first: 1, lines: columns(arrays.action_values, header.actions.map((action) => action.name)) },
     { title: "Reward", first: 1, lines: [{ name: "reward", values: Array.from(arrays.rewards.values) }] },
-    { title: "Surface motion [mm]", first: 0, lines: columns(arrays.surface_motions_mm, ["left", "right"]) },
+    { title: "Surface motion [mm]", first: 0, lines: columns(arrays.surface_motions_mm, ["left", "right"]), goal: header.surface_limit_mm, isLimit: true },
   ];
   if (arrays.heights_mm) {
     const names = Array.from({ length: arrays.heights_mm.shape[1] }, (_, at) => `${at + 1}`);

@@ -1,11 +1,14 @@
 // The marker flow of both sensors after an env step, as arrows in the coordinates of their pictures.
 
+import { scaleBar } from "./sections.js";
+
 const WIDTH_PX = 320;
 const HEIGHT_PX = 240;
 const MARKERS = 128;
 const MAGNIFICATIONS = [20, 10, 5, 2, 1];
 const LONGEST_PX = 45;
 const HEAD_PX = 4;
+const BAR_PX = 5;
 
 /** How many times longer than they are arrows are drawn, so that the longest of the episode has room. */
 export function magnification(episode) {
@@ -35,6 +38,7 @@ export function drawFlow(canvas, episode, step, side, factor) {
     arrow(context, u, v, u + du, v + dv);
   }
   context.stroke();
+  scaleBar(context, factor * BAR_PX, `${BAR_PX} px`, context.strokeStyle);
 }
 
 function arrow(context, fromU, fromV, toU, toV) {

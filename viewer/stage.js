@@ -1,27 +1,39 @@
-// The turnable scene: both gels in colours, the held part like glass, the fixed part cut open, the gripper's path.
+// The turnable scene of an episode: the gripper with both gels in colours, the held part, the fixed part cut open, the path.
 
 import {
+  BackSide,
   Box3,
-  BufferAttribute,
-  BufferGeometry,
-  DoubleSide,
+  CatmullRomCurve3,
   EdgesGeometry,
-  Line,
   LineBasicMaterial,
   LineSegments,
   Matrix4,
   Mesh,
-  MeshLambertMaterial,
+  MeshBasicMaterial,
+  MeshStandardMaterial,
   Plane,
   Sphere,
+  TubeGeometry,
   Vector3,
 } from "three";
 
 import { GelSurface } from "./gel_surface.js";
+import { Palm, sensorBody } from "./gripper.js";
+import { Studio } from "./studio.js";
 import { geometryOf, INK, View } from "./view.js";
 
 // A part is drawn a little behind its edges, which lie in its faces and would be broken lines.
 const BEHIND_EDGES = { flatShading: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 };
+const BEFORE_EDGES = { polygonOffset: true, polygonOffsetFactor: -1, polygonOffsetUnits: -4 }; // which a section hides
+const HELD = { color: 0xc4a063, roughness: 0.42, metalness: 0.35 };
+const FIXED = { color: 0xaab2ba, roughness: 0.38, metalness: 0.7 };
+const HELD_SECTION = 0xe0c592; // surface of a part that is cut open
+const FIXED_SECTION = 0x8d6f6a;
+const SHARP_DEG = 20; // from which on an edge is drawn
+const GHOST = { color: 0x4f8fd6, transparent: true, opacity: 0.35, depthWrite: false };
+const XRAY_OPACITY = 0.22;
+const PATH = { color: 0xc2255c, radiusMm: 0.35, points: 8 };
+const ROOM_AROUND_CONTACT = 0.45; // of the sphere around all
 
 export class Stage extends View {
   /** Throws where the browser has no WebGL. */
@@ -29,13 +41,21 @@ export class Stage extends View {
     super(canvas);
     this.episode = episode;
     this.renderer.localClippingEnabled = true;
+    this.pose = new Float32Array(12);
     this.gels = [0, 1].map((side) => new GelSurface(episode, side));
-    for (const gel of this.gels) this.scene.add(gel.mesh);
+    const along = this.#palmSide();
+    this.bodies = this.gels.map(() => sensorBody(episode.arrays.gel_nodes_mm.values, along));
+    this.palm = new Palm(along);
+    const { cut } = episode.header; // what is on the positive side of the plane is taken away
+    this.planes = cut ? [new Plane(new Vector3(...cut.normal).negate(), cut.offset_mm)] : [];
     this.held = this.#held();
     this.fixed = this.#fixed();
+    this.fixed.cut(this.planes);
     this.path = this.#path();
-    this.#lookFromTheTasksSide();
-    this.pose = new Float32Array(12);
+    this.scene.add(...this.gels.map((gel) => gel.mesh), ...this.bodies, this.palm.mesh);
+    this.around = this.#sphereAroundAll();
+    new Studio(this, this.around, new Box3().setFromObject(this.fixed.mesh).min.z, () => this.draw());
+    this.lookAt(this.around, episode.header.view_deg);
   }
 
   /** Shows a time, gels coloured by `displacement` or `pressure` from 0 to the largest value. */
@@ -44,80 +64,143 @@ export class Stage extends View {
     this.gels.forEach((gel, side) => {
       gel.show(place, quantity, largest);
       applyPose(gel.mesh, this.episode.sensorPose(place, side, this.pose));
+      applyPose(this.bodies[side], this.pose);
     });
-    applyPose(this.held, this.episode.heldPose(place, this.pose));
-    this.path.done.geometry.setDrawRange(0, place.next + 1);
+    this.palm.show(...this.gels.map((gel) => gel.mesh.matrix));
+    applyPose(this.held.mesh, this.episode.heldPose(place, this.pose));
+    if (this.ghost) this.#showGhost(time);
+    this.path?.geometry.setDrawRange(0, this.path.perMoment * (place.before + place.fraction));
     this.draw();
   }
 
   cutOpen(isOpen) {
-    this.fixed.material.clippingPlanes = isOpen ? this.fixed.planes : [];
-    this.fixed.lines.clippingPlanes = isOpen ? this.fixed.planes : [];
+    this.fixed.cut(isOpen ? this.planes : []);
     this.draw();
   }
 
-  #held() {
+  /** Shows the held part like glass, so that what is behind and below it is seen. */
+  xray(isOn) {
+    const { mesh, outside, cap } = this.held;
+    Object.assign(outside, { transparent: isOn, opacity: isOn ? XRAY_OPACITY : 1, depthWrite: !isOn, needsUpdate: true });
+    mesh.castShadow = cap.visible = !isOn;
+    this.draw();
+  }
+
+  /** Looks from a named place: `task`, `above`, `section`, `left` or `right`. */
+  lookFrom(name) {
+    const [side, other] = name === "left" ? [0, 1] : name === "right" ? [1, 0] : [];
+    this.gels.forEach((gel, at) => {
+      gel.mesh.visible = this.bodies[at].visible = at !== other;
+    });
+    this.palm.mesh.visible = side === undefined;
+    this.held.cut(name === "section" ? this.planes : []);
+    this.flyTo(...this.#view(name, side));
+  }
+
+  /** Shows the held part of another episode with the same parts as a ghost. */
+  addGhost(episode) {
+    const { mesh, cap } = this.#held(GHOST);
+    mesh.castShadow = cap.visible = false;
+    this.ghost = { episode, mesh };
+  }
+
+  #showGhost(time) {
+    const { episode, mesh } = this.ghost;
+    applyPose(mesh, episode.heldPose(episode.around(Math.min(time, episode.lastStep)), this.pose));
+  }
+
+  #view(name, side) {
+    const [azimuth] = this.episode.header.view_deg;
+    if (name === "above") return [this.around, [-90, 89]];
+    if (name === "section") {
+      const { x, y } = this.planes[0]?.normal ?? { x: -1, y: 0 };
+      return [this.#contact(), [(Math.atan2(-y, -x) * 180) / Math.PI, 4]];
+    }
+    if (side === undefined) return [this.around, this.episode.header.view_deg];
+    const gel = this.gels[side].mesh.matrix;
+    const away = new Vector3().setFromMatrixColumn(gel, 2);
+    const sphere = new Sphere(new Vector3().setFromMatrixPosition(gel), 22);
+    return [sphere, [(Math.atan2(away.y, away.x) * 180) / Math.PI || azimuth, (Math.asin(away.z) * 180) / Math.PI + 3]];
+  }
+
+  /** Where held and fixed part meet at the end of the episode. */
+  #contact() {
+    const held = this.#boxOfHeld(this.episode.times.length - 1);
+    const common = held.clone().intersect(new Box3().setFromObject(this.fixed.mesh));
+    return new Sphere((common.isEmpty() ? held : common).getCenter(new Vector3()), ROOM_AROUND_CONTACT * this.around.radius);
+  }
+
+  /** The end of the gels' x axis at which the palm is: away from the fixed part. */
+  #palmSide() {
+    const gel = matrixOf(this.episode.sensorPose({ before: 0, next: 0, fraction: 0 }, 0, this.pose));
+    const fixed = new Box3().setFromArray(this.episode.arrays.fixed_vertices_mm.values).getCenter(new Vector3());
+    const towards = fixed.sub(new Vector3().setFromMatrixPosition(gel));
+    return towards.dot(new Vector3().setFromMatrixColumn(gel, 0)) > 0 ? -1 : 1;
+  }
+
+  #held(look = HELD) {
     const { held_vertices_mm: vertices, held_triangles: triangles } = this.episode.arrays;
-    const material = new MeshLambertMaterial({ ...BEHIND_EDGES, color: 0x7d93a8, transparent: true, opacity: 0.55 });
-    const mesh = new Mesh(geometryOf(vertices, triangles), material);
-    mesh.add(new LineSegments(new EdgesGeometry(mesh.geometry), new LineBasicMaterial({ color: INK })));
-    mesh.matrixAutoUpdate = false;
-    mesh.renderOrder = 1;
-    this.scene.add(mesh);
-    return mesh;
+    const held = solid(geometryOf(vertices, triangles), look, HELD_SECTION);
+    Object.assign(held.mesh, { matrixAutoUpdate: false, renderOrder: 1 });
+    this.scene.add(held.mesh);
+    return held;
   }
 
   #fixed() {
     const { fixed_vertices_mm: vertices, fixed_triangles: triangles } = this.episode.arrays;
-    const material = new MeshLambertMaterial({ ...BEHIND_EDGES, color: 0xb9bfc6, side: DoubleSide });
-    const lines = new LineBasicMaterial({ color: INK });
-    const mesh = new Mesh(geometryOf(vertices, triangles), material);
-    mesh.add(new LineSegments(new EdgesGeometry(mesh.geometry), lines));
-    this.scene.add(mesh);
-    const cut = this.episode.header.cut;
-    // What is on the positive side is taken away.
-    const planes = cut ? [new Plane(new Vector3(...cut.normal).negate(), cut.offset_mm)] : [];
-    material.clippingPlanes = planes;
-    lines.clippingPlanes = planes;
-    return { mesh, material, lines, planes };
+    const fixed = solid(geometryOf(vertices, triangles), FIXED, FIXED_SECTION);
+    this.scene.add(fixed.mesh);
+    return fixed;
   }
 
-  /** The middle between both sensors over the episode, faint, and stronger as far as it is played. */
+  /** The middle between both sensors, as far as the episode is played; nothing where it never moves. */
   #path() {
     const poses = this.episode.arrays.sensor_poses.values;
-    const middles = new Float32Array(3 * this.episode.times.length);
-    for (let moment = 0; moment < this.episode.times.length; moment += 1) {
-      for (let axis = 0; axis < 3; axis += 1) {
-        middles[3 * moment + axis] = 0.5 * (poses[24 * moment + 9 + axis] + poses[24 * moment + 21 + axis]);
-      }
-    }
-    const line = (opacity) => {
-      const geometry = new BufferGeometry();
-      geometry.setAttribute("position", new BufferAttribute(middles, 3));
-      const material = new LineBasicMaterial({ color: 0xc2255c, transparent: true, opacity, depthTest: false });
-      const drawn = new Line(geometry, material);
-      drawn.renderOrder = 2;
-      this.scene.add(drawn);
-      return drawn;
-    };
-    return { whole: line(0.3), done: line(1) };
+    const middles = Array.from(this.episode.times, (_, moment) =>
+      new Vector3(...[0, 1, 2].map((axis) => 0.5 * (poses[24 * moment + 9 + axis] + poses[24 * moment + 21 + axis]))),
+    );
+    if (middles.every((point) => point.distanceTo(middles[0]) < PATH.radiusMm)) return null;
+    const pieces = 4 * (middles.length - 1);
+    const geometry = new TubeGeometry(new CatmullRomCurve3(middles, false, "centripetal"), pieces, PATH.radiusMm, PATH.points);
+    const mesh = new Mesh(geometry, new MeshBasicMaterial({ color: PATH.color, depthTest: false, transparent: true, opacity: 0.85 }));
+    mesh.renderOrder = 2;
+    this.scene.add(mesh);
+    return { geometry, perMoment: geometry.index.count / (middles.length - 1) };
   }
 
-  /** From where `vitac show` looks, with room for all that moves and for what is left of the fixed part. */
-  #lookFromTheTasksSide() {
-    const box = new Box3();
-    const { fixed_vertices_mm: fixed, held_vertices_mm: held } = this.episode.arrays;
-    eachPoint(fixed.values, (point) => {
-      if (this.fixed.planes.every((plane) => plane.distanceToPoint(point) >= 0)) box.expandByPoint(point);
-    });
-    for (const at of [0, this.episode.times.length - 1]) {
-      const place = { before: at, next: at, fraction: 0 };
-      const pose = matrixOf(this.episode.heldPose(place, new Float32Array(12)));
-      eachPoint(held.values, (point) => box.expandByPoint(point.applyMatrix4(pose)));
-    }
-    const around = box.getBoundingSphere(new Sphere());
-    this.lookAt(around, this.episode.header.view_deg);
+  #boxOfHeld(moment) {
+    const pose = this.episode.heldPose({ before: moment, next: moment, fraction: 0 }, this.pose);
+    return new Box3().setFromArray(this.episode.arrays.held_vertices_mm.values).applyMatrix4(matrixOf(pose));
   }
+
+  /** Around what is left of the fixed part, the held part at both ends, and the gels. */
+  #sphereAroundAll() {
+    const box = new Box3();
+    const { fixed_vertices_mm: fixed } = this.episode.arrays;
+    eachPoint(fixed.values, (point) => {
+      if (this.planes.every((plane) => plane.distanceToPoint(point) >= 0)) box.expandByPoint(point);
+    });
+    for (const moment of [0, this.episode.times.length - 1]) {
+      box.union(this.#boxOfHeld(moment));
+      for (const side of [0, 1]) {
+        const gel = matrixOf(this.episode.sensorPose({ before: moment, next: moment, fraction: 0 }, side, this.pose));
+        box.expandByPoint(new Vector3().setFromMatrixPosition(gel));
+      }
+    }
+    return box.getBoundingSphere(new Sphere());
+  }
+}
+
+/** A part with its edges. Where planes cut it, its faces are seen from inside: those are drawn as the section's surface. */
+function solid(geometry, look, section) {
+  const outside = new MeshStandardMaterial({ ...BEHIND_EDGES, ...look });
+  const inside = new MeshBasicMaterial({ ...BEFORE_EDGES, color: section, side: BackSide });
+  const lines = new LineBasicMaterial({ color: INK, transparent: true, opacity: 0.55 });
+  const mesh = new Mesh(geometry, outside);
+  const cap = new Mesh(geometry, inside);
+  mesh.add(cap, new LineSegments(new EdgesGeometry(geometry, SHARP_DEG), lines));
+  Object.assign(mesh, { castShadow: true, receiveShadow: true });
+  return { mesh, outside, cap, cut: (planes) => [outside, inside, lines].forEach((material) => (material.clippingPlanes = planes)) };
 }
 
 function matrixOf(pose, made = new Matrix4()) {
@@ -129,7 +212,7 @@ function eachPoint(values, use) {
   for (let at = 0; at < values.length; at += 3) use(new Vector3(values[at], values[at + 1], values[at + 2]));
 }
 
-function applyPose(mesh, pose) {
-  matrixOf(pose, mesh.matrix);
-  mesh.matrixWorldNeedsUpdate = true;
+function applyPose(object, pose) {
+  matrixOf(pose, object.matrix);
+  object.matrixWorldNeedsUpdate = true;
 }

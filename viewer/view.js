@@ -1,15 +1,6 @@
-// A turnable picture of a scene: camera, light, pointer and keys. What is in it is added by stage.js and gel.js.
+// A turnable picture of a scene: camera, pointer and keys. What is in it is added by stage.js and gel.js, and lit by studio.js.
 
-import {
-  BufferAttribute,
-  BufferGeometry,
-  DirectionalLight,
-  HemisphereLight,
-  PerspectiveCamera,
-  Scene,
-  Vector3,
-  WebGLRenderer,
-} from "three";
+import { BufferAttribute, BufferGeometry, PerspectiveCamera, Scene, Vector3, WebGLRenderer } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
 import { Resolution } from "./resolution.js";
@@ -19,6 +10,7 @@ const TURN_RAD = Math.PI / 36;
 const FILLED = 0.9; // of the picture by the sphere around all
 const LOWEST_RAD = 0.05;
 const ZOOM = 1.1;
+const FLIGHT_MS = 300;
 const PIXELS_ACROSS = 2; // for each of the page's, which smooths edges as multisampling would, but can be lowered
 const STILL_MS = 300; // without a change, until the scene is drawn in full resolution
 export const INK = 0x22262b;
@@ -33,10 +25,6 @@ export class View {
     this.camera = new PerspectiveCamera(FIELD_OF_VIEW_DEG, 4 / 3, 1, 2000);
     this.camera.up.set(0, 0, 1);
     this.scene = new Scene();
-    this.scene.add(new HemisphereLight(0xffffff, 0x8a8f96, 1.6), this.camera);
-    const light = new DirectionalLight(0xffffff, 1.8);
-    light.position.set(0.4, 0.8, 1);
-    this.camera.add(light);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.listenToKeyEvents(canvas);
     this.controls.keys = {}; // ours turn instead of moving
@@ -86,16 +74,31 @@ export class View {
 
   /** Looks at a sphere from an azimuth and an elevation [degree], with room for all of it. */
   lookAt(around, view) {
-    const [azimuth, elevation] = view.map((angle) => (angle * Math.PI) / 180);
-    const away = new Vector3(
-      Math.cos(azimuth) * Math.cos(elevation),
-      Math.sin(azimuth) * Math.cos(elevation),
-      Math.sin(elevation),
-    );
-    const distance = (FILLED * around.radius) / Math.sin((0.5 * FIELD_OF_VIEW_DEG * Math.PI) / 180);
-    this.camera.position.copy(around.center).addScaledVector(away, distance);
-    this.controls.target.copy(around.center);
+    this.#moveCamera(placeOf(around, view), around.center);
+  }
+
+  /** Moves the camera there in a short flight, or at once where the reader wants no motion. */
+  flyTo(around, view) {
+    const [from, to] = [this.camera.position.clone(), placeOf(around, view)];
+    const [fromTarget, toTarget] = [this.controls.target.clone(), around.center];
+    const started = performance.now();
+    const length = window.matchMedia("(prefers-reduced-motion: reduce)").matches ? 0 : FLIGHT_MS;
+    this.flight = started;
+    const fly = (now) => {
+      if (this.flight !== started) return; // another one has begun
+      const part = length ? Math.min(1, Math.max(0, (now - started) / length)) : 1;
+      const eased = part * part * (3 - 2 * part);
+      this.#moveCamera(from.clone().lerp(to, eased), fromTarget.clone().lerp(toTarget, eased));
+      if (part < 1) requestAnimationFrame(fly);
+    };
+    fly(started);
+  }
+
+  #moveCamera(position, target) {
+    this.camera.position.copy(position);
+    this.controls.target.copy(target);
     this.controls.update();
+    this.draw();
   }
 
   #turnByKey(event) {
@@ -132,6 +135,14 @@ export class View {
     this.drawnPart = 0;
     this.draw();
   }
+}
+
+/** Where the camera stands to see all of a sphere from an azimuth and an elevation [degree]. */
+function placeOf(around, view) {
+  const [azimuth, elevation] = view.map((angle) => (angle * Math.PI) / 180);
+  const away = new Vector3(Math.cos(azimuth) * Math.cos(elevation), Math.sin(azimuth) * Math.cos(elevation), Math.sin(elevation));
+  const distance = (FILLED * around.radius) / Math.sin((0.5 * FIELD_OF_VIEW_DEG * Math.PI) / 180);
+  return around.center.clone().addScaledVector(away, distance);
 }
 
 export function geometryOf(vertices, triangles) {

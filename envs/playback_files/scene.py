@@ -10,6 +10,7 @@ from ..drawing.playback import Moment, Playback
 from ..drawing.stress import cauchy_stress_pa, contact_pressure_pa, deformation_gradients, nodal_means
 from ..scene.perspective import Perspective
 from ..tactile.markers import SensingSurface
+from ..tasks.ending import LARGEST_SURFACE_DIFF_M
 from ..tasks.registry import task_definitions
 from .container import Changes, PlaybackTooLarge, pack, whole_numbers
 
@@ -64,6 +65,7 @@ def _packed(playback: Playback, moments: list[Moment]) -> bytes:
         "displacement_unit_mm": DISPLACEMENT_UNIT_MM,
         "flow_unit_px": FLOW_UNIT_PX,
         "pressure_unit_kpa": 1e-3 * pressure_unit_pa,
+        "surface_limit_mm": 1e3 * LARGEST_SURFACE_DIFF_M,
         **_described(perspective),
     }
     arrays: dict[str, NDArray[Any] | Changes] = {

@@ -6,6 +6,7 @@ ask for those of public submissions and have one such limit together.
 """
 
 import hashlib
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from uuid import UUID
 
@@ -30,8 +31,9 @@ from ..settings import Settings
 from ..sharing.public_pages import readable
 from ..teams.shown_names import ShownNames
 from ..tracks import find_playback_family
-from ..views.playbacks import PlaybackView, ShownEpisodeView
+from ..views.playbacks import PlaybackView, ShownEpisodeView, StoryMomentView
 from ..visibility import decide_sight
+from .story import tell_story
 
 NOBODY_DRAWS = "no running worker can draw ManiSkill’s environments, which takes its packages and a Vulkan driver"
 """Why nobody makes a film of ManiSkill."""
@@ -134,6 +136,7 @@ def shown_episode(
     episode = find_episode(session, by, submission_id, task, number)
     record = EpisodeRecord.model_validate(episode.record)
     playback = find_playback(session, episode)
+    story = tell_story(record, load_track(episode.track).task(task).env_id)
     return ShownEpisodeView(
         submission_name=submission.name,
         team=ShownNames.read(session, by).show_name(submission.team),
@@ -145,6 +148,8 @@ def shown_episode(
         outcome=record.outcome,
         env_steps=record.env_steps,
         total_reward=record.total_reward,
+        story=story.sentence,
+        moments=tuple(StoryMomentView(**asdict(moment)) for moment in story.moments),
         evaluator_version=episode.evaluator_version,
         record_digest=episode.record_digest,
         playback=None if playback is None else playback_view(session, settings, playback),

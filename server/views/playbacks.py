@@ -28,8 +28,19 @@ class PlaybackView(View):
     has_still: bool
 
 
+class StoryMomentView(View):
+    """A mark on an episode's time line: what had happened after an env step."""
+
+    env_step: int
+    kind: str
+    text: str
+
+
 class ShownEpisodeView(View):
-    """A finished episode on its page; `playback` is None as long as nobody has asked for it."""
+    """A finished episode on its page; `playback` is None as long as nobody has asked for it.
+
+    `story` says in a sentence what happened, `moments` when.
+    """
 
     submission_name: str
     team: str
@@ -41,6 +52,8 @@ class ShownEpisodeView(View):
     outcome: EpisodeOutcome
     env_steps: int
     total_reward: float
+    story: str
+    moments: tuple[StoryMomentView, ...]
     evaluator_version: str
     record_digest: str
     playback: PlaybackView | None

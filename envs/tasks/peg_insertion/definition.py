@@ -13,6 +13,9 @@ from ..insertion.interface import (
 from ..measures import SURFACE_DIFF
 from ..quantities import Quantity, setting
 
+SUCCESS_DEPTH_MM = 0.3
+"""How deep all of the peg's lower end must be below the rim."""
+
 TASK = TaskDefinition(
     env_id="ViTac/PegInsertion-v1",
     environment="vitac.envs.tasks.peg_insertion.env:PegInsertionEnv",

@@ -1,7 +1,7 @@
 """How the peg task is drawn: the plate cut open at the hole's middle, and a section from above."""
 
 from ..insertion.perspective import insertion_perspective, section_from_above
-from .task import SUCCESS_DEPTH_MM
+from .definition import SUCCESS_DEPTH_MM
 
 PERSPECTIVE = insertion_perspective(
     fixed_name="plate",

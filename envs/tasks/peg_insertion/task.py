@@ -3,9 +3,9 @@
 from ..ending import Flags
 from ..insertion.offset import PegOffset, is_beyond
 from ..insertion.state import InsertionState, compute_flags
+from .definition import SUCCESS_DEPTH_MM
 from .variation import LARGEST_THETA_DEG, LARGEST_XY_MM
 
-SUCCESS_DEPTH_MM = 0.3
 SUCCESS_COMMANDED_DEPTH_MM = 0.35
 
 

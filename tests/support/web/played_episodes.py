@@ -18,7 +18,7 @@ from vitac.evaluator.tracks import find_task
 from vitac.server.db.states import PlaybackState
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 from vitac.server.playbacks.files import PlaybackFile
-from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
+from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView, StoryMomentView
 from vitac.web.pages.episodes.page import EpisodeAddress
 
 KEY = "5eed" * 16
@@ -56,6 +56,8 @@ def a_shown_episode(
         "outcome": EpisodeOutcome.SUCCESS,
         "env_steps": 3,
         "total_reward": 10.25,
+        "story": "Solved in 3 env steps.",
+        "moments": (StoryMomentView(env_step=1, kind="touch", text="the peg touches"),),
         "evaluator_version": "1+0123456789ab",
         "record_digest": "ab" * 32,
         "playback": playback,

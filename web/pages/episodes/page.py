@@ -11,6 +11,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from vitac.envs.maniskill.definition import is_maniskill
+from vitac.envs.scene.perspective import signed
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.playback.order import NotPlayable, require_playable
 from vitac.evaluator.tracks import Task, load_track
@@ -82,9 +83,11 @@ class Player:
         """How the episode is called above its player."""
         if self.is_filmed:  # the start follows from a seed, and has no name
             return f"{self.shown.submission_name}, episode {self.shown.episode}"
-        start = ", ".join(f"{value:g}" for value in self.shown.initial_offset)
-        offset = f", start offset ({start})" if start else ""
-        return f"{self.shown.submission_name}, episode {self.shown.episode}: {words(self.shown.shape)}{offset}"
+        third = "turned {}°" if any(action.name == "theta" for action in self.task.definition.actions) else "z {} mm"
+        labels = ("x {} mm", "y {} mm", third, "z {} mm")
+        pairs = zip(labels, self.shown.initial_offset, strict=False)  # fusion adds its hole
+        parts = [words(self.shown.shape), *(label.format(signed(value)) for label, value in pairs)]
+        return f"{self.shown.submission_name}, episode {self.shown.episode}: {', '.join(parts)}"
 
     @property
     def text(self) -> str:

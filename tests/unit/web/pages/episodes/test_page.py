@@ -36,8 +36,8 @@ def test_a_made_playback_is_played_with_the_still_for_those_who_cannot(data: Fix
     html = visitor.get(path).text
     assert f'data-playback="{path}/playback" data-state="made" data-version="{KEY}"' in html
     assert f'src="{path}/playback/still?v={KEY}"' in html
-    assert "trapezoid, start offset (-4, -2, 2)" in html
-    assert "The task was solved." in html
+    assert "trapezoid, x −4.00 mm, y −2.00 mm, turned +2.00°" in html
+    assert "Solved in 3 env steps." in html
     assert "data-cameras" not in html
     assert "Make the playback" not in html
 
@@ -97,7 +97,7 @@ def test_what_does_not_repeat_says_so_and_offers_nothing(
     monkeypatch.setattr(page.Player, "task", on_gpu)
     html = visitor.get(data.show(COMPLETED.id, a_shown_episode(None, task="pick-cube"))).text
     assert "There are no playbacks of ManiSkill/PickCube-v1 with these settings: its states do not repeat" in html
-    assert ('data-state="none"' in html, "The task was solved." in html) == (True, True)
+    assert ('data-state="none"' in html, "Solved in 3 env steps." in html) == (True, True)
     for absent in ("Make the playback", "<progress", "<canvas", "note bad"):
         assert absent not in html
 

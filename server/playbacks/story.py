@@ -1,0 +1,148 @@
+"""What happened in an episode, in one sentence and as moments on its time line, from its record alone.
+
+Pages show it above the player; nothing is simulated for it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+from vitac.envs.drawing.drawable import NotDrawable, perspective_of
+from vitac.envs.scene.perspective import Perspective
+from vitac.envs.tasks.ending import LARGEST_SURFACE_DIFF_M
+from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, counted_env_steps
+
+TOUCH_MM: Final = 0.2
+"""Motion of a gel's surface since the grasp from which on the held part counts as touching something."""
+STILL_MM: Final = 0.05
+"""By less than this the decisive height must change in an env step for the held part to count as stuck."""
+_SIDES = ("left", "right")
+
+
+class MomentKind(StrEnum):
+    """What a moment on the time line marks."""
+
+    TOUCH = "touch"  # the held part touches something
+    SLIP = "slip"  # a gel springs back by more than half: the held part slips, or comes free
+    STUCK = "stuck"  # from here to the end the held part comes no nearer to its goal
+    SOLVED = "solved"
+    LIMIT = "limit"  # the flag that ended the episode
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoryMoment:
+    """An env step after which something had happened."""
+
+    env_step: int
+    kind: MomentKind
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Story:
+    """What happened in an episode."""
+
+    sentence: str
+    moments: tuple[StoryMoment, ...]
+
+
+def tell_story(record: EpisodeRecord, env_id: str) -> Story:
+    """Return what happened in an episode; only how it ended where nothing of it was felt or can be drawn."""
+    ending = Story(sentence=record.outcome.sentence, moments=())
+    if not record.infos or "surface_diff_m" not in record.infos[0]:
+        return ending
+    try:
+        perspective = perspective_of(env_id)
+    except NotDrawable:
+        return ending
+    course = _Course(perspective, record.infos)
+    return Story(sentence=_sentence(record.outcome, course), moments=_moments(record.outcome, course))
+
+
+class _Course:
+    """The numbers of an episode after each env step.
+
+    Attributes:
+        motions_mm: mean motion of the left and right gel's surface since the grasp, shape [n, 2].
+        missing_mm: by how much the worst of the deciding heights misses its goal, shape [n]; 0 where none does.
+    """
+
+    def __init__(self, perspective: Perspective, infos: Sequence[dict[str, Any]]) -> None:
+        self.perspective = perspective
+        self.infos = [{key: np.asarray(value) for key, value in info.items()} for info in infos]
+        self.motions_mm = np.array([1e3 * info["surface_diff_m"] for info in self.infos])
+        progress = perspective.progress
+        sign = 1.0 if progress.goal_is_below else -1.0
+        missing = [(sign * (progress.heights_mm(info) - progress.goal_mm)).max() for info in self.infos]
+        self.missing_mm = np.maximum(missing, 0.0)
+
+    @property
+    def position(self) -> str:
+        """Where the held part is at the end, in words."""
+        return self.perspective.position(self.infos[-1])
+
+    @property
+    def touched(self) -> int | None:
+        """The first env step after which the held part touches something."""
+        return next((step for step, motion in enumerate(self.motions_mm, 1) if motion.max() > TOUCH_MM), None)
+
+    @property
+    def slipped(self) -> list[int]:
+        """Env steps in which a gel springs back by more than half."""
+        largest = self.motions_mm.max(axis=1)
+        return [
+            step
+            for step, (before, after) in enumerate(pairwise(largest), 2)
+            if before > 2 * TOUCH_MM and after < 0.5 * before
+        ]
+
+    @property
+    def stuck(self) -> int | None:
+        """The first env step since which the held part has come no nearer to its goal, over two steps or more."""
+        nearer = np.flatnonzero(self.missing_mm[:-1] - self.missing_mm[1:] > STILL_MM)
+        last = int(nearer[-1]) + 2 if nearer.size else 1
+        return last if len(self.missing_mm) - last >= 2 and self.missing_mm[-1] > 0 else None
+
+
+def _sentence(outcome: EpisodeOutcome, course: _Course) -> str:
+    held, steps = course.perspective.held_name, counted_env_steps(len(course.infos))
+    side = int(course.motions_mm[-1].argmax())
+    if outcome is EpisodeOutcome.SUCCESS:
+        largest = course.motions_mm.max()
+        touch = f"the {held} touched at env step {course.touched}; " if course.touched else ""
+        return f"Solved in {steps}: {touch}no gel’s surface moved by more than {largest:.2f} mm."
+    if outcome is EpisodeOutcome.TACTILE:
+        return (
+            f"Failed at env step {len(course.infos)}: the {_SIDES[side]} gel’s surface had moved by "
+            f"{course.motions_mm[-1, side]:.2f} mm (limit {1e3 * LARGEST_SURFACE_DIFF_M:g} mm), "
+            f"{_state_of(course)}."
+        )
+    if outcome is EpisodeOutcome.ERROR:
+        return f"Failed at env step {len(course.infos)}: gripper or {held} left its range, {_state_of(course)}."
+    if outcome is EpisodeOutcome.STEPS:
+        return f"Failed: all {steps} were used up, {_state_of(course)}."
+    return outcome.sentence
+
+
+def _state_of(course: _Course) -> str:
+    """Return where the held part was at the end, as the end of a sentence."""
+    missing = course.missing_mm[-1]
+    goal = f"{missing:.1f} mm short of its goal" if missing > 0 else "its height reached"
+    return f"with the {course.perspective.held_name} {goal} ({course.position})"
+
+
+def _moments(outcome: EpisodeOutcome, course: _Course) -> tuple[StoryMoment, ...]:
+    held, last = course.perspective.held_name, len(course.infos)
+    found = [StoryMoment(env_step=step, kind=MomentKind.SLIP, text="a gel springs back") for step in course.slipped]
+    if course.touched:
+        found.append(StoryMoment(env_step=course.touched, kind=MomentKind.TOUCH, text=f"the {held} touches"))
+    if outcome is EpisodeOutcome.SUCCESS:
+        found.append(StoryMoment(env_step=last, kind=MomentKind.SOLVED, text="solved"))
+    else:
+        if course.stuck:
+            found.append(StoryMoment(env_step=course.stuck, kind=MomentKind.STUCK, text=f"the {held} comes no nearer"))
+        found.append(StoryMoment(env_step=last, kind=MomentKind.LIMIT, text=outcome.value.replace("_", " ")))
+    return tuple(sorted(found, key=lambda moment: moment.env_step))
