@@ -62,6 +62,14 @@ class Player {
     this.shown = { step, quantity, isCutOpen, isXray, view };
   }
 
+  /** Shows the held part of another episode in this scene, too, if it is the same part. */
+  addGhost(other) {
+    const [own, others] = [this.episode, other].map(({ arrays }) => arrays.held_vertices_mm.values);
+    if (own.length !== others.length || own.some((value, at) => value !== others[at])) return;
+    this.stage?.addGhost(other);
+    this.section.querySelector(".legend").append(element("span", {}, "Blue: the held part of the other episode"));
+  }
+
   /** The scene, or the still picture where the browser has no WebGL. */
   #stage() {
     const canvas = this.section.querySelector("canvas.scene");
@@ -125,6 +133,7 @@ async function start() {
   for (const quantity of Object.keys(LEGENDS)) {
     largest[quantity] = Math.max(...players.map((player) => player.episode.largest()[quantity]));
   }
+  if (players.length === 2) players[0].addGhost(players[1].episode);
   const transport = new Transport(form, length, (time, options) => players.forEach((player) => player.show(time, options, largest)));
   for (const moment of document.querySelectorAll("[data-env-step]")) {
     moment.addEventListener("click", () => transport.moveTo(Number(moment.dataset.envStep)));

@@ -59,6 +59,15 @@ class ShownEpisodeView(View):
     playback: PlaybackView | None
 
 
+class EpisodeChoiceView(View):
+    """A finished episode that can be shown beside another one; `label` says whose it is."""
+
+    submission_id: UUID
+    episode: int
+    label: str
+    outcome: EpisodeOutcome
+
+
 class PublicEpisodeView(View):
     """A finished episode of a public submission, with its playback."""
 

@@ -20,7 +20,10 @@ COUNTED = """
     window.counted = { pictures: 0, uploads: 0 };
     const { clear, bufferSubData } = WebGL2RenderingContext.prototype;
     Object.assign(WebGL2RenderingContext.prototype, {
-      clear(...given) { counted.pictures += 1; return clear.apply(this, given); },
+      clear(...given) {  // a shadow is drawn into a buffer of its own
+        counted.pictures += this.getParameter(this.FRAMEBUFFER_BINDING) === null;
+        return clear.apply(this, given);
+      },
       bufferSubData(...given) { counted.uploads += 1; return bufferSubData.apply(this, given); },
     });
 """

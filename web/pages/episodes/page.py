@@ -18,10 +18,10 @@ from vitac.evaluator.tracks import Task, load_track
 from vitac.server.api.attempts import address_of
 from vitac.server.db.states import OPEN_PLAYBACK_STATES, PlaybackState
 from vitac.server.errors import ServiceError
-from vitac.server.playbacks import asking, files
+from vitac.server.playbacks import asking, beside, files
 from vitac.server.playbacks.asking import NOBODY_DRAWS
 from vitac.server.playbacks.files import PlaybackFile
-from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
+from vitac.server.views.playbacks import EpisodeChoiceView, PlaybackView, ShownEpisodeView
 
 from ...rendering import STATIC, words
 from ...session.forms import read_form
@@ -124,6 +124,7 @@ async def episode(request: Request) -> Response:
         players=players,
         all_filmed=all(player.is_filmed for player in players),
         beside=beside,
+        choices=await _choices(request, viewer, place),
         title=f"{task.title}, episode {place.number}",
         neighbours=_neighbours(place, task),
         episodes=len(task.episodes),
@@ -200,6 +201,13 @@ def player_script() -> str | None:
 
 async def _player(request: Request, viewer: Viewer | None, place: EpisodeAddress) -> Player:
     return Player(address=_address(place), shown=await _shown_episode(request, viewer, place))
+
+
+async def _choices(request: Request, viewer: Viewer | None, place: EpisodeAddress) -> tuple[EpisodeChoiceView, ...]:
+    by = principal_of(viewer)
+    return await site_of(request).ask(
+        lambda session: beside.list_choices(session, by, place.submission_id, place.task, place.number)
+    )
 
 
 async def _shown_episode(request: Request, viewer: Viewer | None, place: EpisodeAddress) -> ShownEpisodeView:

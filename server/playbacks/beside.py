@@ -1,0 +1,104 @@
+"""Which episodes an episode can be shown beside: the same start played by others, and others of the same submission."""
+
+from uuid import UUID
+
+from sqlalchemy import ColumnElement, and_, or_, select
+from sqlalchemy.orm import Session
+from vitac.evaluator.episodes.records import EpisodeOutcome
+
+from ..db.models import EpisodeResult, Submission
+from ..errors import ProblemCode, ServiceError
+from ..principals import Principal
+from ..sharing.public_pages import readable
+from ..teams.shown_names import ShownNames
+from ..views.playbacks import EpisodeChoiceView
+from .asking import find_episode
+
+LISTED = 8
+"""Maximum number of other submissions that are listed."""
+_LOOKED_AT = 40
+
+
+def list_choices(
+    session: Session, by: Principal, submission_id: UUID, task: str, number: int
+) -> tuple[EpisodeChoiceView, ...]:
+    """Return episodes to show beside one, those of other submissions first; only such as the principal may see.
+
+    Raises:
+        ServiceError: there is no such episode that the principal may see.
+    """
+    submission = readable(session, by, submission_id)
+    episode = find_episode(session, by, submission_id, task, number)
+    return (*_same_start(session, by, submission, episode), *_of_submission(session, by, submission, episode))
+
+
+def _same_start(session: Session, by: Principal, own: Submission, episode: EpisodeResult) -> list[EpisodeChoiceView]:
+    """Return the same start as others played it, who solved it first, then the newest."""
+    visible: list[ColumnElement[bool]] = [Submission.is_public]
+    if by.team_id is not None:
+        visible.append(Submission.team_id == by.team_id)
+    played = and_(Submission.digest == EpisodeResult.submission_digest, Submission.track == EpisodeResult.track)
+    found = session.scalars(
+        select(Submission)
+        .join(EpisodeResult, played)
+        .where(
+            EpisodeResult.track == episode.track,
+            EpisodeResult.evaluator_version == episode.evaluator_version,
+            EpisodeResult.task == episode.task,
+            EpisodeResult.episode == episode.episode,
+            EpisodeResult.commitment == episode.commitment,
+            Submission.digest != own.digest,
+            or_(*visible),
+        )
+        .order_by(EpisodeResult.success.desc(), Submission.submitted_at.desc(), Submission.id)
+        .limit(_LOOKED_AT)
+    )
+    names = ShownNames.read(session, by)
+    choices: list[EpisodeChoiceView] = []
+    for submission in found.unique():
+        shown = _visible_episode(session, by, submission.id, episode.task, episode.episode)
+        if shown is not None and len(choices) < LISTED:
+            label = f"{names.name_of(submission.team)}: {submission.name}"
+            choices.append(_choice(submission.id, shown, label))
+    return choices
+
+
+def _of_submission(session: Session, by: Principal, own: Submission, episode: EpisodeResult) -> list[EpisodeChoiceView]:
+    """Return the next episode of the same shape that was solved, and the next that was not."""
+    choices = []
+    for is_solved in (True, False):
+        number = session.scalar(
+            select(EpisodeResult.episode)
+            .where(
+                EpisodeResult.submission_digest == episode.submission_digest,
+                EpisodeResult.track == episode.track,
+                EpisodeResult.evaluator_version == episode.evaluator_version,
+                EpisodeResult.task == episode.task,
+                EpisodeResult.shape == episode.shape,
+                EpisodeResult.episode != episode.episode,
+                EpisodeResult.commitment == episode.commitment,
+                EpisodeResult.success == is_solved,
+            )
+            .order_by((EpisodeResult.episode < episode.episode), EpisodeResult.episode)
+            .limit(1)
+        )
+        if number is not None and (shown := _visible_episode(session, by, own.id, episode.task, number)) is not None:
+            choices.append(_choice(own.id, shown, f"this submission, episode {number}"))
+    return choices
+
+
+def _visible_episode(
+    session: Session, by: Principal, submission_id: UUID, task: str, number: int
+) -> EpisodeResult | None:
+    try:
+        return find_episode(session, by, submission_id, task, number)
+    except ServiceError as error:
+        if error.code in {ProblemCode.MISSING_CREDENTIALS, ProblemCode.NOT_FOUND}:
+            return None
+        raise
+
+
+def _choice(submission_id: UUID, episode: EpisodeResult, label: str) -> EpisodeChoiceView:
+    return EpisodeChoiceView(
+        submission_id=submission_id, episode=episode.episode, label=label, outcome=EpisodeOutcome(episode.outcome)
+    )
