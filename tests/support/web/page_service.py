@@ -32,7 +32,7 @@ from vitac.server.members import members, registration
 from vitac.server.messages import announcements
 from vitac.server.metrics import totals
 from vitac.server.operations import state
-from vitac.server.playbacks import asking, files, recent
+from vitac.server.playbacks import asking, comparisons, files, recent
 from vitac.server.principals import VISITOR, Principal
 from vitac.server.publishing import archive
 from vitac.server.queue import workers
@@ -325,6 +325,7 @@ for _module, _name, _data_of in (
     (asking, "shown_episode", lambda data: data.shown_episode),
     (asking, "ask", lambda data: data.ask),
     (asking, "playback_view", playback_of),
+    (comparisons, "list_choices", lambda _: lambda *_: ()),
     (recent, "newest_public_episode", lambda data: lambda _: data.public_one),
     (announcements, "shown", lambda data: lambda: data.said),
     (files, "find_digest", lambda data: lambda place, file: (place, file)),

@@ -18,7 +18,7 @@ from vitac.evaluator.tracks import Task, load_track
 from vitac.server.api.attempts import address_of
 from vitac.server.db.states import OPEN_PLAYBACK_STATES, PlaybackState
 from vitac.server.errors import ServiceError
-from vitac.server.playbacks import asking, beside, files
+from vitac.server.playbacks import asking, comparisons, files
 from vitac.server.playbacks.asking import NOBODY_DRAWS
 from vitac.server.playbacks.files import PlaybackFile
 from vitac.server.views.playbacks import EpisodeChoiceView, PlaybackView, ShownEpisodeView
@@ -206,7 +206,7 @@ async def _player(request: Request, viewer: Viewer | None, place: EpisodeAddress
 async def _choices(request: Request, viewer: Viewer | None, place: EpisodeAddress) -> tuple[EpisodeChoiceView, ...]:
     by = principal_of(viewer)
     return await site_of(request).ask(
-        lambda session: beside.list_choices(session, by, place.submission_id, place.task, place.number)
+        lambda session: comparisons.list_choices(session, by, place.submission_id, place.task, place.number)
     )
 
 

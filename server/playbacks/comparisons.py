@@ -2,7 +2,7 @@
 
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, and_, or_, select
+from sqlalchemy import and_, or_, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeOutcome
 
@@ -34,9 +34,6 @@ def list_choices(
 
 def _same_start(session: Session, by: Principal, own: Submission, episode: EpisodeResult) -> list[EpisodeChoiceView]:
     """Return the same start as others played it, who solved it first, then the newest."""
-    visible: list[ColumnElement[bool]] = [Submission.is_public]
-    if by.team_id is not None:
-        visible.append(Submission.team_id == by.team_id)
     played = and_(Submission.digest == EpisodeResult.submission_digest, Submission.track == EpisodeResult.track)
     found = session.scalars(
         select(Submission)
@@ -48,7 +45,7 @@ def _same_start(session: Session, by: Principal, own: Submission, episode: Episo
             EpisodeResult.episode == episode.episode,
             EpisodeResult.commitment == episode.commitment,
             Submission.digest != own.digest,
-            or_(*visible),
+            or_(Submission.is_public, Submission.team_id == by.team_id),
         )
         .order_by(EpisodeResult.success.desc(), Submission.submitted_at.desc(), Submission.id)
         .limit(_LOOKED_AT)

@@ -1,0 +1,26 @@
+from asked_playbacks import Played, played
+from service_factories import TASK, complete_scored, make_score
+from vitac.server.db.models import Submission
+from vitac.server.playbacks.comparisons import list_choices
+from vitac.server.sharing.public_pages import set_public
+
+
+def choices(team: Played, number: int = 2) -> list[tuple[str, int]]:
+    with team.database.transaction() as session:
+        found = list_choices(session, team.by, team.submission.id, TASK, number)
+    return [(choice.label, choice.episode) for choice in found]
+
+
+def test_the_same_start_of_public_submissions_is_offered_and_that_of_private_ones_is_not(team_a: Played) -> None:
+    team_b = played(team_a.database, "Team B", "other content")
+    assert [label for label, _ in choices(team_a) if label.startswith("Team B")] == []
+    with team_b.database.transaction() as session:
+        complete_scored(session, session.get_one(Submission, team_b.submission.id), {TASK: make_score(80)})
+        set_public(session, team_b.by, team_b.submission.id, public=True)
+    assert [episode for label, episode in choices(team_a) if label.startswith("Team B: ")] == [2]
+
+
+def test_other_episodes_of_the_submission_are_offered(team_a: Played) -> None:
+    own = [episode for label, episode in choices(team_a) if label.startswith("this submission")]
+    assert own
+    assert 2 not in own
