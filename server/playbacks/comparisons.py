@@ -55,7 +55,7 @@ def _same_start(session: Session, by: Principal, own: Submission, episode: Episo
     for submission in found.unique():
         shown = _visible_episode(session, by, submission.id, episode.task, episode.episode)
         if shown is not None and len(choices) < LISTED:
-            label = f"{names.name_of(submission.team)}: {submission.name}"
+            label = f"{names.show_name(submission.team)}: {submission.name}"
             choices.append(_choice(submission.id, shown, label))
     return choices
 

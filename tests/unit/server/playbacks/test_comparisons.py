@@ -11,7 +11,7 @@ def choices(team: Played, number: int = 2) -> list[tuple[str, int]]:
     return [(choice.label, choice.episode) for choice in found]
 
 
-def test_the_same_start_of_public_submissions_is_offered_and_that_of_private_ones_is_not(team_a: Played) -> None:
+def test_offers_the_same_start_of_public_submissions_and_that_of_private_ones_is_not(team_a: Played) -> None:
     team_b = played(team_a.database, "Team B", "other content")
     assert [label for label, _ in choices(team_a) if label.startswith("Team B")] == []
     with team_b.database.transaction() as session:

@@ -1,4 +1,4 @@
-"""What happened in an episode, told from its record alone."""
+"""What happened in an episode, from its record alone."""
 
 from typing import Any
 
