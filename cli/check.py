@@ -97,7 +97,7 @@ def _is_sensor_kept(staged: Path, findings: Findings) -> bool:
         findings.refused.append(str(error))
         return False
     findings.passed.append(f"the sensor keeps to every rule: {made.facts.nodes} nodes, digest {made.digest}")
-    findings.passed.append(f"the design document is there: {document.path.name}")
+    findings.passed.append(f"the design document is included: {document.path.name}")
     return True
 
 

@@ -75,7 +75,7 @@ def command(
     print_table(
         ("task", "episode", "shape", "first", "env steps", "second", "env steps"),
         [tuple(row.values()) for row in differing],
-        none="No episode is solved by one of them only.",
+        none="No episode is solved by only one of them.",
     )
     print_meanings(str(end.outcome) for pair in found.pairs if pair.differs for end in (pair.first, pair.second))
     print()

@@ -58,7 +58,7 @@ def mesh(
     ] = Mesher.OURS,
     as_json: AsJson = False,
 ) -> None:
-    """Mesh the gel of a sensor as the service does, and print what comes of it."""
+    """Mesh the gel of a sensor as the service does, and print the result."""
     from vitac.evaluator.sensors.check import accepted_sensor
     from vitac.evaluator.sensors.cost import expected_cpu_s
 

@@ -26,7 +26,7 @@ class _RecipeFirst(TyperGroup):
 app = typer.Typer(cls=_RecipeFirst, no_args_is_help=True)
 
 RecipeFile = Annotated[Path, typer.Argument(help="YAML file that says what is learned.", exists=True, dir_okay=False)]
-RunFolder = Annotated[Path, typer.Option("--out", help="Folder of the run; one that is there is continued.")]
+RunFolder = Annotated[Path, typer.Option("--out", help="Folder of the run; an existing run is continued.")]
 Processes = Annotated[int, typer.Option(min=1, help="Processes that play episodes.")]
 
 

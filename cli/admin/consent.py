@@ -32,7 +32,7 @@ Base = Annotated[
 
 Confirmed = Annotated[
     list[str] | None,
-    typer.Option("--confirm", help="With --yes: a warning, by its name, that you have read; several times."),
+    typer.Option("--confirm", help="With --yes: the name of a warning that you have read; may be repeated."),
 ]
 """The option of a command that warns of what it cannot take back."""
 

@@ -127,7 +127,7 @@ def _shard(shard: "ShardView") -> list[object]:
 
 def _print_alarms(alarms: "list[DifferingEpisodeView]") -> None:
     print("\nALARM: episodes were played again with another result than the stored one, which counts.")
-    print("The policy or a machine does not repeat itself.\n")
+    print("The policy or a machine is not deterministic.\n")
     columns = ("task", "episode", "stored record", "other record", "worker", "seen")
     rows = [
         [

@@ -74,7 +74,7 @@ def conflict(
 @app.command()
 def show(
     track: Annotated[str, typer.Argument(help="Name of the track.")],
-    stage: Annotated[str | None, typer.Option(help="The one that opened last without it.")] = None,
+    stage: Annotated[str | None, typer.Option(help="Name of the stage; by default the one that opened last.")] = None,
     contest: ContestName = None,
     as_json: AsJson = False,
 ) -> None:
@@ -91,7 +91,7 @@ def show(
 def _warn_of_stranger(judge: str, *, known: bool) -> None:
     """Warn of a judge without a token: a name that is written in another way counts as one judge more."""
     if not known:
-        warn(f"no judge with a token is named {judge!r}; check the spelling, for another name counts as another judge.")
+        warn(f"no judge with a token is named {judge!r}; check the spelling: another name is another judge.")
 
 
 def _row(team: JudgedTeamView) -> list[object]:

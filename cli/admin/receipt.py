@@ -28,8 +28,8 @@ def key(as_json: AsJson = False) -> None:
 def export(
     track: Annotated[str, typer.Argument(help="Whose board.")],
     file: Annotated[Path, typer.Argument(help="New file (zip).")],
-    task: Annotated[str | None, typer.Option(help="The board of this task; that of all together without it.")] = None,
-    stage: Annotated[str | None, typer.Option(help="Of the competition; the one that opened last without it.")] = None,
+    task: Annotated[str | None, typer.Option(help="The board of this task; by default that of all tasks.")] = None,
+    stage: Annotated[str | None, typer.Option(help="Name of the stage; by default the one that opened last.")] = None,
     kind: Annotated[Literal["model", "log"], typer.Option(help="Of the board; log only with a task.")] = "model",
     contest: ContestName = None,
     as_json: AsJson = False,

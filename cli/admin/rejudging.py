@@ -28,9 +28,9 @@ COLUMNS = ("team", "submission", "state", "success", "new success", "steps", "ne
 def start(
     track: Annotated[str, typer.Option(help="Of the submissions.")],
     reason: Annotated[str, typer.Option(help="Why, for the audit log.")],
-    stage: Annotated[str | None, typer.Option(help="Of the competition; the one that opened last without it.")] = None,
+    stage: Annotated[str | None, typer.Option(help="Name of the stage; by default the one that opened last.")] = None,
     submission: Annotated[
-        list[UUID] | None, typer.Option(help="Only this one; may be repeated. All models of the stage without it.")
+        list[UUID] | None, typer.Option(help="Only this submission; may be repeated. Default: all models of the stage.")
     ] = None,
     contest: ContestName = None,
     dry_run: DryRun = False,

@@ -5,7 +5,7 @@ from vitac.envs.errors import VitacError
 
 HINTS = {
     "missing_credentials": "Get a token with `vitac register TEAM`, or give yours to `vitac login`.",
-    "invalid_credentials": "Give a good token to `vitac login`; ask an organizer for one if yours was revoked or has "
+    "invalid_credentials": "Give a valid token to `vitac login`; ask an organizer for one if yours was revoked or has "
     "expired.",
     "forbidden": "This token has no permission for that; use the right team's token, or an organizer's.",
     "not_found": "Check the id (`vitac status` lists yours) and the token.",

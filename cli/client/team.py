@@ -47,7 +47,7 @@ def invite(server: Server = None, token_file: TokenFile = None, as_json: AsJson 
         print_json(made)
         return
     print_pairs({"code": made["code"], "until": made["expires_at"]})
-    print("\nThe code is shown only now, and is good for one person: `vitac team join CODE NAME`.")
+    print("\nThe code is shown only now, and is valid for one person: `vitac team join CODE NAME`.")
 
 
 @app.command()
@@ -132,7 +132,7 @@ def mute(
 
 @app.command()
 def password(member: MemberName, server: Server = None, token_file: TokenFile = None) -> None:
-    """Set your password; an empty one takes it away.
+    """Set your password; an empty one removes it.
 
     It is read from a prompt, or from the first line of standard input; the second line is the old one if you have one.
     """

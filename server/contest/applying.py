@@ -25,7 +25,7 @@ _NAMES = ("name", "place")
 _SHOWN_CHANGES = 10
 _HIDING = (
     "anonymous is switched on: from now on others see teams under random names, but whoever has seen results with the "
-    "real names knows them again."
+    "real names still knows them."
 )
 _SHOWING = "anonymous is switched off: from now on everybody sees the real names of all teams, also on older results."
 """What is said where names are hidden or shown that were not before."""
@@ -133,7 +133,7 @@ def list_warnings(definition: CompetitionDefinition, changes: Sequence[Change]) 
     ]
     if definition.teams_locked is not None and definition.teams_locked <= now:
         found.append(
-            f"teams_locked is {definition.teams_locked:%F %T} UTC, which is over: from now on only organizers register "
+            f"teams_locked is {definition.teams_locked:%F %T} UTC, which is past: from now on only organizers register "
             "teams."
         )
     for name, track in definition.tracks.items():

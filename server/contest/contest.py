@@ -296,7 +296,7 @@ class Contest:
         if found is None:
             raise ServiceError(ProblemCode.STAGE_CLOSED, f"{track} takes no submissions now: {_times(stages, at)}.")
         if found.is_revealed:
-            raise ServiceError(ProblemCode.STAGE_CLOSED, f"The episodes of {found} are published; it is over.")
+            raise ServiceError(ProblemCode.STAGE_CLOSED, f"The episodes of {found} are published, so it is over.")
         return found
 
     def track_title(self, track: str) -> str:

@@ -123,7 +123,7 @@ class JudgingWeights(StrictModel):
         total = self.success + self.judges + self.figures
         if abs(total - 1) > _ROUNDING:
             raise ValueError(
-                f"expected weights that make 1 together, got {self.success:g} for success, {self.judges:g} for judges "
+                f"expected weights that add up to 1, got {self.success:g} for success, {self.judges:g} for judges "
                 f"and {self.figures:g} for figures"
             )
         return self

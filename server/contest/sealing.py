@@ -42,7 +42,7 @@ def seal(session: Session, by: Principal, stage: Stage, secret: bytes | None = N
     if secret is not None and make_commitment(secret) != found.commitment:
         raise ServiceError(
             ProblemCode.LIST_SEALED,
-            f"Stage {stage.name} of {stage.track} is committed to {found.commitment}, expected the secret of that; "
+            f"Stage {stage.name} of {stage.track} is committed to {found.commitment}, expected the secret behind it; "
             "a published commitment does not change.",
         )
     if found.withdrawn_at is not None:
@@ -90,7 +90,7 @@ def refuse_reopening(contest: Contest, definition: CompetitionDefinition, at: da
         if found.revealed_at is not None and rules is not None and rules.closes > at:
             raise ServiceError(
                 ProblemCode.STAGE_IN_USE,
-                f"The secret of stage {found.stage} of {found.track} is published since {found.revealed_at:%F %T} UTC, "
+                f"The secret of stage {found.stage} of {found.track} was published at {found.revealed_at:%F %T} UTC, "
                 f"so it never opens again: expected closes before now, got {rules.closes:%F %T} UTC. Add another "
                 "stage with a list of its own.",
             )

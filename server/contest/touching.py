@@ -57,7 +57,7 @@ def _list_for_all_tracks(contest: Contest, new: CompetitionDefinition, at: datet
         )
     if old.freeze_at != new.freeze_at and count:
         if contest.row.frozen_at is not None and contest.row.frozen_at <= at:
-            yield "freeze_at", f"Boards are frozen since {contest.row.frozen_at:%F %T} UTC; that changes at once."
+            yield "freeze_at", f"Boards have been frozen since {contest.row.frozen_at:%F %T} UTC; that changes at once."
         elif new.freeze_at is not None and new.freeze_at <= at:
             yield "freeze_at", f"Results after {new.freeze_at:%F %T} UTC, which everybody could see, leave the boards."
 
@@ -75,7 +75,7 @@ def _touched_in_track(contest: Contest, name: str, old: TrackRules, new: TrackRu
     if old.ranking != new.ranking:
         yield f"{place}.ranking", f"{submitted}, which were made under another ranking rule; their places change."
     if old.taken_here and not new.taken_here:
-        yield f"{place}.taken_here", f"{submitted}; its boards are closed, and no winner is found by them."
+        yield f"{place}.taken_here", f"{submitted}; its boards close, and no prize is decided by them."
     if old.judging != new.judging:
         yield f"{place}.judging", f"{submitted}, which were made under another rule of judging; their totals change."
 
@@ -90,7 +90,7 @@ def _touched_in_stage(
     if not is_played and (found := stage.sealed_list) is not None:
         yield (
             f"{place}.list",
-            f"The commitment {found.commitment} is published since {found.made_at:%F %T} UTC; it is withdrawn, and "
+            f"The commitment {found.commitment} was published at {found.made_at:%F %T} UTC; it is withdrawn, and "
             "everybody sees that. The stage has the same list if it is sealed again.",
         )
     if rules is not None:
@@ -117,8 +117,8 @@ def _touched_by_times(contest: Contest, stage: Stage, new: StageRules, at: datet
     if stage.is_over(at) and new.closes > at:
         yield (
             f"{place}.closes",
-            f"The stage is over since {old.closes:%F %T} UTC; it takes submissions again, also of teams that have seen "
-            "its results.",
+            f"The stage has been over since {old.closes:%F %T} UTC; it takes submissions again, also of teams that "
+            "have seen its results.",
         )
 
 

@@ -43,7 +43,7 @@ def explain_unranked_submission(made_by: str, counted: CountedResults, track: st
 def _remedy(counted: CountedResults, track: str, kind: SubmissionKind) -> str:
     if counted.final_since is not None:
         return "The results are final, and stay as they are."
-    again = "A rank comes back when the submission is evaluated again"
+    again = "A submission gets a rank once it is evaluated again"
     if not kind.form.runs_policy:
         return f"{again}: upload a log of the present evaluator."
     return f"{again}: organizers do so with `vitac admin rejudge start --track {track} --reason REASON`, then `apply`."

@@ -391,7 +391,7 @@ def _environment(reader: ExportReader, log: _Log, found: Audit) -> Environment |
     place = f"Evaluation {log.evaluation}, {log.task}"
     has_sensor = log.track.has_sensor
     if has_sensor and not reader.has_sensor(log.evaluation):
-        found.unchecked.append(f"{place}: its episodes are not run again, for the export does not hold its sensor.")
+        found.unchecked.append(f"{place}: its episodes are not run again, because the export does not hold its sensor.")
         return None
     try:
         sensor = read_made_sensor(reader.sensor(log.evaluation)).design() if has_sensor else None

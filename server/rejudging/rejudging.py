@@ -137,7 +137,7 @@ def apply(
     if stage.frozen_at is not None:
         raise ServiceError(
             ProblemCode.INVALID_REQUEST,
-            f"The boards are frozen since {stage.frozen_at:%F %T} UTC, and this would change them; run "
+            f"The boards have been frozen since {stage.frozen_at:%F %T} UTC, and this would change them; run "
             "`vitac admin results unfreeze` first.",
         )
     rows = comparison(session, found)

@@ -131,7 +131,8 @@ def require_unlocked(session: Session, by: Principal | None) -> None:
         return
     if at := find_lock_date(session):
         raise ServiceError(
-            ProblemCode.REGISTRATION_CLOSED, f"Teams are locked since {at:%F %T} UTC; only organizers change them."
+            ProblemCode.REGISTRATION_CLOSED,
+            f"Teams have been locked since {at:%F %T} UTC; only organizers change them.",
         )
 
 
@@ -265,7 +266,7 @@ def name_key(name: str) -> str:
 
 
 def _removed() -> ServiceError:
-    return ServiceError(ProblemCode.UNKNOWN_TEAM, "This team was removed; nothing is added to it or changed of it.")
+    return ServiceError(ProblemCode.UNKNOWN_TEAM, "This team was removed; it cannot be changed any more.")
 
 
 def _checked_name(session: Session, by: Principal | None, name: str, *, but: Team | None = None) -> str:

@@ -65,7 +65,7 @@ async def receive(
     if announced_bytes is not None and n_bytes != announced_bytes:
         raise truncated(f"expected {announced_bytes}, got {n_bytes} bytes")
     if n_bytes == 0:
-        message = "The upload is empty, expected at least one byte. Look whether the file is, and send it again."
+        message = "The upload is empty, expected at least one byte. Check the file, and send it again."
         raise ServiceError(ProblemCode.UPLOAD_TRUNCATED, message)
     return ReceivedFile(path=path, sha256=digest.hexdigest(), n_bytes=n_bytes)
 

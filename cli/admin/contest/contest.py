@@ -145,7 +145,7 @@ def reveal(
     """Publish the secret of a stage's sealed list after the stage has closed; this cannot be undone."""
     with transaction() as session:
         Contest.find(session, contest, track=track).stage(track, stage).require_over()
-    question = f"Publish the episodes of stage {stage} of {track} ? This cannot be undone."
+    question = f"Publish the episodes of stage {stage} of {track}? This cannot be undone."
     with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
         over = Contest.find(session, contest, track=track).stage(track, stage)
         over.require_over()  # the stage may have been prolonged meanwhile

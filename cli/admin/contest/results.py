@@ -57,7 +57,7 @@ def winners(contest: ContestName = None, as_json: AsJson = False) -> None:
 @app.command()
 def finalize(
     again: Annotated[
-        bool, typer.Option("--again", help="Of one that is final: without the teams that are disqualified now.")
+        bool, typer.Option("--again", help="Decide a final competition again, without teams that are disqualified now.")
     ] = False,
     contest: ContestName = None,
     confirm: Confirmed = None,

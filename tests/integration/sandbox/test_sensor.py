@@ -117,5 +117,5 @@ def test_check_plays_a_sensor_with_the_estimator(folder: Path, monkeypatch: pyte
     findings = check(folder)
     assert findings.refused == []
     assert any(text.startswith("the sensor keeps to every rule: 294 nodes, digest ") for text in findings.passed)
-    assert "the design document is there: design.md" in findings.passed
+    assert "the design document is included: design.md" in findings.passed
     assert played == [("sensor-standard", True)]

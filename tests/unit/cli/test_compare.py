@@ -95,7 +95,7 @@ def test_small_p_value_is_not_shown_as_zero(tmp_path: Path, capsys: pytest.Captu
 def test_equal_results_differ_nowhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     same = log_of(tmp_path / "a", played({1, 2}))
     _, out, _ = run(capsys, same, same)
-    assert "No episode is solved by one of them only." in out
+    assert "No episode is solved by only one of them." in out
     assert json.loads(run(capsys, same, same, "--json")[1])["p_value"] == 1.0
 
 

@@ -129,7 +129,7 @@ def test_a_stage_that_turns_public_and_sealed_again_has_the_list_that_was_commit
     (commitment, _), public = lists_of(database)[SECOND], deepcopy(make_competition())
     stages(public)[1]["list"] = "public"
     place = f"tracks.{TRACK}.stages.{SECOND}.list"
-    require_confirmation(database, public, place, f"The commitment {commitment} is published since")
+    require_confirmation(database, public, place, f"The commitment {commitment} was published at")
     assert lists_of(database) == {SECOND: (commitment, True)}
     with database.transaction() as session:
         view = competition_view(session)
@@ -255,7 +255,7 @@ def test_a_stage_that_is_over_opens_again_only_where_it_is_confirmed_and_never_a
     applied(database, over)
     later = deepcopy(over)
     stages(later)[1]["closes"] = (datetime.now(UTC) + timedelta(days=2)).isoformat()
-    require_confirmation(database, later, f"tracks.{TRACK}.stages.{SECOND}.closes", "The stage is over since")
+    require_confirmation(database, later, f"tracks.{TRACK}.stages.{SECOND}.closes", "The stage has been over since")
     applied(database, over, confirmed=None)
     with database.transaction() as session:
         reveal(session, CONSOLE, Contest.read(session).stage(TRACK, SECOND))

@@ -83,7 +83,7 @@ def set_in(place: Callable[[Content], Content], **values: object) -> Callable[[C
             lambda content: content["tracks"][TRACK].update(
                 judging={"criteria": [{"name": "a", "title": "A"}], "weights": {"success": 0.5, "judges": 0.5}}
             ),
-            "expected weights that make 1 together, got 0.5 for success, 0.5 for judges and 0.2 for figures",
+            "expected weights that add up to 1, got 0.5 for success, 0.5 for judges and 0.2 for figures",
         ),
     ],
 )

@@ -95,8 +95,8 @@ def test_a_board_without_ranks_says_which_evaluator_made_its_entries_and_what_br
     assert [found.rank for found in board.entries] == [None, None]
     assert board.unranked == (
         f"2 of 2 entries have no rank: evaluator {made_by} made them, and this board ranks results of "
-        f"evaluator {board.evaluator_version}, as results of two evaluators are not comparable. A rank comes back when "
-        "the submission is evaluated again: organizers do so with "
+        f"evaluator {board.evaluator_version}, as results of two evaluators are not comparable. A submission gets a "
+        "rank once it is evaluated again: organizers do so with "
         f"`vitac admin rejudge start --track {TRACK} --reason REASON`, then `apply`."
     )
     with database.transaction() as session:

@@ -109,7 +109,7 @@ def test_hiding_and_showing_names_is_warned_of(service: CliService, tmp_path: Pa
     assert told[0] == "", "nothing was shown before"
     assert "WARNING: anonymous is switched off: from now on everybody sees the real names" in told[1]
     assert "WARNING: anonymous is switched on" in told[2]
-    assert "knows them again" in told[2]
+    assert "still knows them" in told[2]
 
 
 def test_the_second_of_two_who_apply_from_the_same_file_is_refused(service: CliService, tmp_path: Path) -> None:

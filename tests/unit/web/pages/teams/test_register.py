@@ -72,7 +72,7 @@ def test_after_the_lock_date_no_form_adds_a_team_or_member(data: FixedData, brow
     for path in ("/register", "/join"):
         html = browser.get(path).text
         assert f'action="{path}"' not in html
-        assert "Teams are locked since" in html
+        assert "Teams have been locked since" in html
         assert "2026-05-01 12:00 UTC" in html
     data.locked_since = None
     for path in ("/register", "/join"):

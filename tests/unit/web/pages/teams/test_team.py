@@ -136,9 +136,9 @@ def test_after_the_lock_date_the_page_offers_no_change_of_the_team(service: CliS
     with service.database.transaction() as session:
         put_in_place(session, make_competition(teams_locked=(datetime.now(UTC) - timedelta(seconds=1)).isoformat()))
     page = captain.get("/team").text
-    assert "Teams are locked since" in page
+    assert "Teams have been locked since" in page
     assert not [change for change in changes if change in page]
     assert 'action="/team/me"' in page, "one's own address and password stay one's own"
     assert 'action="/team/leave"' not in guest.get("/team").text
-    assert "Teams are locked since" in visitor(service).get("/register").text
+    assert "Teams have been locked since" in visitor(service).get("/register").text
     assert guest.send("/team", "/team/leave").status_code == 403
