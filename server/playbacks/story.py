@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
-from vitac.envs.drawing.drawable import NotDrawable, perspective_of
+from vitac.envs.drawing.drawable import NotDrawable, find_perspective
 from vitac.envs.scene.perspective import Perspective
 from vitac.envs.tasks.ending import LARGEST_SURFACE_DIFF_M
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, counted_env_steps
@@ -55,7 +55,7 @@ def tell_story(record: EpisodeRecord, env_id: str) -> Story:
     if not record.infos or "surface_diff_m" not in record.infos[0]:
         return ending
     try:
-        perspective = perspective_of(env_id)
+        perspective = find_perspective(env_id)
     except NotDrawable:
         return ending
     course = _Course(perspective, record.infos)
