@@ -22,6 +22,7 @@ class Plan:
 
     Attributes:
         gain: part of the way that is left, gone in every env step.
+        last_waits: whether the last number of an action, such as the lift of a key, waits until the others are done.
         measured: whether the way begins where the part is measured to be, not where it is commanded to be.
         dither: standard deviation of what is added to every number of an action.
         seed: of that.
@@ -29,15 +30,20 @@ class Plan:
 
     gain: float
     measured: bool
+    last_waits: bool = False
     dither: float = 0.0
     seed: int = 0
 
 
 PLANS = (
     *(Plan(gain=gain, measured=measured) for gain in (1.0, 0.6, 1.3) for measured in (False, True)),
+    *(Plan(gain=gain, measured=True, last_waits=True) for gain in (1.0, 0.5)),
     *(Plan(gain=1.0, measured=True, dither=0.3, seed=seed) for seed in range(10)),
 )
 """What the planner tries, in this order, until one succeeds."""
+
+
+_DONE = 0.05
 
 
 class Player(Protocol):
@@ -105,6 +111,8 @@ class Planner:
         random = np.random.default_rng(plan.seed)
         while info["end_reason"] is None:
             way = plan.gain * self._way({}, self._measured(info) if plan.measured else info)
+            if plan.last_waits and np.abs(way[:-1]).max() > _DONE:
+                way[-1] = 0.0
             action = way + plan.dither * random.standard_normal(len(way))
             *_, info = self._env.step(np.clip(action, -1.0, 1.0).astype(np.float32))
         return info
