@@ -217,7 +217,7 @@ def with_submission(database: Database, content: dict[str, Any], *, at: datetime
             f"tracks.{TRACK}.ranking",
             "1 submissions, which were made under another ranking rule",
         ),
-        ({"taken_here": False}, f"tracks.{TRACK}.taken_here", "its boards are closed"),
+        ({"taken_here": False}, f"tracks.{TRACK}.taken_here", "its boards close"),
     ],
 )
 def test_a_rule_under_which_teams_have_submitted_changes_only_where_it_is_confirmed(
