@@ -4,7 +4,7 @@ The origin lies in the plane of the plate's top, below the centre of the rectang
 widen upwards until nothing is left of their rims. Faces that lie in one plane are one face, as in the challenge's file.
 """
 
-from functools import cache
+from functools import lru_cache
 from math import sqrt
 
 import numpy as np
@@ -21,6 +21,8 @@ Corners = NDArray[np.float64]
 OFFICIAL_CLEARANCE_MM = 2.0
 # The holes must not cut through the blocks: half width 22.5 less the peg's 15.
 LARGEST_CLEARANCE_MM = 7.5
+# Number of surfaces that are cached; drawn clearances are hardly met again.
+_SURFACES_CACHED = 32
 
 RIM_MM = 17.4
 HOLE_FLOOR_MM = 4.4
@@ -47,7 +49,7 @@ class ClearanceOutOfRange(VitacError):
     """A base cannot be made with this clearance; the message names the range."""
 
 
-@cache
+@lru_cache(maxsize=_SURFACES_CACHED)
 def base_surface(clearance_mm: float = OFFICIAL_CLEARANCE_MM) -> SurfaceMesh:
     """Make the base whose holes are wider than their pegs by a clearance on every side.
 
