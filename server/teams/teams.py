@@ -266,7 +266,7 @@ def name_key(name: str) -> str:
 
 
 def _removed() -> ServiceError:
-    return ServiceError(ProblemCode.UNKNOWN_TEAM, "This team was removed; it cannot be changed any more.")
+    return ServiceError(ProblemCode.UNKNOWN_TEAM, "This team was removed; nothing about it can be changed.")
 
 
 def _checked_name(session: Session, by: Principal | None, name: str, *, but: Team | None = None) -> str:

@@ -90,7 +90,7 @@ def test_what_a_file_closes_at_once_is_told_before_it_is_applied(service: CliSer
     for arguments in (("--dry-run",), ("--yes",)):
         done = service.run("admin", "competition", "apply", example, *arguments, "--json")
         assert done.exit_code == 0
-        assert "teams_locked is 2025-02-01 00:00:00 UTC, which is over" in done.stderr
+        assert "teams_locked is 2025-02-01 00:00:00 UTC, which is past" in done.stderr
         assert "The last stage of track_1 closed at 2025-03-21" in done.stderr
         assert "track_3" not in done.stderr, "its submissions are collected elsewhere"
         assert len(json.loads(done.stdout)) > 10
