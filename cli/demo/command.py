@@ -118,6 +118,7 @@ class Demo:
                 self._start_workers(service)
                 found = self._evaluate(service, client, found["id"])
             require_score(found)
+            client.set_public(found["id"], public=True)  # visitors of this service see what was played
             self._show(client, found)
             if stay:
                 self._stay(service)

@@ -414,7 +414,14 @@ def test_focus_in_a_map_outlives_an_update(site: SiteUnderTest, page: Page) -> N
     expect(page.locator("svg.map a:focus")).to_have_attribute("href", href or "")
 
 
-def test_the_front_page_loads_the_player_when_somebody_wants_to_play(page: Page, site: SiteUnderTest) -> None:
+def test_the_front_page_plays_its_episode_by_itself(page: Page, site: SiteUnderTest) -> None:
+    site.open(page, "/")
+    expect(page.locator("form.transport output")).not_to_have_text(re.compile(r"^(0\.0 of.*)?$"))
+    expect(page.get_by_role("button", name="Play it in 3D")).to_have_count(0)
+
+
+def test_the_front_page_moves_only_on_request_for_readers_who_want_no_motion(page: Page, site: SiteUnderTest) -> None:
+    page.emulate_media(reduced_motion="reduce")
     asked: list[str] = []
     page.on("request", lambda request: asked.append(request.url))
     site.open(page, "/")

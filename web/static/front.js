@@ -1,4 +1,5 @@
-// The front page: loads the 3D player, which is large, when somebody wants to play the episode.
+// The front page: plays the episode once in 3D when the page is there; for readers who want no motion or save
+// data only when they ask for it, as the player is large.
 
 const button = document.getElementById("play-example");
 const controls = document.querySelector("form.transport");
@@ -6,12 +7,16 @@ const controls = document.querySelector("form.transport");
 // The player shows its controls when it is ready.
 new MutationObserver((_, observer) => {
   observer.disconnect();
-  controls.elements.play.focus();
+  if (!button.hidden) controls.elements.play.focus();
   controls.elements.play.click();
 }).observe(controls, { attributes: true, attributeFilter: ["hidden"] });
 
-button.hidden = false;
-button.addEventListener("click", () => {
+const isCalm = window.matchMedia("(prefers-reduced-motion: reduce)").matches || navigator.connection?.saveData;
+button.hidden = !isCalm;
+button.addEventListener("click", load);
+if (!isCalm) window.addEventListener("load", load);
+
+function load() {
   button.disabled = true;
   const script = document.createElement("script");
   script.type = "module";
@@ -21,4 +26,4 @@ button.addEventListener("click", () => {
     button.disabled = false;
   });
   document.head.append(script);
-});
+}
