@@ -34,10 +34,12 @@ class Sight:
     Attributes:
         episodes: single episodes: outcomes, records, logs, playback, pictures, and how many succeeded before the end.
         output: what the policy printed.
+        practice: single episodes on the public list, where it is played beside a sealed one.
     """
 
     episodes: bool
     output: bool
+    practice: bool
 
 
 def decide_sight(by: Principal, evaluation: Evaluation) -> Sight:
@@ -48,8 +50,10 @@ def decide_sight(by: Principal, evaluation: Evaluation) -> Sight:
     """
     submission = evaluation.submission
     is_own = by.may_see(submission.team_id, submission.contest)
-    episodes = by.organizes(submission.contest) or ((is_own or submission.is_public) and not is_sealed(evaluation))
-    return Sight(episodes=episodes, output=episodes and is_own and submission.kind.form.runs_policy)
+    practice = by.organizes(submission.contest) or is_own or submission.is_public
+    episodes = by.organizes(submission.contest) or (practice and not is_sealed(evaluation))
+    output = episodes and is_own and submission.kind.form.runs_policy
+    return Sight(episodes=episodes, output=output, practice=practice)
 
 
 def is_sealed(evaluation: Evaluation) -> bool:

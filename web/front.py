@@ -21,6 +21,7 @@ class TrackCard:
         title: of the track.
         summary: what it is about.
         ranked: number of teams on its board.
+        is_practice: whether the board is for practice.
         leader: the first one, if any.
         state: whether it takes submissions.
         moment: until when, or from when on; None outside of a competition.
@@ -30,6 +31,7 @@ class TrackCard:
     title: str
     summary: str
     ranked: int
+    is_practice: bool
     leader: LeaderboardEntryView | None
     state: str
     moment: datetime | None

@@ -20,10 +20,12 @@ from vitac.envs.errors import VitacError
 from vitac.server import tokens
 from vitac.server.api.conditional import answer
 from vitac.server.cache import Cache
+from vitac.server.contest.view import list_public_rankings
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.limiter import WindowLimiter
 from vitac.server.principals import VISITOR, Principal
 from vitac.server.services import Services
+from vitac.server.views.contest import PublicRankingView
 
 from .front import Front
 from .plots.map import EpisodeMap
@@ -39,7 +41,7 @@ HTML = "text/html"
 PAGE_TIMEOUT_S = 20.0
 """After which a page says that the database does not answer; its statements are ended before."""
 FRONT_KEPT_S = 5.0
-"""The front page is asked for most, and reads the boards of all tracks."""
+"""The front page is asked for most, and reads the boards of all tracks. What all pages say is read as seldom."""
 MAX_PLOTS = 256
 """Those of an evaluation or a board have up to 200 kB."""
 MAX_MAPS = 128
@@ -61,6 +63,7 @@ class Site:
         plots: of evaluations and boards.
         maps: of episodes of complete evaluations.
         front: what the front page shows.
+        public_rankings: competitions that rank on public lists, by name; all their pages say so.
         previews: pictures that links to submissions are shown with.
     """
 
@@ -74,6 +77,9 @@ class Site:
     plots: Cache[Hashable, Any] = field(default_factory=lambda: Cache(at_most=MAX_PLOTS))
     maps: Cache[Hashable, EpisodeMap] = field(default_factory=lambda: Cache(at_most=MAX_MAPS))
     front: Recent[Front] = field(default_factory=lambda: Recent(kept_s=FRONT_KEPT_S))
+    public_rankings: Recent[Mapping[str, PublicRankingView]] = field(
+        default_factory=lambda: Recent(kept_s=FRONT_KEPT_S)
+    )
     previews: Cache[str, bytes] = field(default_factory=lambda: Cache(at_most=MAX_PLOTS))
 
     def address(self, request: Request) -> str:
@@ -275,6 +281,19 @@ async def signed_in_form(request: Request) -> tuple[Viewer, Mapping[str, str]]:
     return viewer, fields
 
 
+def with_public_rankings(show: Page) -> Page:
+    """Make a page one that says which competitions rank on public lists: below the address of one, that one."""
+
+    @wraps(show)
+    async def shown(request: Request) -> Response:
+        site, contest = site_of(request), request.path_params.get("contest")
+        found = await site.public_rankings.get(lambda: site.read(list_public_rankings))
+        request.state.public_rankings = [each for name, each in found.items() if contest in {None, name}]
+        return await show(request)
+
+    return shown
+
+
 def page(
     request: Request, template: str, *, viewer: Viewer | None, section: str = "", status: int = 200, **values: Any
 ) -> Response:
@@ -292,6 +311,7 @@ def page(
         version=site.version,
         address=site.address(request),
         registration=site.services.settings.registration.value,
+        public_rankings=getattr(request.state, "public_rankings", ()),
         **{"viewer_known": True, **values},
     )
     if viewer is not None:

@@ -5,12 +5,15 @@ from uuid import UUID
 
 import typer
 from sqlalchemy.orm import Session
+from vitac.server.evaluations.near_copies import list_near_copies
 from vitac.server.principals import CONSOLE
 from vitac.server.submissions import disqualification, listing, runs
+from vitac.server.submissions.archives import with_archives
+from vitac.server.views.evaluations import NearCopyView
 from vitac.server.views.submissions import SubmissionView
 
 from ..client.status import show as show_status
-from ..service.database import load_settings, transaction
+from ..service.database import load_settings, open_service, transaction
 from ..terminal.output import AsJson, moment, percent, print_json, print_table
 from .state import known_state
 from .verbs import change
@@ -58,6 +61,28 @@ def show(
         show_status(found)
 
 
+@app.command()
+def copies(
+    archives: Annotated[bool, typer.Option(help="Also compare the archives of models: code and weights.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List submissions that act nearly as an earlier one of another team, on one list of a task, the newest first.
+
+    Near: episodes in which no action of the first eight env steps, or no motion commanded until then, differs by more
+    than 0.02. Half of the episodes or more are needed to be listed. You decide: nothing but a log leaves a board.
+    """
+    with open_service(load_settings()) as services:
+        with services.database.reading() as session:
+            found = list_near_copies(session, CONSOLE)
+        if archives:
+            found = with_archives(services, CONSOLE, found)
+    if as_json:
+        print_json([one.model_dump(mode="json") for one in found])
+        return
+    columns = ["submission", "team", "like", "of team", "task", "list", "near", "difference", "code", "weights"]
+    print_table(columns, [_copy(one) for one in found], none="No submission acts nearly as another team's.")
+
+
 @change(app, question="Evaluate submission {submission} again?", done="queued {submission} again")
 def requeue(session: Session, submission: SubmissionId) -> SubmissionView:
     """Evaluate all episodes of a submission again. Earlier results stay; the newest run is shown."""
@@ -88,6 +113,21 @@ def reinstate(session: Session, submission: SubmissionId) -> SubmissionView:
     """Put a disqualified submission back on the boards."""
     disqualification.reinstate(session, CONSOLE, submission)
     return listing.get(session, load_settings(), CONSOLE, submission)
+
+
+def _copy(found: "NearCopyView") -> list[object]:
+    return [
+        found.submission_id,
+        found.team,
+        found.earlier_submission_id,
+        found.earlier_team,
+        found.task,
+        "sealed" if found.sealed else "public",
+        f"{found.near} of {found.episodes}",
+        f"{found.difference:.5f}",
+        percent(found.code),
+        percent(found.weights),
+    ]
 
 
 def _row(item: "SubmissionView") -> list[object]:

@@ -132,6 +132,8 @@ def _scores(found: Json) -> dict[str, object]:
     lines: dict[str, object] = {
         score["task"]: _score(score, ranks.get(score["task"])) for score in evaluation["scores"]
     }
+    for practice in evaluation.get("practice_scores") or ():
+        lines[f"{practice['task']}, practice"] = practice["sentence"]
     several = len(found["tasks"]) + len(found["missing_tasks"]) > 1
     if several and evaluation["success_rate"] is not None:  # a sensor without a policy has none
         lines["all tasks"] = _score(evaluation, found["rank"])

@@ -1,4 +1,8 @@
-"""What moves in an episode, and what was measured of it, as one file; lengths in millimetres."""
+"""What moves in an episode, and what was measured of it, as one file; lengths in millimetres.
+
+Actions, rewards and poses are rounded to what a plot and a picture show: everybody may play the file, and could submit
+exact actions again.
+"""
 
 from typing import Any, Final
 
@@ -20,6 +24,9 @@ SCENE_BYTES: Final = 200_000
 """Most that the file may have; about 10 kB is usual."""
 DISPLACEMENT_UNIT_MM: Final = 0.001
 FLOW_UNIT_PX: Final = 1.0 / 64.0
+ACTION_DECIMALS: Final = 2
+"""Of actions, which are in [-1, 1], of rewards, and of places and heights [mm]."""
+ROTATION_DECIMALS: Final = 4
 _PRESSURE_LEVELS = 255
 _EVERY = (1, 2, 4, 8)
 """Intervals of IPC steps that are tried until the file is small enough; the end of each env step is always kept."""
@@ -73,7 +80,7 @@ def _packed(playback: Playback, moments: list[Moment]) -> bytes:
         "gel_nodes_mm": _mm(playback.gel.rest_position_m[surface]),
         "gel_triangles": np.searchsorted(surface, playback.gel.surface_triangles).astype(np.uint16),
         "sensing_nodes": np.searchsorted(surface, playback.gel.sensing_nodes).astype(np.uint16),
-        "sensor_poses": np.array([_sensor_poses_mm(moment) for moment in moments], dtype=np.float32),
+        "sensor_poses": _rounded_poses([_sensor_poses_mm(moment) for moment in moments]),
         "displacements": Changes(
             values=whole_numbers(
                 [_displacements_mm(playback, moment, surface) for moment in moments], DISPLACEMENT_UNIT_MM, np.int16
@@ -82,18 +89,18 @@ def _packed(playback: Playback, moments: list[Moment]) -> bytes:
         "pressures": Changes(values=whole_numbers(pressures_pa, pressure_unit_pa, np.uint8)),
         "held_vertices_mm": _mm(playback.held.vertices_m),
         "held_triangles": playback.held.triangles.astype(np.uint16),
-        "held_poses": np.array([_held_pose_mm(playback, moment) for moment in moments], dtype=np.float32),
+        "held_poses": _rounded_poses([_held_pose_mm(playback, moment) for moment in moments]),
         "fixed_vertices_mm": _mm(playback.fixed_m),
         "fixed_triangles": playback.fixed.triangles.astype(np.uint16),
         "flow_references": Changes(values=whole_numbers(flows[:, :, 0], FLOW_UNIT_PX, np.int16)),
         "flow_positions": Changes(values=whole_numbers(flows[:, :, 1], FLOW_UNIT_PX, np.int16)),
-        "action_values": playback.actions.astype(np.float32),
-        "rewards": playback.rewards.astype(np.float32),
+        "action_values": _rounded(playback.actions),
+        "rewards": _rounded(playback.rewards),
         "surface_motions_mm": np.array([1e3 * moment.info["surface_diff_m"] for moment in ends], dtype=np.float32),
     }
     if perspective is not None:
         heights = [perspective.progress.heights_mm(moment.info) for moment in ends]
-        arrays["heights_mm"] = np.array(heights, dtype=np.float32)
+        arrays["heights_mm"] = _rounded(np.array(heights))
     return pack(header, arrays)
 
 
@@ -116,6 +123,16 @@ def _described(perspective: Perspective | None) -> dict[str, Any]:
         "heights_title": progress.title,
         "heights_goal_mm": progress.goal_mm,
     }
+
+
+def _rounded(values: NDArray[np.floating[Any]], decimals: int = ACTION_DECIMALS) -> NDArray[np.float32]:
+    return values.round(decimals).astype(np.float32)
+
+
+def _rounded_poses(poses_mm: list[FloatArray]) -> NDArray[np.float32]:
+    """Return poses, nine numbers of a rotation and three of a place each, as exactly as they are shown."""
+    poses = np.array(poses_mm)
+    return np.concatenate([_rounded(poses[..., :9], ROTATION_DECIMALS), _rounded(poses[..., 9:])], axis=-1)
 
 
 def _mm(lengths_m: FloatArray) -> NDArray[np.float32]:

@@ -11,7 +11,7 @@ from ..episodes.records import EpisodeRecord
 from ..sensors.made import MadeSensor
 from ..strict_model import StrictModel
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 """Number of the file format; playbacks in an older one are made again."""
 
 SCENE_FILE, CAMERAS_FILE, STILL_FILE, FILM_FILE = "scene.bin.gz", "cameras.bin.gz", "still.png", "film.webp"

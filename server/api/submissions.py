@@ -148,10 +148,15 @@ def get_submission(services: ServicesOf, principal: ReaderOf, submission_id: UUI
 
 
 @router.get("/{submission_id}/episodes")
-def get_episodes(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> Sequence[EpisodeView]:
+def get_episodes(
+    services: ServicesOf,
+    principal: ReaderOf,
+    submission_id: UUID,
+    practice: Annotated[bool, Query(description="Of the public list that was played beside a sealed one.")] = False,
+) -> Sequence[EpisodeView]:
     """Return how each finished episode ended, also of a public submission; none while the list is sealed."""
     with services.database.reading() as session:
-        return listing.episodes(session, principal, submission_id)
+        return listing.episodes(session, principal, submission_id, practice=practice)
 
 
 @router.get("/{submission_id}/output")

@@ -79,7 +79,10 @@ class StageRules(StrictModel):
     opens: Instant
     closes: Instant = Field(description="What is complete at this instant is too late.")
     accepts: tuple[SubmissionKind, ...] = ()
-    list: ListKind = Field(default=ListKind.SEALED, description="Who may know its episodes.")
+    list: ListKind = Field(
+        default=ListKind.SEALED,
+        description="Who may know the episodes that its models rank by. Logs always play the public list.",
+    )
     quotas: StageQuotas = StageQuotas()
     public_pages: bool = Field(
         default=False, description="Everybody may see the results of its submissions, unless their team says otherwise."
@@ -90,8 +93,11 @@ class StageRules(StrictModel):
     def _is_possible(self) -> Self:
         if self.closes <= self.opens:
             raise ValueError(f"closes at {self.closes:%F %T} UTC, expected a moment after {self.opens:%F %T} UTC")
-        if self.list is ListKind.SEALED and set(self.accepts) - {SubmissionKind.MODEL}:
-            raise ValueError("a sealed list takes models only; a log would need the episodes that nobody knows")
+        if self.list is ListKind.SEALED and self.accepts and SubmissionKind.MODEL not in self.accepts:
+            raise ValueError(
+                f"a sealed list ranks models, and the stage accepts only {', '.join(self.accepts)}; a log would need "
+                "the episodes that nobody knows. Accept models, too, or make the list public, which is for practice"
+            )
         return self
 
 
@@ -166,6 +172,15 @@ class TrackRules(StrictModel):
     prizes: tuple[Prize, ...] = ()
     judging: Judging | None = None
 
+    def list_public_rankings(self) -> Iterator[tuple[str, str]]:
+        """Yield where the board of a public list decides something, by its place in the track's part of the file."""
+        last = self.stages[-1]
+        if self.taken_here and self.prizes and last.list is ListKind.PUBLIC:
+            yield "prizes", f"the prizes of {self.title} go by the board of {last.title}"
+        for before, after in zip(self.stages, self.stages[1:], strict=False):
+            if self.taken_here and after.qualified is not None and before.list is ListKind.PUBLIC:
+                yield f"stages.{after.name}.qualified", f"{after.title} of {self.title} is for teams by {before.title}"
+
     @property
     def ranking_sentence(self) -> str | None:
         """The ranking in words; None for the usual one, which the track's file explains."""
@@ -209,6 +224,15 @@ class CompetitionDefinition(StrictModel):
         default=False, description="Teams see each other under random names until the competition is final."
     )
     tracks: dict[Word, TrackRules] = Field(min_length=1)
+
+    @property
+    def public_rankings(self) -> Mapping[str, str]:
+        """What boards of public lists decide, by its place in the file; empty where they are for practice only."""
+        return {
+            f"tracks.{name}.{place}": what
+            for name, track in self.tracks.items()
+            for place, what in track.list_public_rankings()
+        }
 
 
 def read_competition(path: Path) -> CompetitionDefinition:

@@ -104,6 +104,20 @@ class Stage:
         """Since when its results are final; None: they are not."""
         return None if self.is_practice else self.competition.finalized_at
 
+    @property
+    def decides(self) -> bool:
+        """Whether prizes or advancement follow from its board."""
+        if self.is_practice:
+            return False
+        stages = self.track_rules.stages
+        after = stages[stages.index(self.rules) + 1 :]
+        return after[0].qualified is not None if after else bool(self.track_rules.prizes)
+
+    @property
+    def ranks_on_public_list(self) -> bool:
+        """Whether its board decides something, although everybody knows its list."""
+        return self.decides and self.rules.list is ListKind.PUBLIC
+
     def make_rows(
         self, table: type[Submission] | type[Qualification] | type[SealedList]
     ) -> tuple[ColumnElement[bool], ...]:

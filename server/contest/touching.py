@@ -11,6 +11,11 @@ from .contest import Contest
 from .definition import CompetitionDefinition, StageRules, TrackRules
 from .stages import Stage
 
+WHY_PRACTICE = (
+    "A table of actions that were recorded on that list ranks there like a policy, so its boards are for practice; all "
+    "pages of the competition would say that it ranks on them. Choose a sealed list."
+)
+
 
 def find_concerns(contest: Contest, new: CompetitionDefinition, at: datetime) -> list[Concern]:
     """Return what a file touches, by its places in the file.
@@ -24,6 +29,10 @@ def find_concerns(contest: Contest, new: CompetitionDefinition, at: datetime) ->
 
 
 def _touched(contest: Contest, new: CompetitionDefinition, at: datetime) -> Iterator[tuple[str, str]]:
+    known = contest.definition.public_rankings.values() if contest.is_held else ()
+    for place, what in new.public_rankings.items():
+        if what not in known:
+            yield place, f"{what[0].upper()}{what[1:]}, which plays a public list. {WHY_PRACTICE}"
     if not contest.is_held:
         yield from _list_for_new_contest(contest, new)
         return

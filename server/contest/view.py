@@ -5,6 +5,7 @@ from datetime import UTC, datetime
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
+from vitac.evaluator.tracks import ListKind
 
 from ..db.models import SealedList, Submission, Team
 from ..errors import ProblemCode, ServiceError
@@ -16,6 +17,7 @@ from ..views.contest import (
     ContestState,
     DisqualifiedTeamView,
     PrizeView,
+    PublicRankingView,
     ReopeningView,
     StageView,
     WinnerView,
@@ -76,6 +78,7 @@ def competition_view(session: Session, name: str | None = None, *, at: datetime 
         anonymous=found.anonymous,
         appeal_days=found.appeal_days,
         tracks=[_track(name, contest, lists, now) for name in found.tracks],
+        public_rankings=list(found.public_rankings.values()),
         freeze_at=found.freeze_at,
         frozen_at=contest.frozen_at,
         finalized_at=row.finalized_at,
@@ -88,6 +91,17 @@ def competition_view(session: Session, name: str | None = None, *, at: datetime 
             if each.withdrawn_at is not None
         ],
     )
+
+
+def list_public_rankings(session: Session) -> Mapping[str, PublicRankingView]:
+    """Return the competitions in which boards of public lists decide something, by name, for all their pages."""
+    return {
+        contest.name: PublicRankingView(
+            title=contest.definition.title, decided=list(contest.definition.public_rankings.values())
+        )
+        for contest in Contest.read_all(session)
+        if contest.definition.public_rankings
+    }
 
 
 def disqualified_since_the_end(contest: Contest) -> list[DisqualifiedTeamView]:
@@ -165,6 +179,7 @@ def _stage(stage: Stage, lists: Lists, now: datetime) -> StageView:
         is_open=stage.is_open(now),
         accepts=list(rules.accepts),
         list_kind=rules.list if stage.track_rules.taken_here else None,
+        is_practice=stage.track_rules.taken_here and rules.list is ListKind.PUBLIC and not stage.decides,
         commitment=sealed.commitment if sealed else None,
         secret=sealed.secret if sealed and sealed.revealed_at else None,
         scored_runs=rules.quotas.scored_runs,

@@ -4,11 +4,16 @@ from sqlalchemy import and_, func
 
 from .models import EpisodeResult, Evaluation, Submission
 
-OF_EVALUATION = and_(
+_OF_RUN = and_(
     EpisodeResult.submission_digest == Submission.digest,
     EpisodeResult.evaluator_version == Evaluation.evaluator_version,
     EpisodeResult.track == Submission.track,
     EpisodeResult.run == Evaluation.run,
-    EpisodeResult.commitment == func.coalesce(Evaluation.commitment, ""),
 )
-"""Whether a stored episode is one of an evaluation's, in a query on both and the submission."""
+_RANKED_LIST = func.coalesce(Evaluation.commitment, "")
+
+OF_EVALUATION = and_(_OF_RUN, EpisodeResult.commitment == _RANKED_LIST)
+"""Whether an evaluation's result is made of a stored episode, in a query on both and the submission."""
+
+ON_EITHER_LIST = and_(_OF_RUN, EpisodeResult.commitment.in_((_RANKED_LIST, "")))
+"""The same with the episodes on the public list, which is played beside a sealed one."""

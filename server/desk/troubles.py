@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session, selectinload
 from ..contest.contest import Contest
 from ..contest.definition import StageRules
 from ..contest.stages import Stage
-from ..db.models import EpisodeDifference, Evaluation, LogCopy, Qualification, Submission
+from ..db.models import EpisodeDifference, Evaluation, LogCopy, NearCopy, Qualification, Submission
 from ..evaluations.readiness import count_running
 from ..evaluations.verdicts import ServiceVerdict
 from ..principals import Principal
@@ -68,7 +68,9 @@ def troubles(session: Session, by: Principal) -> list[Trouble]:
     """
     by.require_organizer(by.contest)
     differs = exists().where(EpisodeDifference.evaluation_id == Evaluation.id)
-    copied = exists().where(LogCopy.evaluation_id == Evaluation.id)
+    copied = or_(
+        exists().where(LogCopy.evaluation_id == Evaluation.id), exists().where(NearCopy.evaluation_id == Evaluation.id)
+    )
     failed = Evaluation.verdict_code == ServiceVerdict.MACHINE_FAILED.value
     rows = session.execute(
         select(Evaluation, failed, differs, copied)
@@ -130,7 +132,7 @@ def _words(*, by_machines: bool, differing: bool, copy: bool) -> str:
         for words, holds in (
             ("the machines failed", by_machines),
             ("an episode gave another result when it was run again", differing),
-            ("a log with the states of another team's", copy),
+            ("the states, or nearly the actions, of another team's earlier submission", copy),
         )
         if holds
     ]

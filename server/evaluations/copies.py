@@ -214,6 +214,11 @@ def _completed(session: Session, submission_id: UUID) -> Collection[Evaluation]:
     ).all()
 
 
+def flag_log(session: Session, evaluation: Evaluation, earlier: UUID, episodes: int) -> None:
+    """Flag an evaluation of a log as having some episodes of an earlier submission."""
+    _flag(session, [evaluation], earlier, episodes)
+
+
 def _flag(session: Session, evaluations: Collection[Evaluation], earlier: UUID, episodes: int) -> None:
     for evaluation in evaluations:
         new = insert(LogCopy).values(evaluation_id=evaluation.id, earlier_submission_id=earlier, episodes=episodes)

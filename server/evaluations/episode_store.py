@@ -2,16 +2,22 @@
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
+from datetime import UTC, datetime
 from typing import Any, Self
 
 from sqlalchemy import bindparam, func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure, digest_of_stored
+from vitac.evaluator.tracks import ListKind
 
+from ..contest.contest import stage_of
 from ..db.models import EpisodeResult, Evaluation, Submission
+from ..principals import Principal
 from ..queue.leases import Lease, lock_held, note_progress
+from ..tracks import known_track
+from ..visibility import decide_sight
 from .differences import report_difference
 from .provenance import note_packages
 
@@ -35,7 +41,7 @@ class EpisodeKey:
 
     @classmethod
     def from_evaluation(cls, evaluation: Evaluation, submission: Submission) -> Self:
-        """Return the key of an evaluation's episodes."""
+        """Return the key of the episodes of an evaluation that its result is made of."""
         return cls(
             submission_digest=submission.digest,
             evaluator_version=evaluation.evaluator_version,
@@ -43,6 +49,10 @@ class EpisodeKey:
             run=evaluation.run,
             commitment=evaluation.commitment or "",
         )
+
+    def on_public_list(self) -> Self:
+        """Return the key of the episodes that are played on the public list beside a sealed one."""
+        return replace(self, commitment="")
 
     @classmethod
     def from_lease(cls, lease: Lease) -> Self:
@@ -73,6 +83,43 @@ class EpisodeKey:
     def conditions_given(cls) -> tuple[Any, ...]:
         """Return the conditions of some key, for a statement that is put together once."""
         return tuple(getattr(EpisodeResult, part.name) == bindparam(part.name) for part in fields(cls))
+
+
+def played_keys(evaluation: Evaluation, submission: Submission) -> tuple[EpisodeKey, ...]:
+    """Return the keys of the episodes on each list that an evaluation plays; first that of its result.
+
+    Beside the sealed list of a stage, the public one is played for comparison.
+    """
+    key = EpisodeKey.from_evaluation(evaluation, submission)
+    track = known_track(submission.track)
+    is_public = track is not None and all(task.episode_list.kind is ListKind.PUBLIC for task in track.tasks.values())
+    return (key, key.on_public_list()) if key.commitment and is_public else (key,)
+
+
+def find_shown_key(
+    session: Session, by: Principal, evaluation: Evaluation, *, practice: bool = False
+) -> EpisodeKey | None:
+    """Return the key of the episodes that somebody may see singly; None where there are none for them.
+
+    While a stage is open that ranks on a public list, a team sees only its own there.
+
+    Args:
+        session: of the transaction.
+        by: who asks.
+        evaluation: whose episodes.
+        practice: those on the public list that was played beside a sealed one, instead of those of the result.
+    """
+    sight, keys = decide_sight(by, evaluation), played_keys(evaluation, evaluation.submission)
+    if practice:
+        return keys[1] if sight.practice and len(keys) > 1 else None
+    return keys[0] if sight.episodes and not _is_closed_to(session, by, evaluation.submission) else None
+
+
+def _is_closed_to(session: Session, by: Principal, submission: Submission) -> bool:
+    if by.may_see(submission.team_id, submission.contest) or by.organizes(submission.contest):
+        return False
+    stage = stage_of(session, submission)
+    return stage.ranks_on_public_list and not stage.is_over(datetime.now(UTC))
 
 
 _TABLE = EpisodeResult.metadata.tables[EpisodeResult.__tablename__]

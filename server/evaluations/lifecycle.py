@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
+from itertools import product
 from uuid import UUID
 
 from sqlalchemy import ColumnElement, exists, func, select, update
@@ -29,9 +30,10 @@ from ..settings import Settings
 from ..tracks import find_family
 from ..visibility import played_list_kind
 from .copies import flag_copies
-from .episode_store import EpisodeKey, count_stored, missing_episodes, read_stored_records
+from .episode_store import count_stored, missing_episodes, played_keys, read_stored_records
+from .near_copies import note_near_copies
 from .provenance import read_provenance
-from .scores import combine_hashes, combined_result, store_scores
+from .scores import Records, combine_hashes, combined_result, store_practice_scores, store_scores
 from .verdicts import ServiceVerdict
 
 FREE_FAILURES_PER_DAY = 5
@@ -76,7 +78,7 @@ def start(
         evaluator_hash=compute_hash(submission.track),
         state=EvaluationState.QUEUED,
         episodes_reused=0,
-        commitment=stage_of(session, submission).commitment,
+        commitment=_find_commitment(session, submission),
         turn=next_turn(session, submission.team_id) if turn is None else turn,
         log_tail="",
         charged_at=charged_at,
@@ -86,13 +88,14 @@ def start(
         created_at=datetime.now(UTC),
     )
     evaluation.list_kind = played_list_kind(evaluation)
-    track = load_track(submission.track)
-    for task in submission.tasks:
+    track, keys = load_track(submission.track), played_keys(evaluation, submission)
+    for key, task in product(keys, submission.tasks):
         for piece in cut(track.task(task)):
             evaluation.shards.append(
                 Shard(
                     task=task,
                     number=piece.index,
+                    commitment=key.commitment,
                     episodes=sorted(piece.numbers),
                     state=ShardState.QUEUED,
                     token=0,
@@ -102,12 +105,17 @@ def start(
     session.add(evaluation)
     session.flush()
     if _was_evaluated(session, evaluation, submission):
-        evaluation.episodes_reused = count_stored(session, EpisodeKey.from_evaluation(evaluation, submission))
+        evaluation.episodes_reused = sum(count_stored(session, key) for key in keys)
     for task in submission.tasks:
         ids = [shard.id for shard in evaluation.shards if shard.task == task]
         queue = queue_name(evaluation.evaluator_version, find_family(submission.track, task))
         enqueue_shards(session, ids, queue, priority=-evaluation.turn)
     return evaluation
+
+
+def _find_commitment(session: Session, submission: Submission) -> str | None:
+    """Return by which sealed list a submission is ranked; None for a log, which holds actions for the public one."""
+    return stage_of(session, submission).commitment if submission.kind.form.runs_policy else None
 
 
 def _was_evaluated(session: Session, evaluation: Evaluation, submission: Submission) -> bool:
@@ -219,19 +227,25 @@ def _conclude(session: Session, evaluation: Evaluation) -> None:
         return
     submission = evaluation.submission
     track = load_track(submission.track)
-    key = EpisodeKey.from_evaluation(evaluation, submission)
-    records = {task: read_stored_records(session, key, task) for task in submission.tasks}
-    evaluation.log_tail = _collect_output(records)
-    for task in submission.tasks:
+    keys = played_keys(evaluation, submission)
+    played = [{task: read_stored_records(session, key, task) for task in submission.tasks} for key in keys]
+    evaluation.log_tail = _collect_output(played[0])
+    for records, task in product(played, submission.tasks):
         failure = breaking_failure(cut(track.task(task)), records[task])
         if failure is not None:
             _fail_by_policy(session, evaluation, task, failure, records[task])
             return
-    _complete(session, evaluation, records)
+    if len(played) > 1:
+        public = {task: read_provenance(session, evaluation, task, "") for task in submission.tasks}
+        store_practice_scores(evaluation, track, sealed=played[0], public=played[1], manifests=public)
+    _complete(session, evaluation, played[0])
+    if not evaluation.is_proposed:
+        for key, records in zip(keys, played, strict=True):
+            note_near_copies(session, evaluation, key.commitment, records)
 
 
-def _complete(session: Session, evaluation: Evaluation, records: dict[str, list[EpisodeRecord]]) -> None:
-    manifests = {task: read_provenance(session, evaluation, task) for task in records}
+def _complete(session: Session, evaluation: Evaluation, records: Records) -> None:
+    manifests = {task: read_provenance(session, evaluation, task, evaluation.commitment or "") for task in records}
     hashes = {task: result_hash(manifests[task], records[task]) for task in records}
     finished_at = datetime.now(UTC)
     store_scores(evaluation, {task: score(records[task]) for task in records}, hashes, finished_at=finished_at)
@@ -272,7 +286,7 @@ def _fail(session: Session, evaluation: Evaluation, code: str, message: str) -> 
         announce_evaluation(session, NoticeKind.FAILED, evaluation)
 
 
-def _collect_output(records: dict[str, list[EpisodeRecord]]) -> str:
+def _collect_output(records: Records) -> str:
     """Return what the policy printed in the few episodes that it failed in, the last ones if that is too much."""
     parts = [
         f"[{task}, episode {record.episode}: {record.failure.code}]\n{record.failure.output_tail}\n"

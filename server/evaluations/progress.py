@@ -10,9 +10,10 @@ from sqlalchemy.orm import Session
 
 from ..db.models import EpisodeResult, Evaluation, Shard, Submission
 from ..db.states import ACTIVE_EVALUATION_STATES, OPEN_SHARD_STATES, EvaluationState
-from ..db.stored_episodes import OF_EVALUATION
+from ..db.stored_episodes import ON_EITHER_LIST
 from ..tracks import known_task
 from ..views.evaluations import ProgressView, TaskProgressView
+from .episode_store import played_keys
 
 EPISODES_FOR_TIMING = 300
 EpisodeCounts = Mapping[str, tuple[int, int]]
@@ -55,10 +56,10 @@ def make_progress_view(evaluation: Evaluation, submission: Submission, counts: E
 
 
 def _planned(evaluation: Evaluation, submission: Submission, task: str) -> int:
-    """Return how many episodes are played of a task: those of its list, or of the shards where it was removed."""
+    """Return how many episodes are played of a task: those of its lists, or of the shards where it was removed."""
     found = known_task(submission.track, task)
     if found is not None:
-        return len(found.episodes)
+        return len(found.episodes) * len(played_keys(evaluation, submission))
     return sum(len(shard.episodes) for shard in evaluation.shards if shard.task == task)
 
 
@@ -77,7 +78,7 @@ def episode_counts(session: Session, evaluations: Collection[Evaluation]) -> dic
     rows = session.execute(
         select(Evaluation.id, EpisodeResult.task, func.count(), func.count().filter(EpisodeResult.success))
         .join(Evaluation.submission)
-        .join(EpisodeResult, OF_EVALUATION)
+        .join(EpisodeResult, ON_EITHER_LIST)
         .where(Evaluation.id.in_(counts))
         .group_by(Evaluation.id, EpisodeResult.task)
     )

@@ -30,7 +30,7 @@ def known_manifest(session: Session, lease: Lease) -> Manifest | None:
             is_the_same,
             Submission.kind == lease.kind,
             Evaluation.evaluator_version == lease.evaluator_version,
-            Evaluation.commitment.is_not_distinct_from(lease.commitment),
+            Shard.commitment == (lease.commitment or ""),
             Shard.task == lease.task,
             Shard.manifest.is_not(None),
         )
@@ -39,11 +39,21 @@ def known_manifest(session: Session, lease: Lease) -> Manifest | None:
     return Manifest.model_validate(found) if found is not None else None
 
 
-def read_provenance(session: Session, evaluation: Evaluation, task: str) -> Manifest:
-    """Return what a completed evaluation played a task with."""
+def read_provenance(session: Session, evaluation: Evaluation, task: str, commitment: str) -> Manifest:
+    """Return what an evaluation played a task with.
+
+    Args:
+        session: of the transaction.
+        evaluation: of which the shards of that list are complete.
+        task: name.
+        commitment: of the sealed list; empty for the public one.
+    """
     found = session.scalars(
         select(Shard.manifest).where(
-            Shard.evaluation_id == evaluation.id, Shard.task == task, Shard.state == ShardState.DONE
+            Shard.evaluation_id == evaluation.id,
+            Shard.task == task,
+            Shard.commitment == commitment,
+            Shard.state == ShardState.DONE,
         )
     ).first()
     return Manifest.model_validate(found)

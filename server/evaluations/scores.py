@@ -3,14 +3,21 @@
 import hashlib
 from collections.abc import Collection, Mapping
 from datetime import datetime
+from typing import Any
 
+from vitac.evaluator.episodes.records import EpisodeRecord, Manifest, result_hash
+from vitac.evaluator.scoring.lists import better_on_public_p_value
 from vitac.evaluator.scoring.ranking import CombinedScore, combine
-from vitac.evaluator.scoring.score import Interval, Rate, Score
+from vitac.evaluator.scoring.score import Interval, Rate, Score, score
+from vitac.evaluator.tracks import Track
 
 from ..db.models import ALL_TASKS, BoardResult, Evaluation, Submission
 from ..receipts.receipt import CombinedResult
 from ..tracks import known_track
-from ..views.scores import ShapeScoreView, TaskScoreView
+from ..views.scores import PracticeScoreView, ShapeScoreView, TaskScoreView
+
+Records = Mapping[str, Collection[EpisodeRecord]]
+"""Those of an evaluation on one list, by task."""
 
 
 def store_scores(
@@ -26,6 +33,29 @@ def store_scores(
     evaluation.counted_tasks = list(_tasks_that_count(evaluation.submission))
     if not evaluation.is_proposed:
         add_to_boards(evaluation, finished_at)
+
+
+def store_practice_scores(
+    evaluation: Evaluation, track: Track, *, sealed: Records, public: Records, manifests: Mapping[str, Manifest]
+) -> None:
+    """Write what an evaluation reached on the public list, and how it differs from the sealed one that ranks.
+
+    Args:
+        evaluation: of which both lists were played.
+        track: which one.
+        sealed: the records of each task on the sealed list.
+        public: the same on the public list.
+        manifests: what each task was played with there.
+    """
+    evaluation.practice_scores = [
+        {
+            "task": task,
+            "result_hash": result_hash(manifests[task], records),
+            "p_value": better_on_public_p_value(track.task(task).episode_list, records, sealed[task]),
+            **score(records).model_dump(mode="json"),
+        }
+        for task, records in public.items()
+    ]
 
 
 def add_to_boards(evaluation: Evaluation, finished_at: datetime) -> None:
@@ -47,10 +77,7 @@ def combine_hashes(hashes: Mapping[str, str]) -> str:
 
 def make_score_views(evaluation: Evaluation) -> dict[str, Score]:
     """Return the stored score of each task; empty before the end."""
-    return {
-        row["task"]: Score.model_validate({key: row[key] for key in Score.model_fields})
-        for row in evaluation.scores or []
-    }
+    return {row["task"]: Score.model_validate(_of_score(row)) for row in evaluation.scores or []}
 
 
 def combined_score(evaluation: Evaluation) -> CombinedScore | None:
@@ -90,9 +117,34 @@ def task_views(evaluation: Evaluation, scores: Mapping[str, Score]) -> list[Task
     return [_score_view(task, score, hashes[task]) for task, score in scores.items()]
 
 
+def practice_score_views(evaluation: Evaluation) -> list[PracticeScoreView] | None:
+    """Return what was reached on the public list beside the sealed one; None where it was not played."""
+    if evaluation.practice_scores is None:
+        return None
+    sealed, rows = make_score_views(evaluation), evaluation.practice_scores
+    return [_practice_score_view(row, sealed[row["task"]]) for row in rows]
+
+
+def _practice_score_view(row: Mapping[str, Any], sealed: Score) -> PracticeScoreView:
+    found, p_value = Score.model_validate(_of_score(row)), float(row["p_value"])
+    points = 100 * (found.success_rate - sealed.success_rate)
+    sentence = (
+        f"Public list: {100 * found.success_rate:.1f} % ({found.successes} of {found.episodes}), "
+        f"{abs(points):.1f} points {'above' if points > 0 else 'below'} the sealed one. Better on the public list "
+        f"than on the sealed one: p = {p_value:.2g}."
+    )
+    return PracticeScoreView(
+        **dict(_score_view(row["task"], found, row["result_hash"])), p_value=p_value, sentence=sentence
+    )
+
+
 def bounds(interval: Interval) -> tuple[float, float]:
     """Return both ends of an interval, as views hold them."""
     return interval.low, interval.high
+
+
+def _of_score(row: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: row[key] for key in Score.model_fields}
 
 
 def _board_result(

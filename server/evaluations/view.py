@@ -29,7 +29,7 @@ from ..views.evaluations import (
 from ..views.scores import TaskScoreView
 from ..visibility import decide_sight, has_lists, played_list_kind
 from .differences import differing_episodes
-from .episode_store import EpisodeKey
+from .episode_store import EpisodeKey, find_shown_key
 from .lifecycle import LOG_TAIL_CHARACTERS
 from .progress import (
     EpisodeCounts,
@@ -41,7 +41,7 @@ from .progress import (
     seconds_to_end,
 )
 from .provenance import isolation_levels
-from .scores import bounds, combine_scores, counted_tasks, make_score_views, task_views
+from .scores import bounds, combine_scores, counted_tasks, make_score_views, practice_score_views, task_views
 from .verdicts import find_sentence
 
 PROGRESS_STEPS = 10
@@ -93,7 +93,7 @@ class EvaluationRows:
         """
         sights = {found.id: decide_sight(by, found) for found in evaluations}
         organized = [found for found in evaluations if by.organizes(found.submission.contest)]
-        hidden = frozenset(found for found, sight in sights.items() if not sight.episodes)
+        hidden = frozenset(found.id for found in evaluations if find_shown_key(session, by, found) is None)
         kept = {
             found.id: view
             for found in evaluations
@@ -162,6 +162,7 @@ def _view(evaluation: Evaluation, workers: Callable[[str], WorkersAlive], rows: 
         success_rate_interval=bounds(combined.interval) if combined else None,
         mean_steps=combined.mean_steps if combined else None,
         scores=shown_scores,
+        practice_scores=practice_score_views(evaluation),
         counted_tasks=list(counted_tasks(evaluation)),
         evaluator_hash=evaluation.evaluator_hash,
         platform_class=evaluation.platform_class,

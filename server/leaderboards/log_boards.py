@@ -38,6 +38,7 @@ _USUAL_RANKING = (
     "Higher success rate first; then fewer mean env steps of the successful episodes; then the earlier submission."
 )
 _WHAT_IS_RANKED = (
+    "Logs are for practice: they play the public list, and give no prizes and no advancement. "
     "Only verified logs are ranked, the best of each team, task by task, and never together with models. "
     "A log is not ranked if half of its episodes or more have the states of an earlier submission of another team, "
     "half-way through or to the end."

@@ -68,10 +68,12 @@ def leaderboard(
     list_kind = ListKind.SEALED if stage.is_sealed else played
     shown_names = ShownNames.read(session, CONSOLE if live else VISITOR)
     names = f"{named_at} {shown_names.hidden and not live}"
-    revision = compute_revision(f"{board} {counted} {list_kind} {names}", best)
+    is_practice = list_kind is ListKind.PUBLIC and not stage.decides
+    revision = compute_revision(f"{board} {counted} {list_kind} {is_practice} {names}", best)
     shown = _Shown(
         board=board,
         list_kind=list_kind,
+        is_practice=is_practice,
         rule=stage.track_rules.ranking_sentence,
         best=best,
         counted=counted,
@@ -88,6 +90,7 @@ class _Shown:
 
     Attributes:
         list_kind: of the episodes that submissions to it play.
+        is_practice: whether it decides nothing because its list is public.
         rule: how it is ranked, where that is not what the track's file says.
         counted: which results it is made of.
         names: under which teams are shown.
@@ -95,6 +98,7 @@ class _Shown:
 
     board: Board
     list_kind: ListKind
+    is_practice: bool
     rule: str | None
     best: Collection[BestEntry]
     counted: CountedResults
@@ -115,6 +119,7 @@ def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView |
         frozen_at=shown.counted.frozen_at,
         final_since=shown.counted.final_since,
         list_kind=shown.list_kind,
+        is_practice=shown.is_practice,
         ranking_rule=shown.rule or (track.ranking_rule if task else track.combination_rule or track.ranking_rule),
         evaluator_version=shown.board.evaluator_version,
         unranked=unranked(entries, shown.counted, shown.board),

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from functools import cache, partial
 from uuid import UUID
 
-from sqlalchemy import Select, bindparam, select
+from sqlalchemy import Select, bindparam, or_, select
 from sqlalchemy.orm import Session, defer, joinedload
 from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.logs.action_match import EpisodeMatch, compare_actions
@@ -61,7 +61,9 @@ def _compared(session: Session, model_id: UUID, task: str, from_log: Callable[[]
     model = session.get_one(
         Evaluation, model_id, options=[defer(Evaluation.log_tail), joinedload(Evaluation.submission)]
     )
-    return _compare(model, from_log(), _actions(session, EpisodeKey.from_evaluation(model, model.submission), task))
+    # A log plays the public list, and so did each model, where another list ranks beside it.
+    key = EpisodeKey.from_evaluation(model, model.submission).on_public_list()
+    return _compare(model, from_log(), _actions(session, key, task))
 
 
 def _models(session: Session, log: Submission, evaluation: Evaluation) -> Sequence[UUID]:
@@ -70,7 +72,6 @@ def _models(session: Session, log: Submission, evaluation: Evaluation) -> Sequen
         "track": log.track,
         "tasks": log.tasks,
         "evaluator_version": evaluation.evaluator_version,
-        "commitment": evaluation.commitment,
     }
     return session.scalars(_last_models(), asked).all()
 
@@ -87,7 +88,7 @@ def _last_models() -> Select[UUID]:
             Submission.kind == SubmissionKind.MODEL,
             Submission.tasks.contains(bindparam("tasks")),
             Evaluation.evaluator_version == bindparam("evaluator_version"),
-            Evaluation.commitment.is_not_distinct_from(bindparam("commitment")),
+            or_(Evaluation.commitment.is_(None), Evaluation.practice_scores.is_not(None)),
             Evaluation.state == EvaluationState.COMPLETED,
         )
         .order_by(Evaluation.finished_at.desc(), Evaluation.id)

@@ -51,7 +51,7 @@ def export_log(session: Session, by: Principal, submission_id: UUID, task: str |
     header = LogHeader(
         team=ShownNames.read(session, by).show_name(submission.team),
         submission_digest=submission.digest if submission.kind.form.runs_policy else None,
-        manifest=read_provenance(session, evaluation, chosen),
+        manifest=read_provenance(session, evaluation, chosen, evaluation.commitment or ""),
     )
     stream = BytesIO()
     write_log(stream, header, read_stored_records(session, EpisodeKey.from_evaluation(evaluation, submission), chosen))

@@ -22,7 +22,7 @@ from ..db.advisory_locks import AdvisoryLock, wait_for_turn
 from ..db.models import EpisodeResult, Playback, Shard
 from ..db.states import OPEN_PLAYBACK_STATES, PlaybackState, ShardState
 from ..errors import ProblemCode, ServiceError, not_found
-from ..evaluations.episode_store import EpisodeKey
+from ..evaluations.episode_store import find_shown_key
 from ..evaluations.history import newest_evaluation
 from ..principals import Principal
 from ..queue.jobs import enqueue_playback, queue_name
@@ -32,7 +32,6 @@ from ..sharing.public_pages import readable
 from ..teams.shown_names import ShownNames
 from ..tracks import find_playback_family
 from ..views.playbacks import PlaybackView, ShownEpisodeView, StoryMomentView
-from ..visibility import decide_sight
 from .story import tell_story
 
 NOBODY_DRAWS = "no running worker can draw ManiSkill’s environments, which takes its packages and a Vulkan driver"
@@ -42,18 +41,28 @@ FAILED_KEPT = timedelta(hours=1)
 """How long a failed playback is not tried again."""
 
 
-def find_episode(session: Session, by: Principal, submission_id: UUID, task: str, number: int) -> EpisodeResult:
+def find_episode(
+    session: Session, by: Principal, submission_id: UUID, task: str, number: int, *, practice: bool = False
+) -> EpisodeResult:
     """Return a finished episode of the newest evaluation of a submission.
+
+    Args:
+        session: of the transaction.
+        by: who asks.
+        submission_id: of the submission.
+        task: name.
+        number: of the episode.
+        practice: on the public list that was played beside a sealed one, instead of on that of the result.
 
     Raises:
         ServiceError: there is none that the principal may see.
     """
     submission = readable(session, by, submission_id)
     evaluation = newest_evaluation(session, submission)
-    key = EpisodeKey.from_evaluation(evaluation, submission)
+    key = find_shown_key(session, by, evaluation, practice=practice)
     wanted = (EpisodeResult.task == task, EpisodeResult.episode == number)
-    episode = session.scalar(select(EpisodeResult).where(*key.conditions(), *wanted))
-    if episode is None or not decide_sight(by, evaluation).episodes:
+    episode = session.scalar(select(EpisodeResult).where(*key.conditions(), *wanted)) if key else None
+    if episode is None:
         raise not_found("episode", f"{number} of {task} of submission {submission_id}")
     return episode
 
@@ -125,15 +134,22 @@ def requester(by: Principal) -> str:
 
 
 def shown_episode(
-    session: Session, settings: Settings, by: Principal, submission_id: UUID, task: str, number: int
+    session: Session,
+    settings: Settings,
+    by: Principal,
+    submission_id: UUID,
+    task: str,
+    number: int,
+    *,
+    practice: bool = False,
 ) -> ShownEpisodeView:
-    """Return a finished episode as its page shows it.
+    """Return a finished episode as its page shows it; the arguments are those of `find_episode`.
 
     Raises:
         ServiceError: there is none that the principal may see.
     """
     submission = readable(session, by, submission_id)
-    episode = find_episode(session, by, submission_id, task, number)
+    episode = find_episode(session, by, submission_id, task, number, practice=practice)
     record = EpisodeRecord.model_validate(episode.record)
     playback = find_playback(session, episode)
     story = tell_story(record, load_track(episode.track).task(task).env_id)

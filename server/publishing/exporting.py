@@ -154,7 +154,9 @@ def _write_played(session: Session, blobs: BlobStore, archive: zipfile.ZipFile, 
         if not records:
             continue
         policy = submission.digest if submission.kind.form.runs_policy else None
-        header = LogHeader(submission_digest=policy, manifest=read_provenance(session, evaluation, task))
+        header = LogHeader(
+            submission_digest=policy, manifest=read_provenance(session, evaluation, task, evaluation.commitment or "")
+        )
         stream = BytesIO()
         write_log(stream, header, records)
         archive.writestr(log_name(evaluation.id, task), stream.getvalue())

@@ -88,7 +88,7 @@ def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> L
         evaluator_version=evaluation.evaluator_version,
         track=submission.track,
         run=evaluation.run,
-        commitment=evaluation.commitment,
+        commitment=shard.commitment or None,
         archive_sha256=submission.archive_sha256,
         sensor_sha256=_find_sensor(session, submission.id),
         task=shard.task,

@@ -10,18 +10,18 @@ from ..cache import Cache
 from ..contest.contest import Contest
 from ..db.models import EpisodeResult, Evaluation, Submission
 from ..db.states import EvaluationState
-from ..evaluations.episode_store import EpisodeKey
+from ..evaluations.episode_store import EpisodeKey, find_shown_key
 from ..evaluations.history import histories, newest_evaluation, newest_state
 from ..principals import Principal
 from ..settings import Settings
 from ..sharing.public_pages import readable
 from ..teams import teams
 from ..views.submissions import EpisodeView, SubmissionListView, SubmissionView
-from ..visibility import decide_sight, visible
+from ..visibility import visible
 from .view import submission_views
 
-_ends: Cache[UUID, Sequence[EpisodeView]] = Cache(at_most=128)
-"""Episodes by evaluation, about 150 kB each. They do not change: a completed evaluation has all its episodes."""
+_ends: Cache[tuple[UUID, str], Sequence[EpisodeView]] = Cache(at_most=128)
+"""Episodes by evaluation and list, about 150 kB each. They do not change: a completed evaluation has all of them."""
 
 
 def get(session: Session, settings: Settings, by: Principal, submission_id: UUID) -> SubmissionView:
@@ -74,26 +74,35 @@ def list_submissions(
     )
 
 
-def episodes(session: Session, by: Principal, submission_id: UUID) -> Sequence[EpisodeView]:
+def episodes(session: Session, by: Principal, submission_id: UUID, *, practice: bool = False) -> Sequence[EpisodeView]:
     """Return how each finished episode of the newest evaluation ended, in order; none where they are not shown.
+
+    Args:
+        session: of the transaction.
+        by: who asks.
+        submission_id: of the submission.
+        practice: of the public list that was played beside a sealed one, instead of those of the result.
 
     Raises:
         ServiceError: there is no such submission.
     """
-    return list_episodes(session, by, newest_evaluation(session, readable(session, by, submission_id)))
+    evaluation = newest_evaluation(session, readable(session, by, submission_id))
+    return list_episodes(session, by, evaluation, practice=practice)
 
 
-def list_episodes(session: Session, by: Principal, evaluation: Evaluation) -> Sequence[EpisodeView]:
-    """Return how each finished episode of an evaluation ended, in order; none where they are not shown."""
-    if not decide_sight(by, evaluation).episodes:
+def list_episodes(
+    session: Session, by: Principal, evaluation: Evaluation, *, practice: bool = False
+) -> Sequence[EpisodeView]:
+    """Return the same of an evaluation."""
+    key = find_shown_key(session, by, evaluation, practice=practice)
+    if key is None:
         return ()
     if evaluation.state is not EvaluationState.COMPLETED:
-        return _read_episodes(session, evaluation)
-    return _ends.get(evaluation.id, lambda: _read_episodes(session, evaluation))
+        return _read_episodes(session, key)
+    return _ends.get((evaluation.id, key.commitment), lambda: _read_episodes(session, key))
 
 
-def _read_episodes(session: Session, evaluation: Evaluation) -> Sequence[EpisodeView]:
-    key = EpisodeKey.from_evaluation(evaluation, evaluation.submission)
+def _read_episodes(session: Session, key: EpisodeKey) -> Sequence[EpisodeView]:
     rows = session.execute(
         select(
             EpisodeResult.task,

@@ -51,6 +51,9 @@ class StageView(View):
     is_open: bool = Field(description="Whether it takes submissions now.")
     accepts: list[SubmissionKind]
     list_kind: ListKind | None = Field(description="Null where the service plays no episodes of it.")
+    is_practice: bool = Field(
+        default=False, description="Its list is public, and its boards give no prizes and no advancement."
+    )
     commitment: str | None = Field(description="Of its sealed list.")
     secret: str | None = Field(description="Of its sealed list, once published; `vitac seeds verify` checks it.")
     scored_runs: int | None = Field(description="Most scored evaluations of a team; null: any number.")
@@ -119,6 +122,13 @@ class WithdrawnListView(View):
     withdrawn_at: datetime
 
 
+class PublicRankingView(View):
+    """A competition in which boards of public lists decide something, as all its pages say."""
+
+    title: str
+    decided: list[str] = Field(description="What they decide, a clause for each.")
+
+
 class CompetitionView(View):
     """The competition of this service."""
 
@@ -138,6 +148,9 @@ class CompetitionView(View):
         description="So long after the end of an evaluation its team may appeal; null: there are no appeals.",
     )
     tracks: list[CompetitionTrackView]
+    public_rankings: list[str] = Field(
+        default=[], description="What boards of public lists decide; empty where they are for practice only."
+    )
     freeze_at: datetime | None = Field(default=None, description="When boards freeze by the file; null: not by it.")
     frozen_at: datetime | None = Field(description="Since then boards show no new results; null: they do.")
     finalized_at: datetime | None = Field(description="Since then everything is final.")

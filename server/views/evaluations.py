@@ -8,7 +8,7 @@ from vitac.evaluator.tracks import ListKind
 
 from ..db.states import EvaluationState, ShardState
 from .base import View
-from .scores import TaskScoreView
+from .scores import PracticeScoreView, TaskScoreView
 
 
 class TaskProgressView(View):
@@ -69,6 +69,26 @@ class DifferingEpisodeView(View):
     seen_at: datetime
 
 
+class NearCopyView(View):
+    """An evaluation that acts nearly as an earlier submission of another team, on one list; for organizers."""
+
+    evaluation_id: UUID
+    submission_id: UUID
+    submission_name: str
+    team: str
+    earlier_submission_id: UUID
+    earlier_submission_name: str
+    earlier_team: str
+    task: str
+    sealed: bool = Field(description="Whether on a sealed list; else on the public one.")
+    near: int = Field(description="Episodes whose actions or commanded motions are within the tolerance.")
+    episodes: int = Field(description="Episodes that both have and that say something.")
+    difference: float = Field(description="Median over the episodes of the largest difference of an action.")
+    found_at: datetime
+    code: float | None = Field(default=None, description="Share of the code of both archives that is in both.")
+    weights: float | None = Field(default=None, description="Correlation of the weights in both archives.")
+
+
 class PackagesView(View):
     """The packages that a policy saw."""
 
@@ -93,6 +113,9 @@ class EvaluationView(EvaluationSummaryView):
     success_rate_interval: tuple[float, float] | None = Field(description="Of that mean, 95 %.")
     mean_steps: float | None = Field(description="Mean of all tasks' mean steps; null where a task has none.")
     scores: list[TaskScoreView]
+    practice_scores: list[PracticeScoreView] | None = Field(
+        default=None, description="On the public list, where a sealed one ranks and both are played."
+    )
     counted_tasks: list[str] = Field(
         description="Tasks of the track that are combined, as when it was scored; of a log the one that it plays."
     )

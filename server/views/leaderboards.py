@@ -54,6 +54,9 @@ class LeaderboardView(View):
         default=None, description="Since then the results of the competition are final; null: they are not."
     )
     list_kind: ListKind = Field(description="Who can know the episodes that submissions to it play.")
+    is_practice: bool = Field(
+        default=False, description="Everybody can know the episodes: gives no prizes and no advancement."
+    )
     ranking_rule: str
     evaluator_version: str = Field(description="Whose results are ranked; each entry names the one that made it.")
     unranked: str | None = Field(

@@ -27,3 +27,13 @@ class TaskScoreView(View):
     shapes: list[ShapeScoreView]
     outcomes: dict[str, int] = Field(description="How many episodes ended in which way.")
     result_hash: str = Field(description="The hash that `vitac evaluate` prints for the same evaluation.")
+
+
+class PracticeScoreView(TaskScoreView):
+    """Score of one task on the public list, which was played beside the sealed one and does not rank."""
+
+    p_value: float = Field(
+        description="How likely a difference to the sealed list at least as large as this one, in favour of the public "
+        "list, is if the policy is equally good on both: exact permutation test over the starts."
+    )
+    sentence: str = Field(description="Both results compared, in words.")

@@ -83,6 +83,7 @@ def _card(name: str, board: LeaderboardView, cup: CompetitionView | None) -> Tra
         title=track.title,
         summary=track.summary,
         ranked=len(ranked),
+        is_practice=board.is_practice,
         leader=ranked[0] if ranked else None,
         state=state,
         moment=moment,

@@ -10,7 +10,7 @@ from starlette.types import Scope
 from ..documentation.library import ADDRESS, Library
 from ..headers import SecurityHeaders
 from ..rendering import STATIC, static_digest
-from ..site import Site
+from ..site import Site, with_public_rankings
 from . import (
     appeals,
     desk,
@@ -37,7 +37,7 @@ from .teams import register, sign_in, team
 
 UPLOADS = (("POST", upload.ADDRESS),)
 """Pages that take uploads, which have limits of their own."""
-EPISODE = "/submissions/{submission_id}/episodes/{task}/{number}"
+EPISODES = tuple(f"/submissions/{{submission_id}}/{folder}/{{task}}/{{number}}" for folder in episodes.FOLDERS)
 ONE_YEAR_S = 365 * 24 * 3600
 
 
@@ -119,10 +119,16 @@ def pages() -> APIRouter:
         ("/sandbox", sandbox.sandbox, "GET"),
         (f"{ADDRESS}search", documentation.search, "GET"),
         (f"{ADDRESS}{{name:path}}", documentation.documentation, "GET"),
-        (EPISODE, episodes.episode, "GET"),
-        (f"{EPISODE}/playback", episodes.playback, "GET"),
-        (f"{EPISODE}/playback", episodes.ask, "POST"),
-        (f"{EPISODE}/playback/{{file}}", episodes.playback_file, "GET"),
+        *(
+            (address + path, page, method)
+            for address in EPISODES
+            for path, page, method in (
+                ("", episodes.episode, "GET"),
+                ("/playback", episodes.playback, "GET"),
+                ("/playback", episodes.ask, "POST"),
+                ("/playback/{file}", episodes.playback_file, "GET"),
+            )
+        ),
         ("/operations", operations.operations, "GET"),
         ("/register", register.register_form, "GET"),
         ("/register", register.register, "POST"),
@@ -153,5 +159,5 @@ def pages() -> APIRouter:
         ("/sign-in/password", sign_in.sign_in_with_password, "POST"),
         ("/sign-out", sign_in.sign_out, "POST"),
     ):
-        router.add_route(path, page, methods=[method], include_in_schema=False)
+        router.add_route(path, with_public_rankings(page), methods=[method], include_in_schema=False)
     return router

@@ -25,6 +25,7 @@ class SubmissionDetail:
     Attributes:
         submission: with its newest evaluation.
         episodes: outcomes of the finished episodes of that evaluation.
+        practice_episodes: those on the public list, where it was played beside a sealed one.
         action_matches: how many of a log's actions the team's models give; empty for other submissions.
         episodes_with_output: number of episodes with output, or in which the policy failed, that the visitor may see.
         past: results of the team in the tasks of this submission; empty before the submission has a result.
@@ -35,6 +36,7 @@ class SubmissionDetail:
     action_matches: Sequence[ActionMatchView]
     episodes_with_output: int
     past: Sequence[PastResultView]
+    practice_episodes: Sequence[EpisodeView] = ()
 
 
 def read_detail(session: Session, settings: Settings, by: Principal, submission_id: UUID) -> SubmissionDetail:
@@ -51,5 +53,6 @@ def read_detail(session: Session, settings: Settings, by: Principal, submission_
         episodes=listing.list_episodes(session, by, shown),
         action_matches=read_matches(session, by, shown) if is_own else (),
         episodes_with_output=output.episodes_with_output(session, by, shown),
+        practice_episodes=listing.list_episodes(session, by, shown, practice=True),
         past=past_results(session, by, shown) if is_own else (),
     )

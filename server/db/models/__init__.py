@@ -8,12 +8,14 @@ from .base import Base
 from .competition import Competition, Qualification, Rejudgement, SealedList
 from .evaluations import (
     ALL_TASKS,
+    ActionTrace,
     BoardChange,
     BoardResult,
     EpisodeDifference,
     EpisodeResult,
     Evaluation,
     LogCopy,
+    NearCopy,
     Shard,
 )
 from .judging import JudgingConflict, JudgingMark
@@ -26,6 +28,7 @@ from .submissions import PartialUpload, Submission, SubmissionFile, UploadPart
 
 __all__ = [
     "ALL_TASKS",
+    "ActionTrace",
     "Announcement",
     "ApiToken",
     "Appeal",
@@ -45,6 +48,7 @@ __all__ = [
     "LogCopy",
     "Member",
     "MetricTotal",
+    "NearCopy",
     "Notice",
     "PartialUpload",
     "Playback",

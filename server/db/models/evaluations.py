@@ -41,7 +41,8 @@ class Evaluation(Base):
     """One run of the evaluator over a submission. Run 1 uses stored episodes; a higher run has records of its own.
 
     One that `is_proposed` belongs to a rejudgement that was not applied: it is no result of its submission.
-    `commitment` names the sealed list that is played; NULL: the public one. `turn` orders those that wait, see
+    `commitment` names the sealed list whose result ranks; NULL: the public one. Beside a sealed list the public one is
+    played too, whose scores are `practice_scores`; NULL: it was not. `turn` orders those that wait, see
     `server.queue.turns`. `charged_at` says when the team's quotas counted it; NULL
     where it costs nothing. `asked_by_team`: organizers did not start it. `packages`: lists of the packages that the
     policy saw, versions by name, each list once (`Shard.packages_digest` names one); nothing of episodes stored before.
@@ -106,6 +107,7 @@ class Evaluation(Base):
     scores: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
     list_kind: Mapped[ListKind | None] = mapped_column(closed_set(ListKind, "list_kind"))
     counted_tasks: Mapped[list[str] | None] = mapped_column(ARRAY(Text))
+    practice_scores: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
     result_hash: Mapped[str | None] = mapped_column(String(64))
     packages: Mapped[list[dict[str, str]]] = mapped_column(JSONB, default=list, server_default="[]", deferred=True)
     submission: Mapped[Submission] = relationship()
@@ -158,6 +160,7 @@ class BoardChange(Base):
 class Shard(Base):
     """A fixed piece of an evaluation, the unit of queue work. `token` rises with each claim: it fences off others.
 
+    `commitment` names the sealed list of which it plays a piece; empty for the public one.
     `attempts` counts the claims since an episode was last stored. `packages_digest` is that of the packages that its
     policy saw (`evaluator.package_sets`); NULL where no policy ran. The list stands in the evaluation's `packages`.
     `finding` says why an uploaded log is not true (`evaluator.logs.findings.LogFinding`).
@@ -165,7 +168,7 @@ class Shard(Base):
 
     __tablename__ = "shards"
     __table_args__ = (
-        UniqueConstraint("evaluation_id", "task", "number"),
+        UniqueConstraint("evaluation_id", "task", "number", "commitment"),
         CheckConstraint("(state = 'running') = (lease_expires_at IS NOT NULL)", name="running_has_a_lease"),
         CheckConstraint("(state = 'running') <= (worker_id IS NOT NULL)", name="running_has_a_worker"),
         CheckConstraint("attempts >= 0 AND token >= attempts", name="each_attempt_has_a_token"),
@@ -178,6 +181,7 @@ class Shard(Base):
     evaluation_id: Mapped[UUID] = mapped_column(ForeignKey("evaluations.id", ondelete="CASCADE"))
     task: Mapped[str]
     number: Mapped[int]
+    commitment: Mapped[str] = mapped_column(default="", server_default="")
     episodes: Mapped[list[int]]
     state: Mapped[ShardState] = mapped_column(closed_set(ShardState, "state"))
     token: Mapped[int] = mapped_column(BigInteger, default=0)
@@ -254,6 +258,45 @@ class LogCopy(Base):
     earlier_submission_id: Mapped[UUID] = mapped_column(ForeignKey("submissions.id", ondelete="CASCADE"))
     episodes: Mapped[int]
     found_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+
+class ActionTrace(Base):
+    """The first actions of all episodes of a task on one list, by which near copies are found.
+
+    `actions` are float32, as `evaluator.scoring.near_copies` has them; `commitment` is empty for the public list.
+    """
+
+    __tablename__ = "action_traces"
+    __table_args__ = (Index("ix_action_traces_task_commitment", "task", "commitment"),)
+    evaluation_id: Mapped[UUID] = mapped_column(ForeignKey("evaluations.id", ondelete="CASCADE"), primary_key=True)
+    task: Mapped[str] = mapped_column(primary_key=True)
+    commitment: Mapped[str] = mapped_column(primary_key=True, default="")
+    action_size: Mapped[int]
+    actions: Mapped[bytes]
+
+
+class NearCopy(Base):
+    """An evaluation that acts nearly as an earlier submission of another team, on one list of a task.
+
+    Attributes:
+        near: of `episodes` those whose actions or commanded motions are within the tolerance.
+        difference: median over the episodes of the largest difference of an action.
+    """
+
+    __tablename__ = "near_copies"
+    __table_args__ = (CheckConstraint("near > 0 AND near <= episodes", name="some_are_near"),)
+    evaluation_id: Mapped[UUID] = mapped_column(ForeignKey("evaluations.id", ondelete="CASCADE"), primary_key=True)
+    earlier_submission_id: Mapped[UUID] = mapped_column(
+        ForeignKey("submissions.id", ondelete="CASCADE"), primary_key=True
+    )
+    task: Mapped[str] = mapped_column(primary_key=True)
+    commitment: Mapped[str] = mapped_column(primary_key=True, default="")
+    near: Mapped[int]
+    episodes: Mapped[int]
+    difference: Mapped[float] = mapped_column(Float)
+    found_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    evaluation: Mapped[Evaluation] = relationship()
+    earlier_submission: Mapped[Submission] = relationship()
 
 
 class EpisodeDifference(Base):

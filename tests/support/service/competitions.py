@@ -14,6 +14,8 @@ from vitac.server.db.models import Competition
 from vitac.server.leaderboards.standings import leaderboard
 
 FIRST, SECOND = "stage1", "stage2"
+PUBLIC_RANKING = f"tracks.{TRACK}.stages.{SECOND}.qualified"
+"""What an organizer confirms of it: teams advance by the board of a public list."""
 OPENS = datetime(2031, 1, 1, tzinfo=UTC)
 CLOSES = OPENS + timedelta(days=31)
 LATER_OPENS = CLOSES + timedelta(days=1)

@@ -45,7 +45,7 @@ from vitac.server.submissions.upload import AnnouncedUpload
 from vitac.server.submissions.watch import Changes
 from vitac.server.teams import teams
 from vitac.server.views.archive import ArchiveView
-from vitac.server.views.contest import CompetitionListView, CompetitionView, StageView
+from vitac.server.views.contest import CompetitionListView, CompetitionView, PublicRankingView, StageView
 from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
 from vitac.server.views.logs import ActionMatchView
 from vitac.server.views.messages import AnnouncementView
@@ -93,6 +93,7 @@ class FixedData(FixedPlaybacks):
     settings: dict[str, Any] = field(default_factory=dict)
     locked_since: datetime | None = None
     cup: CompetitionView | None = None
+    public_rankings: dict[str, PublicRankingView] = field(default_factory=dict)
     decided_again_at: datetime | None = None
     service: OperationsView = field(default_factory=an_operations_view)
     public_one: PublicEpisodeView | None = None
@@ -222,12 +223,14 @@ class FixedData(FixedPlaybacks):
         self.get(None, by, submission_id)
         return a_receipt()
 
-    def find_episode(self, by: Principal, submission_id: UUID, task: str, number: int) -> EpisodeAddress:
+    def find_episode(
+        self, by: Principal, submission_id: UUID, task: str, number: int, *, practice: bool = False
+    ) -> EpisodeAddress:
         self.get(None, by, submission_id)
-        return EpisodeAddress(submission_id=submission_id, task=task, number=number)
+        return EpisodeAddress(submission_id=submission_id, task=task, number=number, practice=practice)
 
-    def shown_episode(self, _: object, *where: Any) -> ShownEpisodeView:
-        return self.shown_at(self.find_episode(*where))
+    def shown_episode(self, _: object, *where: Any, **named: Any) -> ShownEpisodeView:
+        return self.shown_at(self.find_episode(*where, **named))
 
     def ask(self, _: object, __: Principal, place: EpisodeAddress) -> PlaybackView:
         return self.ask_at(place)
@@ -311,6 +314,7 @@ for _module, _name, _data_of in (
     (contest, "competition_view", lambda data: data.competition),
     (contest, "competition_list_view", lambda _: lambda: CompetitionListView(items=[])),
     (contest, "list_choices", lambda _: list),
+    (contest, "list_public_rankings", lambda data: lambda: data.public_rankings),
     (contest, "track_stages", lambda data: data.stages),
     (archive, "archive_view", lambda data: data.archive),
     (public_pages, "public_among", lambda data: data.public_among),

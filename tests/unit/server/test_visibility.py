@@ -1,5 +1,6 @@
 """What of an evaluation is shown to whom: every combination of reader, publicity, list and kind."""
 
+from dataclasses import replace
 from itertools import product
 from types import SimpleNamespace
 from typing import Any, cast
@@ -33,10 +34,11 @@ READERS = {
     "organizer": CONSOLE,
 }
 OPEN, SEALED, REVEALED = "open", "sealed", "revealed"
-NOTHING, EPISODES, EVERYTHING = (
-    Sight(episodes=False, output=False),
-    Sight(episodes=True, output=False),
-    Sight(episodes=True, output=True),
+NOTHING, PRACTICE, EPISODES, EVERYTHING = (
+    Sight(episodes=False, output=False, practice=False),
+    Sight(episodes=False, output=False, practice=True),
+    Sight(episodes=True, output=False, practice=True),
+    Sight(episodes=True, output=True, practice=True),
 )
 
 
@@ -62,10 +64,10 @@ def evaluation(
 
 SEEN = {
     # reader: (private, public) of an open or revealed list; then the same of a sealed one
-    "visitor": ((NOTHING, EPISODES), (NOTHING, NOTHING)),
-    "own": ((EVERYTHING, EVERYTHING), (NOTHING, NOTHING)),
-    "other": ((NOTHING, EPISODES), (NOTHING, NOTHING)),
-    "judge": ((EVERYTHING, EVERYTHING), (NOTHING, NOTHING)),
+    "visitor": ((NOTHING, EPISODES), (NOTHING, PRACTICE)),
+    "own": ((EVERYTHING, EVERYTHING), (PRACTICE, PRACTICE)),
+    "other": ((NOTHING, EPISODES), (NOTHING, PRACTICE)),
+    "judge": ((EVERYTHING, EVERYTHING), (PRACTICE, PRACTICE)),
     "organizer": ((EVERYTHING, EVERYTHING), (EVERYTHING, EVERYTHING)),
 }
 
@@ -83,7 +85,7 @@ def test_nobody_sees_an_output_of_a_log_because_no_policy_ran(reader: str, kind:
     for listed, public in product((OPEN, REVEALED, SEALED), (False, True)):
         of_model = SEEN[reader][listed == SEALED][public]
         found = decide_sight(READERS[reader], evaluation(listed=listed, public=public, kind=kind))
-        assert found == Sight(episodes=of_model.episodes, output=False), (listed, public)
+        assert found == replace(of_model, output=False), (listed, public)
 
 
 @pytest.mark.parametrize("reader", READERS)
@@ -139,9 +141,9 @@ def test_a_sealed_list_of_the_file_opens_when_its_commitment_is_taken_out(monkey
     task = track.tasks[TASK]
     listed = task.model_copy(update={"episode_list": task.episode_list.model_copy(update={"commitment": "c"})})
     closed = track.model_copy(update={"tasks": {**track.tasks, TASK: listed}})
-    for file, seen in ((closed, NOTHING), (track, EVERYTHING)):
+    for file, seen in ((closed, PRACTICE), (track, EVERYTHING)):
         monkeypatch.setattr("vitac.server.tracks.load_track", lambda _, file=file: file)
-        assert is_sealed(played) is (seen == NOTHING)
+        assert is_sealed(played) is (seen == PRACTICE)
         assert decide_sight(READERS["own"], played) == seen
         assert played_list_kind(played) is ListKind.SEALED, "who could know it while it was played stays"
     assert is_sealed(evaluation(commitment="c" * 64, list_kind=ListKind.SEALED)), "of a stage whose secret is lost"

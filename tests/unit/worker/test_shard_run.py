@@ -230,7 +230,8 @@ def test_a_shard_of_a_sealed_list_gets_the_secret_in_a_file_that_goes_with_it(
 ) -> None:
     with services.database.transaction() as session:
         made = sealing.seal(session, CONSOLE, stored_stage(session, submission.track, "final"))
-        newest_evaluation(session, session.get_one(Submission, submission.id)).commitment = made.commitment
+        evaluation = newest_evaluation(session, session.get_one(Submission, submission.id))
+        evaluation.commitment = evaluation.shards[0].commitment = made.commitment
     lease = claim(services.database, first_shard(services, submission), lease_s=services.settings.lease_s)
     seen: list[tuple[Path, int, str]] = []
     shards = FakeShards()

@@ -1,7 +1,7 @@
 """The page of one episode, or of two side by side, played from its playback; asking for it; its files."""
 
 import asyncio
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from http import HTTPStatus
 from uuid import UUID
@@ -16,11 +16,13 @@ from vitac.envs.tasks.definition import Family
 from vitac.evaluator.playback.order import NotPlayable, require_playable
 from vitac.evaluator.tracks import Task, load_track
 from vitac.server.api.attempts import address_of
+from vitac.server.db.models import EpisodeResult
 from vitac.server.db.states import OPEN_PLAYBACK_STATES, PlaybackState
 from vitac.server.errors import ServiceError
 from vitac.server.playbacks import asking, comparisons, files
 from vitac.server.playbacks.asking import NOBODY_DRAWS
 from vitac.server.playbacks.files import PlaybackFile
+from vitac.server.principals import Principal
 from vitac.server.views.playbacks import EpisodeChoiceView, PlaybackView, ShownEpisodeView
 
 from ...rendering import STATIC, words
@@ -28,6 +30,8 @@ from ...session.forms import read_form
 from ...site import Viewer, open_to_all, page, principal_of, require_form_token, site_of, viewer_of
 from ..addresses import as_id
 
+FOLDERS = ("episodes", "practice")
+"""Of episodes below a submission's page: of its result, and on the public list that is played beside a sealed one."""
 PLAYER = "playback.js"
 ONE_YEAR_S = 365 * 24 * 3600
 _PICTURES = {PlaybackFile.STILL: "image/png", PlaybackFile.FILM: "image/webp"}
@@ -36,11 +40,12 @@ _PLACES = "Expected an episode as NUMBER, or SUBMISSION:NUMBER for one of anothe
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeAddress:
-    """An episode of a submission's newest evaluation."""
+    """An episode of a submission's newest evaluation; with `practice` on the public list beside a sealed one."""
 
     submission_id: UUID
     task: str
     number: int
+    practice: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +129,8 @@ async def episode(request: Request) -> Response:
         players=players,
         all_filmed=all(player.is_filmed for player in players),
         beside=beside,
-        choices=await _choices(request, viewer, place),
+        choices=() if place.practice else await _choices(request, viewer, place),
+        is_practice=place.practice,
         title=f"{task.title}, episode {place.number}",
         neighbours=_neighbours(place, task),
         episodes=len(task.episodes),
@@ -214,7 +220,7 @@ async def _shown_episode(request: Request, viewer: Viewer | None, place: Episode
     site, by = site_of(request), principal_of(viewer)
     return await site.ask(
         lambda session: asking.shown_episode(
-            session, site.services.settings, by, place.submission_id, place.task, place.number
+            session, site.services.settings, by, place.submission_id, place.task, place.number, practice=place.practice
         )
     )
 
@@ -227,7 +233,7 @@ async def _ask_for_playback(request: Request, viewer: Viewer | None, place: Epis
         await asyncio.to_thread(site.playbacks.note, address, "playbacks from one address")
 
     def ask_for_it(session: Session) -> PlaybackView:
-        found = asking.find_episode(session, by, place.submission_id, place.task, place.number)
+        found = _find(session, by, place)
         return asking.playback_view(session, settings, asking.ask(session, settings, by, found))
 
     return await site.ask(ask_for_it)
@@ -237,11 +243,15 @@ async def _read_file(request: Request, viewer: Viewer | None, place: EpisodeAddr
     services, by = site_of(request).services, principal_of(viewer)
 
     def read(session: Session) -> str:
-        found = asking.find_episode(session, by, place.submission_id, place.task, place.number)
+        found = _find(session, by, place)
         return files.find_digest(session, found, file)
 
     digest = await site_of(request).ask(read)
     return await asyncio.to_thread(files.read, services.database, services.blobs, digest)
+
+
+def _find(session: Session, by: Principal, place: EpisodeAddress) -> EpisodeResult:
+    return asking.find_episode(session, by, place.submission_id, place.task, place.number, practice=place.practice)
 
 
 def _state(found: PlaybackView) -> JSONResponse:
@@ -257,7 +267,10 @@ def _place(request: Request) -> EpisodeAddress:
     if not _is_number(values["number"]):
         raise HTTPException(404)
     submission_id = as_id(values["submission_id"])
-    return EpisodeAddress(submission_id=submission_id, task=values["task"], number=int(values["number"]))
+    practice = request.url.path.split("/")[3] == FOLDERS[1]
+    return EpisodeAddress(
+        submission_id=submission_id, task=values["task"], number=int(values["number"]), practice=practice
+    )
 
 
 def _episode_beside(place: EpisodeAddress, text: str) -> EpisodeAddress:
@@ -266,7 +279,7 @@ def _episode_beside(place: EpisodeAddress, text: str) -> EpisodeAddress:
     if not _is_place(text):
         raise HTTPException(400, _PLACES.format(text))
     submission_id = as_id(submission) if submission else place.submission_id
-    return EpisodeAddress(submission_id=submission_id, task=place.task, number=int(number))
+    return replace(place, submission_id=submission_id, number=int(number))
 
 
 def _is_place(text: str) -> bool:
@@ -282,7 +295,7 @@ def _is_number(text: str) -> bool:
 
 
 def _address(place: EpisodeAddress) -> str:
-    return f"/submissions/{place.submission_id}/episodes/{place.task}/{place.number}"
+    return f"/submissions/{place.submission_id}/{FOLDERS[place.practice]}/{place.task}/{place.number}"
 
 
 def _neighbours(place: EpisodeAddress, task: Task) -> tuple[tuple[str, str], ...]:

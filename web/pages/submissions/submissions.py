@@ -18,7 +18,7 @@ from vitac.server.submissions import runs
 from vitac.server.submissions.listing import list_submissions
 from vitac.server.submissions.watch import Changes
 from vitac.server.views.evaluations import TaskProgressView
-from vitac.server.views.scores import TaskScoreView
+from vitac.server.views.scores import PracticeScoreView, TaskScoreView
 from vitac.server.views.submissions import EpisodeView, RankView, SubmissionView
 
 from ...plots.map import EpisodeMap, episode_map, title_of_task
@@ -33,9 +33,14 @@ from .sharing import shared
 
 @dataclass(frozen=True, kw_only=True)
 class TaskPart:
-    """What the page shows of one task: progress, episodes, and once complete, score and rank."""
+    """What the page shows of one task: progress, episodes, and once complete, score and rank.
+
+    Where the public list is played beside a sealed one, also score and episodes there.
+    """
 
     map: EpisodeMap
+    practice: PracticeScoreView | None
+    practice_map: EpisodeMap | None
     progress: TaskProgressView | None
     score: TaskScoreView | None
     rank: RankView | None
@@ -161,7 +166,7 @@ async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
         "past": detail.past,
         "active": found.evaluation.state not in TERMINAL_EVALUATION_STATES,
         "took": seconds_taken(found),
-        "parts": [task_part(site_of(request), found, name, detail.episodes) for name in found.tasks],
+        "parts": [task_part(site_of(request), detail, name) for name in found.tasks],
         "several": len(found.tasks) + len(found.missing_tasks) > 1,
         "action_matches": detail.action_matches,
         "episodes_with_output": detail.episodes_with_output,
@@ -171,17 +176,23 @@ async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
     }
 
 
-def task_part(site: Site, found: SubmissionView, task: str, ends: Sequence[EpisodeView]) -> TaskPart:
+def task_part(site: Site, detail: SubmissionDetail, task: str) -> TaskPart:
     """Return the part of the page for one task of a submission; the map of a complete evaluation is cached."""
-    evaluation, of_task = found.evaluation, {end.episode: end for end in ends if end.task == task}
+    found, evaluation = detail.submission, detail.submission.evaluation
 
-    def make() -> EpisodeMap:
-        folder = f"/submissions/{found.id}/episodes/{task}"
-        return episode_map(found.track, task, of_task, folder=folder, known=evaluation.commitment is None)
+    def make_map(ends: Sequence[EpisodeView], folder: str, *, known: bool) -> EpisodeMap:
+        of_task = {end.episode: end for end in ends if end.task == task}
+        make = partial(
+            episode_map, found.track, task, of_task, folder=f"/submissions/{found.id}/{folder}/{task}", known=known
+        )
+        is_final = evaluation.state is EvaluationState.COMPLETED
+        return site.maps.get((evaluation.id, folder, task, len(of_task)), make) if is_final else make()
 
-    is_final = evaluation.state is EvaluationState.COMPLETED
+    practice = detail.practice_episodes
     return TaskPart(
-        map=site.maps.get((evaluation.id, task, len(of_task)), make) if is_final else make(),
+        map=make_map(detail.episodes, "episodes", known=evaluation.commitment is None),
+        practice=next((score for score in evaluation.practice_scores or () if score.task == task), None),
+        practice_map=make_map(practice, "practice", known=True) if practice else None,
         progress=next((progress for progress in evaluation.progress.tasks if progress.task == task), None),
         score=next((score for score in evaluation.scores if score.task == task), None),
         rank=found.task_ranks.get(task),

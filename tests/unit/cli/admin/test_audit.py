@@ -34,6 +34,7 @@ from vitac.server.tokens import list_tokens
 from vitac.worker import appeal_replay
 
 from competitions import (
+    PUBLIC_RANKING,
     make_competition,
     moved,
     open_now,
@@ -66,6 +67,7 @@ READS = {
     "rejudge show",
     "results publish",
     "results winners",
+    "submission copies",
     "submission list",
     "submission show",
     "team data",
@@ -78,7 +80,7 @@ READS = {
 }
 CHANGES = {
     "backup": (["FILE"], "service.backup"),
-    "competition apply": (["COMPETITION", "--yes"], "competition.apply"),
+    "competition apply": (["COMPETITION", "--yes", "--confirm", PUBLIC_RANKING], "competition.apply"),
     "competition reveal": (["track_1", "stage1", "--yes"], "list.reveal"),
     "advance confirm": (["track_1", "stage2", "--yes"], "stage.qualify"),
     "results freeze": ([], "competition.freeze"),

@@ -26,7 +26,7 @@ def test_every_ipc_step_is_in_the_file(peg_playback: Playback, peg_file: Unpacke
         assert len(peg_file.arrays[name]) == len(steps), name
 
 
-def test_gels_are_where_they_were_to_a_micrometre(peg_playback: Playback, peg_file: Unpacked) -> None:
+def test_gels_are_where_they_were_to_a_hundredth_of_a_millimetre(peg_playback: Playback, peg_file: Unpacked) -> None:
     arrays = peg_file.arrays
     unit_mm = peg_file.header["displacement_unit_mm"]
     for index in (0, 3, -1):
@@ -35,14 +35,14 @@ def test_gels_are_where_they_were_to_a_micrometre(peg_playback: Playback, peg_fi
             pose = arrays["sensor_poses"][index, side].astype(float)
             local_mm = arrays["gel_nodes_mm"] + unit_mm * arrays["displacements"][index, side]
             world_mm = local_mm @ pose[:9].reshape(3, 3).T + pose[9:]
-            np.testing.assert_allclose(world_mm, 1e3 * moment.gel_nodes_m[side], atol=1e-3)
+            np.testing.assert_allclose(world_mm, 1e3 * moment.gel_nodes_m[side], atol=1e-2)
 
 
 def test_the_held_part_is_where_it_was(peg_playback: Playback, peg_file: Unpacked) -> None:
     for index in (0, -1):
         pose = peg_file.arrays["held_poses"][index].astype(float)
         world_mm = peg_file.arrays["held_vertices_mm"] @ pose[:9].reshape(3, 3).T + pose[9:]
-        np.testing.assert_allclose(world_mm, 1e3 * peg_playback.moments[index].held_m, atol=1e-4)
+        np.testing.assert_allclose(world_mm, 1e3 * peg_playback.moments[index].held_m, atol=1e-2)
 
 
 def test_the_fixed_part_does_not_move(peg_playback: Playback, peg_file: Unpacked) -> None:
@@ -61,7 +61,7 @@ def test_marker_flow_has_a_sixty_fourth_of_a_pixel(peg_playback: Playback, peg_f
 def test_what_is_plotted_has_one_value_for_each_env_step(peg_playback: Playback, peg_file: Unpacked) -> None:
     arrays, played = peg_file.arrays, len(peg_playback.rewards)
     assert arrays["action_values"].shape == (played, 3)
-    np.testing.assert_allclose(arrays["rewards"], peg_playback.rewards, rtol=1e-6)
+    np.testing.assert_allclose(arrays["rewards"], peg_playback.rewards, atol=0.006)
     assert arrays["surface_motions_mm"].shape == (played + 1, 2)
     assert arrays["heights_mm"].shape[0] == played + 1
     assert [action["unit"] for action in peg_file.header["actions"]] == ["mm", "mm", "degree"]
@@ -110,3 +110,13 @@ def test_a_task_that_is_not_drawn_is_played_all_the_same(
     found = unpack(pack_scene(peg_playback))
     assert found.header["held_name"] == "held part"
     assert "heights_mm" not in found.arrays
+
+
+def test_nobody_reads_exact_actions_out_of_the_file(peg_playback: Playback, peg_file: Unpacked) -> None:
+    """Neither where they are plotted, nor from where the gripper was before and after."""
+    shown = peg_file.arrays["action_values"].astype(float)
+    np.testing.assert_array_equal(shown, peg_playback.actions.round(2).astype(np.float32))
+    places_mm = peg_file.arrays["sensor_poses"][..., 9:].astype(float)
+    np.testing.assert_allclose(places_mm, places_mm.round(2), atol=1e-5)
+    rotations = peg_file.arrays["sensor_poses"][..., :9].astype(float)
+    np.testing.assert_allclose(rotations, rotations.round(4), atol=1e-6)

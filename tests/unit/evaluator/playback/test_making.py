@@ -43,7 +43,7 @@ def test_the_files_show_the_recorded_actions(recorded: Recorded, tmp_path: Path)
     record = recorded(env_steps=2)
     make(an_order(record, tmp_path), ignore)
     found = unpack((tmp_path / SCENE_FILE).read_bytes())
-    np.testing.assert_array_equal(found.arrays["action_values"], record.actions.to_array())
+    np.testing.assert_array_equal(found.arrays["action_values"], record.actions.to_array().round(2))
     assert found.header["env_id"] == "ViTac/PegInsertion-v1"
     assert not (tmp_path / CAMERAS_FILE).exists()
 

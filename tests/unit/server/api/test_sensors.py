@@ -22,7 +22,7 @@ from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.submission.sensor import SensorNotMade
 from vitac.server import housekeeping
 from vitac.server.contest import sealing
-from vitac.server.db.models import EpisodeResult, Evaluation, Submission, SubmissionFile
+from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission, SubmissionFile
 from vitac.server.db.states import FileRole
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
@@ -335,6 +335,8 @@ def test_figures_are_not_taken_from_a_shard_that_could_not_measure_all_or_played
         made = sealing.seal(session, CONSOLE, stored_stage(session, "track_3", "final"))
         evaluation = newest_evaluation(session, session.get_one(Submission, again))
         evaluation.commitment = made.commitment
+        for shard in evaluation.shards:
+            shard.commitment = made.commitment
     assert measured_with(service, again, 1, measuring([])) is FigureChoice.ALL
 
 
@@ -426,7 +428,8 @@ def test_figures_on_a_sealed_list_are_its_own_and_those_of_starts_only_for_organ
     public = SensorFigures.model_validate(service.get(address).json()["figures"])
     with service.database.transaction() as session:
         made = sealing.seal(session, CONSOLE, stored_stage(session, "track_3", "final"))
-        session.execute(update(Evaluation).values(commitment=made.commitment))
+        for table in (Evaluation, Shard):
+            session.execute(update(table).values(commitment=made.commitment))
         assert has_part(session, lease)
         assert not has_part(session, replace(lease, commitment=made.commitment))
     assert service.get(address).json()["figures"] is None

@@ -7,7 +7,7 @@ import pytest
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from submission_steps import refused
 from vitac.server.audit import newest_entries
-from vitac.server.contest.applying import Change, apply, list_changes
+from vitac.server.contest.applying import Change, apply, list_changes, list_concerns
 from vitac.server.contest.contest import Contest
 from vitac.server.contest.definition import CompetitionDefinition
 from vitac.server.contest.freezing import unfreeze
@@ -20,7 +20,17 @@ from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE, Principal
 
-from competitions import CLOSES, FIRST, LATER_CLOSES, OPENS, SECOND, make_competition, moved, sealed_competition
+from competitions import (
+    CLOSES,
+    FIRST,
+    LATER_CLOSES,
+    OPENS,
+    PUBLIC_RANKING,
+    SECOND,
+    make_competition,
+    moved,
+    sealed_competition,
+)
 
 
 def applied(
@@ -28,6 +38,7 @@ def applied(
 ) -> list[Change]:
     with database.transaction() as session:
         definition = CompetitionDefinition.model_validate(content)
+        confirmed = None if confirmed is None else {*confirmed, PUBLIC_RANKING}
         return apply(session, CONSOLE, definition, base=base, confirmed=confirmed)
 
 
@@ -294,3 +305,23 @@ def test_boards_freeze_by_themselves_at_the_time_in_the_file(database: Database)
     applied(database, make_competition(freeze_at=over.isoformat(), title="Another"))
     with database.transaction() as session:
         assert Contest.read(session).frozen_at is None, "the organizers have shown all results since"
+
+
+def test_what_a_public_list_decides_is_confirmed_once(database: Database) -> None:
+    content = make_competition(prizes=[{"place": "first", "amount": 100}])
+    definition = CompetitionDefinition.model_validate(content)
+    with database.transaction() as session:
+        concerns = {concern.name: concern.sentence for concern in list_concerns(session, definition)}
+    assert concerns.keys() == {PUBLIC_RANKING}
+    assert "Final of Touch is for teams by Simulation, which plays a public list" in concerns[PUBLIC_RANKING]
+    applied(database, content)
+    stages(content)[1]["list"] = "public"
+    with database.transaction() as session:
+        concerns = {
+            concern.name: concern.sentence
+            for concern in list_concerns(session, CompetitionDefinition.model_validate(content))
+        }
+        shown = competition_view(session).public_rankings
+    assert "The prizes of Touch go by the board of Final" in concerns[f"tracks.{TRACK}.prizes"]
+    assert PUBLIC_RANKING not in concerns
+    assert shown == ["Final of Touch is for teams by Simulation"]

@@ -61,7 +61,7 @@ def set_in(place: Callable[[Content], Content], **values: object) -> Callable[[C
         (set_in(first, qualified={"top": 1}), "first one, so nobody can be qualified"),
         (set_in(second, opens=OPENS.isoformat()), "opens before stage stage1 closes"),
         (set_in(second, name=FIRST), "two stages 'stage1'"),
-        (set_in(second, accepts=["model", "log"]), "a sealed list takes models only"),
+        (set_in(second, accepts=["log"]), "a sealed list ranks models, and the stage accepts only log"),
         (set_in(second, qualified={"top": 1, "top_share": 0.5}), "exactly one of top, top_share and score_at_least"),
         (set_in(second, qualified={}), "exactly one of"),
         (set_in(second, qualified={"top": 0}), "greater than 0"),

@@ -9,6 +9,7 @@ from service_factories import (
     make_principal,
     make_record,
     make_score,
+    play,
     shard_ids,
     store,
     submit,
@@ -148,10 +149,11 @@ def test_a_team_sees_no_single_episode_of_a_running_evaluation(
 def test_progress_on_a_sealed_list_is_told_in_tenths(
     database: Database, principal: Principal, sealed: Submission
 ) -> None:
-    shard, *_ = ids(database, sealed)
-    lease = claim(database, shard)
+    first, second, *_ = ids(database, sealed)
+    play(database, first)
+    lease = claim(database, second)
     shown = []
-    for last in (26, 27):
+    for last in (53, 54):  # of 270 on each list
         store(database, lease, [make_record(number) for number in lease.episodes if number <= last])
         with database.transaction() as session:
             evaluation = listing.get(session, SETTINGS, principal, sealed.id).evaluation
@@ -159,7 +161,7 @@ def test_progress_on_a_sealed_list_is_told_in_tenths(
             shown.append(evaluation.progress.episodes_done)
             full = listing.get(session, SETTINGS, CONSOLE, sealed.id).evaluation.progress
             assert (full.episodes_done, [task.episodes_done for task in full.tasks]) == (last, [last])
-    assert shown == [0, 27]
+    assert shown == [0, 54]
 
 
 def test_a_verdict_tells_a_team_its_code_only(database: Database, principal: Principal, sealed: Submission) -> None:
@@ -228,12 +230,14 @@ def test_sight_is_by_role_and_list(database: Database, principal: Principal, sea
         other = make_principal(session, "Team B")
         public = newest_evaluation(session, submit(session, principal, tasks=(TASK, LOCK)))
         hidden = session.scalars(select(Evaluation).where(Evaluation.commitment.is_not(None))).one()
-        everything, nothing = Sight(episodes=True, output=True), Sight(episodes=False, output=False)
+        everything = Sight(episodes=True, output=True, practice=True)
+        practice = Sight(episodes=False, output=False, practice=True)
+        nothing = Sight(episodes=False, output=False, practice=False)
         seen = {by: (decide_sight(by, public), decide_sight(by, hidden)) for by in (CONSOLE, principal, JUDGE, other)}
     assert seen == {
         CONSOLE: (everything, everything),
-        principal: (everything, nothing),
-        JUDGE: (everything, nothing),
+        principal: (everything, practice),
+        JUDGE: (everything, practice),
         other: (nothing, nothing),
     }
 

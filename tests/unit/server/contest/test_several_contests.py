@@ -34,7 +34,7 @@ from vitac.server.submissions.runs import run_again
 from vitac.server.teams import teams
 from vitac.server.visibility import decide_sight, visible
 
-from competitions import FIRST, SECOND, make_competition, moved, open_now, put_in_place
+from competitions import FIRST, PUBLIC_RANKING, SECOND, make_competition, moved, open_now, put_in_place
 
 MAIN, CLASS = "cup", "class"
 
@@ -143,11 +143,11 @@ def test_a_file_with_another_name_makes_a_further_competition_only_where_that_is
         CompetitionDefinition.model_validate(make_competition(name=name, title=name)) for name in (MAIN, "cpu")
     )
     with database.transaction() as session:
-        apply(session, CONSOLE, first)
+        apply(session, CONSOLE, first, confirmed=[PUBLIC_RANKING])
     with refused(ProblemCode.CONFIRMATION_NEEDED), database.transaction() as session:
-        apply(session, CONSOLE, other)
+        apply(session, CONSOLE, other, confirmed=[PUBLIC_RANKING])
     with database.transaction() as session:
-        apply(session, CONSOLE, other, confirmed=["name"])
+        apply(session, CONSOLE, other, confirmed=["name", PUBLIC_RANKING])
         assert {one.name for one in Contest.read_all(session)} == {MAIN, "cpu"}
         assert Contest.find(session, MAIN).stage(TRACK, SECOND).is_sealed
 

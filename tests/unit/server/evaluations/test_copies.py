@@ -63,12 +63,14 @@ def add(database: Database, by: Principal, content: str, kind: SubmissionKind = 
 
 
 def elsewhere_from(first: int) -> RecordOf:
-    """Records with other states from an episode on."""
+    """Records with other actions and states from an episode on."""
 
     def record(episode: int, *, task: str = TASK) -> EpisodeRecord:
         if episode < first:
             return make_record(episode, task=task)
-        return make_record(episode, task=task, state_hashes=tuple(sha256(f"B {episode} {n}") for n in range(4)))
+        actions = ActionSequence.from_array(np.full((3, 3), 0.3 + episode / 1000, np.float32))
+        hashes = tuple(sha256(f"B {episode} {n}") for n in range(4))
+        return make_record(episode, task=task, actions=actions, state_hashes=hashes)
 
     return record
 
@@ -212,7 +214,7 @@ def test_logs_that_begin_all_episodes_with_the_same_moves_are_no_copies(
         def record(episode: int, *, task: str = TASK) -> EpisodeRecord:
             actions = np.full((3, 3), 0.5, np.float32)
             actions[0, 0] = -0.0 if ends == "B" and episode % 2 else 0.0
-            actions[2] = episode / 1000
+            actions[2] = episode / 1000 + (0.25 if ends == "B" else 0.0)
             hashes = (*(sha256(f"{episode} {n}") for n in range(3)), sha256(f"{ends} {episode}"))
             return make_record(episode, task=task, actions=ActionSequence.from_array(actions), state_hashes=hashes)
 

@@ -97,7 +97,7 @@ def test_equal_episodes_of_two_teams_share_a_playback(team_a: Played) -> None:
 def test_another_evaluator_or_format_makes_another_playback(team_a: Played, monkeypatch: pytest.MonkeyPatch) -> None:
     episode = team_a.episode()
     keys = {playback_key(episode)}
-    monkeypatch.setattr(asking, "FORMAT", 2)
+    monkeypatch.setattr(asking, "FORMAT", 1000)
     keys.add(playback_key(episode))
     monkeypatch.setattr(asking, "find_version", lambda _: "2+other")
     keys.add(playback_key(episode))

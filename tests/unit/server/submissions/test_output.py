@@ -142,9 +142,9 @@ def test_output_of_a_failure_on_a_sealed_list_is_for_organizers_only(
 def test_a_log_has_no_output(database: Database, principal: Principal, submission: Submission) -> None:
     with database.transaction() as session:
         evaluation = evaluation_of(session, submission)
-        assert decide_sight(principal, evaluation) == Sight(episodes=True, output=True)
+        assert decide_sight(principal, evaluation) == Sight(episodes=True, output=True, practice=True)
         session.expunge(evaluation.submission)
         evaluation.submission.kind = SubmissionKind.LOG
         for by in (principal, CONSOLE):
-            assert decide_sight(by, evaluation) == Sight(episodes=True, output=False)
+            assert decide_sight(by, evaluation) == Sight(episodes=True, output=False, practice=True)
         session.rollback()

@@ -11,6 +11,7 @@ from page_service import FixedData, a_site, an_application
 from visits import sign_in
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import list_tracks, load_track
+from vitac.server.views.contest import PublicRankingView
 from vitac.web.pages.leaderboards.tabs import accepts_logs, track_tabs
 from vitac.web.pages.tracks import PICTURES
 from vitac.web.rendering import STATIC
@@ -155,10 +156,21 @@ def test_logs_of_a_track_rank_apart_and_text_logs_stand_beside_their_claims(brow
     assert 'href="/tracks/track_1/logs" aria-current="page"' in html
 
 
-def test_leaderboard_says_that_episodes_of_a_public_list_can_be_recognised(browser: AsgiBrowser) -> None:
+def test_the_board_of_a_public_list_is_for_practice(data: FixedData, browser: AsgiBrowser) -> None:
+    data.board = a_leaderboard().model_copy(update={"is_practice": True})
     html = browser.get("/tracks/track_1").text
     assert "<dt>Episode list</dt><dd>public</dd>" in html
+    assert "Tactile manipulation: practice</h1>" in html
     assert "can recognise its episodes by their first observation" in html
+    data.board = a_leaderboard()
+    assert "practice" not in browser.get("/tracks/track_1").text
+
+
+def test_all_pages_of_a_competition_that_ranks_on_a_public_list_say_so(data: FixedData, browser: AsgiBrowser) -> None:
+    data.public_rankings = {"cup": PublicRankingView(title="The cup", decided=["the prizes go by the board of Final"])}
+    for address in ("/", "/tracks/track_1", "/tracks/track_1/logs", "/tracks/track_1/rules", "/receipts", "/sign-in"):
+        assert "<strong>The cup ranks on a public list:</strong> the prizes go by" in browser.get(address).text
+    assert "ranks on a public list" not in browser.get("/competitions/other/receipts").text
 
 
 def test_leaderboard_leads_to_the_logs(browser: AsgiBrowser) -> None:

@@ -14,6 +14,7 @@ from vitac.server.principals import CONSOLE
 
 from competitions import (
     FIRST,
+    PUBLIC_RANKING,
     SECOND,
     make_competition,
     open_now,
@@ -49,7 +50,7 @@ def test_nothing_is_applied_without_consent_or_in_a_dry_run(service: CliService,
 
 
 def test_a_file_is_applied_once(service: CliService, file: str) -> None:
-    first = service.run("admin", "competition", "apply", file, "--yes")
+    first = service.run("admin", "competition", "apply", file, "--yes", "--confirm", PUBLIC_RANKING)
     assert (first.exit_code, "tracks.track_1.stages.stage1.opens" in first.stdout) == (0, True)
     again = service.run("admin", "competition", "apply", file)  # nothing to consent to
     assert (again.exit_code, again.stdout.strip()) == (0, "Nothing changes.")
@@ -92,7 +93,7 @@ def test_what_a_file_closes_at_once_is_told_before_it_is_applied(service: CliSer
         assert done.exit_code == 0
         assert "teams_locked is 2025-02-01 00:00:00 UTC, which is past" in done.stderr
         assert "The last stage of track_1 closed at 2025-03-21" in done.stderr
-        assert "track_3" not in done.stderr, "its submissions are collected elsewhere"
+        assert "public list" not in done.stderr, "each stage ranks on a sealed list"
         assert len(json.loads(done.stdout)) > 10
     assert service.run("admin", "competition", "apply", example).stderr == "", "nothing changes any more"
 
@@ -103,10 +104,10 @@ def test_hiding_and_showing_names_is_warned_of(service: CliService, tmp_path: Pa
         file = str(write_competition(tmp_path, make_competition(anonymous=anonymous)))
         with service.database.transaction() as session:
             base = Contest.read(session).revision
-        done = service.run("admin", "competition", "apply", file, "--yes", "--base", base)
+        done = service.run("admin", "competition", "apply", file, "--yes", "--base", base, "--confirm", PUBLIC_RANKING)
         assert done.exit_code == 0
         told.append(done.stderr)
-    assert told[0] == "", "nothing was shown before"
+    assert "anonymous" not in told[0], "nothing was shown before"
     assert "WARNING: anonymous is switched off: from now on everybody sees the real names" in told[1]
     assert "WARNING: anonymous is switched on" in told[2]
     assert "still knows them" in told[2]
@@ -114,7 +115,7 @@ def test_hiding_and_showing_names_is_warned_of(service: CliService, tmp_path: Pa
 
 def test_the_second_of_two_who_apply_from_the_same_file_is_refused(service: CliService, tmp_path: Path) -> None:
     apply = ("admin", "competition", "apply")
-    service.run(*apply, str(write_competition(tmp_path, make_competition())), "--yes")
+    service.run(*apply, str(write_competition(tmp_path, make_competition())), "--yes", "--confirm", PUBLIC_RANKING)
     first = str(write_competition(tmp_path, make_competition(title="The first cup")))
     dry = service.run(*apply, first, "--dry-run")
     base = dry.stderr.rpartition("--base ")[2].split(".")[0]
@@ -133,7 +134,7 @@ def test_a_change_of_what_has_happened_is_confirmed_by_name(
 ) -> None:
     apply = ("admin", "competition", "apply")
     content = make_competition()
-    service.run(*apply, str(write_competition(tmp_path, content)), "--yes")
+    service.run(*apply, str(write_competition(tmp_path, content)), "--yes", "--confirm", PUBLIC_RANKING)
     with service.database.transaction() as session:
         base = Contest.read(session).revision
     content["tracks"][TRACK]["stages"][1]["list"] = "public"

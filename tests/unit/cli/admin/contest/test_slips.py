@@ -15,7 +15,7 @@ from vitac.server.db.engine import Database
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import Principal
 
-from competitions import FIRST, SECOND, sealed_competition, write_competition
+from competitions import FIRST, PUBLIC_RANKING, SECOND, sealed_competition, write_competition
 
 DAY = timedelta(days=1)
 APPLY = ("admin", "competition", "apply")
@@ -68,7 +68,9 @@ def test_a_contest_whose_organizer_slips_at_every_step_is_right_at_its_end(servi
     empty.write_text("")
     assert "is empty, expected a document with the keys name" in str(service.run(*APPLY, str(empty), "--yes").exception)
     content = cup(now + DAY)
-    assert service.run(*APPLY, str(write_competition(tmp_path, content)), "--yes").exit_code == 0
+    file = str(write_competition(tmp_path, content))
+    refused(service.run(*APPLY, file, "--yes"), ProblemCode.CONFIRMATION_NEEDED)  # teams advance by a public list
+    assert service.run(*APPLY, file, "--yes", "--confirm", PUBLIC_RANKING).exit_code == 0
     base = revision(service.database)
 
     # Two organizers edit the same file; a stage is made public by mistake, and sealed again.
@@ -84,7 +86,7 @@ def test_a_contest_whose_organizer_slips_at_every_step_is_right_at_its_end(servi
     public["tracks"][TRACK]["stages"][1]["list"] = "public"
     file, place = str(write_competition(tmp_path, public)), f"tracks.{TRACK}.stages.{SECOND}.list"
     refused(service.run(*APPLY, file, "--yes", "--base", revision(service.database)), ProblemCode.CONFIRMATION_NEEDED)
-    options = ("--yes", "--base", revision(service.database), "--confirm", place)
+    options = ("--yes", "--base", revision(service.database), "--confirm", place, "--confirm", f"tracks.{TRACK}.prizes")
     assert service.run(*APPLY, file, *options).exit_code == 0
     (withdrawn,) = json.loads(service.run("admin", "competition", "lists", "--json").stdout)
     assert (withdrawn["commitment"], withdrawn["withdrawn_at"] is not None) == (sealed["commitment"], True)
