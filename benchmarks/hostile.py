@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
+from random import random
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -58,6 +59,7 @@ def main() -> None:
                 "load_average_before": round(os.getloadavg()[0], 2),
                 "sign_ins": asyncio.run(measure_sign_ins(client.server, arguments.hostile)),
                 "streams": asyncio.run(measure_streams(client.server, process.pid, arguments.streams)),
+                "honest_alone": measure_attack(client.server, 0, arguments.honest, seconds),
                 "attack": measure_attack(client.server, arguments.hostile, arguments.honest, seconds),
             }
     print(json.dumps(figures, indent=1))
@@ -106,7 +108,9 @@ async def measure_streams(address: str, pid: int, n: int) -> dict[str, Any]:
     following = []
     for number, client in enumerate(clients):
         headers = {"authorization": f"Bearer {await register(client, f'Followers {number}')}"}
-        sent = await client.post(f"{API}/submissions", headers={**headers, **ZIP}, content=archive(1000 + number))
+        sent = await client.post(
+            f"{API}/submissions", headers={**headers, **ZIP}, content=archive(f"followed {number}")
+        )
         path = f"{API}/submissions/{sent.json()['id']}/events"
         following += [asyncio.create_task(follow(client, path, headers)) for _ in range(STREAMS_OF_TEAM)]
     while len(opened) < n and not any(one.done() for one in following):
@@ -176,16 +180,15 @@ def run_honest(address: str, n: int, seconds: float, sender: Connection) -> None
 
 async def _honest(address: str, n: int, seconds: float, sender: Connection) -> None:
     seen, clients = Seen(), [visitor(address, number, group=3) for number in range(n)]
-    tokens = [await register(client, f"Honest {number}") for number, client in enumerate(clients)]
-    for number, client in enumerate(clients):
-        await prepare_sign_in(client, tokens[number])
+    names = [f"Honest {os.getpid()} x {number}" for number in range(n)]  # of each part others
+    tokens = [await register(client, name) for client, name in zip(clients, names, strict=True)]
+    for client, token in zip(clients, tokens, strict=True):
+        await prepare_sign_in(client, token)
     sender.send("ready")
     await asyncio.sleep(SETTLE_S)
     seen.times.clear()
     until = time.monotonic() + seconds
-    await asyncio.gather(
-        *(be_honest(seen, client, number, tokens[number], until) for number, client in enumerate(clients))
-    )
+    await asyncio.gather(*(be_honest(seen, *one, until) for one in zip(clients, names, tokens, strict=True)))
     for client in clients:
         await client.aclose()
     times = sorted(seen.times)
@@ -220,13 +223,13 @@ def sign_in(client: httpx.AsyncClient, team: str) -> Coroutine[Any, Any, httpx.R
     return client.post("/sign-in/password", data={"team": team, "member": "Captain", "password": PASSWORD})
 
 
-async def be_honest(seen: Seen, client: httpx.AsyncClient, number: int, token: str, until: float) -> None:
+async def be_honest(seen: Seen, client: httpx.AsyncClient, name: str, token: str, until: float) -> None:
     """Look at a board and at one's submissions, upload one, follow it, and sign in now and then."""
     headers = {"authorization": f"Bearer {token}"}
-    await asyncio.sleep(PAUSE_S * number / 20)
+    await asyncio.sleep(PAUSE_S * random())  # noqa: S311 - no secret
     zipped = {**headers, "content-type": "application/zip"}
     sent = await seen.ask(
-        "upload", client.post(f"{API}/submissions", headers=zipped, content=archive(number)), expected=202
+        "upload", client.post(f"{API}/submissions", headers=zipped, content=archive(name)), expected=202
     )
     submission = sent.json().get("id") if sent is not None else None
     seen.uploaded += submission is not None
@@ -236,7 +239,7 @@ async def be_honest(seen: Seen, client: httpx.AsyncClient, number: int, token: s
         await seen.ask("submissions", client.get(f"{API}/submissions", headers=headers))
         await seen.ask("submission", client.get(f"{API}/submissions/{submission}", headers=headers))
         if turn % 20 == 10:
-            await seen.ask("sign-in", sign_in(client, f"Honest {number}"), expected=303)
+            await seen.ask("sign-in", sign_in(client, name), expected=303)
         turn += 1
         await asyncio.sleep(PAUSE_S)
     listed = await seen.ask("submissions", client.get(f"{API}/submissions", headers=headers))
@@ -244,13 +247,13 @@ async def be_honest(seen: Seen, client: httpx.AsyncClient, number: int, token: s
     seen.found_again += submission in found
 
 
-def archive(number: int) -> bytes:
+def archive(note: str) -> bytes:
     """Return a small submission that no other team has."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as target:
         for path in sorted(EXAMPLE.iterdir()):
             target.writestr(f"Track_1/{path.name}", path.read_bytes())
-        target.writestr("Track_1/notes.txt", f"honest {number}")
+        target.writestr("Track_1/notes.txt", note)
     return content.getvalue()
 
 
@@ -288,7 +291,7 @@ async def repeat(
 
 async def guess_password(client: httpx.AsyncClient, _: str) -> None:
     """Guess the password of an honest team's captain."""
-    await client.post("/sign-in/password", data={"team": "Honest 1", "member": "Captain", "password": "guess" * 3})
+    await client.post("/sign-in/password", data={"team": "Honest", "member": "Captain", "password": "guess" * 3})
 
 
 async def load_pages(client: httpx.AsyncClient, _: str) -> None:
@@ -310,7 +313,7 @@ async def ask_with_token(client: httpx.AsyncClient, token: str) -> None:
 async def hold_stream(client: httpx.AsyncClient, token: str) -> None:
     """Open event streams of an own submission, and hold them."""
     headers = {"authorization": f"Bearer {token}"}
-    sent = await client.post(f"{API}/submissions", headers={**headers, **ZIP}, content=archive(hash(token)))
+    sent = await client.post(f"{API}/submissions", headers={**headers, **ZIP}, content=archive(token))
     if sent.is_success:
         async with client.stream("GET", f"{API}/submissions/{sent.json()['id']}/events", headers=headers) as stream:
             async for _ in stream.aiter_lines():

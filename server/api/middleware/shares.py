@@ -1,15 +1,17 @@
 """Divides a server among its clients, so that one who asks for much does not keep the others waiting.
 
-A client is the account that a token or session belongs to, or without one an address. Each has places for requests at
-work, in which its further ones wait, and a share of the processor's time. Uploads and event streams have limits of
+A client is the account that a token or session belongs to, or without one an address. Whoever has used least of the
+processor's time comes first, and who has used more than a share of it waits. Uploads and event streams have limits of
 their own.
 """
 
 import asyncio
+import heapq
+import itertools
 import time
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from hashlib import sha256
 
 import structlog
@@ -26,14 +28,19 @@ from .body_limit import is_one_of
 logger = structlog.get_logger(__name__)
 
 AT_WORK = 8
-"""Requests of one client that are answered at the same time."""
+"""Requests that a process works at; they share one processor."""
 WAITING = 48
-"""Requests of one client that wait for these places; further ones are refused."""
+"""Requests of one client that are not answered; further ones are refused."""
 BURST_S = 10.0
 """Processor time that a client may use at once, before its share of all time counts."""
+PLACE_TIMEOUT_S = 15.0
+"""A request that has waited so long for a place is refused: those at work hang, or there are too many."""
+BUSY = "The server is busy, or its database does not answer; try again in a moment."
 MAX_CLIENTS = 10_000
 """Clients that are remembered; then those are forgotten that have not asked for long."""
+LEAVE_PLACE = "leave_place"
 _ALWAYS_ANSWERED = ("/health", "/ready")
+_WITHOUT_BODY = frozenset({"GET", "HEAD", "OPTIONS"})
 
 
 @dataclass
@@ -41,13 +48,11 @@ class Client:
     """What one client uses now.
 
     Attributes:
-        places: for its requests at work.
-        requests: at work or waiting.
+        requests: that have not been answered.
         used_s: processor time that its share has not yet covered.
         at_s: when that was so.
     """
 
-    places: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(AT_WORK))
     requests: int = 0
     used_s: float = 0.0
     at_s: float = 0.0
@@ -65,6 +70,38 @@ class Client:
         """Add processor time, less what the share of the time since has covered."""
         self.used_s = max(0.0, self.used_s - (now_s - self.at_s) * share) + used_s
         self.at_s = now_s
+
+
+class Places:
+    """Places for requests at work: whoever has used least comes first, and of equal ones whoever has waited longest."""
+
+    def __init__(self, count: int) -> None:
+        self._free = count
+        self._turns = itertools.count()
+        self._waiting: list[tuple[float, int, asyncio.Future[None]]] = []
+
+    async def take(self, used_s: float) -> None:
+        """Wait for a place."""
+        if self._free:
+            self._free -= 1
+            return
+        given = asyncio.get_running_loop().create_future()
+        heapq.heappush(self._waiting, (used_s, next(self._turns), given))
+        try:
+            await given
+        except asyncio.CancelledError:
+            if not given.cancelled():  # it was given one, and nobody will use it
+                self.leave()
+            raise
+
+    def leave(self) -> None:
+        """Give a place to the next."""
+        while self._waiting:
+            _, _, given = heapq.heappop(self._waiting)
+            if not given.done():
+                given.set_result(None)
+                return
+        self._free += 1
 
 
 class SharedTime:
@@ -108,6 +145,7 @@ class Shares:
         self._share = share
         self._apart = frozenset(apart)
         self._time = SharedTime()
+        self._places = Places(AT_WORK)
         self._clients: dict[str, Client] = {}
         self._accounts: dict[bytes, str] = {}
         self._is_warned = False
@@ -123,20 +161,50 @@ class Shares:
         if refusal is not None:
             await _answer(scope, refusal)(scope, receive, send)
             return
-        with ExitStack() as stack:  # left when the answer ends, or begins to be a stream
-            client.requests += 1
-            stack.callback(client.end_request)
-            await client.places.acquire()
-            stack.callback(client.places.release)
-            stack.callback(self._charge, client, self._time.begin())
+        client.requests += 1
+        try:
+            await self._work(key, client, scope, receive, send)
+        finally:
+            client.end_request()
+            self._note_account(scope)
 
-            async def noting(message: Message) -> None:
-                if _begins_stream(message):
-                    stack.close()
+    async def _work(self, key: str, client: Client, scope: Scope, receive: Receive, send: Send) -> None:
+        """Hand the request on; it has a place from when its body is there until its answer begins.
+
+        So neither a body that trickles nor an answer that nobody reads holds one.
+        """
+        has_body = scope["method"] not in _WITHOUT_BODY
+        with ExitStack() as place:
+
+            async def take() -> None:
+                try:
+                    async with asyncio.timeout(PLACE_TIMEOUT_S):
+                        await self._places.take(0.0 if _is_privileged(key) else client.used_s)
+                except TimeoutError:
+                    raise ServiceError(ProblemCode.DATABASE_UNAVAILABLE, BUSY) from None
+                place.callback(self._places.leave)
+                place.callback(self._charge, client, self._time.begin())
+
+            async def received() -> Message:
+                nonlocal has_body
+                message = await receive()
+                if has_body and message["type"] == "http.request" and not message.get("more_body", False):
+                    has_body = False
+                    await take()
+                return message
+
+            async def sent(message: Message) -> None:
+                place.close()
                 await send(message)
 
-            await self._app(scope, receive, noting)
-        self._note_account(scope)
+            scope.setdefault("state", {})[LEAVE_PLACE] = place.close
+            if not has_body:
+                try:
+                    await take()
+                except ServiceError as refusal:
+                    await _answer(scope, refusal)(scope, receive, send)
+                    return
+            await self._app(scope, received, sent)
 
     def _charge(self, client: Client, begun_s: float) -> None:
         client.use(self._time.end(begun_s), time.monotonic(), self._share)
@@ -148,11 +216,10 @@ class Shares:
         return self._clients.setdefault(key, Client(at_s=time.monotonic()))
 
     def _refusal(self, key: str, client: Client) -> ServiceError | None:
-        if client.requests >= AT_WORK + WAITING:
+        if client.requests >= WAITING:
             return _too_many(f"{client.requests} of your requests are waiting, no more are possible", 2)
         client.use(0.0, time.monotonic(), self._share)
-        is_limited = self._share < 1.0 and not key.startswith((f"{Role.ORGANIZER}:", f"{Role.JUDGE}:"))
-        if not is_limited or client.used_s <= BURST_S:
+        if self._share >= 1.0 or _is_privileged(key) or client.used_s <= BURST_S:
             return None
         wait_s = max(1, round((client.used_s - BURST_S) / self._share))
         return _too_many("Your requests have used the time of this server that is for one client", wait_s)
@@ -182,11 +249,15 @@ def _credentials(scope: Scope) -> bytes:
     return sha256(b"\n".join(given)).digest() if given else b""
 
 
-def _begins_stream(message: Message) -> bool:
-    return message["type"] == "http.response.start" and any(
-        name.lower() == b"content-type" and value.startswith(b"text/event-stream")
-        for name, value in message.get("headers", ())
-    )
+def _is_privileged(key: str) -> bool:
+    """Return whether somebody is kept waiting by nobody."""
+    return key.startswith((f"{Role.ORGANIZER}:", f"{Role.JUDGE}:"))
+
+
+def leave_place(request: Request) -> None:
+    """Let another request be worked at while this one waits for something else than the processor."""
+    leave: Callable[[], None] = getattr(request.state, LEAVE_PLACE, lambda: None)
+    leave()
 
 
 def _too_many(what: str, wait_s: int) -> ServiceError:

@@ -9,6 +9,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from vitac.server import tokens
 from vitac.server.api.attempts import address_of, member_key, note_password
+from vitac.server.api.middleware.shares import leave_place
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.members import members, passwords
 from vitac.server.principals import Principal
@@ -71,6 +72,7 @@ async def _find_member(request: Request, team: str, member: str, password: str) 
     site = site_of(request)
     cookie = request.cookies.get(signer.DEVICE_COOKIE)
     device = site.signer.read_device(cookie, member_key(team, member), now=datetime.now(UTC))
+    leave_place(request)
     await asyncio.sleep(await asyncio.to_thread(note_password, request, team, member, device=device))
     thread = passwords.UNKNOWN_DEVICES if device is None else passwords.KNOWN_DEVICES
     with request.app.state.sign_in_limiters.place(address_of(request), device=device):

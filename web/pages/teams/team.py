@@ -14,6 +14,7 @@ from starlette.responses import RedirectResponse, Response
 from vitac.server import team_data, tokens
 from vitac.server.api.attempts import note_password, note_registration
 from vitac.server.api.members import MemberChanges, NewMember
+from vitac.server.api.middleware.shares import leave_place
 from vitac.server.db.models import Member
 from vitac.server.db.states import MemberRole, NoticeKind
 from vitac.server.errors import ServiceError
@@ -100,6 +101,7 @@ async def change_password(request: Request) -> Response:
     changes = checked_form(MemberChanges, given)
     member = await site.read(lambda session: _self(session, by))
     await asyncio.to_thread(note_password, request, str(member.team_id), str(member.id), device="token")
+    leave_place(request)
     await passwords.KNOWN_DEVICES.wait_for(
         members.set_password,
         site.services.database,
@@ -155,6 +157,7 @@ async def join(request: Request) -> Response:
         checked = checked_form(NewMember, {name: value or None for name, value in filled.items()})
         await asyncio.to_thread(note_registration, request)
         thread, password = passwords.UNKNOWN_DEVICES, checked.password
+        leave_place(request)
         password_hash = password and await thread.wait_for(passwords.hashed, password)
         joining = members.NewMember(**checked.model_dump(exclude={"password"}), password_hash=password_hash)
 

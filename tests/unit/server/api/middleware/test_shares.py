@@ -8,7 +8,7 @@ from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.types import Message
 from vitac.server.api.middleware import shares
-from vitac.server.api.middleware.shares import AT_WORK, BURST_S, WAITING, SharedTime, Shares
+from vitac.server.api.middleware.shares import AT_WORK, BURST_S, WAITING, Places, SharedTime, Shares, leave_place
 
 
 class Server:
@@ -18,6 +18,7 @@ class Server:
         self.may_end = asyncio.Event()
         self.at_work = 0
         routes = [Route("/page", self.page), Route("/stream", self.stream), Route("/health", self.page)]
+        routes += [Route("/form", self.form, methods=["POST"]), Route("/waits", self.wait)]
         self.app = Shares(Starlette(routes=routes), share=share, apart=[("POST", "/uploads")])
 
     async def page(self, request: Request) -> Response:
@@ -26,6 +27,14 @@ class Server:
         await self.may_end.wait()
         return PlainTextResponse("page")
 
+    async def form(self, request: Request) -> Response:
+        return PlainTextResponse(await request.body())
+
+    async def wait(self, request: Request) -> Response:
+        leave_place(request)
+        await asyncio.Event().wait()
+        raise AssertionError
+
     async def stream(self, _: Request) -> Response:
         async def never() -> Any:
             await asyncio.Event().wait()
@@ -33,9 +42,9 @@ class Server:
 
         return StreamingResponse(never(), media_type="text/event-stream")
 
-    async def ask(self, path: str = "/page", address: str = "192.0.2.1", token: str = "") -> int:
+    async def ask(self, path: str = "/page", address: str = "192.0.2.1", token: str = "", method: str = "GET") -> int:
         scope: dict[str, Any] = {
-            "type": "http", "method": "GET", "path": path, "query_string": b"", "client": (address, 1),
+            "type": "http", "method": method, "path": path, "query_string": b"", "client": (address, 1),
             "headers": [(b"authorization", b"Bearer " + token.encode())] if token else [],
         }  # fmt: skip
         sent: list[Message] = []
@@ -56,20 +65,74 @@ async def settled() -> None:
         await asyncio.sleep(0)
 
 
-def test_requests_of_one_client_wait_for_each_other_and_not_those_of_another() -> None:
+def test_a_client_has_so_many_requests_and_probes_need_no_place() -> None:
     async def attack() -> None:
         server = Server()
-        flood = [asyncio.create_task(server.ask()) for _ in range(AT_WORK + WAITING)]
+        flood = [asyncio.create_task(server.ask()) for _ in range(WAITING)]
         await settled()
         assert server.at_work == AT_WORK
         assert await server.ask() == 429
-        others = [asyncio.create_task(asked) for asked in (server.ask(address="192.0.2.2"), server.ask("/health"))]
+        other = asyncio.create_task(server.ask(address="192.0.2.2"))
+        health = asyncio.create_task(server.ask("/health"))
         await settled()
-        assert server.at_work == AT_WORK + 2
+        assert server.at_work == AT_WORK + 1, "a probe needs no place"
         server.may_end.set()
-        assert {await one for one in [*flood, *others]} == {200}
+        assert {await one for one in [*flood, other, health]} == {200}
 
     asyncio.run(attack())
+
+
+def test_places_go_to_whoever_has_used_least() -> None:
+    async def take_all() -> list[str]:
+        places, order = Places(1), list[str]()
+        await places.take(0.0)
+
+        async def work(name: str, used_s: float) -> None:
+            await places.take(used_s)
+            order.append(name)
+            places.leave()
+
+        tasks = [
+            asyncio.create_task(work(name, used_s))
+            for name, used_s in (("flood", 5.0), ("gone", 1.0), ("flood again", 5.0), ("honest", 0.0))
+        ]
+        await settled()
+        tasks[1].cancel()
+        places.leave()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        return order
+
+    assert asyncio.run(take_all()) == ["honest", "flood", "flood again"]
+
+
+def test_a_body_that_trickles_and_what_only_waits_hold_no_place() -> None:
+    async def ask() -> None:
+        server = Server()
+        trickling = [asyncio.create_task(server.ask("/form", method="POST")) for _ in range(2 * AT_WORK)]
+        waiting = [asyncio.create_task(server.ask("/waits")) for _ in range(2 * AT_WORK)]
+        await settled()
+        server.may_end.set()
+        assert await server.ask(address="192.0.2.2") == 200
+        for task in (*trickling, *waiting):
+            task.cancel()
+        await asyncio.gather(*trickling, *waiting, return_exceptions=True)
+
+    asyncio.run(ask())
+
+
+def test_where_all_who_are_at_work_hang_the_others_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shares, "PLACE_TIMEOUT_S", 0.05)
+
+    async def ask() -> None:
+        server = Server()
+        hanging = [asyncio.create_task(server.ask()) for _ in range(AT_WORK)]
+        await settled()
+        assert await server.ask(address="192.0.2.2") == 503
+        server.may_end.set()
+        await asyncio.gather(*hanging)
+        assert await server.ask(address="192.0.2.2") == 200
+
+    asyncio.run(ask())
 
 
 def test_who_is_known_by_a_token_counts_for_the_account_and_not_for_the_address() -> None:
@@ -78,14 +141,13 @@ def test_who_is_known_by_a_token_counts_for_the_account_and_not_for_the_address(
         server.may_end.set()
         assert await server.ask(token="team:Ants") == 200  # noqa: S106 - made up
         server.may_end.clear()
-        flood = [asyncio.create_task(server.ask()) for _ in range(AT_WORK + WAITING)]
+        flood = [asyncio.create_task(server.ask()) for _ in range(WAITING)]
         await settled()
+        assert await server.ask(token="guess") == 429  # noqa: S106
         known = asyncio.create_task(server.ask(token="team:Ants"))  # noqa: S106
         await settled()
-        assert server.at_work == 1 + AT_WORK + 1
-        assert await server.ask(token="guess") == 429  # noqa: S106
         server.may_end.set()
-        await asyncio.gather(known, *flood)
+        assert {await one for one in [known, *flood]} == {200}
 
     asyncio.run(ask())
 
