@@ -263,7 +263,7 @@ def run_hostile(address: str, n: int, seconds: float) -> None:
 
 
 async def _hostile(address: str, n: int, seconds: float) -> None:
-    makers = [visitor(address, number, group=2) for number in range(N_ADDRESSES)]
+    makers = [visitor(address, number, group=2) for number in range(min(n, N_ADDRESSES))]
     tokens = [await register(client, f"Self made {number}") for number, client in enumerate(makers)]
     kinds: tuple[Callable[[httpx.AsyncClient, str], Awaitable[object]], ...] = (
         guess_password, load_pages, load_pages, ask_with_token, hold_stream, send_nonsense,
