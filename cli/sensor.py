@@ -113,7 +113,7 @@ def show(
     from vitac.evaluator.sensors.check import accepted_sensor
 
     destination = Destination.from_path(out)
-    if destination.kind is not destination.kind.PNG:
+    if destination.format is not destination.format.PNG:
         raise typer.BadParameter("expected FILE.png.", param_hint="--out")
     found = accepted_sensor(sensor)
     assert found.design is not None  # noqa: S101 - of every accepted sensor

@@ -18,7 +18,7 @@ from .playing import NothingToShow, Played, Shown, Start, find_start, no_such_en
 
 if TYPE_CHECKING:
     from vitac.envs.drawing.colouring import Quantity
-    from vitac.envs.drawing.files import Destination, Frame, Kind, Picture
+    from vitac.envs.drawing.files import Destination, Format, Frame, Picture
     from vitac.envs.drawing.picture import Caption
     from vitac.envs.drawing.playback import Pace, Playback
     from vitac.envs.tasks.task_env import TactileTaskEnv
@@ -102,8 +102,8 @@ def command(
     from vitac.envs.drawing.colouring import Quantity
 
     caption, playback = _played(start, policy, actions, assets, _pace(every, destination))
-    width_px = width or (_ANIMATION_WIDTH_PX if destination.kind.is_animated else _PICTURE_WIDTH_PX)
-    moments = _chosen(playback, destination.kind, step)
+    width_px = width or (_ANIMATION_WIDTH_PX if destination.format.is_animated else _PICTURE_WIDTH_PX)
+    moments = _chosen(playback, destination.format, step)
     if view == "cameras":
         pictures = _draw_cameras(playback, caption.title, width_px=width_px, moments=moments)
     elif view != "episode":
@@ -139,7 +139,7 @@ def _destination(path: Path, step: int | None) -> "Destination":
     from vitac.envs.drawing.files import Destination
 
     destination = Destination.from_path(path)
-    if step is not None and destination.kind is not destination.kind.PNG:
+    if step is not None and destination.format is not destination.format.PNG:
         raise typer.BadParameter("expected a single PNG as output for one env step.", param_hint="--step")
     return destination
 
@@ -175,7 +175,7 @@ def _pace(every: str | None, destination: "Destination") -> "Pace":
 
     if every:
         return Pace(every)
-    return Pace.IPC_STEP if destination.kind.is_animated else Pace.ENV_STEP
+    return Pace.IPC_STEP if destination.format.is_animated else Pace.ENV_STEP
 
 
 def _record(played: Played, assets: Path | None, pace: "Pace") -> "Playback":
@@ -191,9 +191,9 @@ def _record(played: Played, assets: Path | None, pace: "Pace") -> "Playback":
     return record(env, options=start.options, next_action=played.next_action, pace=pace, belief=played.belief)
 
 
-def _chosen(playback: "Playback", kind: "Kind", step: int | None) -> slice:
+def _chosen(playback: "Playback", form: "Format", step: int | None) -> slice:
     """Return the moments to draw."""
-    if kind is not kind.PNG:
+    if form is not form.PNG:
         return slice(None)
     ends = playback.last_moments
     if step is not None and step >= len(ends):

@@ -46,8 +46,8 @@ def film(
     assert start.listed is not None  # noqa: S101 - the ids of ManiSkill are no starts of their own
     task, _ = start.listed
     env = ManiSkillEnv(task.env_id, max_steps=task.max_steps, settings=dict(task.settings), draws=True)
-    is_one = destination.kind is destination.kind.PNG
-    every = select_env_steps(task.max_steps) if destination.kind.is_animated and not each_step else 1
+    is_one = destination.format is destination.format.PNG
+    every = select_env_steps(task.max_steps) if destination.format.is_animated and not each_step else 1
     n_digits = max(2, len(str(task.max_steps)))
     last: Moment
 

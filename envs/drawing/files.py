@@ -24,7 +24,7 @@ class PicturesNotWritable(VitacError):
     """Pictures cannot be written where they were asked for; the message names the path, the reason and what to give."""
 
 
-class Kind(StrEnum):
+class Format(StrEnum):
     """What a path asks for."""
 
     PNG = ".png"  # one picture
@@ -35,7 +35,7 @@ class Kind(StrEnum):
     @property
     def is_animated(self) -> bool:
         """Whether pictures follow one another in one file."""
-        return self in (Kind.GIF, Kind.WEBP)
+        return self in (Format.GIF, Format.WEBP)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,22 +58,22 @@ class Destination:
     """A place for pictures that was looked at."""
 
     path: Path
-    kind: Kind
+    format: Format
 
     @classmethod
     def from_path(cls, path: Path) -> "Destination":
-        """Return the kind that the suffix names; no suffix means a folder.
+        """Return what the suffix names; no suffix means a folder.
 
         Raises:
-            PicturesNotWritable: the suffix is of another kind, or the place is not free or cannot be written to.
+            PicturesNotWritable: the suffix is another one, or the place is not free or cannot be written to.
         """
         try:
-            kind = Kind(path.suffix.lower())
+            found = Format(path.suffix.lower())
         except ValueError:
             raise PicturesNotWritable(
                 f"{path} ends in {path.suffix!r}; expected .png, .gif, .webp, or no suffix for a folder of pictures."
             ) from None
-        destination = cls(path=path, kind=kind)
+        destination = cls(path=path, format=found)
         destination._try()
         return destination
 
@@ -90,12 +90,12 @@ class Destination:
         Raises:
             PicturesNotWritable: the disk is full, or the place has gone.
         """
-        if self.kind.is_animated:
+        if self.format.is_animated:
             return self._save_animation(frames, end_ms)
         return [self._save(frame) for frame in frames]
 
     def _save(self, frame: Frame) -> Path:
-        path = self.path / f"{frame.name}.png" if self.kind is Kind.FOLDER else self.path
+        path = self.path / f"{frame.name}.png" if self.format is Format.FOLDER else self.path
         with self._writing():
             Image.fromarray(frame.picture).save(path, "png")  # `optimize` takes five times as long for 2 %
         return path
@@ -117,7 +117,7 @@ class Destination:
             with self._writing(), Image.open(collected) as pictures, self._replacing() as new:
                 # A GIF has neither quality nor method.
                 pictures.save(
-                    new, self.kind.name, save_all=True, duration=shown_ms, loop=0, quality=_WEBP_QUALITY, method=4
+                    new, self.format.name, save_all=True, duration=shown_ms, loop=0, quality=_WEBP_QUALITY, method=4
                 )
         return [self.path]
 
@@ -134,7 +134,7 @@ class Destination:
 
     def _append(self, picture: Picture, pages: AppendingTiffWriter) -> None:
         image = Image.fromarray(picture)
-        if self.kind is Kind.GIF:
+        if self.format is Format.GIF:
             image = image.quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
         image.save(pages, "tiff", compression="tiff_adobe_deflate")
         pages.newFrame()
@@ -149,7 +149,7 @@ class Destination:
     def _try(self) -> None:
         """Write nothing, but as a writer would; a folder is made and must be empty."""
         try:
-            if self.kind is not Kind.FOLDER:
+            if self.format is not Format.FOLDER:
                 existed = self.path.exists()
                 self.path.open("ab").close()
                 if not existed:

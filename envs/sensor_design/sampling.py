@@ -30,10 +30,10 @@ def samples_of_triangles_mm(corners: FloatArray) -> tuple[FloatArray, IndexArray
     while _most_samples(cuts) > MAX_SAMPLES and cuts.max() > 1:
         spacing_mm *= 2.0
         cuts = _cuts(along_mm, across_mm, spacing_mm)
-    kinds, kind = np.unique(cuts, axis=0, return_inverse=True)
-    order, ends = np.argsort(kind, kind="stable"), np.cumsum(np.bincount(kind))
+    patterns, pattern = np.unique(cuts, axis=0, return_inverse=True)
+    order, ends = np.argsort(pattern, kind="stable"), np.cumsum(np.bincount(pattern))
     points, numbers = [], []
-    for (along, across), held in zip(kinds.tolist(), np.split(order, ends[:-1]), strict=True):
+    for (along, across), held in zip(patterns.tolist(), np.split(order, ends[:-1]), strict=True):
         weights = _weights(along, across)
         points.append(_combined(turned[held], weights).reshape(-1, 3))
         numbers.append(np.repeat(held, len(weights)))

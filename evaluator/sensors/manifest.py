@@ -66,7 +66,7 @@ class Markers(StrictModel):
     ] = None
 
     @model_validator(mode="after")
-    def _one_kind(self) -> "Markers":
+    def _expect_one_layout(self) -> "Markers":
         if (self.grid is None) == (self.points_mm is None):
             raise ValueError("expected either 'grid' or 'points_mm'")
         count = len(self.points_mm) if self.points_mm is not None else self.grid.columns * self.grid.rows  # type: ignore[union-attr]

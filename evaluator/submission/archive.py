@@ -144,7 +144,7 @@ class _Opened:
         if len(infos) > self._limits.archive_files:
             raise too_many_files(self._limits)
         for info in infos:
-            _check_kind(info)
+            _check_file_type(info)
         kept = [info for info in infos if not is_ignored(info.orig_filename.removesuffix("/"))]
         names = (NamedEntry(path=info.orig_filename.removesuffix("/"), is_folder=_is_folder(info)) for info in kept)
         check_names(names, self._limits)
@@ -204,7 +204,7 @@ def _is_folder(info: zipfile.ZipInfo) -> bool:
     return info.orig_filename.endswith("/")
 
 
-def _check_kind(info: zipfile.ZipInfo) -> None:
+def _check_file_type(info: zipfile.ZipInfo) -> None:
     mode = info.external_attr >> 16
     name = info.orig_filename
     if stat.S_ISLNK(mode):

@@ -209,17 +209,17 @@ def steps_histogram(task: str, ends: Sequence[EpisodeView]) -> Figure:
 def _key() -> Markup:
     """Return what the histogram counts, and by which colour."""
     colours = joined(
-        element("rect", class_=f"bar {kind}", x=left, y=3, width=12, height=12)
+        element("rect", class_=f"bar {outcome}", x=left, y=3, width=12, height=12)
         + element("text", name, class_="tick", x=left + 17, y=14)
-        for kind, name, left in (("success", "solved", 380), ("other", "not solved", 480))
+        for outcome, name, left in (("success", "solved", 380), ("other", "not solved", 480))
     )
     return element("text", "episodes", class_="tick", x=4, y=14) + colours
 
 
-def _bar(kind: str, left: float, y: Axis, width: float, low: int, high: int) -> Markup:
+def _bar(outcome: str, left: float, y: Axis, width: float, low: int, high: int) -> Markup:
     return element(
         "rect",
-        class_=f"bar {kind}",
+        class_=f"bar {outcome}",
         x=left + 1.0,
         y=y.place(high),
         width=max(1.0, width - 2),

@@ -55,7 +55,7 @@ class KeptOpen:
 class ControlGroup:
     """The folders of one control group; version 1 has one for each controller."""
 
-    kind: MemoryIsolation
+    isolation: MemoryIsolation
     memory: Path
     pids: Path
     cpu: Path
@@ -94,7 +94,7 @@ class ControlGroup:
 
     @property
     def _is_v2(self) -> bool:
-        return self.kind is MemoryIsolation.CGROUP_V2
+        return self.isolation is MemoryIsolation.CGROUP_V2
 
     def remove(self) -> None:
         """Close what was read, and remove the folders; the kernel may need a moment after the last process was killed.
@@ -181,7 +181,7 @@ def _create_v2(root: Path, own: dict[str, str], name: str) -> ControlGroup | Non
             sweep(parent)
             (parent / name).mkdir()
             folder = parent / name
-            return ControlGroup(kind=MemoryIsolation.CGROUP_V2, memory=folder, pids=folder, cpu=folder)
+            return ControlGroup(isolation=MemoryIsolation.CGROUP_V2, memory=folder, pids=folder, cpu=folder)
     return None
 
 
@@ -211,14 +211,14 @@ def _create_v1(root: Path, own: dict[str, str], name: str) -> ControlGroup | Non
     for folder in folders.values():
         folder.mkdir()
     return ControlGroup(
-        kind=MemoryIsolation.CGROUP_V1, memory=folders["memory"], pids=folders["pids"], cpu=folders["cpuacct"]
+        isolation=MemoryIsolation.CGROUP_V1, memory=folders["memory"], pids=folders["pids"], cpu=folders["cpuacct"]
     )
 
 
 def _set_limits(group: ControlGroup, limits: Limits) -> bool:
     memory = str(limits.memory_bytes)
     pairs = [(group.pids / "pids.max", str(limits.processes + OWN_PROCESSES))]
-    if group.kind is MemoryIsolation.CGROUP_V2:
+    if group.isolation is MemoryIsolation.CGROUP_V2:
         pairs += [(group.memory / "memory.max", memory), (group.memory / "memory.swap.max", "0")]
     else:
         pairs += [

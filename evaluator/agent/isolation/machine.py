@@ -118,7 +118,7 @@ def _control_group() -> Requirement:
     group = cgroup.create(Limits())
     if group is not None:
         group.remove()
-        return Requirement(name="control group", is_met=True, is_needed=False, found=str(group.kind), remedy="")
+        return Requirement(name="control group", is_met=True, is_needed=False, found=str(group.isolation), remedy="")
     return Requirement(
         name="control group",
         is_met=False,

@@ -77,7 +77,7 @@ class Sandbox:
     @property
     def memory_isolation(self) -> MemoryIsolation:
         """What keeps its processes together below the memory limit."""
-        return self._group.kind if self._group is not None else MemoryIsolation.WATCHDOG
+        return self._group.isolation if self._group is not None else MemoryIsolation.WATCHDOG
 
     def resources(self) -> Resources:
         """Return the counters of this moment."""
@@ -257,5 +257,5 @@ class Sandbox:
         return int(sum(1 for _ in process_tree.descendants(self.first_pid)) >= self.limits.processes)
 
 
-def _proc_name(descriptor: int, kind: str) -> str:
-    return f"{kind}:[{os.fstat(descriptor).st_ino}]"
+def _proc_name(descriptor: int, resource: str) -> str:
+    return f"{resource}:[{os.fstat(descriptor).st_ino}]"

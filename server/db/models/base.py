@@ -35,15 +35,15 @@ class Base(DeclarativeBase):
     }
 
 
-def closed_set(kind: type[StrEnum], name: str, length: int = 16) -> Enum:
+def closed_set(members: type[StrEnum], name: str, length: int = 16) -> Enum:
     """Return the text column that takes the members of an enum only."""
     return Enum(
-        kind,
+        members,
         name=name,
         native_enum=False,
         create_constraint=True,
         length=length,
-        values_callable=lambda members: [member.value for member in members],
+        values_callable=lambda all_of: [member.value for member in all_of],
     )
 
 

@@ -8,7 +8,7 @@ from typing import BinaryIO
 import numpy as np
 import pytest
 from PIL import Image
-from vitac.envs.drawing.files import Destination, Frame, Kind, PicturesNotWritable
+from vitac.envs.drawing.files import Destination, Format, Frame, PicturesNotWritable
 
 GREEN = np.full((6, 8, 3), (20, 200, 60), dtype=np.uint8)
 RED = np.full((6, 8, 3), (200, 20, 60), dtype=np.uint8)
@@ -62,7 +62,7 @@ def test_an_existing_file_is_replaced_only_when_pictures_come(tmp_path: Path) ->
 
 def test_looking_leaves_no_file_behind(tmp_path: Path) -> None:
     for name in ("a.png", "a.gif", "a.webp"):
-        assert Destination.from_path(tmp_path / name).kind is Kind(Path(name).suffix)
+        assert Destination.from_path(tmp_path / name).format is Format(Path(name).suffix)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -105,7 +105,7 @@ def test_folder_without_permission_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_disk_that_fills_up_is_told(tmp_path: Path) -> None:
-    destination = Destination(path=Path("/dev/full"), kind=Kind.PNG)
+    destination = Destination(path=Path("/dev/full"), format=Format.PNG)
     with pytest.raises(PicturesNotWritable):
         destination.write([frame()])
 

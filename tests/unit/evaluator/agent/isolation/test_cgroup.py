@@ -30,14 +30,14 @@ def membership(folder: Path, text: str) -> Path:
 def group_with(folder: Path, kind: MemoryIsolation, files: dict[str, str]) -> ControlGroup:
     for name, text in files.items():
         (folder / name).write_text(text)
-    return ControlGroup(kind=kind, memory=folder, pids=folder, cpu=folder)
+    return ControlGroup(isolation=kind, memory=folder, pids=folder, cpu=folder)
 
 
 def test_version_2_is_used_where_it_is_delegated(tmp_path: Path) -> None:
     own = v2_tree(tmp_path)
     group = cgroup.create(LIMITS, root=tmp_path, membership=membership(tmp_path, "0::/user.slice/own\n"))
     assert group is not None
-    assert group.kind is MemoryIsolation.CGROUP_V2
+    assert group.isolation is MemoryIsolation.CGROUP_V2
     assert group.memory.parent == own
     assert group.folders == (group.memory,)
     group.remove()
@@ -60,7 +60,7 @@ def test_version_1_has_a_folder_for_each_controller(tmp_path: Path) -> None:
     text = "4:memory:/mine\n3:cpu,cpuacct:/mine\n2:pids:/mine\n0::/\n"
     group = cgroup.create(LIMITS, root=tmp_path, membership=membership(tmp_path, text))
     assert group is not None
-    assert group.kind is MemoryIsolation.CGROUP_V1
+    assert group.isolation is MemoryIsolation.CGROUP_V1
     assert [folder.parent.parent.name for folder in group.folders] == ["memory", "pids", "cpuacct"]
 
 
@@ -176,7 +176,7 @@ def test_a_group_in_use_cannot_be_removed(tmp_path: Path, monkeypatch: pytest.Mo
     (tmp_path / "busy" / "child").mkdir(parents=True)
     folder = tmp_path / "busy"
     with pytest.raises(SandboxFailed, match="still runs"):
-        ControlGroup(kind=MemoryIsolation.CGROUP_V2, memory=folder, pids=folder, cpu=folder).remove()
+        ControlGroup(isolation=MemoryIsolation.CGROUP_V2, memory=folder, pids=folder, cpu=folder).remove()
 
 
 def test_what_still_runs_in_a_dead_evaluators_group_is_killed(tmp_path: Path) -> None:
