@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
+from uuid import uuid4
 
 import pytest
 import typer
@@ -22,8 +23,8 @@ from vitac.server.appeals import appeals
 from vitac.server.audit import newest_entries
 from vitac.server.contest.freezing import freeze
 from vitac.server.contest.sealing import seal
-from vitac.server.db.models import Notice, Team
-from vitac.server.db.states import NoticeKind, Role
+from vitac.server.db.models import Notice, Team, Worker
+from vitac.server.db.states import NoticeKind, Role, WorkerState
 from vitac.server.members import members
 from vitac.server.messages import announcements, questions
 from vitac.server.notices.outbox import announce
@@ -113,6 +114,9 @@ CHANGES = {
     "submission reinstate": (["DISQUALIFIED", "--yes"], "submission.reinstate"),
     "evaluation cancel": (["EVALUATION", "--yes"], "submission.cancel"),
     "evaluation requeue": (["CANCELLED_EVALUATION", "--yes"], "submission.requeue"),
+    "worker cordon": (["WORKER"], "worker.order"),
+    "worker uncordon": (["WORKER"], "worker.order"),
+    "worker drain": (["WORKER"], "worker.order"),
 }
 """Arguments of a command, capitals standing for what there is, and the action of its line."""
 TRIED_ELSEWHERE = {
@@ -183,6 +187,14 @@ def there_is(service: CliService, name: str, tmp_path: Path) -> str:
             announce(session, NoticeKind.FINISHED, own.id, "evaluation:1", {"page": "/"})
             session.execute(update(Notice).values(given_up_at=func.now()))
             return str(session.scalars(select(Notice.id)).one())
+    if name == "WORKER":
+        with service.database.transaction() as session:
+            worker = Worker(
+                id=uuid4(), host="machine", pid=1, slots=1, state=WorkerState.READY, evaluator_version="1+a",
+                isolation="", platform_class="x86_64-linux",
+            )  # fmt: skip
+            session.add(worker)
+            return str(worker.id)
     if name == "TOKEN":
         with service.database.transaction() as session:
             return str(list_tokens(session, CONSOLE)[0].id)
