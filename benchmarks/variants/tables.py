@@ -2,7 +2,7 @@
 
 python benchmarks/variants/tables.py
 
-`sweep_TASK.json` is what `sweep.py --json` wrote, `headroom_TASK.json` what `headroom.py --json` wrote.
+`sweep_TASK.json` is what `sweep.py --json` wrote, `headroom_TASK_N.json` what `headroom.py --json` wrote for list N.
 """
 
 import json
@@ -31,33 +31,31 @@ def main() -> None:
 
 def headroom() -> str:
     """Return the table of both players' rates in each task."""
-    lines = ["| task | example | planner with the truth | quantities, monotone |", "|---|---|---|---|"]
+    lines = ["| task | list | example | planner with the truth | quantities, monotone |", "|---|---|---|---|---|"]
     for name in TASKS:
-        found = read("headroom", name)
-        if found is not None:
+        for number, found in enumerate(lists_of(name), start=1):
             example, truth = (written(found["players"][player]) for player in ("example", "truth"))
             drawn = found["by_draw"].values()
             monotone = f"{len(drawn)}, {sum(quantity['monotone'] for quantity in drawn)}"
-            lines.append(f"| `{name}` | {example} | {truth} | {monotone} |")
+            lines.append(f"| `{name}` | {number} | {example} | {truth} | {monotone} |")
     return "\n".join(lines) + "\n"
 
 
 def quantities(name: str) -> str:
     """Return a row for each quantity: its range, what its ends alone take from the example, and its success there."""
     _, task = find_task(name)
-    rows, found = read("sweep", name) or [], read("headroom", name)
-    nominal = next((row for row in rows if not row["fixed"]), None)
+    rows, found = json.loads((FOLDER / f"sweep_{name}.json").read_text()), lists_of(name)[-1]
+    nominal = next(row for row in rows if not row["fixed"])
     lines = [
         "| quantity | range | alone, solved by the example | with all, solved by the example along the range |",
         "|---|---|---|---|",
     ]
-    if nominal is not None:
-        lines.append(f"| none | | {written(nominal['example'])} | |")
+    lines.append(f"| none | | {written(nominal['example'])} | |")
     lines += [_row(task, quantity, rows, found) for quantity in task.drawn_quantities]
     return "\n".join(lines) + "\n"
 
 
-def _row(task: Task, quantity: Quantity, rows: list[dict[str, Any]], found: dict[str, Any] | None) -> str:
+def _row(task: Task, quantity: Quantity, rows: list[dict[str, Any]], found: dict[str, Any]) -> str:
     low, high = task.draws[quantity.name]
     unit = "" if quantity.unit == "1" else f" {quantity.unit}"
     alone = [
@@ -66,7 +64,7 @@ def _row(task: Task, quantity: Quantity, rows: list[dict[str, Any]], found: dict
         for name, value in row["fixed"].items()
         if name == quantity.name
     ]
-    parts = [] if found is None else found["by_draw"][quantity.name]["parts"]
+    parts = found["by_draw"][quantity.name]["parts"]
     along = ", ".join(f"{100 * part['rate']['success_rate']:.0f}" for part in parts)
     return f"| `{quantity.name}` | {low:g} to {high:g}{unit} | {'; '.join(alone)} | {along} |"
 
@@ -77,10 +75,9 @@ def written(rate: dict[str, Any]) -> str:
     return f"{100 * rate['success_rate']:.0f} % [{low:.0f}, {high:.0f}] of {rate['episodes']}"
 
 
-def read(kind: str, task: str) -> Any:
-    """Return the figures of a task; None where they were not measured yet."""
-    path = FOLDER / f"{kind}_{task}.json"
-    return json.loads(path.read_text()) if path.exists() else None
+def lists_of(task: str) -> list[dict[str, Any]]:
+    """Return the figures of a task's lists, each made from a secret of its own."""
+    return [json.loads(path.read_text()) for path in sorted(FOLDER.glob(f"headroom_{task}_*.json"))]
 
 
 if __name__ == "__main__":
