@@ -184,6 +184,11 @@ class Task(StrictModel):
         return {**self.settings, **({"draws": self.draws} if self.draws else {})}
 
     @property
+    def contact_model(self) -> str | None:
+        """Return the name of the contact model by which its bodies touch; None where ManiSkill's engine decides."""
+        return None if is_maniskill(self.env_id) else str(self.settings.get("contact_model", "challenge-2025"))
+
+    @property
     def drawn_quantities(self) -> tuple[Quantity, ...]:
         """Return what is drawn for every episode, in the order of the environment's table."""
         return tuple(quantity for quantity in self.definition.quantities if quantity.name in self.draws)

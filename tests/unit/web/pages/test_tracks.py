@@ -198,6 +198,15 @@ def test_rules_of_a_variant_show_what_is_drawn_from_which_range(browser: AsgiBro
     assert "Drawn for every episode" not in browser.get("/tracks/track_1/rules").text
 
 
+@pytest.mark.parametrize(
+    ("track", "name"),
+    [("track_1", "challenge-2025"), ("track_2", "challenge-2025"), ("track_1_peg_robust", "arena-1")],
+)
+def test_rules_name_the_contact_model(browser: AsgiBrowser, track: str, name: str) -> None:
+    html = browser.get(f"/tracks/{track}/rules").text
+    assert set(re.findall(r'href="/docs/physics#contact-models">([\w-]+)</a>', html)) == {name}
+
+
 def test_rules_show_the_scene_of_each_task_before_its_words(browser: AsgiBrowser) -> None:
     html = browser.get("/tracks/track_1/rules").text
     for number, (name, task) in enumerate(load_track("track_1").tasks.items()):
