@@ -9,6 +9,7 @@ import vitac.envs
 from vitac.envs.fem.model.settings import ContactModel
 from vitac.envs.scene.grasped_scene import PhysicsSettings
 from vitac.envs.tasks.settings import SettingsError
+from vitac.evaluator.tracks import list_tracks, load_track
 
 ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
 
@@ -30,6 +31,15 @@ def _named(model: ContactModel) -> dict[str, str]:
 def test_unknown_model_is_refused_by_name() -> None:
     with pytest.raises(SettingsError, match="'contact_model' is 'coulomb', expected one of challenge-2025, arena-1"):
         made("ViTac/PegInsertion-v1", contact_model="coulomb")
+
+
+def test_track_files_name_the_contact_model_that_their_environments_have() -> None:
+    tasks = [task for name in list_tracks() for task in load_track(name).tasks.values()]
+    assert {task.contact_model for task in tasks} == {None, *map(str, ContactModel)}
+    for task in tasks:
+        if task.contact_model is not None:
+            env = made(task.env_id, **task.environment_arguments)
+            assert env.settings.physics.contact.model == task.contact_model
 
 
 def test_model_that_contradicts_the_physics_is_refused() -> None:

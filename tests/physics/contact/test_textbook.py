@@ -1,0 +1,42 @@
+"""Small versions of `benchmarks/contact/textbook.py`: materials and shapes that no task has."""
+
+import numpy as np
+import pytest
+
+from contact.elastic import Rubber, sheared_grip, slide_pad
+from contact.rigid import Block, incline_acceleration_error, incline_drift_m, is_wedged, largest_rise_of_energy
+
+BRASS = Block(corners=6, radius_m=0.02, height_m=0.006, density_kg_m3=7800.0, material="brass")
+NYLON = Block(corners=3, radius_m=0.03, height_m=0.02, density_kg_m3=1200.0, material="nylon")
+SOFT = Rubber(youngs_modulus_pa=8e4, poisson_ratio=0.42)
+
+
+@pytest.mark.parametrize("time_step_s", [0.5, 0.05])
+def test_block_drifts_less_than_ten_micrometres_in_a_minute(time_step_s: float) -> None:
+    assert incline_drift_m(NYLON, 0.8, 0.9, 60.0, time_step_s) < 1e-5
+
+
+def test_block_slides_with_coulombs_acceleration() -> None:
+    assert abs(incline_acceleration_error(BRASS, 0.15, 0.25, 0.01)) < 0.01
+
+
+def test_rod_wedges_where_both_friction_cones_hold_the_line_between_its_touches() -> None:
+    assert [is_wedged(friction, 0.5) for friction in (0.475, 0.525)] == [False, True]
+
+
+def test_energy_only_falls() -> None:
+    assert largest_rise_of_energy(BRASS, 0.15, 0.01) < 1e-4
+
+
+def test_pad_holds_for_a_minute_and_slides_at_the_limit() -> None:
+    slid = slide_pad((0.02, 0.015, 0.004), SOFT, 0.7, time_step_s=2.0)
+    assert slid.full == pytest.approx(1.0, abs=0.01)
+    assert slid.peak == pytest.approx(1.0, abs=0.01)
+    assert slid.relaxed < 1e-3
+
+
+def test_grip_is_balanced_symmetric_and_independent_of_the_step() -> None:
+    whole, halved = (sheared_grip(SOFT, 0.6, cells=(3, 3, 2), halved_step=halved) for halved in (False, True))
+    assert whole.unbalanced < 0.01
+    assert whole.asymmetry < 0.01
+    np.testing.assert_allclose(halved.force_n, whole.force_n, atol=0.03 * float(np.linalg.norm(whole.force_n)))
