@@ -62,44 +62,25 @@ def test_an_organizer_submits_for_a_team(service: CliService, tmp_path: Path) ->
     assert json.loads(service.run("submit", *options, "--team", "team a").stdout)["team"]["name"] == "Team A"
 
 
-def test_a_refusal_tells_status_code_and_hint(service: CliService, tmp_path: Path) -> None:
-    archive = tmp_path / "bad.zip"
+def test_what_is_refused_says_why_and_what_to_do(service: CliService, tmp_path: Path) -> None:
+    folder, archive, token, log = (tmp_path / name for name in ("mine", "bad.zip", "token", "mine.jsonl"))
+    submission_folder(folder)
     archive.write_bytes(zip_of(**{"other/policy.py": ""}))
-    refused = service.run("submit", str(archive), "--track", "track_1")
-    assert isinstance(refused.exception, RequestRefused)
-    for shown in ("422", "archive_rejected", "vitac check"):
-        assert shown in str(refused.exception)
-
-
-def test_a_wrong_token_is_refused_with_a_hint(service: CliService, tmp_path: Path) -> None:
-    token = tmp_path / "token"
     token.write_text("vitac_" + "x" * 43)
-    folder = submission_folder(tmp_path / "mine")
-    refused = service.run("submit", str(folder), "--token-file", str(token))
-    assert isinstance(refused.exception, RequestRefused)
-    assert "invalid_credentials" in str(refused.exception)
-    assert "ask an organizer" in str(refused.exception)
-
-
-def test_another_track_than_the_manifests_is_refused(service: CliService, tmp_path: Path) -> None:
-    refused = service.run("submit", str(submission_folder(tmp_path / "mine")), "--track", "track_9")
-    assert isinstance(refused.exception, RequestRefused)
-    assert "unknown_track" in str(refused.exception)
-
-
-def test_a_path_that_is_missing_is_wrong_usage(service: CliService, tmp_path: Path) -> None:
+    log.write_bytes(a_log()[:-500])
+    for arguments, kind, parts in (
+        ([archive, "--track", "track_1"], RequestRefused, ("422", "archive_rejected", "vitac check")),
+        ([folder, "--token-file", token], RequestRefused, ("invalid_credentials", "ask an organizer")),
+        ([folder, "--track", "track_9"], RequestRefused, ("unknown_track",)),
+        ([log], RequestRefused, ("log_rejected", "Line 271", "vitac evaluate --log")),
+        ([folder, "--server", "http://127.0.0.1:9"], ServiceUnreachable, ("vitac serve",)),
+        ([tmp_path], NoSubmission, ("submission.yaml",)),
+    ):
+        refused = service.run("submit", *map(str, arguments))
+        assert isinstance(refused.exception, kind), refused.output
+        for part in parts:
+            assert part in str(refused.exception)
     assert service.run("submit", str(tmp_path / "none")).exit_code == 2
-
-
-def test_a_folder_without_manifest_is_refused_before_the_upload(service: CliService, tmp_path: Path) -> None:
-    assert isinstance(service.run("submit", str(tmp_path)).exception, NoSubmission)
-
-
-def test_nobody_at_the_address_says_what_to_do(service: CliService, tmp_path: Path) -> None:
-    folder = submission_folder(tmp_path / "mine")
-    refused = service.run("submit", str(folder), "--server", "http://127.0.0.1:9")
-    assert isinstance(refused.exception, ServiceUnreachable)
-    assert "vitac serve" in str(refused.exception)
 
 
 def test_every_command_explains_itself(service: CliService) -> None:
@@ -145,14 +126,6 @@ def test_the_service_finds_the_track_of_a_text_log(service: CliService, tmp_path
     assert json.loads(done.stdout)["track"] == "track_2"
     refused = service.run("submit", str(log), "--track", "track_1")
     assert "the log is of 'track_2'" in str(refused.exception)
-
-
-def test_a_refused_log_tells_line_and_hint(service: CliService, tmp_path: Path) -> None:
-    log = tmp_path / "mine.jsonl"
-    log.write_bytes(a_log()[:-500])
-    refused = service.run("submit", str(log))
-    for shown in ("log_rejected", "Line 271", "vitac evaluate --log"):
-        assert shown in str(refused.exception)
 
 
 @pytest.mark.parametrize(

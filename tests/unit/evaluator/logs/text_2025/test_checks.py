@@ -96,20 +96,24 @@ def test_own_log_has_no_problem() -> None:
     ("key", "value", "problem"),
     [
         ("action", [0.5, 0.5, 0.5], "the action does not lead to offset"),
-        ("action", [1.5, 0, 0], "an action outside [-1, 1]"),
-        ("action", [0.5, 0.5], "expected 3 action values, got 2"),
+        ("action", [1.5, 0, 0], "test 4: env step 2 has an action outside [-1, 1]"),
+        ("action", [0.5, 0.5], "test 4: env step 2: expected 3 action values, got 2"),
         ("offset_obs", [9.0, 0.0, 0.0], "expected the offset of the info"),
-        ("info_steps", 7, "in info steps, got 7"),
+        ("info_steps", 7, "test 4: env step 2: expected 2 in info steps, got 7"),
         ("info_steps", "\x1b[2J\x00\ud800", "in info steps, got '\\x1b[2J\\x00\\ud800'"),
         ("surface_diff_m", [0.0005, 0.0016], "tactile_movement_too_large: expected True by the rules, got False"),
         ("surface_diff_m", [0.0005], "lacks info surface_diff_m of 2 numbers"),
         ("too_many_steps", True, "too_many_steps: expected False by the rules, got True"),
         ("error_too_large", True, "error_too_large: expected False by the rules, got True"),
         ("is_success", True, "is_success: expected False by the rules, got True"),
-        ("peg_relative_z_mm", [], "lacks info peg_relative_z_mm"),
-        ("relative_motion_mm_deg", [0, 0, 0, -0.25], "does not follow from the offset"),
+        ("peg_relative_z_mm", [], "test 4: env step 2 lacks info peg_relative_z_mm"),
+        (
+            "relative_motion_mm_deg",
+            [0, 0, 0, -0.25],
+            "env step 2: relative motion (0.0, 0.0, 0.0, -0.25) does not follow",
+        ),
         ("gt_offset_mm_deg", [0.0, 0.0, 0.0], "the action does not lead to offset"),
-        ("reward", 10.0, "reward 10.0 does not follow from the rules"),
+        ("reward", 10.0, "test 4: env step 2: reward 10.0 does not follow from the rules"),
     ],
 )
 def test_one_fault_in_an_env_step_is_found(key: str, value: object, problem: str) -> None:
@@ -117,11 +121,6 @@ def test_one_fault_in_an_env_step_is_found(key: str, value: object, problem: str
     assert found
     assert any(problem in text for text in found)
     assert all(text.startswith("test 4: ") for text in found)
-
-
-def test_shallow_peg_is_no_success() -> None:
-    found = problems(own_log(lambda episodes: episodes[0]["steps"][2].update(peg_relative_z_mm=[-0.4, -0.29])))
-    assert found == ("test 1: env step 3: is_success: expected False by the rules, got True",)
 
 
 def test_success_before_the_third_step_is_impossible() -> None:
@@ -148,16 +147,12 @@ def test_success_before_the_third_step_is_impossible() -> None:
             "test 2: expected the start (-4.0, -4.0, -8.0), got (1.0, 2.0, 3.0, 4.0)",
         ),
         (lambda e: e[1].update(result="FAIL"), "test 2: RESULT says FAIL, the last env step the opposite"),
-        (lambda e: e[1].update(result="MAYBE"), "expected RESULT SUCCESS or FAIL, got 'MAYBE'"),
         (lambda e: e[1]["steps"].pop(), "test 2: env step 2 is the last, but did not end the test"),
         (
             lambda e: e[1]["steps"].append(e[1]["steps"][2] | {"n": 4}),
             "test 2: env step 3 ended the test, but is not the last",
         ),
-        (lambda e: e[1]["steps"].append(e[1]["steps"][2] | {"n": 9}), "expected env step 4, got 9"),
         (lambda e: e.pop(), "expected the 15 tests of the list, got 14"),
-        (lambda e: e.insert(1, e[0]), "test 1 is repeated"),
-        (lambda e: e[5].update(episode=60), "expected test 6, got test 60"),
         (lambda e: e.insert(0, e.pop(1)), "expected test 1, got test 2"),
     ],
 )
@@ -174,11 +169,7 @@ def test_one_fault_in_a_test_is_found(change: Callable[[list[dict[str, Any]]], A
         (("#SUCCESS_RATE: 0", "#AVG_STEP: 3.00"), "the log claims 0.00 %"),
         (("#SUCCESS_RATE: 100.00%", "#AVG_STEP: 2.99"), "the average of env steps is 3.00, the log claims 2.99"),
         (("#SUCCESS_RATE: 100.00%", "#AVG_STEP: NA"), "the average of env steps is 3.0, the log claims None"),
-        (("#SUCCESS_RATE: 100.00%", "#AVG_STEP: 3.00", "#SUCCESS_RATE: 100.00%"), "the totals are repeated"),
-        (("#SUCCESS_RATE: 100.01%", "#AVG_STEP: 3.00"), "expected a success rate of at most 100 %, got 100.01 %"),
         (("#SUCCESS_RATE: " + "9" * 300 + ".00%", "#AVG_STEP: 3.00"), "unknown message '#SUCCESS_RATE: 999"),
-        (("#SUCCESS_RATE: 100.00%", "#AVG_STEP: 10000.00"), "unknown message '#AVG_STEP: 10000.00'"),
-        (("#SUCCESS_RATE: very good", "#AVG_STEP: 3.00"), "unknown message '#SUCCESS_RATE: very good'"),
     ],
 )
 def test_false_totals_are_found(totals: tuple[str, ...], problem: str) -> None:
@@ -203,41 +194,9 @@ def test_other_settings_are_found(change: dict[str, Any], problem: str) -> None:
     assert problems(own_log(environment=PEG.environment | change)) == (problem,)
 
 
-def test_time_that_runs_backwards_is_found() -> None:
-    lines = own_log().splitlines(keepends=True)
-    lines[9] = lines[9].replace("2025-01-01 00", "2024-01-01 00")
-    assert problems("".join(lines)) == ("line 10: its time is earlier than that of the line before",)
-
-
-def test_two_concatenated_logs_are_found() -> None:
-    found = problems(own_log() + own_log())
-    assert any("a second log begins here" in text for text in found)
-    assert any("test 1 is repeated" in text for text in found)
-    assert any("the totals are repeated" in text for text in found)
-
-
-def test_file_with_hundreds_of_misplaced_lines_is_refused() -> None:
-    line = own_log().splitlines(keepends=True)[-2]
-    with pytest.raises(TextLogRejected, match="more than 200 lines are misplaced"):
-        problems(own_log() + line * 300)
-
-
-@pytest.mark.parametrize(("start", "part"), [("Offset: ", "offset"), ("info: ", "info"), ("Reward: ", "reward")])
-def test_what_a_step_already_has_is_out_of_place(start: str, part: str) -> None:
-    lines = own_log().splitlines(keepends=True)
-    first = next(number for number, line in enumerate(lines) if f" - {start}" in line)
-    lines.insert(first + 1, lines[first].split(" - ")[0] + f" - {start}never read\n")
-    assert problems("".join(lines)) == (f"line {first + 2}: a second {part} of this env step",)
-
-
 def test_a_long_value_makes_no_long_problem() -> None:
     found = problems(own_log(lambda episodes: episodes[3]["steps"][1].update(info_steps="A" * 100_000)))
     assert 0 < len(found[0]) < 100
-
-
-def test_vision_log_with_a_short_start_is_checked() -> None:
-    log = read(own_log(lambda episodes: episodes[0].update(initial_offset=[1.0])))
-    assert any(problem.startswith("test 1: expected the start (") for problem in check(log, VISION))
 
 
 @pytest.mark.parametrize(
@@ -245,21 +204,12 @@ def test_vision_log_with_a_short_start_is_checked() -> None:
     [
         ("2025-01-01 10:00:00.123 | INFO     | a:b:1 - hello\n", "expected a 2025 text log with"),
         (own_log(environment={"max_speed": 3}), "not that of any task of the 2025 challenge"),
-        (own_log().replace("Reward: ", "Reward: nan", 1), "expected a number, got"),
-        (own_log().replace("#KEY: Touch", "#KEY: Touch\x1b[2J"), "control characters"),
-        (own_log().replace("Action: [", "Action: [nan ", 1), "expected a finite number, got"),
         (own_log().replace("'steps': 1", "'steps': nan", 1), "expected a plain finite value, got"),
     ],
 )
 def test_what_cannot_be_a_log_of_the_challenge_is_refused(text: str, message: str) -> None:
     with pytest.raises(TextLogRejected, match=message):
         summary_of(text)
-
-
-def test_unknown_message_is_told_by_line() -> None:
-    lines = own_log().splitlines(keepends=True)
-    lines.insert(20, lines[20].split(" - ")[0] + " - trust me\n")
-    assert "line 21: unknown message 'trust me'" in problems("".join(lines))
 
 
 def turned_episode(turns: Sequence[float], rewards: Sequence[float], **last: Any) -> dict[str, Any]:
@@ -294,10 +244,6 @@ def problems_of_first(episode: dict[str, Any]) -> tuple[str, ...]:
     """Problems of a log whose first test failed so, and all others succeeded."""
     totals = ("#SUCCESS_RATE: 93.33%", "#AVG_STEP: 3.00")
     return problems(own_log(lambda episodes: episodes.__setitem__(0, episode), totals=totals))
-
-
-def test_a_test_may_use_all_its_env_steps() -> None:
-    assert problems_of_first(turned_episode([0] * 8, [-1] * 8, too_many_steps=True)) == ()
 
 
 def test_one_env_step_more_than_allowed_is_found() -> None:
@@ -399,10 +345,6 @@ def test_an_info_without_a_value_of_the_right_form_is_not_judged_further(key: st
     assert check(log, PEG) == [f"test 3: env step 2 lacks {lacking}"]
 
 
-def test_the_settings_of_the_camera_are_free() -> None:
-    assert problems(own_log(environment=PEG.environment | {"vision_params": {"render_mode": "rast"}})) == ()
-
-
 @pytest.mark.parametrize("rate", [0.99996, 1.0])
 @pytest.mark.parametrize("steps", [2.995, 3.005])
 def test_totals_may_be_rounded_to_two_decimals(rate: float, steps: float) -> None:
@@ -440,14 +382,9 @@ def shown(*offset: float, number: int = 1) -> TextLog:
 
 
 @pytest.mark.parametrize("top_mm", VISION.hole_tops_mm)
-def test_the_holes_top_is_recognised_from_the_first_start(top_mm: float) -> None:
-    assert hole_top(shown(*VISION.starts(top_mm)[0].offset), VISION) == top_mm
-
-
-@pytest.mark.parametrize("top_mm", VISION.hole_tops_mm)
 def test_the_holes_top_is_recognised_whichever_test_of_the_list_comes_first(top_mm: float) -> None:
     starts = VISION.starts(top_mm)
-    for number in range(2, len(starts) + 1, 6):
+    for number in range(1, len(starts) + 1, 6):
         log = shown(*starts[number - 1].offset, number=number)
         assert hole_top(log, VISION) == top_mm, f"test {number}"
         assert not [problem for problem in check(log, VISION) if "expected the start" in problem]
@@ -473,63 +410,12 @@ def test_without_a_start_in_four_numbers_the_holes_top_is_unknown() -> None:
     assert hole_top(shown(*VISION.starts()[0].offset), PEG) is None
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "sentence"),
-    [
-        ("action", [1.5, 0, 0], "has an action outside [-1, 1]"),
-        ("action", [0.5, 0.5], ": expected 3 action values, got 2"),
-        ("info_steps", 7, ": expected 2 in info steps, got 7"),
-        ("reward", 10.5, ": reward 10.5 does not follow from the rules"),
-        ("peg_relative_z_mm", [-0.4, "deep"], " lacks info peg_relative_z_mm"),
-    ],
-)
-def test_a_fault_is_one_sentence_after_its_place(key: str, value: object, sentence: str) -> None:
-    log = read(own_log())
-    step = log.episodes[3].steps[1]
-    if key in ("action", "reward"):
-        setattr(step, key, tuple(value) if isinstance(value, list) else value)
-    else:
-        step.info[key.removeprefix("info_")] = tuple(value) if isinstance(value, list) else value
-    assert f"test 4: env step 2{'' if sentence[0] in ': ' else ' '}{sentence}" in check(log, PEG)
-
-
 def test_offsets_that_do_not_follow_are_told_with_what_the_log_says() -> None:
     log = read(own_log())
     step = log.episodes[3].steps[1]
     step.offset = (9.0, 0.0, 0.0)
     truth = step.info["gt_offset_mm_deg"]
     assert check(log, PEG) == [f"test 4: env step 2: expected the offset of the info, {truth}, got (9.0, 0.0, 0.0)"]
-
-
-def test_a_motion_that_does_not_follow_is_told() -> None:
-    log = read(own_log())
-    log.episodes[3].steps[1].info["relative_motion_mm_deg"] = (0.0, 0.0, 0.0, -0.25)
-    assert check(log, PEG) == [
-        "test 4: env step 2: relative motion (0.0, 0.0, 0.0, -0.25) does not follow from the offset"
-    ]
-
-
-def test_an_action_that_leads_elsewhere_is_told_with_the_offset() -> None:
-    log = read(own_log())
-    step = log.episodes[3].steps[0]
-    step.action = (0.0, 0.0, 0.0)
-    assert f"test 4: env step 1: the action does not lead to offset {step.info['gt_offset_mm_deg']}" in check(log, PEG)
-
-
-@pytest.mark.parametrize("key", ["surface_diff_m", "relative_motion_mm_deg", "gt_offset_mm_deg", "is_success"])
-def test_an_info_that_lacks_a_key_is_told(key: str) -> None:
-    log = read(own_log())
-    del log.episodes[0].steps[0].info[key]
-    (problem,) = check(log, PEG)
-    assert problem.startswith(f"test 1: env step 1 lacks info {key}")
-
-
-@pytest.mark.parametrize(("success", "said"), [(True, "SUCCESS"), (False, "FAIL"), (None, "FAIL")])
-def test_a_result_against_the_last_env_step_is_told(success: bool | None, said: str) -> None:
-    log = read(own_log())
-    log.episodes[5].success = success
-    found = [problem for problem in check(log, PEG) if problem.startswith("test 6: RESULT")]
-    assert found == ([] if success else [f"test 6: RESULT says {said}, the last env step the opposite"])
 
 
 def test_unofficial_settings_are_told_in_one_order() -> None:

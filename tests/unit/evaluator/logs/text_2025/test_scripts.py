@@ -41,14 +41,6 @@ def test_vision_starts_are_shown_from_the_hole_and_counted_from_the_real_rim() -
     assert VISION.starts() == VISION.starts(first_top_mm)
 
 
-def test_eras_are_told_apart_by_the_rim_in_the_books() -> None:
-    before, since = VISION.era(VISION.hole_tops_mm[0]), VISION.era(VISION.hole_tops_mm[-1])
-    assert before is not None
-    assert since is not None
-    assert (before.partition(" ")[0], since.partition(" ")[0]) == ("before", "since")
-    assert PEG.era(None) is None
-
-
 def test_a_part_is_named_without_its_side() -> None:
     assert {start.part for start in VISION.starts()} == {start.shape.split("(")[0] for start in VISION.starts()}
     assert all("(" not in start.part for script in all_scripts() for start in script.starts())
@@ -74,12 +66,6 @@ def test_numbers_are_printed_to_two_hundred_thousandths(apart: float, is_same: b
     for number in (0.0, 0.25):
         assert is_printed([number + apart, 1.0], [number, 1.0]) == is_same
         assert is_printed([1.0, number + apart], [1.0, number]) == is_same
-
-
-@pytest.mark.parametrize(("shown", "expected"), [((), (1.0,)), ((1.0,), ()), ((1.0, 2.0), (1.0, 2.0, 3.0))])
-def test_more_or_fewer_numbers_are_others(shown: tuple[float, ...], expected: tuple[float, ...]) -> None:
-    assert not is_printed(shown, expected)
-    assert is_printed((), ())
 
 
 def test_an_era_is_one_sentence_with_both_heights() -> None:
