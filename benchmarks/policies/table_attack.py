@@ -1,12 +1,12 @@
 """Measures what a table of another team's actions is worth, and whether the service finds it; and honest policies.
 
-Usage: python benchmarks/policies/table_attack.py [--episodes N] [--starts N] [--search S] [--json FILE]
+Usage: python benchmarks/policies/table_attack.py [--episodes N] [--starts N] [--search S] [--attack-only] [--json FILE]
 
 Honest policies of the peg task: the trained and the fitted example, fits of the same recipe to other training starts,
 and variants of the fitted one. Each plays the beginning of the public list; every pair is compared. The table holds the
 trained example's actions, changed by 1e-5; as a log it plays them, as a model it takes the row whose first
-observation is nearest. It is improved by random search against the public list, for `--search` seconds. Model and table
-also play as many starts of a sealed list.
+observation is nearest. It is improved against the public list, whose starts everybody knows, for `--search` seconds.
+Model and table also play as many starts of a sealed list.
 """
 
 import argparse
@@ -36,8 +36,10 @@ SECRET = b"table attack".ljust(32)
 FITS = 7
 CHANGE = 1e-5
 """Of each action of the table."""
-SEARCHED = 0.3
+SEARCHED = 0.05
 """Standard deviation of the changes that the search tries."""
+MAX_MOTION = np.array([2.0, 2.0, 4.0])
+"""Of an action of 1 [mm, mm, degrees]."""
 
 Actions = NDArray[np.float32]
 Act = Callable[[Mapping[str, Any]], Actions]
@@ -78,15 +80,18 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=90, help="of each list")
     parser.add_argument("--starts", type=int, default=250, help="random starts to which each fit is made")
     parser.add_argument("--search", type=float, default=18.0, help="time to improve the table [s]")
+    parser.add_argument("--attack-only", action="store_true", help="play no honest policy but the source")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     arguments = parser.parse_args()
     track = load_track("track_1")
     public, sealed = (each.tasks[TASK] for each in (track, sealed_track(track, SECRET)))
     episodes = slice(0, arguments.episodes)
+    begun = [("trained", dict(policies(public, 0))["trained"])] if arguments.attack_only else None
     honest = {
-        name: play(public, public.episodes[episodes], begin) for name, begin in policies(public, arguments.starts)
+        name: play(public, public.episodes[episodes], begin)
+        for name, begin in begun or policies(public, arguments.starts)
     }
-    figures: dict[str, Any] = {"honest": compare_all(honest)}
+    figures: dict[str, Any] = {} if arguments.attack_only else {"honest": compare_all(honest)}
     source = honest["trained"]
     rng = np.random.default_rng(0)
     rows = [Played(first=row.first, actions=changed(row.actions, CHANGE, rng), success=row.success) for row in source]
@@ -180,15 +185,30 @@ def changed(actions: Actions, by: float, rng: np.random.Generator) -> Actions:
 def improve(
     task: Task, episodes: Sequence[Episode], rows: list[Played], search_s: float, rng: np.random.Generator
 ) -> list[Played]:
-    """Return the table after a random search that replaces the actions of what it does not solve."""
+    """Return the table after a search that replaces the actions of what it does not solve.
+
+    It goes from the start, which the public list tells, to the hole, with noise that differs from try to try.
+    """
     env, until, found = make_environment(task), monotonic() + search_s, list(rows)
     while monotonic() < until and (failed := [at for at, row in enumerate(found) if not row.success]):
         at = failed[int(rng.integers(len(failed)))]
-        tried = iter(changed(np.resize(found[at].actions, (task.max_steps, 3)), SEARCHED, rng))
-        played = play_one(env, episodes[at], lambda _, tried=tried: next(tried))  # type: ignore[misc]
+        played = play_one(env, episodes[at], to_the_hole(episodes[at].offset, rng))
         if played.success:
             found[at] = played
     return found
+
+
+def to_the_hole(offset: Sequence[float], rng: np.random.Generator) -> Act:
+    """Return what moves from a known offset [mm, mm, degrees] to the hole."""
+
+    def act(observation: Mapping[str, Any]) -> Actions:
+        motion = observation["relative_motion"][:3]
+        x, y, theta = -(np.array(offset) + motion)
+        angle = np.radians(motion[2])
+        own = np.array([np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x, theta])
+        return changed((own / MAX_MOTION).astype(np.float32), SEARCHED, rng)
+
+    return act
 
 
 def likeness(earlier: Sequence[Played], later: Sequence[Played]) -> Any:

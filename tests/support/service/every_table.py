@@ -8,6 +8,7 @@ from sqlalchemy.orm import Session
 from vitac.server.contest.sealing import seal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import (
+    ActionTrace,
     Announcement,
     Appeal,
     AppealReplay,
@@ -21,6 +22,7 @@ from vitac.server.db.models import (
     JudgingMark,
     LogCopy,
     MetricTotal,
+    NearCopy,
     Notice,
     PartialUpload,
     Playback,
@@ -61,6 +63,7 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
     session.flush()
     session.add_all(
         [
+            ActionTrace(evaluation_id=evaluation.id, task="gone", action_size=3, actions=b"\0\x7f\xff\\n"),
             Announcement(title="News", text=TEXT),
             AppealReplay(
                 appeal_id=appeal.id, task=episode.task, episode=1, policy_sha256="1" * 64, corrected=True,
@@ -74,6 +77,10 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
             JudgingConflict(team_id=team_id, judge="Ann", reason=TEXT),
             JudgingMark(submission_id=submission.id, judge="Bob", criterion="novelty", mark=7.1),
             LogCopy(evaluation_id=evaluation.id, earlier_submission_id=earlier.id, episodes=1),
+            NearCopy(
+                evaluation_id=evaluation.id, earlier_submission_id=earlier.id, task="gone", near=1, episodes=2,
+                difference=0.1,
+            ),
             DeclaredEvaluator(track="track_1", version="1+abc"),
             MetricTotal(name="vitac_episodes_total", labels="{}", value=0.1),
             Notice(

@@ -8,7 +8,7 @@ from vitac.cli.demo.display import BAR_WIDTH, DemoDisplay, interval_bar
 
 
 def board(*entries: dict[str, object]) -> dict[str, object]:
-    return {"title": "Tactile manipulation", "task": None, "entries": list(entries)}
+    return {"title": "Tactile manipulation", "task": None, "is_practice": True, "entries": list(entries)}
 
 
 def entry(
@@ -86,7 +86,7 @@ def test_of_several_tasks_the_leaderboard_says_the_rate_of_each() -> None:
     display, raw = shown(terminal=False)
     display.leaderboard(board(entry(1, "demo", 0.5, tasks=2)), "demo")
     assert "demo by task: task-0 50.0 %, task-1 50.0 %" in plain(raw)
-    assert "all tasks: leaderboard" in plain(raw)
+    assert "all tasks: practice board (public list, ranks nobody)" in plain(raw)
 
 
 @pytest.mark.parametrize(("rate", "place"), [(0.0, 0), (0.5, BAR_WIDTH // 2), (1.0, BAR_WIDTH - 1)])
