@@ -1,5 +1,7 @@
 """What the addresses of pages name. Called by the pages."""
 
+from dataclasses import dataclass
+from typing import Self
 from urllib.parse import urlencode
 from uuid import UUID
 
@@ -47,3 +49,42 @@ def board_query(task: str | None, stage: str | None) -> str:
     """Return what the address of a board asks for; empty: all tasks, in the stage that opened last."""
     asked = {name: value for name, value in (("task", task), ("stage", stage)) if value}
     return f"?{urlencode(asked)}" if asked else ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AskedBoard:
+    """The boards that a request asks for.
+
+    Attributes:
+        contest: name of the competition; None: the one that opened last.
+        track: name of the track.
+        task: name of the task; None: all together.
+        stage: name of the stage; None: the one that opened last.
+        part: what follows the address of the track's boards: `/logs`, or nothing.
+    """
+
+    contest: str | None
+    track: str
+    task: str | None
+    stage: str | None
+    part: str = ""
+
+    @classmethod
+    def read(cls, request: Request, *, logs: bool = False) -> Self:
+        """Return what a request asks for; boards of logs are those of all tasks."""
+        query = request.query_params
+        return cls(
+            contest=read_contest_name(request),
+            track=request.path_params["track"],
+            task=None if logs else query.get("task"),
+            stage=query.get("stage"),
+            part="/logs" if logs else "",
+        )
+
+    def query(self) -> str:
+        """Return task and stage as the query of an address."""
+        return board_query(self.task, self.stage)
+
+    def address(self, stage: str | None = None) -> str:
+        """Return the address of these boards, or of the same ones in another stage."""
+        return f"{board_address(self.contest, self.track)}{self.part}{board_query(self.task, stage or self.stage)}"

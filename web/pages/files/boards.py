@@ -6,7 +6,7 @@ from vitac.server.leaderboards.shown import shown_leaderboard, shown_log_boards
 from vitac.server.views.leaderboards import LeaderboardEntryView, LogBoardsView, LogEntryView
 
 from ...site import principal_of, site_of, viewer_of
-from ..addresses import read_contest_name
+from ..addresses import AskedBoard
 from .formats import csv_file
 
 BOARD_COLUMNS = (
@@ -22,20 +22,19 @@ TEXT_LOG_COLUMNS = (
 
 async def leaderboard(request: Request) -> Response:
     """Return a board with a row for each entry."""
-    track, asked = request.path_params["track"], request.query_params
-    task, stage = asked.get("task"), asked.get("stage")
-    by, contest = principal_of(await viewer_of(request)), read_contest_name(request)
+    asked, by = AskedBoard.read(request), principal_of(await viewer_of(request))
     board = await site_of(request).read(
-        lambda session: shown_leaderboard(session, by, track, task=task, stage=stage, contest=contest).view
+        lambda session: (
+            shown_leaderboard(session, by, asked.track, task=asked.task, stage=asked.stage, contest=asked.contest).view
+        )
     )
-    rows = (_ranked(entry) for entry in board.entries)
-    return csv_file(_name(read_contest_name(request), track, stage, task or "all"), BOARD_COLUMNS, rows)
+    return csv_file(_name(asked, asked.task or "all"), BOARD_COLUMNS, map(_ranked, board.entries))
 
 
 async def logs(request: Request) -> Response:
     """Return the verified logs of a track, a row for each, by task and rank."""
-    track, stage = request.path_params["track"], request.query_params.get("stage")
-    found = await _log_boards(request)
+    asked = AskedBoard.read(request, logs=True)
+    found = await _log_boards(request, asked)
     rows = (
         (
             board.task,
@@ -47,13 +46,13 @@ async def logs(request: Request) -> Response:
         for board in found.boards
         for entry in board.entries
     )
-    return csv_file(_name(read_contest_name(request), track, stage, "logs"), LOG_COLUMNS, rows)
+    return csv_file(_name(asked, "logs"), LOG_COLUMNS, rows)
 
 
 async def text_logs(request: Request) -> Response:
     """Return the 2025 text logs of a track beside their claims, newest first."""
-    track, stage = request.path_params["track"], request.query_params.get("stage")
-    found = await _log_boards(request)
+    asked = AskedBoard.read(request, logs=True)
+    found = await _log_boards(request, asked)
     rows = (
         (
             log.team,
@@ -69,14 +68,13 @@ async def text_logs(request: Request) -> Response:
         )
         for log in found.text_logs
     )
-    return csv_file(_name(read_contest_name(request), track, stage, "text-logs"), TEXT_LOG_COLUMNS, rows)
+    return csv_file(_name(asked, "text-logs"), TEXT_LOG_COLUMNS, rows)
 
 
-async def _log_boards(request: Request) -> LogBoardsView:
-    track, stage, contest = request.path_params["track"], request.query_params.get("stage"), read_contest_name(request)
+async def _log_boards(request: Request, asked: AskedBoard) -> LogBoardsView:
     by = principal_of(await viewer_of(request))
     return await site_of(request).read(
-        lambda session: shown_log_boards(session, by, track, stage=stage, contest=contest).view
+        lambda session: shown_log_boards(session, by, asked.track, stage=asked.stage, contest=asked.contest).view
     )
 
 
@@ -96,5 +94,5 @@ def _ranked(entry: LeaderboardEntryView | LogEntryView) -> tuple[object, ...]:
     )
 
 
-def _name(*parts: str | None) -> str:
-    return "-".join(filter(None, parts))
+def _name(asked: AskedBoard, what: str) -> str:
+    return "-".join(filter(None, (asked.contest, asked.track, asked.stage, what)))

@@ -17,7 +17,7 @@ from ...plots.dates import DatedRate, rates_by_date
 from ...plots.figure import Figure
 from ...rendering import steps, words
 from ...site import Site, page, principal_of, site_of, viewer_of
-from ..addresses import board_address, board_query, read_contest_name
+from ..addresses import AskedBoard
 from .paging import board_page
 from .tabs import known_track, read_surroundings
 
@@ -41,21 +41,15 @@ class Cell:
 
 async def leaderboard(request: Request) -> Response:
     """Show the leaderboard of a track, or with `?task=` and `?stage=` that of a task or stage."""
-    track = known_track(request.path_params["track"])
-    site, viewer = site_of(request), await viewer_of(request)
+    asked, site, viewer = AskedBoard.read(request), site_of(request), await viewer_of(request)
+    track, task = known_track(asked.track), asked.task
     by, own_names = principal_of(viewer), viewer.own_names if viewer else frozenset()
-    task, stage, contest = (
-        request.query_params.get("task"),
-        request.query_params.get("stage"),
-        read_contest_name(request),
-    )
-    address = board_address(contest, track.name) + board_query(task, stage)
 
     def read(session: Session) -> dict[str, Any]:
-        board = shown_leaderboard(session, by, track.name, task=task, stage=stage, contest=contest).view
-        shown = board_page(request, address, board.entries, own_names)
+        board = shown_leaderboard(session, by, track.name, task=task, stage=asked.stage, contest=asked.contest).view
+        shown = board_page(request, asked.address(), board.entries, own_names)
         public: Collection[UUID] = public_among(session, [entry.submission_id for entry in shown.entries])
-        around = read_surroundings(session, request, track, shown_stage=board.stage, logs=False)
+        around = read_surroundings(session, site, track, asked, shown_stage=board.stage)
         return {"board": board, "shown": shown, "public": public, **around}
 
     values = await site.read(read)

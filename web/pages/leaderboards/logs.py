@@ -10,7 +10,7 @@ from vitac.server.leaderboards.shown import shown_log_boards
 from vitac.server.sharing.public_pages import public_among
 
 from ...site import page, principal_of, site_of, viewer_of
-from ..addresses import board_address, board_query, read_contest_name
+from ..addresses import AskedBoard, board_address
 from .paging import PAGE_ENTRIES, board_page
 from .tabs import known_track, read_surroundings
 
@@ -19,31 +19,29 @@ TEXT_LOGS = "text-logs"
 
 async def logs(request: Request) -> Response:
     """Show the logs of a track, with `?stage=` of a stage, with `?q=` those of teams with that in their name."""
-    track = known_track(request.path_params["track"])
-    viewer = await viewer_of(request)
+    asked, site, viewer = AskedBoard.read(request, logs=True), site_of(request), await viewer_of(request)
+    track = known_track(asked.track)
     by, own_names = principal_of(viewer), viewer.own_names if viewer else frozenset()
-    stage, contest = request.query_params.get("stage"), read_contest_name(request)
-    address = f"{board_address(contest, track.name)}/logs"
-    paged = partial(board_page, request, address + board_query(None, stage), own_names=own_names)
+    paged = partial(board_page, request, asked.address(), own_names=own_names)
 
     def read(session: Session) -> dict[str, Any]:
-        found = shown_log_boards(session, by, track.name, stage=stage, contest=contest).view
+        found = shown_log_boards(session, by, track.name, stage=asked.stage, contest=asked.contest).view
         shown = {board.task: paged(board.entries, section=f"logs-{board.task}") for board in found.boards}
         text_logs = paged(found.text_logs, section=TEXT_LOGS)
         listed = [entry.submission_id for board in shown.values() for entry in board.entries]
         listed += [entry.submission_id for entry in text_logs.entries]
-        around = read_surroundings(session, request, track, shown_stage=found.stage, logs=True)
+        around = read_surroundings(session, site, track, asked, shown_stage=found.stage)
         public = public_among(session, listed)
         return {"found": found, "shown": shown, "text_logs": text_logs, "public": public, **around}
 
-    values = await site_of(request).read(read)
+    values = await site.read(read)
     boards = (values["text_logs"], *values["shown"].values())
     return page(
         request,
         "logs.html",
         viewer=viewer,
         own_names=own_names,
-        logs_address=address,
+        logs_address=board_address(asked.contest, track.name) + asked.part,
         search=values["text_logs"].search,
         searchable=max(board.total for board in boards) > PAGE_ENTRIES,
         **values,

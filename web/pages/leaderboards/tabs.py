@@ -5,13 +5,12 @@ from datetime import UTC, datetime
 
 from sqlalchemy.orm import Session
 from starlette.exceptions import HTTPException
-from starlette.requests import Request
 from vitac.evaluator.tracks import Track, UnknownTrack, load_track
 from vitac.server.contest.view import competition_list_view, track_stages
 from vitac.server.views.contest import StageView
 
-from ...site import Site, Tab, site_of
-from ..addresses import board_address, board_data_address, board_query, competition_address, read_contest_name
+from ...site import Site, Tab
+from ..addresses import AskedBoard, board_address, board_data_address, board_query, competition_address
 
 
 def known_track(name: str) -> Track:
@@ -32,35 +31,32 @@ def accepts_logs(track: Track) -> bool:
 
 
 def read_surroundings(
-    session: Session, request: Request, track: Track, *, shown_stage: str | None, logs: bool
+    session: Session, site: Site, track: Track, asked: AskedBoard, *, shown_stage: str | None
 ) -> dict[str, object]:
     """Return what a page of boards shows around them.
 
     Args:
         session: database session.
-        request: with the competition in its address, and with the `task` and the `stage` that it asks for.
+        site: with the tracks.
         track: whose boards are shown.
+        asked: which ones.
         shown_stage: the stage that they are of.
-        logs: whether they are the boards of logs.
     """
-    contest, part = read_contest_name(request), "/logs" if logs else ""
-    task, stage = None if logs else request.query_params.get("task"), request.query_params.get("stage")
-    address, stages = board_address(contest, track.name), track_stages(session, track.name, contest)
+    contest, part, stages = asked.contest, asked.part, track_stages(session, track.name, asked.contest)
+    has_page = accepts_logs if part else lambda _: True
     return {
         "section": f"/tracks/{track.name}",
         "track": track,
-        "stage": stage,
+        "stage": asked.stage,
         "stage_title": find_stage_title(stages, shown_stage),
-        "query": board_query(task, stage),
-        "board_address": address,
+        "query": asked.query(),
+        "board_address": board_address(contest, track.name),
         "board_data": board_data_address(contest, track.name),
         "competition": competition_address(contest),
-        "track_tabs": ()
-        if contest
-        else track_tabs(site_of(request), track, part, has_page=accepts_logs if logs else lambda _: True),
+        "track_tabs": () if contest else track_tabs(site, track, part, has_page=has_page),
         "contest_tabs": contest_tabs(session, contest, track.name, part),
-        "stage_tabs": stage_tabs(stages, shown_stage, lambda other: f"{address}{part}{board_query(task, other)}"),
-        "tabs": task_tabs(track, task, logs=logs, stage=stage, contest=contest),
+        "stage_tabs": stage_tabs(stages, shown_stage, asked.address),
+        "tabs": task_tabs(track, asked.task, logs=bool(part), stage=asked.stage, contest=contest),
     }
 
 
