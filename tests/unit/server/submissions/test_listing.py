@@ -21,7 +21,7 @@ from submission_steps import SETTINGS, create, ids_of, make_worker, refused, vie
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.logs.findings import VerificationResult
-from vitac.evaluator.tracks import ListKind
+from vitac.evaluator.tracks import ListKind, load_track
 from vitac.server import visibility
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission, Team
@@ -175,7 +175,10 @@ def test_a_teams_list_reads_no_other_teams_rows_and_no_output(database: Database
     assert work.rows_read["evaluations"] <= 3
 
 
-def test_what_was_drawn_for_an_episode_is_listed_with_it(database: Database, principal: Principal) -> None:
+def test_what_was_drawn_for_an_episode_is_listed_with_it(
+    database: Database, principal: Principal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(listing, "known_track", lambda _: load_track("track_1_peg_robust"))
     submission, _ = create(database, principal)
     lease = claim(database, ids_of(database, submission)[0])
     record = make_record(2)
