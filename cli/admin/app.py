@@ -47,7 +47,7 @@ app.add_typer(
     submission.app, name="submission", help="Submissions: list, show, copies, requeue, cancel, disqualify, reinstate."
 )
 app.add_typer(evaluation.app, name="evaluation", help="Evaluations: list, show, requeue, cancel.")
-app.add_typer(worker.app, name="worker", help="Workers: list, show.")
+app.add_typer(worker.app, name="worker", help="Workers: list, show, cordon, uncordon, drain.")
 app.add_typer(audit.app, name="audit", help="The audit log: list.")
 app.add_typer(announcement.app, name="announcement", help="Announcements to everybody: publish, list, withdraw.")
 app.add_typer(question.app, name="question", help="Questions of teams: list, answer, hide.")

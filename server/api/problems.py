@@ -75,9 +75,10 @@ def problem(
         "detail": error.detail,
         "code": str(error.code),
         "instance": request.url.path,
-        "request_id": getattr(request.state, "request_id", None),
         **error.extras,
     }
+    if request_id := getattr(request.state, "request_id", None):
+        content["request_id"] = request_id
     return JSONResponse(content, status, {**_headers(error), **(headers or {})}, media_type=MEDIA_TYPE)
 
 
