@@ -94,7 +94,7 @@ def service(n_submissions: int, n_teams: int) -> Iterator[Services]:
     folder.chmod(0o711)
     rng = np.random.default_rng(1)
     try:
-        with open_services(load_settings(state_dir=folder / "state", database_url=None)) as services:
+        with open_services(load_settings(state_dir=folder / "state", database_url=None, client_share=1.0)) as services:
             with services.database.transaction() as session:
                 team_ids = [teams.register(session, CONSOLE, name=f"Team {n}").id for n in range(n_teams)]
             for begun in range(0, n_submissions, ROWS_AT_ONCE):

@@ -56,6 +56,8 @@ class DisturbedService:
             "VITAC_SERVER_PROCESSES": "2",
             "VITAC_REGISTRATIONS_PER_HOUR": "100000",
             "VITAC_UPLOADS_AT_ONCE": "10",
+            "VITAC_CLIENT_SHARE": "1",
+            "VITAC_QUOTAS": '{"attempts_per_day": null, "queued_at_once": null, "stored_mib": null}',
         }
 
     def start(self) -> None:

@@ -46,7 +46,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     with fresh_database() as address:
         database = Database(address)
         folder: Path = tmp_path_factory.mktemp("state")
-        with running_service(database, folder, registrations_per_hour=1_000_000) as service:
+        with running_service(database, folder, registrations_per_hour=1_000_000, client_share=1.0) as service:
             yield service
         database.dispose()
 

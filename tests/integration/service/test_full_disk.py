@@ -36,7 +36,9 @@ def disk() -> Iterator[Path]:
 @pytest.fixture(scope="module")
 def live(disk: Path) -> Iterator[Service]:
     """A service whose state directory is on the small disk."""
-    settings = load_settings(state_dir=disk, database_url=None, registrations_per_hour=10_000, sweep_interval_s=0.2)
+    settings = load_settings(
+        state_dir=disk, database_url=None, registrations_per_hour=10_000, client_share=1.0, sweep_interval_s=0.2
+    )
     with live_service(settings) as service:
         yield service
 
