@@ -26,6 +26,10 @@ def command(
     profile: Annotated[
         str | None, typer.Option(help="Settings under which it was recorded, by a name in the track file.")
     ] = None,
+    contact_model: Annotated[
+        str | None,
+        typer.Option(help="Play under this contact model (challenge-2025, arena-1), beside what was recorded."),
+    ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the report to this file.")] = None,
 ) -> None:
     """Run recorded actions through the physics, including those after the end of an episode.
@@ -44,6 +48,9 @@ def command(
     _, definition = find_task(task)
     if profile is not None:
         definition = _apply_profile(definition, profile)
+    if contact_model is not None:
+        settings = definition.settings | {"contact_model": contact_model}
+        definition = definition.model_copy(update={"settings": settings})
     recordings = read_recordings(file, definition, on_problems=partial(_tell_problems, file))
     env = make_environment(definition, assets or assets_dir_from_environment(), ())
     episodes = []

@@ -184,6 +184,13 @@ def test_text_log_of_2025_is_taken_as_it_is(
     assert "recorded no result after 2 env steps\n" in out
 
 
+def test_contact_model_replaces_that_of_the_task(
+    recording: Path, asked_settings: list[dict[str, object]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(capsys, recording, "--task", "peg-insertion", "--contact-model", "arena-1")[0] == 0
+    assert asked_settings == [{"contact_model": "arena-1"}]
+
+
 def test_without_a_profile_the_settings_are_those_that_rank(
     recording: Path, asked_settings: list[dict[str, object]], capsys: pytest.CaptureFixture[str]
 ) -> None:
