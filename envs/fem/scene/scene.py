@@ -71,6 +71,7 @@ class StepReport:
         smallest_gap_m: smallest distance of two bodies [m]; infinite when nothing is within d_hat.
         smallest_det_f: smallest det F of all tetrahedra.
         active_contacts: pairs closer than d_hat.
+        gel_forces_n: force of the contacts on each gel [N], as its driven nodes hold it; shape [g, 3].
     """
 
     status: StepStatus
@@ -86,6 +87,12 @@ class StepReport:
     smallest_gap_m: float
     smallest_det_f: float
     active_contacts: int
+    gel_forces_n: tuple[tuple[float, float, float], ...] = ()
+
+    @property
+    def part_force_n(self) -> float:
+        """Force of what does not hold the part, as all gels together hold it [N]."""
+        return float(np.sqrt((np.sum(self.gel_forces_n, axis=0) ** 2).sum()))
 
 
 @dataclass(kw_only=True, eq=False)
@@ -184,6 +191,7 @@ class Scene:
             smallest_gap_m=float(measures[Measure.SMALLEST_GAP_M]),
             smallest_det_f=float(measures[Measure.SMALLEST_DET_F]),
             active_contacts=int(counts[Counter.ACTIVE_CONTACTS]),
+            gel_forces_n=self._gel_forces_n(self._workspace.system.gradient),
         )
 
     def gel_positions_m(self, index: int) -> FloatArray:
@@ -327,6 +335,13 @@ class Scene:
         residual_n = s.residual_tolerance_n if residual_n is None else residual_n
         tolerances = Tolerances(s.step_tolerance_m, residual_n, most, s.phase_iterations)
         return solve_step(self._model, self._x, step, tolerances, self._workspace, attempt.record)
+
+    def _gel_forces_n(self, gradient: FloatArray) -> tuple[tuple[float, float, float], ...]:
+        held = (
+            gradient[rows][gel.mesh.driven_nodes].sum(axis=0)
+            for gel, rows in zip(self._gels, self._layout.gel_slices, strict=True)
+        )
+        return tuple((-float(x), -float(y), -float(z)) for x, y, z in held)
 
     def _net_load(self, gradient: FloatArray) -> tuple[float, float]:
         """Return the largest net force [N] and torque [N m] left on a movable body, summed over its frame points."""
