@@ -1,6 +1,5 @@
 """Every `vitac` command that documents, pages and messages show can be typed: verbs, options and arguments exist."""
 
-import json
 import re
 import shlex
 from collections.abc import Iterator
@@ -9,9 +8,9 @@ from pathlib import Path
 
 import pytest
 import typer
+from shown_documents import FENCE, documents
 from vitac.cli.main import NOUNS, build_app
 
-FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 SOURCES = ("cli", "envs", "evaluator", "server", "setup", "training", "web/pages", "web/templates", "worker")
 NAMED_IN_SOURCES = re.compile(r"`((?:\./)?vitac [^`\n]+)`|<code>((?:\./)?vitac [^<]+)</code>")
 LAUNCHER_OPTIONS = ("--maniskill", "--torch")
@@ -20,17 +19,6 @@ OK = "can be typed"
 NAMED = "  # in a sentence"
 """Follows a command that is named only, so that the value of its last option may be left out."""
 OURS = re.compile(r"(?:benchmarks|competitions|docs|evaluator|examples|setup|tests|web)/[\w./*-]+")
-
-
-def documents(repository: Path) -> Iterator[tuple[str, str]]:
-    """Name and Markdown of each document; the change log tells of commands as they were."""
-    yield from ((name, (repository / name).read_text()) for name in ("README.md", "CONTRIBUTING.md"))
-    for path in sorted([*repository.glob("docs/**/*.md"), *repository.glob("examples/*/**/*.md")]):
-        yield str(path.relative_to(repository)), path.read_text()
-    for path in sorted(repository.glob("docs/tutorials/*/*.ipynb")):
-        cells = json.loads(path.read_text())["cells"]
-        texts = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown"]
-        yield str(path.relative_to(repository)), "\n".join(texts)
 
 
 def lines_of_code(markdown: str) -> Iterator[str]:
