@@ -148,3 +148,6 @@ def test_the_challenge_of_2025_is_a_valid_competition(repository: Path) -> None:
     assert pools == {"track_1": 5500, "track_2": 5500, "track_3": 3500}
     assert [stage.quotas.scored_runs for stage in found.tracks["track_1"].stages] == [None, 3]
     assert len(found.tracks["track_3"].stages) == 1
+    assert all(track.taken_here for track in found.tracks.values())
+    assert found.public_rankings == {}
+    assert [stage.title for stage in found.tracks["track_1"].stages][-1] == "Simulated final"

@@ -33,7 +33,16 @@ from vitac.server.submissions import creation, listing
 from vitac.server.views.submissions import SubmissionView
 from vitac.server.visibility import is_sealed
 
-from competitions import FIRST, make_competition, open_now, put_in_place, sealed_competition, shown_stage, stored_stage
+from competitions import (
+    FIRST,
+    make_competition,
+    moved,
+    open_now,
+    put_in_place,
+    sealed_competition,
+    shown_stage,
+    stored_stage,
+)
 
 
 @pytest.fixture
@@ -155,3 +164,25 @@ def test_a_public_list_is_played_alone_and_its_board_is_for_practice(database: D
     with database.transaction() as session:
         put_in_place(session, open_now(make_competition()))
         assert not leaderboard(session, shown_stage(session, TRACK, FIRST)).view.is_practice, "it decides who advances"
+
+
+def test_episodes_of_others_are_closed_while_a_stage_ranks_on_a_public_list(database: Database) -> None:
+    content = open_now(make_competition())
+    content["tracks"][TRACK]["stages"][0]["public_pages"] = True
+    with database.transaction() as session:
+        put_in_place(session, content)
+        by, other = make_principal(session), make_principal(session, "Team B")
+    submission = submit(database, by)
+    play_all(database, submission)
+
+    def seen(reader: Principal) -> int:
+        with database.transaction() as session:
+            assert listing.get(session, SETTINGS, reader, submission.id).evaluation.success_rate is not None
+            return len(listing.episodes(session, reader, submission.id))
+
+    assert [seen(reader) for reader in (by, CONSOLE, other, VISITOR)] == [270, 270, 0, 0]
+    with refused(ProblemCode.NOT_FOUND), database.transaction() as session:
+        find_episode(session, other, submission.id, TASK, 1)
+    with database.transaction() as session:
+        put_in_place(session, moved(content, days=-60))
+    assert [seen(reader) for reader in (other, VISITOR)] == [270, 270]
