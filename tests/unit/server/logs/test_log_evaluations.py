@@ -5,6 +5,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from database_work import database_work
 from service_client import Service, problem_of, running_service
@@ -81,8 +82,10 @@ def resimulated(
 
 
 def elsewhere(record: EpisodeRecord) -> EpisodeRecord:
-    """The same episode as another team plays it: with other states."""
-    return record.model_copy(update={"state_hashes": tuple(sha256(f"B {state}") for state in record.state_hashes)})
+    """The same episode as another team plays it: with other actions and states."""
+    actions = ActionSequence.from_array(record.actions.to_array() + np.float32(0.25))
+    states = tuple(sha256(f"B {state}") for state in record.state_hashes)
+    return record.model_copy(update={"actions": actions, "state_hashes": states})
 
 
 def diverged_at(episode: int, env_step: int = 2) -> LogFinding:

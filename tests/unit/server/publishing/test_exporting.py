@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from uuid import UUID
 
+import numpy as np
 import pytest
 from audited_boards import complete, environment_of, played_again, sampled
 from databases import fresh_database
@@ -13,7 +14,7 @@ from service_factories import TASK, TRACK, forget_boards, make_principal, make_r
 from shown_sensors import a_made_sensor
 from sqlalchemy import select, text
 from sqlalchemy.orm import Session
-from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
+from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.sensors.made import MAX_BYTES, MadeSensor
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server import team_data
@@ -104,9 +105,9 @@ def _add_logs(database: Database) -> None:
             if of in real and real[of].episode == number:
                 return real[of]
             outcome = EpisodeOutcome.TACTILE if number == 270 - failing else EpisodeOutcome.SUCCESS
-            return make_record(
-                number, outcome, task, state_hashes=tuple(sha256(f"{of} {number} {step}") for step in range(4))
-            )
+            actions = ActionSequence.from_array(np.full((3, 3), number / 1000 + of / 4, np.float32))
+            hashes = tuple(sha256(f"{of} {number} {step}") for step in range(4))
+            return make_record(number, outcome, task, actions=actions, state_hashes=hashes)
 
         with database.transaction() as session:
             upload = make_upload(team, kind=SubmissionKind.LOG, manifest=CLAIM.stored(), name=team)
