@@ -147,6 +147,17 @@ def incline_acceleration_error(block: Block, friction: float, slope: float, time
     return float((speeds[-1] - speeds[half - 1]) / (half * time_step_s) / expected - 1)
 
 
+def rigid_strain(block: Block, force_n: float, time_step_s: float) -> float:
+    """Largest stretch of a block, less 1, that lies on a plate and is pressed down by a force at its centroid."""
+    free, _ = on_incline(block, 0.5, 0.0, time_step_s)
+    mass_kg = float(free.scene._model.affine.mass_kg[0].sum())
+    for _ in range(20):
+        free.step(force_n / mass_kg * DOWN)
+    frame_m = free.scene._x[free._rows]
+    edges = (frame_m[1:] - frame_m[0]) / free.scene._model.affine.frame_length_m[0]
+    return float(np.abs(np.linalg.svd(edges, compute_uv=False) - 1).max())
+
+
 def is_wedged(friction: float, steepness: float, *, gap_m: float = 0.02, time_step_s: float = 0.01) -> bool:
     """Whether a rod stays that is pressed in between two walls, its ends touching at different heights.
 

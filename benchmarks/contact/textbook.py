@@ -24,6 +24,7 @@ from contact.rigid import (
     incline_acceleration_error,
     incline_drift_m,
     largest_rise_of_energy,
+    rigid_strain,
     wedging_friction,
 )
 
@@ -72,6 +73,14 @@ def accelerations(_: bool) -> Iterator[Check]:
         yield Check(name=name, target=0.0, measured=error, bound=1.0, unit="%")
 
 
+def strains(_: bool) -> Iterator[Check]:
+    """Yield how far parts give way that should be rigid, under 50 N."""
+    for block, time_step_s in ((CUBE, 0.1), (CUBE, 0.001), (HEXAGON, 0.1), (TRIANGLE, 0.02)):
+        percent = 100 * rigid_strain(block, 50.0, time_step_s)
+        name = f"strain of a rigid part: {block.material}, 50 N, steps of {time_step_s} s"
+        yield Check(name=name, target=0.0, measured=percent, bound=0.02, unit="%")
+
+
 def wedges(_: bool) -> Iterator[Check]:
     """Yield from which friction a peg wedges: the line between its touches lies within both cones (Whitney 1982)."""
     for steepness in (0.25, 0.5, 1.0):
@@ -99,18 +108,22 @@ def pads(_: bool) -> Iterator[Check]:
                     bound=0.1, unit="%")  # fmt: skip
 
 
-def grips(_: bool) -> Iterator[Check]:
+def grips(fine: bool) -> Iterator[Check]:
     """Yield figures of a box that two pads squeeze and shear: both sides, other steps, other meshes."""
+    cells, halved = ((8, 8, 6), (16, 16, 12)) if fine else ((6, 6, 4), (12, 12, 8))
     for rubber, friction in ((SOFT, 0.6), (FIRM, 0.4)):
-        name, base = f"grip of {rubber.youngs_modulus_pa:g} Pa, mu {friction}", sheared_grip(rubber, friction)
+        name, base = (
+            f"grip of {rubber.youngs_modulus_pa:g} Pa, mu {friction}",
+            sheared_grip(rubber, friction, cells=cells),
+        )
         yield Check(name=f"{name}: forces on the part that do not cancel", target=0.0,
                     measured=100 * base.unbalanced, bound=1.0, unit="%")  # fmt: skip
         yield Check(
             name=f"{name}: asymmetry of both gels", target=0.0, measured=100 * base.asymmetry, bound=1.0, unit="%"
         )
         for what, other in (
-            ("halved step", sheared_grip(rubber, friction, halved_step=True)),
-            ("halved mesh", sheared_grip(rubber, friction, cells=(12, 12, 8))),
+            ("halved step", sheared_grip(rubber, friction, cells=cells, halved_step=True)),
+            ("halved mesh", sheared_grip(rubber, friction, cells=halved)),
         ):
             change = 100 * float(np.linalg.norm(other.force_n) / np.linalg.norm(base.force_n) - 1)
             yield Check(name=f"{name}: force changes by {what}", target=0.0, measured=change, bound=3.0, unit="%")
@@ -133,7 +146,7 @@ def domes(fine: bool) -> Iterator[Check]:
                         bound=0.05 * foretold, unit="")  # fmt: skip
 
 
-GROUPS = {group.__name__: group for group in (drifts, accelerations, wedges, energies, pads, grips, domes)}
+GROUPS = {group.__name__: group for group in (drifts, accelerations, strains, wedges, energies, pads, grips, domes)}
 
 
 def main() -> None:
