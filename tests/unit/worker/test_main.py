@@ -12,9 +12,11 @@ from sqlalchemy import select, text
 from vitac.evaluator.agent.isolation.packages import PolicyPackages
 from vitac.evaluator.package_sets import PackageSet, locked_versions
 from vitac.evaluator.version import evaluator_version
+from vitac.server import housekeeping
 from vitac.server.db.models import Worker
 from vitac.server.db.states import EvaluationState, ShardState, WorkerState
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.playbacks import work
 from vitac.server.queue.declared import OWN_SOURCES, declare, versions_here
 from vitac.server.queue.workers import workers_alive
 from vitac.server.services import Services
@@ -84,6 +86,18 @@ def test_living_worker_is_counted_and_its_heartbeat_goes_on(services: Services) 
     with signalled_when(beats):
         main.work(services, FakeShards(), probe=lambda: SOUND)
     assert len(seen) == 3
+
+
+def test_worker_leaves_it_to_the_server_to_begin_evaluations_again(
+    services: Services, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    monkeypatch.setattr(housekeeping, "OTHERS_EVERY_S", 0.0)
+    monkeypatch.setattr(housekeeping, "supersede_outdated", lambda *_: done.append("evaluations"))
+    monkeypatch.setattr(work, "recover", lambda *_: done.append("playbacks"))
+    with signalled_when(lambda: done.count("playbacks") > 1):
+        main.work(services, FakeShards(), probe=lambda: SOUND)
+    assert set(done) == {"playbacks"}
 
 
 def test_worker_beside_a_database_that_another_release_upgrades_gives_its_shard_back_and_ends(
