@@ -18,7 +18,7 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 from typer.core import TyperCommand, TyperGroup
 from vitac.cli.admin.app import app
-from vitac.cli.admin.consent import NOTHING_CHANGED
+from vitac.cli.admin.consent import NOTHING_CHANGED, ConsentMissing
 from vitac.server.appeals import appeals
 from vitac.server.audit import newest_entries
 from vitac.server.contest.freezing import freeze
@@ -287,6 +287,9 @@ def test_a_change_is_written_to_the_audit_log(
     with service.database.transaction() as session:
         last = newest_entries(session, 1)[0].id
     tried = None if command in WITHOUT_DRY_RUN else dry_run(service, command, given)
+    if "--yes" in given:
+        unasked = service.run("admin", *command.split(), *(text for text in given if text != "--yes"))
+        assert isinstance(unasked.exception, ConsentMissing), "nobody can be asked here"
     done = service.run("admin", *command.split(), *given, "--json")
     assert done.exit_code == 0, (done.output, done.exception)
     made = json.loads(done.stdout)

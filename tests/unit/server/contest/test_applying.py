@@ -297,6 +297,7 @@ def test_boards_freeze_by_themselves_at_the_time_in_the_file(database: Database)
     applied(database, make_competition(freeze_at=soon.isoformat()))
     with database.transaction() as session:
         assert Contest.read(session).frozen_at is None
+        assert Contest.read(session).row.frozen_at == soon
     applied(database, make_competition(freeze_at=over.isoformat()))
     with database.transaction() as session:
         assert Contest.read(session).frozen_at == over
