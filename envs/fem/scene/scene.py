@@ -25,6 +25,7 @@ from ..solver.newton import (
     forces_at,
     solve_step,
 )
+from ..solver.path import BalancePath
 from ..solver.workspace import new_workspace
 from .builder import build_model
 from .checks import SceneError, check_bodies, check_settings
@@ -37,6 +38,8 @@ IndexArray = NDArray[np.int64]
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 # Parts of the way from an IPC step's start to its end, where balances are followed along it.
 _FIRST_STRIDE, _SHORTEST_STRIDE, _MOST_STRIDES = 1 / 8, 1 / 1024, 100
+# Matrices on the path of balances, as a multiple of Newton's iterations.
+_PATH_ITERATIONS = 35
 # Of the forces held there: what rounding leaves of a balance of kilonewtons over a gap of nanometres.
 _UNBALANCED_PART = 1e-8
 
@@ -272,7 +275,8 @@ class Scene:
         self._x[:] = attempt.start
         if self._solve_motion(attempt, attempt.target, relaxes=True) == SOLVED:
             return StepStatus.RELAXED, 1
-        return (StepStatus.CONTINUED if self._continue_from_start(attempt) else StepStatus.NOT_CONVERGED), 1
+        is_solved = self._continue_from_start(attempt) or self._follow_path(attempt)
+        return (StepStatus.CONTINUED if is_solved else StepStatus.NOT_CONVERGED), 1
 
     def _solve_in_parts(self, attempt: _Attempt, parts: int) -> int:
         """Solve along intermediate driven positions, each from the solution of the one before; how the last one ended.
@@ -318,6 +322,20 @@ class Scene:
                 return True
         attempt.held = np.zeros_like(unbalanced)
         return self._solve_motion(attempt, attempt.target) == SOLVED
+
+    def _follow_path(self, attempt: _Attempt) -> bool:
+        """Follow the path of balances from the start, also where it turns back; the state stays where that fails."""
+        before, step = self._x.copy(), attempt.towards(attempt.target)
+        self._x[:] = attempt.start
+        unbalanced = forces_at(self._model, self._x, attempt.towards(attempt.start), self._workspace)
+        path = BalancePath(self._model, self._x, step, unbalanced, self._workspace)
+        arrived = path.follow(_PATH_ITERATIONS * self._solver.newton_iterations)
+        attempt.record.counts[Counter.ITERATIONS] += path.iterations
+        if arrived and self._solve_motion(attempt, attempt.target) == SOLVED:
+            return True
+        self._x[:] = before
+        forces_at(self._model, self._x, step, self._workspace)
+        return False
 
     def _solve_motion(
         self,

@@ -4,6 +4,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+import own_sensors
 import pytest
 import vitac.envs
 from balance_check import BalanceCheck, assert_honest
@@ -71,5 +72,14 @@ def test_a_thin_gel_that_is_squeezed_flat_is_followed_along_balances(checked: No
     gel = structured_gel(name="thin", size=GelDimensions(thickness_mm=2.0))
     env: Any = gymnasium.make("ViTac/PegInsertion-v1", disable_env_checker=True, observation_keys=(), gel=gel)
     statuses = played(env.unwrapped, seed, 20)
+    assert StepStatus.CONTINUED in statuses
+    assert StepStatus.NOT_CONVERGED not in statuses
+
+
+@pytest.mark.slow
+def test_soft_tips_that_fold_are_followed_where_the_path_of_balances_turns_back() -> None:
+    sensor = own_sensors.designed("pyramids")
+    env: Any = gymnasium.make("ViTac/PegInsertion-v1", disable_env_checker=True, observation_keys=(), sensor=sensor)
+    statuses = played(env.unwrapped, 22, 20)
     assert StepStatus.CONTINUED in statuses
     assert StepStatus.NOT_CONVERGED not in statuses
