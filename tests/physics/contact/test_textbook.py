@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from contact.elastic import Rubber, sheared_grip, slide_pad
 from contact.rigid import Block, incline_acceleration_error, incline_drift_m, is_wedged, largest_rise_of_energy
 
