@@ -59,7 +59,7 @@ class OnPlate:
         return -np.asarray(Probe(self.scene).at(self.scene._x).all_forces_n[driven].sum(axis=0))
 
     def pressed_nodes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Places [m], gaps [m] and normal forces [N] of the pairs of a gel's node and the plate that touch."""
+        """Return places [m], gaps [m] and normal forces [N] of the pairs of a gel's node and the plate that touch."""
         probe, d_hat = Probe(self.scene), self.contact.d_hat_m
         points, near = probe.points_m(self.scene._x), probe.candidates(self.scene._x, d_hat)
         place, gap, force = [], [], []

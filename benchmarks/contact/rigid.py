@@ -70,7 +70,7 @@ class FreeBody:
         self._rows = slice(len(mesh.rest_position_m), len(mesh.rest_position_m) + 4)
 
     def step(self, acceleration_m_s2: FloatArray) -> None:
-        """One IPC step, with v + h a for v: the predictor is x + h v + h^2 a."""
+        """Make an IPC step, with v + h a for v: the predictor is x + h v + h^2 a."""
         self.scene._velocity[self._rows] += self.time_step_s * acceleration_m_s2
         report = self.scene.step(driven_targets_m=self._targets)
         require(report.status is not StepStatus.NOT_CONVERGED, "IPC step", report.status, "a solved one")
@@ -125,7 +125,7 @@ def on_incline(block: Block, friction: float, angle_rad: float, time_step_s: flo
 
 
 def incline_drift_m(block: Block, friction: float, part: float, seconds: float, time_step_s: float) -> float:
-    """How far a block drifts in a time, after 0.3 s to settle, where its weight pulls by a part of the limit [m]."""
+    """Return how far a block drifts [m] after 0.3 s to settle, where its weight pulls by a part of the limit."""
     free, down = on_incline(block, friction, float(np.arctan(part * friction)), time_step_s)
     for _ in range(max(10, round(0.3 / time_step_s))):
         free.step(GRAVITY_M_S2 * DOWN)
@@ -159,7 +159,7 @@ def rigid_strain(block: Block, force_n: float, time_step_s: float) -> float:
 
 
 def is_wedged(friction: float, steepness: float, *, gap_m: float = 0.02, time_step_s: float = 0.01) -> bool:
-    """Whether a rod stays that is pressed in between two walls, its ends touching at different heights.
+    """Return whether a rod stays that is pressed in between two walls, its ends touching at different heights.
 
     It is a thin board with a sharp edge at either end; the line through both touches rises by `steepness` over the gap.
     Both walls have been closed by 20 micrometres more than it is long, so that the barrier presses on it.
@@ -196,7 +196,7 @@ def is_wedged(friction: float, steepness: float, *, gap_m: float = 0.02, time_st
 
 
 def wedging_friction(steepness: float) -> float:
-    """Smallest friction coefficient at which a rod stays wedged, by bisection to 1 %; theory has the steepness."""
+    """Return the smallest friction at which a rod stays wedged, by bisection to 1 %; theory has the steepness."""
     low, high = 0.5 * steepness, 2.0 * steepness
     while high / low > 1.01:
         between = float(np.sqrt(low * high))
@@ -205,7 +205,7 @@ def wedging_friction(steepness: float) -> float:
 
 
 def largest_rise_of_energy(block: Block, friction: float, time_step_s: float) -> float:
-    """Largest rise of the energy in an IPC step, as part of what a block has that is thrown on a level plate."""
+    """Return the largest rise of the energy in an IPC step, as part of what a block thrown on a plate has."""
     free, _ = on_incline(block, friction, 0.0, time_step_s)
     free.scene._velocity[free._rows] += [0.3, 0.1, 0.0]
     start_j = energy_j = free.energy_j(GRAVITY_M_S2)

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from vitac.envs.errors import VitacError
-from vitac.server.db.models import Worker
 from vitac.server.settings import Settings
 
 from ..client.follow import follow, has_ended
@@ -29,6 +28,9 @@ from ..service.web_server import bind_or_any
 from ..terminal.program import program_name
 from .display import INDENT, DemoDisplay
 from .team import TEAM, TOKEN_FILE, team_token
+
+if TYPE_CHECKING:
+    from vitac.server.db.models import Worker
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "peg_insertion_trained"
 MAX_SLOTS = 4
@@ -244,7 +246,7 @@ def short_isolation(level: str) -> str:
     return ", ".join(level.split(", ")[:2])
 
 
-def read_workers(service: RunningService) -> list[Worker]:
+def read_workers(service: RunningService) -> "list[Worker]":
     """Return the workers that this demo started, as the database knows them."""
     from vitac.server.queue import workers
 

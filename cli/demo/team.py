@@ -3,10 +3,13 @@
 import os
 from datetime import timedelta
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sqlalchemy.orm import Session
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Team
+
+if TYPE_CHECKING:
+    from vitac.server.db.models import Team
 
 TEAM = "demo"
 TOKEN_FILE = "demo-token"  # noqa: S105 - a file's name
@@ -46,7 +49,7 @@ def _issue(session: Session) -> str:
     return issued.secret
 
 
-def _find_or_register(session: Session) -> Team:
+def _find_or_register(session: Session) -> "Team":
     from vitac.server.errors import ProblemCode, ServiceError
     from vitac.server.principals import CONSOLE
     from vitac.server.teams import teams

@@ -12,7 +12,6 @@ WITHOUT_DECISION = {
     "record": "notes in the audit log who did something",
     "issue_to_member": "gives whoever joins, registers or renews a token; `members` and `registration` decide",
     "end_tokens": "ends tokens of a member who leaves or changes the password; `members` decides",
-    "register": "anybody may register a team, as far as the settings and the lock date allow",
 }
 """Functions that take who asks and let everybody do it, with the reason."""
 DECIDING = ("require_", "may_", "organizes", "is_organizer", "reads_all", "leads_", "role", "team_id", "owns")
