@@ -12,8 +12,8 @@ import secrets
 from pathlib import Path
 from typing import Any
 
+from one_at_a_time import POLICIES, sealed_task
 from players import Example, Planner
-from sweep import POLICIES, sealed_task
 from vitac.envs.tasks.quantities import Quantity
 from vitac.evaluator.scoring.by_draw import is_monotone, rates_by_draw
 from vitac.evaluator.scoring.score import rate

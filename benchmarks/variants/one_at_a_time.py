@@ -1,6 +1,6 @@
 """How much does each drawn quantity take from an example policy, and what does it leave to a planner with the truth?
 
-python benchmarks/variants/sweep.py peg-insertion-robust [--starts 60] [--secret FILE] [--only QUANTITY ...] --json FILE
+python benchmarks/variants/one_at_a_time.py TASK [--starts 60] [--secret FILE] [--only QUANTITY ...] --json FILE
 
 Every row plays the same starts of a list made from a secret, all other quantities at the values of the 2025 evaluation.
 The secret is a fresh one without `--secret`.
