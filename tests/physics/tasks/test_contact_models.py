@@ -63,3 +63,19 @@ def test_episode_under_our_model_is_solved_and_continues_from_a_snapshot_to_the_
         hashes.append(env.state_hash())
     assert env.scene.solved
     assert hashes[0] == hashes[1]
+
+
+def test_actions_played_again_in_another_environment_reach_the_same_states() -> None:
+    """As playbacks and re-simulated logs do: what contacts remember follows from the actions alone."""
+    hashes = []
+    for _ in range(2):
+        env = made("ViTac/LockOpening-v1", contact_model="arena-1")
+        env.reset(seed=3)
+        states = []
+        for sign in (1.0, -1.0, 0.5):
+            env.step(np.full(env.action_space.shape, sign, dtype=np.float32))
+            states.append(env.state_hash())
+        assert len(env.scene._scene._memory.pairs) > 0
+        hashes.append(states)
+    assert hashes[0] == hashes[1]
+    assert len(set(hashes[0])) == 3
