@@ -148,7 +148,7 @@ def incline_acceleration_error(block: Block, friction: float, slope: float, time
 
 
 def rigid_strain(block: Block, force_n: float, time_step_s: float) -> float:
-    """Largest stretch of a block, less 1, that lies on a plate and is pressed down by a force at its centroid."""
+    """Return the largest stretch, less 1, of a block on a plate that a force at its centroid presses down."""
     free, _ = on_incline(block, 0.5, 0.0, time_step_s)
     mass_kg = float(free.scene._model.affine.mass_kg[0].sum())
     for _ in range(20):
