@@ -62,7 +62,9 @@ def turned_hues(colours: FloatArray, labels: NDArray[np.uint8], look: Look) -> F
     )
     for turn_deg, turned in turns:
         chosen = np.isin(labels, turned)
-        found[chosen] = colours[chosen] @ _about_grey(turn_deg).T
+        red, green, blue = colours[chosen].T
+        for channel, row in enumerate(_about_grey(turn_deg)):
+            found[chosen, channel] = row[0] * red + row[1] * green + row[2] * blue
     return np.asarray(np.clip(look.brightness * found, 0.0, 255.0))
 
 
@@ -91,6 +93,6 @@ def _box(draw: FloatArray, area_mm: tuple[tuple[float, float], tuple[float, floa
     length, width, height = (smallest + (largest - smallest) * draw[3:6]).tolist()
     middle = [low + (high - low) * part for (low, high), part in zip(area_mm, draw[:2].tolist(), strict=True)]
     sine, cosine = sine_cosine(radians(90.0 * float(draw[2])))
-    outline = rectangle(-0.5 * length, 0.5 * length, -0.5 * width, 0.5 * width)
-    turned = outline @ np.array([[cosine, sine], [-sine, cosine]]) + middle
+    x, y = rectangle(-0.5 * length, 0.5 * length, -0.5 * width, 0.5 * width).T
+    turned = np.column_stack([cosine * x - sine * y, sine * x + cosine * y]) + middle
     return solid_from_faces(prism_faces(turned, _GROUND_MM, _GROUND_MM + height), "clutter")

@@ -29,6 +29,7 @@ def test_pages_are_accessible_fit_and_raise_no_error(page: Page, site: SiteUnder
     """In both looks, one after the other; that a page may be opened once for both is the next test."""
     site.data.cup = a_finished_cup()
     complaints = Complaints(page)
+    page.emulate_media(reduced_motion="reduce")  # else the front page plays: scenes have tests of their own
     site.sign_in(page)
     for path in site.paths():
         site.open(page, path)
@@ -42,7 +43,9 @@ def test_pages_are_accessible_fit_and_raise_no_error(page: Page, site: SiteUnder
 
 
 def test_no_script_asks_for_size_or_colours_but_the_player_which_has_tests_of_both(repository: Path) -> None:
-    asks = re.compile(r"matchMedia|(inner|client|offset|scroll)(Width|Height)|getBoundingClientRect|ResizeObserver")
+    asks = re.compile(
+        r"matchMedia(?!\(.\(prefers-reduced-motion)|(inner|client|offset|scroll)(Width|Height)|getBoundingClientRect|ResizeObserver"
+    )
     scripts = (repository / "web" / "static").glob("*.js")
     assert [path.name for path in scripts if asks.search(path.read_text(encoding="utf-8"))] == ["playback.js"]
 

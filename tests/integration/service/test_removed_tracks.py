@@ -153,7 +153,7 @@ def asked_of(remaining: RemainingSubmissions, name: str) -> dict[str, str]:
     return {
         path: path.format_map(examples)
         for path in of_pages + of_api
-        if set(re.findall(r"{(\w+)}", path)) <= examples.keys() and ("{submission_id}" in path or name == "done")
+        if set(re.findall(r"{(\w+)", path)) <= examples.keys() and ("{submission_id}" in path or name == "done")
     }
 
 

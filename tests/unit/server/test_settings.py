@@ -151,7 +151,7 @@ def test_an_empty_variable_counts_as_none(monkeypatch: pytest.MonkeyPatch) -> No
 def test_quotas_are_set_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VITAC_QUOTAS__SCORED_RUNS_PER_DAY", "0")
     quotas = load_settings().quotas
-    assert (quotas.scored_runs_per_day, quotas.attempts_per_day, quotas.tokens) == (0, None, 20)
+    assert (quotas.scored_runs_per_day, quotas.attempts_per_day, quotas.tokens) == (0, 100, 20)
     with pytest.raises(SettingsError, match="VITAC_QUOTAS__TOKENS is -1"):
         load_settings(quotas={"tokens": -1})
 
