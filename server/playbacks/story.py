@@ -22,7 +22,7 @@ STILL_MM: Final = 0.05
 _SIDES = ("left", "right")
 
 
-class MomentKind(StrEnum):
+class Mark(StrEnum):
     """What a moment on the time line marks."""
 
     TOUCH = "touch"  # the held part touches something
@@ -37,7 +37,7 @@ class StoryMoment:
     """An env step after which something had happened."""
 
     env_step: int
-    kind: MomentKind
+    mark: Mark
     text: str
 
 
@@ -136,13 +136,13 @@ def _state_of(course: _Course) -> str:
 
 def _moments(outcome: EpisodeOutcome, course: _Course) -> tuple[StoryMoment, ...]:
     held, last = course.perspective.held_name, len(course.infos)
-    found = [StoryMoment(env_step=step, kind=MomentKind.SLIP, text="a gel springs back") for step in course.slipped]
+    found = [StoryMoment(env_step=step, mark=Mark.SLIP, text="a gel springs back") for step in course.slipped]
     if course.touched:
-        found.append(StoryMoment(env_step=course.touched, kind=MomentKind.TOUCH, text=f"the {held} touches"))
+        found.append(StoryMoment(env_step=course.touched, mark=Mark.TOUCH, text=f"the {held} touches"))
     if outcome is EpisodeOutcome.SUCCESS:
-        found.append(StoryMoment(env_step=last, kind=MomentKind.SOLVED, text="solved"))
+        found.append(StoryMoment(env_step=last, mark=Mark.SOLVED, text="solved"))
     else:
         if course.stuck:
-            found.append(StoryMoment(env_step=course.stuck, kind=MomentKind.STUCK, text=f"the {held} comes no nearer"))
-        found.append(StoryMoment(env_step=last, kind=MomentKind.LIMIT, text=outcome.value.replace("_", " ")))
+            found.append(StoryMoment(env_step=course.stuck, mark=Mark.STUCK, text=f"the {held} comes no nearer"))
+        found.append(StoryMoment(env_step=last, mark=Mark.LIMIT, text=outcome.value.replace("_", " ")))
     return tuple(sorted(found, key=lambda moment: moment.env_step))

@@ -32,7 +32,7 @@ class StoryMomentView(View):
     """A mark on an episode's time line: what had happened after an env step."""
 
     env_step: int
-    kind: str
+    mark: str
     text: str
 
 

@@ -57,7 +57,7 @@ def a_shown_episode(
         "env_steps": 3,
         "total_reward": 10.25,
         "story": "Solved in 3 env steps.",
-        "moments": (StoryMomentView(env_step=1, kind="touch", text="the peg touches"),),
+        "moments": (StoryMomentView(env_step=1, mark="touch", text="the peg touches"),),
         "evaluator_version": "1+0123456789ab",
         "record_digest": "ab" * 32,
         "playback": playback,

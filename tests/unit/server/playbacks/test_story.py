@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
-from vitac.server.playbacks.story import MomentKind, tell_story
+from vitac.server.playbacks.story import Mark, tell_story
 
 PEG = "ViTac/PegInsertion-v1"
 
@@ -34,8 +34,8 @@ def a_record(outcome: EpisodeOutcome, *env_steps: tuple[float, float, float]) ->
     )
 
 
-def moments(record: EpisodeRecord) -> list[tuple[int, MomentKind]]:
-    return [(moment.env_step, moment.kind) for moment in tell_story(record, PEG).moments]
+def moments(record: EpisodeRecord) -> list[tuple[int, Mark]]:
+    return [(moment.env_step, moment.mark) for moment in tell_story(record, PEG).moments]
 
 
 def test_a_solved_episode_says_when_the_peg_touched_and_how_far_gels_moved() -> None:
@@ -43,7 +43,7 @@ def test_a_solved_episode_says_when_the_peg_touched_and_how_far_gels_moved() -> 
     assert tell_story(record, PEG).sentence == (
         "Solved in 3 env steps: the peg touched at env step 2; no gel’s surface moved by more than 0.90 mm."
     )
-    assert moments(record) == [(2, MomentKind.TOUCH), (3, MomentKind.SLIP), (3, MomentKind.SOLVED)]
+    assert moments(record) == [(2, Mark.TOUCH), (3, Mark.SLIP), (3, Mark.SOLVED)]
 
 
 def test_an_episode_that_moved_a_gel_too_far_says_which_and_where_the_peg_was() -> None:
@@ -52,13 +52,13 @@ def test_an_episode_that_moved_a_gel_too_far_says_which_and_where_the_peg_was() 
         "Failed at env step 1: the left gel’s surface had moved by 1.70 mm (limit 1.5 mm), with the peg 1.5 mm short "
         "of its goal (offset x +1.00 mm, y −2.00 mm, θ +3.00°)."
     )
-    assert moments(record) == [(1, MomentKind.TOUCH), (1, MomentKind.LIMIT)]
+    assert moments(record) == [(1, Mark.TOUCH), (1, Mark.LIMIT)]
 
 
 @pytest.mark.parametrize(("heights", "stuck"), [((2.0, 1.0, 1.0, 1.0), 2), ((2.0, 1.5, 1.0, 0.5), None)])
 def test_an_episode_is_stuck_from_where_the_peg_comes_no_nearer(heights: tuple[float, ...], stuck: int | None) -> None:
     record = a_record(EpisodeOutcome.STEPS, *((0.1, 0.1, height) for height in heights))
-    assert [step for step, kind in moments(record) if kind is MomentKind.STUCK] == ([] if stuck is None else [stuck])
+    assert [step for step, mark in moments(record) if mark is Mark.STUCK] == ([] if stuck is None else [stuck])
     assert tell_story(record, PEG).sentence.startswith("Failed: all 4 env steps were used up, with the peg ")
 
 
