@@ -87,8 +87,8 @@ class DemoDisplay:
         """Print the leaderboard, the demo team's line in bold, and its rate for each task or each shape."""
         self.console.print()
         of = ", all tasks" if board["task"] is None else f", {board['task']}"
-        kind = "practice board (public list, ranks nobody)" if board["is_practice"] else "leaderboard"
-        self.console.print(Text(f"{' ' * INDENT}{board['title']}{of}: {kind}", style="bold"))
+        board_name = "practice board of the public list" if board["is_practice"] else "leaderboard"
+        self.console.print(Text(f"{' ' * INDENT}{board['title']}{of}: {board_name}", style="bold"))
         self.console.print()
         table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
         table.add_column(" " * (INDENT - 1), width=INDENT - 1)

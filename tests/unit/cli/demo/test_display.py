@@ -86,7 +86,7 @@ def test_of_several_tasks_the_leaderboard_says_the_rate_of_each() -> None:
     display, raw = shown(terminal=False)
     display.leaderboard(board(entry(1, "demo", 0.5, tasks=2)), "demo")
     assert "demo by task: task-0 50.0 %, task-1 50.0 %" in plain(raw)
-    assert "all tasks: practice board (public list, ranks nobody)" in plain(raw)
+    assert "all tasks: practice board of the public list" in plain(raw)
 
 
 @pytest.mark.parametrize(("rate", "place"), [(0.0, 0), (0.5, BAR_WIDTH // 2), (1.0, BAR_WIDTH - 1)])
