@@ -59,7 +59,7 @@ class Example:
     Args:
         task: that is played.
         folder: of the example, with `policy.py`.
-        named: task that the policy is told, its own one.
+        named: name of the task that the policy is given, by default its own.
         settings: in place of the task's own.
     """
 
