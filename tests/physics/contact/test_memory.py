@@ -1,5 +1,6 @@
 """Friction that remembers where it sticks (`arena-1`), on small scenes and against formulas."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -120,6 +121,18 @@ def test_state_covers_what_contacts_remember() -> None:
     assert held[0] == held[1] != held[2]
     grip.scene.restore(forgotten)
     assert grip.scene.state_bytes() != before
+
+
+def test_pickled_state_continues_to_the_same_bits_in_another_scene() -> None:
+    grip, _, _ = sheared()
+    other, ends = Grip(contact=arena_contact(0.5)), []
+    other.scene.restore(pickle.loads(pickle.dumps(grip.scene.state())))  # noqa: S301 - our own bytes
+    other.targets_m = grip.targets_m
+    assert other.scene.state_bytes() == grip.scene.state_bytes()
+    for continued in (grip, other):
+        continued.move(np.array([5e-5, 0.0, 0.0]), np.zeros(3))
+        ends.append(continued.scene.state_bytes())
+    assert ends[0] == ends[1]
 
 
 def test_the_challenge_model_remembers_nothing() -> None:

@@ -1,11 +1,13 @@
 """Tasks under a contact model chosen by name."""
 
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 import vitac.envs
+from vitac.envs.fem.contact.memory import empty_memory
 from vitac.envs.fem.model.settings import ContactModel
 from vitac.envs.scene.grasped_scene import PhysicsSettings
 from vitac.envs.tasks.settings import SettingsError
@@ -50,19 +52,31 @@ def test_model_that_contradicts_the_physics_is_refused() -> None:
     assert PhysicsSettings().contact.model == "challenge-2025"
 
 
-@pytest.mark.parametrize("env_id", ENV_IDS)
-def test_episode_under_our_model_is_solved_and_continues_from_a_snapshot_to_the_same_bits(env_id: str) -> None:
-    env = made(env_id, contact_model="arena-1")
-    env.reset(seed=3)
-    action = np.full(env.action_space.shape, 0.5, dtype=np.float32)
-    env.step(action)
-    snapshot, hashes = env.snapshot(), []
-    for _ in range(2):
-        env.restore(snapshot)
-        env.step(-action)
+def states_after(env: Any, actions: np.ndarray) -> list[str]:
+    """State hash after each of the actions."""
+    hashes = []
+    for action in actions:
+        env.step(action)
         hashes.append(env.state_hash())
-    assert env.scene.solved
-    assert hashes[0] == hashes[1]
+    return hashes
+
+
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_episode_under_our_model_resumed_in_the_middle_has_the_bits_of_an_uninterrupted_one(env_id: str) -> None:
+    """A copy that forgets what friction remembers has not, though its nodes stand and move the same."""
+    uninterrupted, resumed = made(env_id, contact_model="arena-1"), made(env_id, contact_model="arena-1")
+    actions = np.random.default_rng(1).uniform(-0.5, 0.5, (4, *resumed.action_space.shape)).astype(np.float32)
+    for env in (uninterrupted, resumed):
+        env.reset(seed=3)
+    expected = states_after(uninterrupted, actions)
+    assert states_after(resumed, actions[:2]) == expected[:2]
+    snapshot = resumed.snapshot()
+    states_after(resumed, -actions[2:])
+    resumed.restore(snapshot)
+    assert states_after(resumed, actions[2:]) == expected[2:]
+    forgotten = replace(snapshot.grasp, physics=snapshot.grasp.physics._replace(memory=empty_memory()))
+    resumed.restore(replace(snapshot, grasp=forgotten))
+    assert states_after(resumed, actions[2:])[-1] != expected[-1]
 
 
 def test_actions_played_again_in_another_environment_reach_the_same_states() -> None:

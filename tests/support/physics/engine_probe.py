@@ -1,6 +1,7 @@
 """Looks into a scene: its forces, its Newton matrix and its contacts at any state, and a small grasp to look at."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,10 @@ class Probe:
         self.unknown_nodes: IndexArray = self.model.unknowns.node
         self.prescribed_nodes: IndexArray = np.flatnonzero(self.model.unknowns.slot == PRESCRIBED)
         self._workspace: Workspace = new_workspace(self.model.system, len(self.x_m))
-        self._places = entry_places(self.model.system)
+
+    @cached_property
+    def _places(self) -> IndexArray:
+        return entry_places(self.model.system)
 
     def points_m(self, x_m: FloatArray) -> FloatArray:
         """Positions of all surface points [m], shape [p, 3]."""
