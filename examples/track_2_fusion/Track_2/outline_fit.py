@@ -10,6 +10,7 @@ from camera import project
 
 STEP = 0.01  # mm or degrees: for the slopes
 OUTLIER = 1.5  # pixels
+FARTHEST = 10.0  # mm or degrees: one correction goes no farther
 
 
 def fit_outline(borders, place, guess, rounds):
@@ -33,7 +34,8 @@ def fit_outline(borders, place, guess, rounds):
             for step in np.diag([STEP, STEP])
         ]
         near = np.abs(distances) < max(OUTLIER, 2.0 * np.median(np.abs(distances)))
-        found -= np.linalg.lstsq(np.stack(slopes, axis=1)[near], distances[near], rcond=None)[0]
+        correction = np.linalg.lstsq(np.stack(slopes, axis=1)[near], distances[near], rcond=None)[0]
+        found -= np.clip(correction, -FARTHEST, FARTHEST)
     return found
 
 

@@ -12,6 +12,7 @@ WINDOW = (slice(TOP, 360), slice(LEFT, 465))
 BULGE = 2.3  # mm by which the peg's front stands before its sides: 4.4 measured for the hexagon, 0.2 for the cuboid
 FREE_OF_GELS = (4.0, 28.0)  # mm above the lower end
 MIDDLE, SIDES = 4.0, (8.0, 13.0)  # mm beside the peg's middle
+FEWEST = 40  # pixels of an outline, or points by depth, below which a picture does not show a part
 
 
 class Picture:
@@ -33,6 +34,11 @@ class Picture:
         rows, columns = np.nonzero(mask & (self.depth > 0))
         return back_project(rows + TOP, columns + LEFT, self.depth[rows, columns] * 1000.0)
 
+    def shows_peg_and_base(self):
+        """Return whether peg and base were found by their colours."""
+        found = (self.peg_outline(), self.base_outline(), self.points(self.base))
+        return min(len(points) for points in found) >= FEWEST
+
     def peg_outline(self):
         """Return where the peg ends before background and base; where it ends at a gel, the gel hides it."""
         return borders(self.peg, self.background | self.base)
@@ -42,11 +48,14 @@ class Picture:
         return borders(self.base, self.background)
 
     def peg_shape(self):
-        """Return "hexagon" if the peg shows two faces with an edge between them, "cuboid" if it shows one flat face."""
+        """Return "hexagon" if the peg shows two faces with an edge between them, "cuboid" if it shows one flat face or hides one."""
         x, y, z = self.points(self.peg).T
         free = (z > FREE_OF_GELS[0]) & (z < FREE_OF_GELS[1])
-        middle = np.median(x[free & (np.abs(y) < MIDDLE)])
-        left, right = (np.median(x[free & (side * y > SIDES[0]) & (side * y < SIDES[1])]) for side in (1, -1))
+        sides = (free & (side * y > SIDES[0]) & (side * y < SIDES[1]) for side in (1, -1))
+        faces = [x[face] for face in (free & (np.abs(y) < MIDDLE), *sides)]
+        if min(len(face) for face in faces) == 0:
+            return "cuboid"
+        middle, left, right = (np.median(face) for face in faces)
         return "hexagon" if middle - (left + right) / 2 > BULGE else "cuboid"
 
     def rough_base_place(self):

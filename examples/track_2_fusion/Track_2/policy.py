@@ -2,7 +2,8 @@
 
 Five things are unknown: the peg's shape, and where it begins: its x and theta, and its y and z above the base. The
 first look finds the shape, every look the rest, and the median over all looks counts. Where the peg is now follows from
-where it began and from `relative_motion`. Needs only NumPy.
+where it began and from `relative_motion`. What a picture does not show is taken to be in the middle of what it may be.
+Needs only NumPy.
 """
 
 import numpy as np
@@ -18,6 +19,8 @@ UPRIGHT = 1.0  # degrees
 TOUCH = 1.0  # pixels of the markers' mean motion: 0.1 of noise in free air, 5 to 12 after pressing the peg on the rim
 LIFT = 0.5  # mm
 ANGLES = (-7.0, 0.0, 7.0)  # degrees: the first fit begins with each of them
+MIDDLE = np.array([0.0, 22.625, 0.0, 7.0])  # of all starts: where the peg is taken to begin until a look has found it
+FARTHEST = np.array([8.0, 8.0, 15.0, 5.0])  # from there; what a look finds beyond is an error
 
 
 class Policy:
@@ -25,7 +28,7 @@ class Policy:
 
     def reset(self, task):
         """Begin an episode."""
-        self.shape = None
+        self.shape = "cuboid"
         self.starts = []
         self.hover = HOVER
         self.tries = 0
@@ -34,8 +37,10 @@ class Policy:
         """Look, unless the peg is pressed on something or too low; then go on."""
         motion = observation["relative_motion"].astype(np.float64)
         touched = marker_motion(observation["marker_flow"]) > TOUCH
-        if self.shape is None or (not touched and self.place(motion)[3] > BLIND):
-            self.look(Picture(observation["rgb_picture"], observation["depth_picture"]), motion)
+        if not self.starts or (not touched and self.place(motion)[3] > BLIND):
+            picture = Picture(observation["rgb_picture"], observation["depth_picture"])
+            if picture.shows_peg_and_base():
+                self.look(picture, motion)
         place = self.place(motion)
         if touched:
             return self.back_off(place)
@@ -43,12 +48,12 @@ class Policy:
 
     def place(self, motion):
         """Return x and y [mm] in the base's frame, theta [degrees], and the lower end's height above the rim [mm]."""
-        return np.median(self.starts, axis=0) + motion
+        return np.median(self.starts or [MIDDLE], axis=0) + motion
 
     def look(self, picture, motion):
         """Add an estimate of the start: the first from depth and outlines, the others from outlines alone."""
         outline = picture.peg_outline()
-        if self.shape is None:
+        if not self.starts:
             self.shape = picture.peg_shape()
             fits = [fit_outline(outline, self.peg_at, (0.0, angle), rounds=4) for angle in ANGLES]
             x, theta = min(fits, key=lambda fit: misfit(outline, self.peg_at(*fit)))
@@ -59,7 +64,9 @@ class Policy:
             rounds = 1
         x, theta = fit_outline(outline, self.peg_at, (x, theta), rounds)
         y, z = fit_outline(picture.base_outline(), base_at, (y, z), rounds)
-        self.starts.append(np.array([x, y, theta, z]) - motion)
+        start = np.array([x, y, theta, z]) - motion
+        if (np.abs(start - MIDDLE) < FARTHEST).all():
+            self.starts.append(start)
 
     def peg_at(self, x, theta):
         """Return the seen peg's corners."""

@@ -210,6 +210,26 @@ def test_action_goes_straight_whatever_the_gripper_is_turned_by(example: SimpleN
     assert (theta, z) == (-np.sign(angle), -1.0)
 
 
+@pytest.mark.parametrize("hidden", [(Label.BASE,), (Label.PEG,), (Label.BASE, Label.PEG)])
+def test_acts_where_a_picture_does_not_show_peg_or_base(example: SimpleNamespace, hidden: tuple[Label, ...]) -> None:
+    given, labels = observation(CUBOID), seen(CUBOID)[2]
+    dark = given | {"rgb_picture": np.where(np.isin(labels, hidden)[..., None], 30, given["rgb_picture"])}
+    policy = begun(example)
+    assert np.isfinite(policy.act(dark)).all()
+    assert policy.place(np.zeros(4)).tolist() == example.policy.MIDDLE.tolist()
+    policy.act(given)
+    assert (len(policy.starts), policy.shape) == (1, "cuboid")
+
+
+def test_a_place_where_no_episode_begins_is_no_estimate(
+    example: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(example.policy, "fit_outline", lambda *_, rounds: np.array([30.0, 0.0]))
+    policy = begun(example)
+    policy.act(observation(CUBOID))
+    assert policy.starts == []
+
+
 def test_a_short_way_is_gone_whole(example: SimpleNamespace) -> None:
     action = example.policy.action(np.array([0.25, -0.5]), 0.0, 0.125)
     assert (action.dtype, action.tolist()) == (np.float32, [0.25, -0.5, 0.0, 0.125])
