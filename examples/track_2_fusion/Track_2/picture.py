@@ -48,7 +48,7 @@ class Picture:
         return borders(self.base, self.background)
 
     def peg_shape(self):
-        """Return "hexagon" if the peg shows two faces with an edge between them, "cuboid" if it shows one flat face or hides one."""
+        """Return "hexagon" if the peg shows two faces with an edge between them, else "cuboid"."""
         x, y, z = self.points(self.peg).T
         free = (z > FREE_OF_GELS[0]) & (z < FREE_OF_GELS[1])
         sides = (free & (side * y > SIDES[0]) & (side * y < SIDES[1]) for side in (1, -1))

@@ -224,7 +224,7 @@ def test_acts_where_a_picture_does_not_show_peg_or_base(example: SimpleNamespace
 def test_a_place_where_no_episode_begins_is_no_estimate(
     example: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(example.policy, "fit_outline", lambda *_, rounds: np.array([30.0, 0.0]))
+    monkeypatch.setattr(example.policy, "fit_outline", lambda *_, rounds=0: np.array([30.0, 0.0]))
     policy = begun(example)
     policy.act(observation(CUBOID))
     assert policy.starts == []
