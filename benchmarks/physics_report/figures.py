@@ -155,4 +155,4 @@ def _our_end(steps: list[EnvStep]) -> str:
     for step in steps:
         if reason := step.info["end_reason"]:
             return str(reason)
-    return "goes on"
+    return "continues"

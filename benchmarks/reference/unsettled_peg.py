@@ -83,7 +83,7 @@ def played_figures(reference: Reference, solver: SolverSettings, episodes: int) 
         "ipc_steps": {status: statuses.count(status) for status in sorted(set(statuses))},
         "net_force_left_n_median": float(np.median([report.net_force_n for report in replay.reports])),
         "logged_tactile_ends": sum(row["episodes"] for row in tactile),
-        "of_them_not_ended_here": sum(row["episodes"] for row in tactile if row["ours"] == "goes on"),
+        "of_them_not_ended_here": sum(row["episodes"] for row in tactile if row["ours"] == "continues"),
         "outcomes": ends,
     }
 
