@@ -14,7 +14,7 @@ from vitac.evaluator.tracks import Track
 from ..db.models import ALL_TASKS, BoardResult, Evaluation, Submission
 from ..receipts.receipt import CombinedResult
 from ..tracks import known_track
-from ..views.scores import PracticeScoreView, ShapeScoreView, TaskScoreView
+from ..views.scores import PlayedScoreView, PracticeScoreView, ShapeScoreView, TaskScoreView
 
 Records = Mapping[str, Collection[EpisodeRecord]]
 """Those of an evaluation on one list, by task."""
@@ -95,6 +95,22 @@ def combine_scores(evaluation: Evaluation, scores: Mapping[str, Score]) -> Combi
     """Return the same for scores that are read already; None, too, where none of the tasks that count was played."""
     counting = counted_tasks(evaluation)
     return combine(counting, scores) if not scores.keys().isdisjoint(counting) else None
+
+
+def played_score(counting: Collection[str], scores: Mapping[str, Score]) -> PlayedScoreView | None:
+    """Return the score over those tasks that were played, of the ones that count; None where none was."""
+    played = {task: scores[task] for task in counting if task in scores}
+    if not played:
+        return None
+    found = combine(played, played)
+    return PlayedScoreView(
+        tasks=list(played),
+        episodes=sum(score.episodes for score in played.values()),
+        successes=sum(score.successes for score in played.values()),
+        success_rate=found.success_rate,
+        success_rate_interval=bounds(found.interval),
+        mean_steps=found.mean_steps,
+    )
 
 
 def counted_tasks(evaluation: Evaluation) -> Collection[str]:

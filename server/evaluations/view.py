@@ -41,7 +41,15 @@ from .progress import (
     seconds_to_end,
 )
 from .provenance import isolation_levels
-from .scores import bounds, combine_scores, counted_tasks, make_score_views, practice_score_views, task_views
+from .scores import (
+    bounds,
+    combine_scores,
+    counted_tasks,
+    make_score_views,
+    played_score,
+    practice_score_views,
+    task_views,
+)
 from .verdicts import find_sentence
 
 PROGRESS_STEPS = 10
@@ -158,6 +166,7 @@ def _view(evaluation: Evaluation, workers: Callable[[str], WorkersAlive], rows: 
         progress=progress,
         verdict=verdict,
         log_tail="",
+        played=played_score(counted_tasks(evaluation), scores),
         success_rate=combined.success_rate if combined else None,
         success_rate_interval=bounds(combined.interval) if combined else None,
         mean_steps=combined.mean_steps if combined else None,

@@ -14,7 +14,14 @@ from vitac.evaluator.tracks import ListKind, Track
 
 from ..contest.stages import CountedResults, Stage
 from ..db.models import Evaluation, Submission
-from ..evaluations.scores import bounds, combine_scores, make_score_views, task_views
+from ..evaluations.scores import (
+    bounds,
+    combine_scores,
+    counted_tasks,
+    make_score_views,
+    played_score,
+    task_views,
+)
 from ..principals import CONSOLE, VISITOR
 from ..teams import teams
 from ..teams.shown_names import ShownNames
@@ -210,6 +217,7 @@ def _entry(entry: BestEntry, evaluation: Evaluation, *, board: Board, names: Sho
         success_rate=ranked_by.success_rate,
         success_rate_interval=bounds(ranked_by.interval),
         mean_steps=ranked_by.mean_steps,
+        played=played_score(counted_tasks(evaluation) if task is None else (task,), found),
         scores=scores,
         result_hash=evaluation.result_hash or "",
         evaluator_version=evaluation.evaluator_version,

@@ -8,7 +8,7 @@ from vitac.evaluator.tracks import ListKind
 
 from ..db.states import EvaluationState, ShardState
 from .base import View
-from .scores import PracticeScoreView, TaskScoreView
+from .scores import PlayedScoreView, PracticeScoreView, TaskScoreView
 
 
 class TaskProgressView(View):
@@ -106,6 +106,9 @@ class EvaluationView(EvaluationSummaryView):
     verdict: VerdictView | None
     log_tail: str = Field(
         description="The end of what the policy printed in episodes that it failed in; empty in a list."
+    )
+    played: PlayedScoreView | None = Field(
+        default=None, description="Over the tasks of `counted_tasks` that were played; null where none was."
     )
     success_rate: float | None = Field(
         description="Mean over the tasks of `counted_tasks`; a task not played counts as 0."

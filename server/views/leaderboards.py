@@ -10,7 +10,7 @@ from vitac.evaluator.tracks import ListKind
 
 from .base import View
 from .logs import LogCopyView
-from .scores import TaskScoreView
+from .scores import PlayedScoreView, TaskScoreView
 
 
 class LeaderboardEntryView(View):
@@ -34,6 +34,9 @@ class LeaderboardEntryView(View):
     success_rate_interval: tuple[float, float] = Field(description="95 % interval of that.")
     mean_steps: float | None = Field(
         description="Of the task, or the mean of all tasks' means; null where one is missing."
+    )
+    played: PlayedScoreView | None = Field(
+        default=None, description="Over the tasks that it plays alone, of those that count on this leaderboard."
     )
     scores: list[TaskScoreView] = Field(description="Of the tasks that it plays and this leaderboard ranks.")
     result_hash: str

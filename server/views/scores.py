@@ -29,6 +29,17 @@ class TaskScoreView(View):
     result_hash: str = Field(description="The hash that `vitac evaluate` prints for the same evaluation.")
 
 
+class PlayedScoreView(View):
+    """What was reached in the tasks that were played, of those that count: what a result is headed with."""
+
+    tasks: list[str]
+    episodes: int
+    successes: int
+    success_rate: float = Field(description="Mean over these tasks.")
+    success_rate_interval: tuple[float, float] = Field(description="95 % interval of that.")
+    mean_steps: float | None = Field(description="Mean of these tasks' means; null where one has no success.")
+
+
 class PracticeScoreView(TaskScoreView):
     """Score of one task on the public list, which was played beside the sealed one and does not rank."""
 

@@ -52,6 +52,12 @@ class SubmissionView(View):
     task_ranks: dict[str, RankView] = Field(description="On the leaderboards of single tasks.")
     log: LogView | None = Field(description="Null for a model.")
 
+    @property
+    def played_rank(self) -> RankView | None:
+        """Its place by what was played: on the leaderboard of the only task, or else of all tasks together."""
+        played = self.evaluation.played
+        return self.task_ranks.get(played.tasks[0], self.rank) if played and len(played.tasks) == 1 else self.rank
+
 
 class SubmissionListView(View):
     """A page of submissions, newest first."""

@@ -84,13 +84,23 @@ class ShapeMap:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CountedOutcome:
+    """How many episodes ended in one way; `episode` is the first of them, `address` that of its page."""
+
+    outcome: EpisodeOutcome
+    count: int
+    episode: int
+    address: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
 class EpisodeMap:
-    """The episodes of one task, and the number of each outcome (empty before the first)."""
+    """The episodes of one task, and how they ended, the most frequent end first (empty before the first)."""
 
     task: str
     title: str
     shapes: tuple[ShapeMap, ...]
-    outcomes: Mapping[EpisodeOutcome, int]
+    outcomes: tuple[CountedOutcome, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +134,20 @@ def episode_map(
             ShapeMap(name=shape, cells=tuple(_cell(place, ends.get(place.number), folder) for place in places))
             for shape, places in layout.items()
         ),
-        outcomes=dict(Counter(EpisodeOutcome(end.outcome) for end in ends.values()).most_common()),
+        outcomes=_count_outcomes(ends, folder if layout else None),
+    )
+
+
+def _count_outcomes(ends: Mapping[int, EpisodeView], folder: str | None) -> tuple[CountedOutcome, ...]:
+    first = {ends[number].outcome: number for number in sorted(ends, reverse=True)}
+    return tuple(
+        CountedOutcome(
+            outcome=EpisodeOutcome(outcome),
+            count=count,
+            episode=first[outcome],
+            address=f"{folder}/{first[outcome]}" if folder else None,
+        )
+        for outcome, count in Counter(end.outcome for end in ends.values()).most_common()
     )
 
 

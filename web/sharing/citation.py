@@ -37,7 +37,8 @@ def cite(found: SubmissionView, track: str, address: str) -> Citation:
         address: of its page.
     """
     evaluation, year = found.evaluation, found.submitted_at.year
-    rate = "" if evaluation.success_rate is None else f"Success rate {100 * evaluation.success_rate:.1f} %, evaluator"
+    played = evaluation.played
+    rate = f"Success rate {100 * played.success_rate:.1f} % in {', '.join(played.tasks)}, evaluator" if played else ""
     note = f"{rate or 'Evaluator'} {evaluation.evaluator_version}, result hash {evaluation.result_hash}"
     fields = {
         "title": f"{{{_escaped(found.name)}}}",

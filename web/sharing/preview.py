@@ -14,6 +14,8 @@ from PIL import Image, ImageDraw, ImageFont
 from vitac.server.errors import SettingsError
 from vitac.server.views.submissions import EpisodeView, SubmissionView
 
+from ..rendering import words
+
 WIDTH, HEIGHT = 1200, 630
 """Of the picture [px], as sites that show links expect it."""
 MARGIN = 64
@@ -65,11 +67,11 @@ def checked_font(font_file: Path | None) -> Path | None:
 
 
 def _draw_rate(draw: ImageDraw.ImageDraw, found: SubmissionView, width: int) -> None:
-    evaluation = found.evaluation
-    if evaluation.success_rate is None or evaluation.success_rate_interval is None:
+    played, rank = found.evaluation.played, found.played_rank
+    if played is None:
         return
-    low, high = evaluation.success_rate_interval
-    _write(draw, 292, f"{100 * evaluation.success_rate:.1f} %", 112, ACCENT, width)
+    low, high = played.success_rate_interval
+    _write(draw, 292, f"{100 * played.success_rate:.1f} %", 112, ACCENT, width)
     y, end = 448, MARGIN + width
 
     def across(rate: float) -> float:
@@ -77,11 +79,12 @@ def _draw_rate(draw: ImageDraw.ImageDraw, found: SubmissionView, width: int) -> 
 
     draw.rounded_rectangle((MARGIN, y - 3, end, y + 3), 3, fill=LINE)
     draw.rounded_rectangle((across(low), y - 10, across(high), y + 10), 6, fill=BAND)
-    x = across(evaluation.success_rate)
+    x = across(played.success_rate)
     draw.ellipse((x - 13, y - 13, x + 13, y + 13), fill=ACCENT)
     _write(draw, 484, f"95 % interval {100 * low:.1f} to {100 * high:.1f} %", 28, QUIET, width)
-    if found.rank is not None:
-        _write(draw, 530, f"Rank {found.rank.rank} of {found.rank.of}", 28, INK, width)
+    if rank is not None:
+        board = f" in {words(played.tasks[0])}" if len(played.tasks) == 1 else ""
+        _write(draw, 530, f"Rank {rank.rank} of {rank.of}{board}", 28, INK, width)
 
 
 def _draw_episodes(draw: ImageDraw.ImageDraw, episodes: Sequence[EpisodeView]) -> None:

@@ -15,6 +15,7 @@ from vitac.evaluator.scoring.score import Score, rate
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, load_track
 from vitac.server.db.states import EvaluationState, Role, WorkerOrder, WorkerState
+from vitac.server.evaluations.scores import played_score
 from vitac.server.principals import Principal
 from vitac.server.views.contest import (
     CompetitionTrackView,
@@ -41,7 +42,7 @@ from vitac.server.views.leaderboards import (
 )
 from vitac.server.views.logs import ActionMatchView, DivergenceView, LogCopyView, LogView, MatchedEpisodeView
 from vitac.server.views.operations import CountsView, OperationsView, QueueView, StorageView
-from vitac.server.views.scores import ShapeScoreView, TaskScoreView
+from vitac.server.views.scores import PlayedScoreView, ShapeScoreView, TaskScoreView
 from vitac.server.views.submissions import (
     EpisodeView,
     RankView,
@@ -98,15 +99,21 @@ def a_score(successes: tuple[int, ...], mean_steps: float | None, task: str = TA
 
 def combined(scores: Sequence[TaskScoreView]) -> CombinedScore:
     """What scores make together."""
-    return combine(
-        TASKS,
-        {
-            score.task: Score(
-                **dict(rate(score.successes, score.episodes)), mean_steps=score.mean_steps, by_shape={}, outcomes={}
-            )
-            for score in scores
-        },
-    )
+    return combine(TASKS, _by_task(scores))
+
+
+def played(scores: Sequence[TaskScoreView], counting: Sequence[str] = tuple(TASKS)) -> PlayedScoreView | None:
+    """What they make of the tasks that were played."""
+    return played_score(counting, _by_task(scores))
+
+
+def _by_task(scores: Sequence[TaskScoreView]) -> dict[str, Score]:
+    return {
+        score.task: Score(
+            **dict(rate(score.successes, score.episodes)), mean_steps=score.mean_steps, by_shape={}, outcomes={}
+        )
+        for score in scores
+    }
 
 
 def an_entry(
@@ -133,6 +140,7 @@ def an_entry(
         success_rate=result.success_rate,
         success_rate_interval=interval,
         mean_steps=result.mean_steps,
+        played=played(ranked),
         scores=ranked,
         result_hash="9f3b" * 16,
         evaluator_version="1+0123456789ab" if rank else "1+ba9876543210",
@@ -197,6 +205,7 @@ def a_submission(
         success_rate=result.success_rate if result else None,
         success_rate_interval=(result.interval.low, result.interval.high) if result else None,
         mean_steps=result.mean_steps if result else None,
+        played=played(scores),
         scores=scores,
         counted_tasks=list(TASKS),
         evaluator_hash="01234567" * 8,

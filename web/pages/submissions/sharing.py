@@ -75,7 +75,7 @@ async def preview(request: Request) -> Response:
     site, submission_id = site_of(request), as_id(request.path_params["submission_id"])
     detail = await site.read(lambda session: read_detail(session, site.services.settings, VISITOR, submission_id))
     found, title = detail.submission, load_track(detail.submission.track).title
-    shown = f"{found.evaluation.id} {found.rank} {len(detail.episodes)} {found.name!r} {found.team.name!r}"
+    shown = f"{found.evaluation.id} {found.played_rank} {len(detail.episodes)} {found.name!r} {found.team.name!r}"
     picture = await asyncio.to_thread(
         site.previews.get, shown, lambda: draw_preview(found, title, detail.episodes, site.preview_font)
     )

@@ -21,6 +21,7 @@ from vitac.server.evaluations.scores import (
     combined_score,
     counted_tasks,
     make_score_views,
+    played_score,
     score_views,
     store_scores,
 )
@@ -95,6 +96,15 @@ def test_a_model_is_ranked_on_the_board_of_each_task_and_of_all_together() -> No
 def test_a_task_that_a_model_does_not_play_counts_as_nothing() -> None:
     *_, together = scored({PEG: HALF}).board_results
     assert (together.board, together.success_rate, together.mean_steps) == (ALL_TASKS, 0.25, None)
+
+
+def test_what_was_played_is_scored_over_these_tasks_alone() -> None:
+    played = played_score([PEG, LOCK], {LOCK: HALF})
+    assert played is not None
+    assert (played.tasks, played.successes, played.episodes, played.success_rate) == ([LOCK], 2, 4, 0.5)
+    assert played.success_rate_interval == pytest.approx((HALF.interval.low, HALF.interval.high))
+    assert played.mean_steps == HALF.mean_steps
+    assert played_score([PEG], {LOCK: HALF}) is None
 
 
 @pytest.mark.parametrize("kind", [SubmissionKind.LOG, SubmissionKind.TEXT_LOG])

@@ -89,7 +89,7 @@ def test_what_happened_lately_comes_first_and_links_what_is_public(data: FixedDa
         an_entry(rank, f"Team {rank}", *SCORES).model_copy(update={"evaluated_at": NOW - rank * DAY})
         for rank in range(1, 9)
     ]
-    newest = an_entry(9, "Gelbots", *SCORES).model_copy(
+    newest = an_entry(9, "Gelbots", SCORES[0]).model_copy(
         update={"evaluated_at": NOW + DAY, "submission_id": COMPLETED.id, "submission_name": "<done>"}
     )
     stale = an_entry(None, "Old Team", *SCORES)
@@ -102,6 +102,7 @@ def test_what_happened_lately_comes_first_and_links_what_is_public(data: FixedDa
     assert "Team 5" not in recent
     assert "Old Team" not in html
     assert f'<a href="/submissions/{COMPLETED.id}">' in recent
+    assert "86.7 % in peg insertion, rank 9" in recent
     assert recent.count('href="/submissions/') == 1
     assert "9 teams ranked, first <bdi>Team 1</bdi> with" in html
 

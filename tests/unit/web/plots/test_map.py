@@ -48,7 +48,8 @@ def test_shows_how_an_episode_ended() -> None:
         "Episode 1, start (-4, -4, -8): success at env step 4. The task was solved.": "success",
         "Episode 2, start (-4, -4, -8): tactile at env step 2. The gel surface of a sensor moved too far.": "other",
     }
-    assert laid_out.outcomes == {"success": 1, "tactile": 1}
+    counted = [(end.outcome, end.count, end.address) for end in laid_out.outcomes]
+    assert counted == [("success", 1, f"{FOLDER}/1"), ("tactile", 1, f"{FOLDER}/2")]
 
 
 def test_starts_of_another_list_are_not_named() -> None:

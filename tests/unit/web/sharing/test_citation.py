@@ -17,7 +17,7 @@ def test_names_what_was_scored_by_what_and_where() -> None:
         "title", "author", "year", "howpublished", "note", "url",
     ]  # fmt: skip
     assert "Success rate" in cited.plain
-    refuted = found.model_copy(update={"evaluation": found.evaluation.model_copy(update={"success_rate": None})})
+    refuted = found.model_copy(update={"evaluation": found.evaluation.model_copy(update={"played": None})})
     assert "Success rate" not in cite(refuted, "Track 1", ADDRESS).plain
 
 

@@ -93,5 +93,5 @@ def test_a_submission_names_its_stage_and_leads_to_its_board(data: FixedData, br
     assert f'href="/tracks/track_1?task={LOCK}&amp;stage=final%2B">1 of 3</a>' in html
     assert 'href="/tracks/track_1/logs?stage=final%2B"' in browser.get(f"/submissions/{log.id}").text
     practice = browser.get(f"/submissions/{data.found[1].id}").text
-    assert 'on the <a href="/tracks/track_1">leaderboard</a>' in practice
+    assert f'on the <a href="/tracks/track_1?task={TASK}">leaderboard</a> of Peg insertion.' in practice
     assert "stage=" not in practice

@@ -114,7 +114,7 @@ def test_boards_link_public_results_for_everybody(public: FixedData, browser: As
 
 
 def test_a_public_result_without_a_score_over_all_tasks_has_a_page(public: FixedData, browser: AsgiBrowser) -> None:
-    unscored = COMPLETED.evaluation.model_copy(update={"success_rate": None, "success_rate_interval": None})
+    unscored = COMPLETED.evaluation.model_copy(update={"played": None})
     public.found = [
         found.model_copy(update={"evaluation": unscored}) if found.id == COMPLETED.id else found
         for found in public.found

@@ -103,7 +103,7 @@ def test_the_map_of_a_completed_evaluation_is_drawn_once_and_that_of_a_running_o
     shown = [browser.get(f"/submissions/{COMPLETED.id}").text for _ in range(3)]
     assert len(drawn) == 1
     assert shown[0] == shown[1] == shown[2]
-    assert shown[0].count(f'<a href="/submissions/{COMPLETED.id}/episodes/{TASK}/') == 270
+    assert shown[0].count(f'<a href="/submissions/{COMPLETED.id}/episodes/{TASK}/') == 270 + 4
     data.found.append(hidden := COMPLETED.model_copy(update={"evaluation": without_episodes()}))
     data.found.remove(COMPLETED)
     assert "episodes/peg-insertion/" not in browser.get(f"/submissions/{hidden.id}").text
@@ -121,7 +121,7 @@ def without_episodes() -> EvaluationView:
 def test_completed_submission_shows_its_score_and_stands_still(browser: AsgiBrowser) -> None:
     sign_in(browser, "Gelbots")
     html = browser.get(f"/submissions/{COMPLETED.id}").text.replace("\N{NO-BREAK SPACE}", " ")
-    for shown in ("86.7 %", "82.1 % to 90.2 %", "4.92", "Rank 2 of 4", COMPLETED.evaluation.result_hash or "", "54 s"):
+    for shown in ("86.7 %", "82.1 % to 90.2 %", "4.92", "Rank 1 of 3", COMPLETED.evaluation.result_hash or "", "54 s"):
         assert shown in html
     for gone in ("data-events", "http-equiv", "Cancel this evaluation", "live.js"):
         assert gone not in html
@@ -130,15 +130,20 @@ def test_completed_submission_shows_its_score_and_stands_still(browser: AsgiBrow
 def test_completed_submission_explains_its_outcomes(browser: AsgiBrowser) -> None:
     sign_in(browser, "Gelbots")
     html = browser.get(f"/submissions/{COMPLETED.id}").text
-    shown = re.findall(r"<li>(\w+) \d+: ([^<]+)</li>", html)
-    assert {"success", "tactile"} <= {outcome for outcome, _ in shown}
-    assert all(sentence == EpisodeOutcome(outcome).sentence for outcome, sentence in shown)
+    shown = re.findall(r'<li>\d+ (\w+): ([^<]+) <a href="([^"]+)">Play episode (\d+)</a></li>', html)
+    assert {"success", "tactile"} <= {outcome for outcome, *_ in shown}
+    for outcome, sentence, address, episode in shown:
+        assert sentence == EpisodeOutcome(outcome).sentence
+        assert address == f"/submissions/{COMPLETED.id}/episodes/{TASK}/{episode}"
+        assert f'<a href="{address}"><title>Episode {episode},' in html
 
 
 def test_a_submission_of_one_task_says_which_it_lacks(browser: AsgiBrowser) -> None:
     sign_in(browser, "Gelbots")
     html = browser.get(f"/submissions/{COMPLETED.id}").text
-    assert "Lock opening: not part of this submission" in html
+    text = html.replace("\N{NO-BREAK SPACE}", " ")
+    assert "Lock opening: not part of this submission" in text
+    assert "a missing task counts as 0, which makes 43.3 % and rank 2 of 4." in text
     assert "not part of this submission" not in browser.get(f"/submissions/{BOTH.id}").text
 
 
@@ -148,9 +153,9 @@ def test_a_submission_of_one_task_says_which_it_lacks(browser: AsgiBrowser) -> N
         (
             ("sensor-standard", "sensor-blind"),
             "Own policy: not part of this submission. Without it there is no",
-            "86.7",
+            "of 270",
         ),
-        (("sensor-design", "sensor-standard", "sensor-blind"), "43.3 % that of Own policy", "not part of this"),
+        (("sensor-design", "sensor-standard", "sensor-blind"), "86.7 % 234 of 270 in Own policy", "not part of this"),
     ],
 )
 def test_a_sensor_has_a_rate_of_all_tasks_only_with_a_policy_of_its_own(
@@ -158,10 +163,10 @@ def test_a_sensor_has_a_rate_of_all_tasks_only_with_a_policy_of_its_own(
 ) -> None:
     """Of Track 3 the own policy alone counts."""
     own = COMPLETED.evaluation
-    rates = {name: getattr(own, name) for name in ("success_rate", "success_rate_interval", "mean_steps")}
     nothing = own.progress.model_copy(update={"tasks": []})
-    changes = {"scores": [], "progress": nothing, "counted_tasks": ["sensor-design"]}
-    changes |= rates if "sensor-design" in tasks else dict.fromkeys(rates)
+    changes = {"scores": [], "progress": nothing, "counted_tasks": ["sensor-design"], "played": None}
+    if "sensor-design" in tasks and own.played:
+        changes["played"] = own.played.model_copy(update={"tasks": ["sensor-design"]})
     sensor = COMPLETED.model_copy(
         update={
             "id": an_id("a sensor"),
