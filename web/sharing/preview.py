@@ -14,8 +14,6 @@ from PIL import Image, ImageDraw, ImageFont
 from vitac.server.errors import SettingsError
 from vitac.server.views.submissions import EpisodeView, SubmissionView
 
-from ..rendering import words
-
 WIDTH, HEIGHT = 1200, 630
 """Of the picture [px], as sites that show links expect it."""
 MARGIN = 64
@@ -83,7 +81,7 @@ def _draw_rate(draw: ImageDraw.ImageDraw, found: SubmissionView, width: int) -> 
     draw.ellipse((x - 13, y - 13, x + 13, y + 13), fill=ACCENT)
     _write(draw, 484, f"95 % interval {100 * low:.1f} to {100 * high:.1f} %", 28, QUIET, width)
     if rank is not None:
-        board = f" in {words(played.tasks[0])}" if len(played.tasks) == 1 else ""
+        board = f" in {played.tasks[0].replace('-', ' ')}" if len(played.tasks) == 1 else ""
         _write(draw, 530, f"Rank {rank.rank} of {rank.of}{board}", 28, INK, width)
 
 
