@@ -1,10 +1,11 @@
 """Tracks by their names, and as the API and the pages show them, with the limits that submissions have to keep."""
 
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
 from vitac.envs.tasks.definition import Family
-from vitac.evaluator.tracks import Task, Track, UnknownTask, UnknownTrack, list_tracks, load_track, registry
+from vitac.evaluator.tracks import Player, Task, Track, UnknownTask, UnknownTrack, list_tracks, load_track, registry
 from vitac.evaluator.tracks.registry import further_track_files
 
 from .errors import ProblemCode, ServiceError
@@ -22,6 +23,21 @@ def load_known_track(name: str) -> Track:
         return load_track(name)
     except UnknownTrack as error:
         raise ServiceError(ProblemCode.UNKNOWN_TRACK, str(error), tracks=list(list_tracks())) from error
+
+
+def is_challenge_track(track: Track) -> bool:
+    """Return whether a track is one of the challenge's own: no variant of one, no practice, none of ManiSkill."""
+    return track.name == track.folder.lower() and not track.has_maniskill
+
+
+def sort_challenge_first(names: Iterable[str]) -> tuple[str, ...]:
+    """Return names of tracks with those of the challenge before the others."""
+    return tuple(sorted(names, key=lambda name: not is_challenge_track(load_track(name))))
+
+
+def is_reference(task: Task) -> bool:
+    """Return whether results of a task rank nobody and are only what others are compared with: those of blind runs."""
+    return task.player is Player.BLIND
 
 
 def track_file(name: str) -> bytes:

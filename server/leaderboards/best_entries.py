@@ -18,7 +18,7 @@ from vitac.evaluator.version import evaluator_version
 from ..contest.definition import DEFAULT_RANKING, RankingKey
 from ..contest.stages import CountedResults, Stage
 from ..db.models import ALL_TASKS, BoardResult, Team
-from ..tracks import known_track
+from ..tracks import is_reference, known_track
 from ..views.submissions import RankView
 from .changes import kept_until_change
 
@@ -110,7 +110,7 @@ def places(session: Session, combined: Board) -> PlacesOfBoards:
         combined: the board of all tasks together.
     """
     found = known_track(combined.track)
-    tasks = (None, *found.tasks) if found is not None else ()
+    tasks = (None, *(name for name, task in found.tasks.items() if not is_reference(task))) if found else ()
     boards = [replace(combined, task=task) for task in tasks]
 
     def read() -> PlacesOfBoards:

@@ -1,7 +1,7 @@
 """Standings of a track and of its tasks: reads completed evaluations only, ranks them by the evaluator's rule."""
 
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from typing import TypeVar
@@ -25,7 +25,7 @@ from ..evaluations.scores import (
 from ..principals import CONSOLE, VISITOR
 from ..teams import teams
 from ..teams.shown_names import ShownNames
-from ..tracks import load_known_track, require_task
+from ..tracks import is_reference, load_known_track, require_task
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView, LogEntryView
 from ..visibility import played_list_kind
 from .best_entries import BestEntry, Board, best_entries
@@ -72,6 +72,9 @@ def leaderboard(
         lambda: (best_entries(session, board), teams.find_last_naming(session)),
     )
     played = track.tasks[task or next(iter(track.tasks))].episode_list.kind
+    reference = task is not None and is_reference(track.tasks[task])
+    if reference:
+        best = [replace(entry, rank=None) for entry in best]
     list_kind = ListKind.SEALED if stage.is_sealed else played
     shown_names = ShownNames.read(session, CONSOLE if live else VISITOR)
     names = f"{named_at} {shown_names.hidden and not live}"
@@ -81,6 +84,7 @@ def leaderboard(
         board=board,
         list_kind=list_kind,
         is_practice=is_practice,
+        is_reference=reference,
         rule=stage.track_rules.ranking_sentence,
         best=best,
         counted=counted,
@@ -98,6 +102,7 @@ class _Shown:
     Attributes:
         list_kind: of the episodes that submissions to it play.
         is_practice: whether it decides nothing because its list is public.
+        is_reference: whether it ranks nobody.
         rule: how it is ranked, where that is not what the track's file says.
         counted: which results it is made of.
         names: under which teams are shown.
@@ -106,6 +111,7 @@ class _Shown:
     board: Board
     list_kind: ListKind
     is_practice: bool
+    is_reference: bool
     rule: str | None
     best: Collection[BestEntry]
     counted: CountedResults
@@ -127,6 +133,7 @@ def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView |
         final_since=shown.counted.final_since,
         list_kind=shown.list_kind,
         is_practice=shown.is_practice,
+        is_reference=shown.is_reference,
         ranking_rule=shown.rule or (track.ranking_rule if task else track.combination_rule or track.ranking_rule),
         evaluator_version=shown.board.evaluator_version,
         unranked=unranked(entries, shown.counted, shown.board),

@@ -16,7 +16,7 @@ from .scores import PlayedScoreView, TaskScoreView
 class LeaderboardEntryView(View):
     """Best entry of one team."""
 
-    rank: int | None = Field(description="Null for an entry that another evaluator version made: it is not comparable.")
+    rank: int | None = Field(description="Null where another evaluator version made it, and on a board of references.")
     rank_range: tuple[int, int] | None = Field(
         description="First and last rank that it could have by chance, as the 95 % intervals of all entries overlap."
     )
@@ -59,6 +59,9 @@ class LeaderboardView(View):
     list_kind: ListKind = Field(description="Who can know the episodes that submissions to it play.")
     is_practice: bool = Field(
         default=False, description="Everybody can know the episodes: gives no prizes and no advancement."
+    )
+    is_reference: bool = Field(
+        default=False, description="Nobody is ranked: its results, of blind runs, are what others are compared with."
     )
     ranking_rule: str
     evaluator_version: str = Field(description="Whose results are ranked; each entry names the one that made it.")

@@ -62,6 +62,18 @@ def test_a_task_has_a_board_of_all_that_play_it_with_each_teams_best_entry_there
     assert [score.task for score in board_of(two_teams, TASK).entries[1].scores] == [TASK]
 
 
+def test_a_blind_run_is_a_reference_that_ranks_nobody(database: Database) -> None:
+    scores = {task: make_score(successes) for task, successes in (("sensor-standard", 80), ("sensor-blind", 60))}
+    with database.transaction() as session:
+        by = make_principal(session, "Team A")
+        submission = submit_scored(session, by, "gel", scores, track="track_3")
+        boards = {task: leaderboard(session, shown_stage(session, "track_3"), task=task).view for task in scores}
+        shown = listing.get(session, make_settings(), by, submission.id)
+    assert [board.entries[0].rank for board in boards.values()] == [1, None]
+    assert [board.is_reference for board in boards.values()] == [False, True]
+    assert shown.task_ranks == {"sensor-standard": RankView(rank=1, of=1)}
+
+
 def test_ties_go_to_the_earlier_submission_also_when_it_is_evaluated_again_later(database: Database) -> None:
     scores = {TASK: make_score(80)}
     submissions = []
