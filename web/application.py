@@ -8,6 +8,7 @@ from vitac.server.api.app import create_app
 from vitac.server.limiter import WindowLimiter
 from vitac.server.services import Services
 from vitac.server.settings import Settings
+from vitac.server.tracks import sort_challenge_first
 
 from .pages import routes
 from .session.signer import SessionSigner, load_key
@@ -33,7 +34,7 @@ def create(services: Services, *, sweeps: bool = True) -> FastAPI:
         ),
         signer=SessionSigner(key=signing_key(settings)),
         version=version("vitac-arena"),
-        tracks=list_tracks(),
+        tracks=sort_challenge_first(list_tracks()),
         public_url=settings.public_url,
         preview_font=checked_font(settings.preview_font),
     )

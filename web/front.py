@@ -18,6 +18,7 @@ class TrackCard:
 
     Attributes:
         name: of the track.
+        further: whether it is none of the challenge's own.
         title: of the track.
         summary: what it is about.
         ranked: number of teams on its board.
@@ -28,6 +29,7 @@ class TrackCard:
     """
 
     name: str
+    further: bool
     title: str
     summary: str
     ranked: int

@@ -44,6 +44,7 @@ def environment() -> Environment:
         steps=steps,
         env_steps=counted_env_steps,
         duration=duration,
+        remaining=remaining,
         words=words,
         short=short,
         across=across,
@@ -119,6 +120,15 @@ def duration(seconds: float | None) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def remaining(seconds: float) -> str:
+    """Format the time until an instant: `12 days 3 h`, `3 h 05 min`, `5 min`; `local-times.js` does the same."""
+    minutes = max(0, int(seconds // 60))
+    days, hours, minutes = minutes // 1440, minutes // 60 % 24, minutes % 60
+    if days:
+        return f"{days} {'day' if days == 1 else 'days'} {hours} h"
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min"
 
 
 def within(seconds: float | None) -> str:

@@ -172,11 +172,12 @@ class Viewer:
 
 @dataclass(frozen=True, kw_only=True)
 class Tab:
-    """A link to one of several pages that belong together."""
+    """A link to one of several pages that belong together; a further one stands under a fold."""
 
     title: str
     target: str
     current: bool
+    further: bool = False
 
 
 def site_of(request: Request) -> Site:

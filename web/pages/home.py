@@ -13,6 +13,7 @@ from vitac.server.messages import announcements
 from vitac.server.playbacks.recent import newest_public_episode
 from vitac.server.principals import VISITOR
 from vitac.server.sharing.public_pages import public_among
+from vitac.server.tracks import is_challenge_track
 from vitac.server.views.contest import CompetitionView
 from vitac.server.views.leaderboards import LeaderboardView
 
@@ -80,6 +81,7 @@ def _card(name: str, board: LeaderboardView, cup: CompetitionView | None) -> Tra
     state, moment = _state(name, cup)
     return TrackCard(
         name=name,
+        further=not is_challenge_track(track),
         title=track.title,
         summary=track.summary,
         ranked=len(ranked),

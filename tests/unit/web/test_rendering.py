@@ -166,3 +166,11 @@ def test_templates_are_those_of_the_start_whatever_becomes_of_the_files(
     (tmp_path / "page.html").write_text("{{ made_by_later_code }}")
     (tmp_path / "people" / "row.html").unlink()
     assert jinja.get_template("page.html").render(name="Gelbots") == "Gelbots · today"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "shown"),
+    [(-5, "0 min"), (359, "5 min"), (3 * 3600 + 301, "3 h 05 min"), (26 * 3600, "1 day 2 h"), (1e6, "11 days 13 h")],
+)
+def test_the_time_until_an_instant_has_two_units(seconds: float, shown: str) -> None:
+    assert rendering.remaining(seconds) == shown

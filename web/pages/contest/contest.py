@@ -1,6 +1,7 @@
 """The competition's home page: schedule, tracks, rules, prizes, commitments, winners."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 
@@ -19,6 +20,16 @@ from ..forms import act
 
 N_SAID = 3
 """Of the newest announcements on the page; all of them have a page of their own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Countdown:
+    """What opens or closes next on some tracks, and when."""
+
+    tracks: tuple[str, ...]
+    stage: str
+    closes: bool
+    moment: datetime
 
 
 async def competitions(request: Request) -> Response:
@@ -52,8 +63,23 @@ async def competition(request: Request) -> Response:
         has_others=n_competitions > 1,
         said=said[:N_SAID],
         is_organizer=contest is not None and principal_of(viewer).organizes(contest),
-        now=datetime.now(UTC),
+        now=(now := datetime.now(UTC)),
+        countdowns=list_countdowns(found, now),
     )
+
+
+def list_countdowns(found: CompetitionView, now: datetime) -> list[Countdown]:
+    """Return for each track the end of its open stage, else the start of the next, the earliest first."""
+    following: dict[tuple[datetime, bool, str], list[str]] = {}
+    for track in found.tracks:
+        ends = [(stage.closes, True, stage.title) for stage in track.stages if stage.opens <= now < stage.closes]
+        starts = [(stage.opens, False, stage.title) for stage in track.stages if stage.opens > now]
+        if coming := ends or starts:
+            following.setdefault(min(coming), []).append(track.title)
+    return [
+        Countdown(tracks=tuple(tracks), stage=stage, closes=closes, moment=moment)
+        for (moment, closes, stage), tracks in sorted(following.items())
+    ]
 
 
 async def freeze(request: Request) -> Response:

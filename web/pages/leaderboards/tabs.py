@@ -7,6 +7,7 @@ from sqlalchemy.orm import Session
 from starlette.exceptions import HTTPException
 from vitac.evaluator.tracks import Track, UnknownTrack, load_track
 from vitac.server.contest.view import competition_list_view, track_stages
+from vitac.server.tracks import is_challenge_track
 from vitac.server.views.contest import StageView
 
 from ...site import Site, Tab
@@ -71,7 +72,12 @@ def track_tabs(
     """Return the same page of every track that has it; empty if there is only one."""
     tracks = [track for track in map(known_track, site.tracks) if has_page(track)]
     return _several(
-        Tab(title=track.title, target=f"/tracks/{track.name}{page_of_track}", current=track.name == shown.name)
+        Tab(
+            title=track.title,
+            target=f"/tracks/{track.name}{page_of_track}",
+            current=track.name == shown.name,
+            further=not is_challenge_track(track),
+        )
         for track in tracks
     )
 

@@ -11,6 +11,7 @@ from page_service import FixedData, a_site, an_application
 from visits import sign_in
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import list_tracks, load_track
+from vitac.server.tracks import sort_challenge_first
 from vitac.server.views.contest import PublicRankingView
 from vitac.web.pages.leaderboards.tabs import accepts_logs, track_tabs
 from vitac.web.pages.tracks import PICTURES
@@ -296,13 +297,27 @@ def test_rules_say_what_a_log_is_worth(browser: AsgiBrowser) -> None:
 
 
 def test_every_track_is_reached_from_the_leaderboard_and_the_rules_of_another() -> None:
-    names = list_tracks()
+    names = sort_challenge_first(list_tracks())
     site = a_site(FixedData(), names)
     for page_of_track in ("", "/rules"):
         shown = track_tabs(site, load_track("track_1"), page_of_track)
         assert [tab.target for tab in shown] == [f"/tracks/{name}{page_of_track}" for name in names]
         assert [tab.current for tab in shown] == [name == "track_1" for name in names]
         assert [tab.title for tab in shown] == [load_track(name).title for name in names]
+        assert [tab.further for tab in shown] == 3 * [False] + (len(names) - 3) * [True]
+    assert names[:3] == ("track_1", "track_2", "track_3")
+
+
+def test_tracks_that_are_not_the_challenges_own_stand_under_a_fold_that_is_open_on_their_pages() -> None:
+    browser = AsgiBrowser(an_application(FixedData(), tracks=sort_challenge_first(list_tracks())))
+    for track, is_open in (("track_2", False), ("track_2_robust", True)):
+        first, fold = browser.get(f"/tracks/{track}").text.partition('aria-label="Tracks"')[2].split("<details", 1)
+        assert fold.startswith(" open>") == is_open
+        assert first.count("/tracks/track_") == 3
+        assert 'href="/tracks/maniskill"' in fold
+    front = browser.get("/").text.partition('id="tracks"')[2]
+    assert "Sensor structure design" in front.partition("<details>")[0]
+    assert "Tactile-vision fusion, robust" in front.partition("<details>")[2]
 
 
 def test_logs_of_other_tracks_are_one_link_away_where_they_are_accepted() -> None:

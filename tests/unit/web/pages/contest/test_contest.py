@@ -1,4 +1,5 @@
-from datetime import UTC, datetime
+import re
+from datetime import UTC, datetime, timedelta
 
 from asgi_browser import AsgiBrowser
 from page_service import FixedData
@@ -6,7 +7,9 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 from vitac.server.views.contest import CompetitionTrackView, CompetitionView, PrizeView, StageView, WinnerView
 from vitac.server.views.messages import AnnouncementView
+from vitac.web.pages.contest.contest import list_countdowns
 
+DAY = timedelta(days=1)
 OPENS, CLOSES = datetime(2031, 1, 1, tzinfo=UTC), datetime(2031, 2, 1, 12, tzinfo=UTC)
 
 
@@ -50,6 +53,29 @@ def test_a_visitor_sees_schedule_rules_prizes_and_commitment(data: FixedData, br
         assert text in html, text
     assert "collected by the organizers" in html
     assert "local-times" in html
+
+
+def test_what_closes_or_opens_next_is_counted_down_once_for_tracks_that_share_it() -> None:
+    cup = a_competition()
+    stage = cup.tracks[0].stages[0]
+    final = stage.model_copy(update={"title": "Later", "opens": CLOSES, "closes": CLOSES + 9 * DAY})
+    staged = cup.tracks[0].model_copy(update={"stages": [stage, final]})
+    cup = cup.model_copy(update={"tracks": [staged, staged.model_copy(update={"title": "Sight"})]})
+
+    def shown_at(now: datetime) -> list[tuple[object, ...]]:
+        return [(next_.tracks, next_.stage, next_.closes, next_.moment) for next_ in list_countdowns(cup, now)]
+
+    both = ("Touch", "Sight")
+    assert shown_at(OPENS - DAY) == [(both, "The <final>", False, OPENS)]
+    assert shown_at(OPENS) == [(both, "The <final>", True, CLOSES)]
+    assert shown_at(CLOSES) == [(both, "Later", True, CLOSES + 9 * DAY)]
+    assert shown_at(CLOSES + 9 * DAY) == []
+
+
+def test_the_countdown_is_there_without_scripts(data: FixedData, browser: AsgiBrowser) -> None:
+    html = shown(data, browser)
+    assert re.search(r"opens in</dt><dd><span data-until=\"2031-01-01[^>]+>\d+ days \d+ h</span>", html)
+    assert "data-until" not in shown(data, browser, finalized_at=OPENS)
 
 
 def test_words_of_the_file_are_shown_as_text(data: FixedData, browser: AsgiBrowser) -> None:
