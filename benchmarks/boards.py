@@ -193,7 +193,7 @@ def add_episodes(session: Session, submission: Submission, rng: np.random.Genera
 
 async def measure(services: Services, n_requests: int) -> dict[str, dict[str, float]]:
     """Time each page [ms]."""
-    addresses, headers, cookies = addresses_of(services)
+    addresses, headers, cookies = list_addresses(services)
     app = application.create(services)
     app.state.services = services
     collect_garbage_rarely()
@@ -202,10 +202,10 @@ async def measure(services: Services, n_requests: int) -> dict[str, dict[str, fl
     sys.modules.setdefault("sniffio", cast(ModuleType, None))
     async with httpx.AsyncClient(transport=transport, base_url="http://benchmark", headers=headers) as client:
         client.cookies.update(cookies)
-        return {name: await times_of(client, address, n_requests) for name, address in addresses.items()}
+        return {name: await measure_times(client, address, n_requests) for name, address in addresses.items()}
 
 
-def addresses_of(services: Services) -> tuple[dict[str, str], dict[str, str], dict[str, str]]:
+def list_addresses(services: Services) -> tuple[dict[str, str], dict[str, str], dict[str, str]]:
     """Return the pages by name, and what proves that a team asks for them."""
     with services.database.transaction() as session:
         team = teams.find(session, "Team 0")
@@ -233,7 +233,7 @@ def addresses_of(services: Services) -> tuple[dict[str, str], dict[str, str], di
     return addresses, {"Authorization": f"Bearer {issued.secret}"}, {COOKIE: cookie}
 
 
-async def times_of(client: httpx.AsyncClient, address: str, n_requests: int) -> dict[str, float]:
+async def measure_times(client: httpx.AsyncClient, address: str, n_requests: int) -> dict[str, float]:
     """Ask for one page again and again."""
     wall_ms, cpu_ms = [], []
     for _ in range(WARM_UP + n_requests):

@@ -107,7 +107,7 @@ def claim_figures(services: Services, n_clients: int, count: int) -> dict[str, f
     with services.database.transaction() as session:
         ids = session.scalars(select(Shard.id).order_by(Shard.id).limit(count)).all()
     with postgres_time(services) as postgres:
-        wall_s = in_processes(partial(claim_all, services.database.address), share_out(ids, n_clients))
+        wall_s = run_in_processes(partial(claim_all, services.database.address), share_out(ids, n_clients))
     return {"per_s": round(len(ids) / wall_s, 1), "postgres_cpu_ms": postgres.ms_of_one(len(ids))}
 
 
@@ -130,7 +130,7 @@ def episode_figures(services: Services, n_clients: int, count: int) -> dict[str,
         wal_before = session.scalar(text("SELECT pg_current_wal_lsn()"))
     n_episodes = len(ids) * EPISODES_OF_SHARD
     with postgres_time(services) as postgres:
-        wall_s = in_processes(partial(store_all, services.database.address), share_out(ids, n_clients))
+        wall_s = run_in_processes(partial(store_all, services.database.address), share_out(ids, n_clients))
     with services.database.transaction() as session:
         n_bytes = (session.scalar(text("SELECT pg_total_relation_size('episode_results')")) or 0) - bytes_before
         wal = session.scalar(text("SELECT pg_current_wal_lsn() - CAST(:before AS pg_lsn)"), {"before": wal_before})
@@ -193,8 +193,8 @@ def idle_figures(services: Services) -> dict[str, float]:
         totals.write(database)
 
     return {
-        "heartbeats_cpu_ms_per_s": cost_of(services, heartbeat) / settings.worker_heartbeat_s,
-        "housekeeping_cpu_ms_per_s": cost_of(services, housekeeping) / settings.sweep_interval_s,
+        "heartbeats_cpu_ms_per_s": measure_cost(services, heartbeat) / settings.worker_heartbeat_s,
+        "housekeeping_cpu_ms_per_s": measure_cost(services, housekeeping) / settings.sweep_interval_s,
     }
 
 
@@ -209,7 +209,7 @@ def register(database: Database) -> UUID:
     return row.id
 
 
-def cost_of(services: Services, work: Callable[[], None]) -> float:
+def measure_cost(services: Services, work: Callable[[], None]) -> float:
     """Return the CPU time of PostgreSQL for one call [ms]."""
     with postgres_time(services) as postgres:
         for _ in range(IDLE_ROUNDS):
@@ -222,7 +222,7 @@ def share_out(ids: Sequence[int], n_clients: int) -> list[Sequence[int]]:
     return [ids[first::n_clients] for first in range(n_clients)]
 
 
-def in_processes(work: Callable[[Sequence[int]], None], parts: Sequence[Sequence[int]]) -> float:
+def run_in_processes(work: Callable[[Sequence[int]], None], parts: Sequence[Sequence[int]]) -> float:
     """Run the work on each part in a process of its own; return the wall time after all are there [s]."""
     with multiprocessing.get_context("spawn").Pool(len(parts)) as pool:
         pool.map(_nothing, range(len(parts)), chunksize=1)

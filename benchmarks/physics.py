@@ -39,19 +39,19 @@ def measured(reference: Reference, episodes: int) -> Figures:
         "pieces": pieces(replay, reference),
         "convergence": convergence(replay.reports),
         "agreement": agreement(replay, reference),
-        "misses": [row | {"in_parts_mm": in_parts_mm(reference, row)} for row in misses(replay, reference)],
+        "misses": [row | {"in_parts_mm": solve_in_parts_mm(reference, row)} for row in misses(replay, reference)],
         "logs": against_logs(replay, reference),
         "outcomes": outcomes(replay, reference),
     }
 
 
-def in_parts_mm(reference: Reference, miss: Figures) -> list[float]:
+def solve_in_parts_mm(reference: Reference, miss: Figures) -> list[float]:
     """Return how far a missed env step ends from the reference with every driven motion in 2, 4, 8, 16 parts."""
     key, found = (miss["episode"], miss["env_step"]), []
     for level in (1, 2, 3, 4):
         replay = Replay(reference.assets_dir, replace(SolverSettings(), first_division_level=level))
         replay.play(reference.log[miss["episode"] - 1], first_steps=miss["env_step"])
-        found.append(deviation_mm(replay.by_step()[key], reference.settled[key]))
+        found.append(deviation_mm(replay.index_by_step()[key], reference.settled[key]))
     return found
 
 

@@ -84,7 +84,7 @@ def main() -> None:
                 "peg-insertion": evaluation_figures(services, principal, PEG_INSERTION, n_slots),
                 "lock-opening": evaluation_figures(services, principal, LOCK_OPENING, n_slots),
             },
-            "at_rest_s_per_s": at_rest_figures(),
+            "at_rest_s_per_s": measure_at_rest(),
             "enqueue_to_start_ms": wait_figures(services, principal, arguments.waits),
         }
     print(json.dumps(figures, indent=1))
@@ -166,12 +166,12 @@ def cpu_by_kind() -> dict[str, float]:
     times = {"benchmark": time.process_time()}
     for pid in descendants(os.getpid()):
         with suppress(OSError):  # it has ended meanwhile
-            kind = kind_of(read_text_file(f"/proc/{pid}/cmdline"))
+            kind = name_process(read_text_file(f"/proc/{pid}/cmdline"))
             times[kind] = times.get(kind, 0.0) + cpu_s(pid) + reaped_cpu_s(pid)
     return times
 
 
-def kind_of(command: str) -> str:
+def name_process(command: str) -> str:
     """Return what a process is, by its command line."""
     return next((kind for part, kind in KINDS.items() if part in command), "policy")
 
@@ -181,7 +181,7 @@ def since(before_s: dict[str, float]) -> dict[str, float]:
     return {kind: round(now_s - before_s.get(kind, 0.0), 2) for kind, now_s in sorted(cpu_by_kind().items())}
 
 
-def at_rest_figures() -> dict[str, float]:
+def measure_at_rest() -> dict[str, float]:
     """Return the CPU time that the service uses without an evaluation, by kind of process [s/s]."""
     time.sleep(SANDBOXES_END_S)
     before_s = cpu_by_kind()
@@ -249,10 +249,10 @@ def wait_figures(services: Services, principal: Principal, n: int) -> dict[str, 
             runs.cancel(session, principal, submission_id)
         wait_until(lambda: not running_shards(services))
         time.sleep(2 * services.settings.lease_renewal_s)
-    return summary_of(waits_ms)
+    return summarize(waits_ms)
 
 
-def summary_of(waits_ms: Sequence[float]) -> dict[str, float]:
+def summarize(waits_ms: Sequence[float]) -> dict[str, float]:
     """Return how many waits there were and, if any, how long they are [ms]."""
     n = len(waits_ms)
     if not n:

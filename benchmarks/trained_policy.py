@@ -77,7 +77,7 @@ class KnowsTruth:
         learners = Learners(recipe, np.random.default_rng(0))
         learners.restore(load(kept.networks(best(read_results(kept)).number)))
         networks: Networks = learners.networks()
-        critic = Critic.of_state(networks.plan, networks.critic)
+        critic = Critic.from_state(networks.plan, networks.critic)
         self._actor: Actor = critic_actor(critic, 0.0)(np.random.default_rng(0))
 
     def reset(self, task: str) -> None:

@@ -84,7 +84,7 @@ def collect(
     *,
     networks: Networks | None = None,
     processes: int = 1,
-    after_file: Callable[[int, int], None] = _tell_nobody,
+    report_file: Callable[[int, int], None] = _tell_nobody,
 ) -> Episodes:
     """Return the episodes of a batch: those that are in files already, and the others after making their files.
 
@@ -93,7 +93,7 @@ def collect(
         folder: of the files.
         networks: what the actors act by.
         processes: how many play.
-        after_file: called with the number of files and the total.
+        report_file: called with the number of files and the total.
 
     Raises:
         NotSaved: a file cannot be written.
@@ -101,9 +101,9 @@ def collect(
     """
     works = list(_works(batch, folder, networks))
     missing = [work for work in works if not _is_whole(work.path)]
-    after_file(len(works) - len(missing), len(works))
+    report_file(len(works) - len(missing), len(works))
     for done, _ in enumerate(_made(missing, processes), start=len(works) - len(missing) + 1):
-        after_file(done, len(works))
+        report_file(done, len(works))
     return joined([Episodes(**load(work.path)) for work in works])
 
 
@@ -161,7 +161,7 @@ def _actor(work: _Work) -> MakeActor:
     assert networks is not None  # noqa: S101 - the caller gives them for these kinds
     if kind is ActorKind.STUDENT:
         return student_actor(dict(networks.student), noise)
-    critic = Critic.of_state(networks.plan, networks.critic)
+    critic = Critic.from_state(networks.plan, networks.critic)
     return critic_actor(critic, noise)
 
 

@@ -193,10 +193,12 @@ class Run:
     def _collected(self, batch: Batch, networks: Networks | None) -> Episodes:
         progress = Progress()
 
-        def after_file(done: int, files: int) -> None:
+        def report_file(done: int, files: int) -> None:
             self.tell(f"{batch.kind} episodes: {done} of {files} files{progress.left(done, files)}")
 
-        return collect(batch, self.folder.episodes, networks=networks, processes=self.processes, after_file=after_file)
+        return collect(
+            batch, self.folder.episodes, networks=networks, processes=self.processes, report_file=report_file
+        )
 
     def _tell_turn(self, charts: Charts, number: int, who: str, turn: int, loss: float) -> None:
         charts.add_loss(number, who, loss)

@@ -180,14 +180,14 @@ class Tab:
     further: bool = False
 
 
-def site_of(request: Request) -> Site:
+def get_site(request: Request) -> Site:
     """Return the site that `routes.install` stored in the application."""
     return cast("Site", request.app.state.site)
 
 
-async def viewer_of(request: Request) -> Viewer | None:
+async def get_viewer(request: Request) -> Viewer | None:
     """Return the signed-in visitor, or None; a session ends with its token."""
-    site = site_of(request)
+    site = get_site(request)
     cookie = request.cookies.get(COOKIE)
     found = site.signer.read(cookie, now=datetime.now(UTC))
     if cookie is None or found is None:
@@ -213,7 +213,7 @@ async def none_if_unknown(authentication: Awaitable[ResultT]) -> ResultT | None:
         raise
 
 
-def principal_of(viewer: Viewer | None) -> Principal:
+def get_principal(viewer: Viewer | None) -> Principal:
     """Return who asks, for the service."""
     return VISITOR if viewer is None else viewer.principal
 
@@ -228,7 +228,7 @@ async def require_viewer(request: Request) -> Viewer:
     Raises:
         SignInNeeded: nobody is signed in.
     """
-    viewer = await viewer_of(request)
+    viewer = await get_viewer(request)
     if viewer is None:
         raise SignInNeeded
     return viewer
@@ -264,7 +264,7 @@ def require_form_token(request: Request, fields: Mapping[str, str], viewer: View
         HTTPException: 403.
     """
     token = fields.get("form_token", "")
-    if not site_of(request).signer.accepts_form_token(request.cookies.get(COOKIE), token):
+    if not get_site(request).signer.accepts_form_token(request.cookies.get(COOKIE), token):
         message = f"This form does not belong to {viewer.name}'s current session. Reload the page and try again."
         raise HTTPException(403, message)
 
@@ -282,12 +282,12 @@ async def signed_in_form(request: Request) -> tuple[Viewer, Mapping[str, str]]:
     return viewer, fields
 
 
-def with_public_rankings(show: Page) -> Page:
+def name_public_rankings(show: Page) -> Page:
     """Make a page one that says which competitions rank on public lists: below the address of one, that one."""
 
     @wraps(show)
     async def shown(request: Request) -> Response:
-        site, contest = site_of(request), request.path_params.get("contest")
+        site, contest = get_site(request), request.path_params.get("contest")
         found = await site.public_rankings.get(lambda: site.read(list_public_rankings))
         request.state.public_rankings = [each for name, each in found.items() if contest in {None, name}]
         return await show(request)
@@ -302,7 +302,7 @@ def page(
 
     With `viewer_known=False` among the values, the header offers neither to sign in nor to sign out.
     """
-    site = site_of(request)
+    site = get_site(request)
     html = render(
         template,
         request,

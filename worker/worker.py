@@ -94,7 +94,7 @@ class QueueWorker:
             with contextlib.suppress(RuntimeError):  # the loop has ended by itself
                 self._loop.call_soon_threadsafe(self._stopped.set)
 
-    async def _until_told(self, stopped: asyncio.Event) -> None:
+    async def _wait_for_stop(self, stopped: asyncio.Event) -> None:
         """Wait until no further shard is to be taken."""
         while self._order() is WorkerOrder.WORK and not stopped.is_set():
             with contextlib.suppress(TimeoutError):
@@ -123,7 +123,7 @@ class QueueWorker:
                     install_signal_handlers=False,
                 )
             )
-            waiting = asyncio.create_task(self._until_told(stopped))
+            waiting = asyncio.create_task(self._wait_for_stop(stopped))
             await asyncio.wait({working, waiting}, return_when=asyncio.FIRST_COMPLETED)
             waiting.cancel()
             working.cancel()

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from .tables import Figures, with_tables
+from .tables import Figures, fill_tables
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FIGURES = REPOSITORY / "benchmarks" / "physics.json"
@@ -13,6 +13,6 @@ DOCUMENT = REPOSITORY / "benchmarks" / "physics.md"
 def keep(figures: Figures) -> None:
     """Put these figures in the place of those of the same names, and make all tables anew."""
     kept: Figures = json.loads(FIGURES.read_text()) | figures
-    document = with_tables(DOCUMENT.read_text(), kept)
+    document = fill_tables(DOCUMENT.read_text(), kept)
     FIGURES.write_text(json.dumps(kept, indent=1) + "\n")
     DOCUMENT.write_text(document)

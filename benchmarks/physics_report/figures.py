@@ -59,7 +59,7 @@ def spread_mm(settled: Figures) -> float:
 
 def agreement(replay: Replay, reference: Reference) -> list[Figures]:
     """Return the deviation from the settled states, by env step."""
-    rows, played = [], replay.by_step()
+    rows, played = [], replay.index_by_step()
     for n in ENV_STEPS:
         compared = [
             (played[key], settled) for key, settled in reference.settled.items() if key[1] == n and key in played
@@ -84,7 +84,7 @@ def agreement(replay: Replay, reference: Reference) -> list[Figures]:
 def misses(replay: Replay, reference: Reference) -> list[Figures]:
     """Return certain episodes whose first env steps end elsewhere than the reference's."""
     rows = []
-    for key, step in replay.by_step().items():
+    for key, step in replay.index_by_step().items():
         settled = reference.settled.get(key)
         if settled is None or step.n not in ENV_STEPS or spread_mm(settled) >= AGREEMENT_MM:
             continue
@@ -104,7 +104,7 @@ def misses(replay: Replay, reference: Reference) -> list[Figures]:
 
 def against_logs(replay: Replay, reference: Reference) -> list[Figures]:
     """Return the same actions here and in the organizers' run of the 2025 simulator, by env step."""
-    rows, played = [], replay.by_step()
+    rows, played = [], replay.index_by_step()
     logged = {(e["episode"], step["n"]): step for e in reference.log for step in e["steps"]}
     for n in ENV_STEPS:
         compared = [(played[key].info, theirs) for key, theirs in logged.items() if key[1] == n and key in played]

@@ -36,7 +36,7 @@ def ledger(reference: Reference, *, episodes: int, env_steps: int) -> list[Row]:
         replay = Replay(reference.assets_dir, solver)
         for episode in reference.log[:episodes]:
             replay.play(episode, first_steps=env_steps)
-        played = {key: step.surface_diff_mm for key, step in replay.by_step().items()}
+        played = {key: step.surface_diff_mm for key, step in replay.index_by_step().items()}
         if name == TIGHTEST:
             tightest = played
         shared = sorted(played.keys() & tightest.keys())
@@ -70,7 +70,7 @@ def _truth(replay: Replay, reference: Reference) -> Row:
     """Return the deviation from the settled states that are certain."""
     found = [
         deviation_mm(step, reference.settled[key])
-        for key, step in replay.by_step().items()
+        for key, step in replay.index_by_step().items()
         if key in reference.settled and spread_mm(reference.settled[key]) < AGREEMENT_MM
     ]
     return {

@@ -89,7 +89,7 @@ class Replay:
                 )
             )
 
-    def by_step(self) -> dict[tuple[int, int], EnvStep]:
+    def index_by_step(self) -> dict[tuple[int, int], EnvStep]:
         """Return the solved env steps by (episode, env step)."""
         return {(step.episode, step.n): step for step in self.steps if step.solved}
 

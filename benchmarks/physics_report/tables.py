@@ -23,7 +23,7 @@ class DocumentError(ValueError):
     """The document lacks a table or names one that nobody makes; the message says which."""
 
 
-def with_tables(document: str, figures: Figures) -> str:
+def fill_tables(document: str, figures: Figures) -> str:
     """Return the document with every marked table made anew."""
     marked = [match[1] for match in _MARKED.findall(document)]
     if sorted(marked) != sorted(TABLES):

@@ -81,7 +81,7 @@ def make_rows(task: str, seed: int, starts: int) -> list[Row]:
     env: Any = make_environment(load_track("track_1").tasks[task])
     rows = []
     for name in BASELINES[task]:
-        policy = policy_of(EXAMPLES / name)
+        policy = load_policy(EXAMPLES / name)
         began = time.process_time()
         fresh = figures(env, policy, fresh_starts(seed, starts), task)
         public = figures(env, policy, public_starts(task), task)
@@ -89,7 +89,7 @@ def make_rows(task: str, seed: int, starts: int) -> list[Row]:
     return rows
 
 
-def policy_of(example: Path) -> Any:
+def load_policy(example: Path) -> Any:
     """Return the policy of an example, in this process."""
     return run_path(str(example / "Track_1" / "policy.py"))["Policy"]()
 

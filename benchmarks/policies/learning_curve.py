@@ -40,7 +40,7 @@ def main() -> None:
     chosen = parser.parse_args()
     with (chosen.run / "progress.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    if not of_episodes(rows):
+    if not select_episode_rows(rows):
         parser.error(f"{chosen.run} has no finished episodes yet; try again after some minutes.")
     recipe = json.loads((chosen.run / "run.json").read_text())["recipe"]
     chosen.out.write_text(table(rows, recipe, chosen.note))
@@ -48,7 +48,7 @@ def main() -> None:
 
 def table(rows: Sequence[Row], recipe: Recipe, note: str) -> str:
     """Return the curve by the rows of a log, one of them of episodes at least, and the time that the rest takes."""
-    timed = of_episodes(rows)
+    timed = select_episode_rows(rows)
     kept = timed[:: max(1, len(timed) // LINES)]
     if kept[-1] is not timed[-1]:
         kept.append(timed[-1])
@@ -62,7 +62,7 @@ def table(rows: Sequence[Row], recipe: Recipe, note: str) -> str:
     return f"{text}\n{projection(timed, recipe)}\n"
 
 
-def of_episodes(rows: Sequence[Row]) -> list[Row]:
+def select_episode_rows(rows: Sequence[Row]) -> list[Row]:
     """Return the rows of the training's own episodes; those of evaluations have a time, too, that of before them."""
     return [row for row in rows if row.get(CPU_S) and row.get(REWARD)]
 

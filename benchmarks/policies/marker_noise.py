@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from policies.baselines import EXAMPLES, policy_of
+from policies.baselines import EXAMPLES, load_policy
 from trained_policy import figures, fresh_starts
 from vitac.envs.tactile.markers import MarkerSettings
 from vitac.evaluator.episodes import episode
@@ -39,16 +39,16 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of the stream of fresh starts")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     chosen = parser.parse_args()
-    found = {f"{noise_px:g} px": found_with(noise_px, chosen) for noise_px in NOISES_PX}
+    found = {f"{noise_px:g} px": measure_noise(noise_px, chosen) for noise_px in NOISES_PX}
     print(json.dumps(found, indent=1))
     if chosen.json:
         chosen.json.write_text(json.dumps(found, indent=1) + "\n")
 
 
-def found_with(noise_px: float, chosen: argparse.Namespace) -> dict[str, Any]:
+def measure_noise(noise_px: float, chosen: argparse.Namespace) -> dict[str, Any]:
     """Return the errors of beliefs, and what the trained policy solves, with this noise."""
     markers = MarkerSettings(noise_px=noise_px)
-    policy = policy_of(EXAMPLES / "peg_insertion_trained")
+    policy = load_policy(EXAMPLES / "peg_insertion_trained")
     env: Any = episode.make_environment(load_track("track_1").tasks[TASK], settings={"markers": markers})
     solved = figures(env, policy, fresh_starts(chosen.seed, chosen.starts))
     seed, fitted = stream(chosen.seed, Use.REPORT), 2 * chosen.episodes // 3

@@ -52,7 +52,7 @@ def played_episode(env: LockOpeningEnv, episode: Episode, draws: int) -> dict[st
         "key": episode["shape"],
         "offset_x_mm": episode["initial_offset"][0],
         "logged": {"success": episode["result"] == "SUCCESS", "env_steps": len(episode["steps"])},
-        "lift_alone": lifted_at(episode),
+        "lift_alone": find_lift(episode),
         "draws": [end(env, episode, draw) for draw in range(draws)],
     }
 
@@ -68,7 +68,7 @@ def end(env: LockOpeningEnv, episode: Episode, draw: int) -> dict[str, Any]:
     return {"end": None, "env_step": None}
 
 
-def lifted_at(episode: Episode) -> int | None:
+def find_lift(episode: Episode) -> int | None:
     """Return the env step at which a key that follows the gripper exactly would stand high enough to succeed."""
     _, down_mm = LockOpeningSettings().action_scale_mm
     tooth_mm = 1e3 * key_control_points(KeyShape(episode["shape"])).rear_tooth_m[:, 2].max()

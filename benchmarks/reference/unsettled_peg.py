@@ -67,7 +67,7 @@ def main() -> None:
 def logged_figures(reference: Reference, episodes: int) -> Figures:
     """Return what the log says."""
     steps = [(step["n"], step) for episode in reference.log[:episodes] for step in episode["steps"]]
-    return by_env_step(steps)
+    return summarize_by_env_step(steps)
 
 
 def played_figures(reference: Reference, solver: SolverSettings, episodes: int) -> Figures:
@@ -79,7 +79,7 @@ def played_figures(reference: Reference, solver: SolverSettings, episodes: int) 
     tactile = [row for row in ends if row["logged"] == "tactile"]
     statuses = [str(report.status) for report in replay.reports]
     return {
-        **by_env_step((step.n, step.info) for step in replay.steps),
+        **summarize_by_env_step((step.n, step.info) for step in replay.steps),
         "ipc_steps": {status: statuses.count(status) for status in sorted(set(statuses))},
         "net_force_left_n_median": float(np.median([report.net_force_n for report in replay.reports])),
         "logged_tactile_ends": sum(row["episodes"] for row in tactile),
@@ -118,7 +118,7 @@ def oracle_figures(reference: Reference, episodes: int) -> Figures:
         found["solved"] += played_steps(episode, meshes, cut_off=False)
         found["cut off"] += played_steps(episode, meshes, cut_off=True)
     return {"episodes": [episode["episode"] for episode in chosen]} | {
-        name: by_env_step(steps) for name, steps in found.items()
+        name: summarize_by_env_step(steps) for name, steps in found.items()
     }
 
 
@@ -141,7 +141,7 @@ def played_steps(episode: Episode, meshes: Meshes, *, cut_off: bool) -> list[tup
     return steps
 
 
-def by_env_step(steps: Iterable[tuple[int, Figures]]) -> Figures:
+def summarize_by_env_step(steps: Iterable[tuple[int, Figures]]) -> Figures:
     """Return the medians of some env steps, by their number: of the peg's corners, and of the larger surface motion."""
     found = list(steps)
     return {str(n): _medians([step for number, step in found if number == n]) for n in ENV_STEPS}

@@ -46,7 +46,7 @@ def dome() -> DrawnSurface:
     return drawn_gels.dome(cells=CELLS)
 
 
-def without_a_triangle() -> DrawnSurface:
+def remove_triangle() -> DrawnSurface:
     """Return one that is open where a triangle was."""
     gel = dome()
     return DrawnSurface(vertices_mm=gel.vertices_mm, triangles=gel.triangles[1:])
@@ -72,7 +72,7 @@ def two_bodies() -> DrawnSurface:
     return drawn_gels.together(half, drawn_gels.moved(half, by=(0.0, 0.0, 6.0)))
 
 
-def with_an_infinity() -> DrawnSurface:
+def set_infinity() -> DrawnSurface:
     """Return one with an infinite coordinate."""
     gel = dome()
     gel.vertices_mm[-1, 2] = np.inf
@@ -109,17 +109,17 @@ def fan(rim: int = 4990) -> DrawnSurface:
     next_low, next_high = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
     tip, middle = np.broadcast_to([0.0, 0.0, 4.0], low.shape), np.zeros(low.shape)
     rows = [(tip, high, next_high), (middle, next_low, low), (low, next_low, next_high), (low, next_high, high)]
-    return DrawnSurface.of_corners(np.concatenate([np.stack(row, axis=1) for row in rows]))
+    return DrawnSurface.from_corners(np.concatenate([np.stack(row, axis=1) for row in rows]))
 
 
 KINDS: dict[str, Callable[[], DrawnSurface]] = {
-    "open": without_a_triangle,
+    "open": remove_triangle,
     "inverted": lambda: drawn_gels.turned_inside_out(dome()),
     "mixed orientation": half_turned,
     "self-intersecting": through_its_base,
     "several bodies": two_bodies,
     "flat": lambda: drawn_gels.smooth(lambda _x, _y: 1e-4, CELLS),
-    "not finite": with_an_infinity,
+    "not finite": set_infinity,
     "in metres": lambda: drawn_gels.moved(dome(), scale=1e-3),
     "too many triangles": lambda: drawn_gels.dome(cells=110),
     "features too small: random heights": rough,
@@ -130,7 +130,7 @@ KINDS: dict[str, Callable[[], DrawnSurface]] = {
 }
 
 
-def cost_of(gel: DrawnSurface, folder: Path) -> Cost:
+def measure_cost(gel: DrawnSurface, folder: Path) -> Cost:
     """Check a gel in a process of its own."""
     path = folder / "gel.stl"
     path.write_bytes(drawn_gels.stl_bytes(gel))
@@ -153,7 +153,7 @@ def main() -> None:
     print("| fault | refused as | triangles | CPU time [s] | memory [MiB] |\n|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as name:
         for kind, drawn in KINDS.items():
-            cost = cost_of(drawn(), Path(name))
+            cost = measure_cost(drawn(), Path(name))
             rule = f"`{cost.rule}`" if cost.rule else "not at all"
             print(f"| {kind} | {rule} | {cost.triangles} | {cost.cpu_s:.1f} | {cost.memory_mib:.0f} |", flush=True)
 

@@ -43,13 +43,13 @@ def main() -> None:
         "task": task.name,
         "commitment": make_commitment(secret),
         "players": {player: successes(episodes, player) for player in ("example", "truth")},
-        "by_draw": {quantity.name: by_draw(task, quantity, episodes) for quantity in task.drawn_quantities},
+        "by_draw": {quantity.name: measure_by_draw(task, quantity, episodes) for quantity in task.drawn_quantities},
     }
     print(json.dumps(found["players"], indent=1))
     chosen.json.write_text(json.dumps(found, indent=1) + "\n")
 
 
-def by_draw(task: Task, quantity: Quantity, episodes: list[dict[str, Any]]) -> dict[str, Any]:
+def measure_by_draw(task: Task, quantity: Quantity, episodes: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the example's success in each part of a quantity's range, and whether it is monotone."""
     pairs = [(episode["draws"][quantity.name], episode["example"] == "success") for episode in episodes]
     parts = rates_by_draw(quantity, task.draws[quantity.name], pairs)

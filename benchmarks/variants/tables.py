@@ -33,7 +33,7 @@ def headroom() -> str:
     """Return the table of both players' rates in each task."""
     lines = ["| task | list | example | planner with the truth | quantities, monotone |", "|---|---|---|---|---|"]
     for name in TASKS:
-        for number, found in enumerate(lists_of(name), start=1):
+        for number, found in enumerate(read_lists(name), start=1):
             example, truth = (written(found["players"][player]) for player in ("example", "truth"))
             drawn = found["by_draw"].values()
             monotone = f"{len(drawn)}, {sum(quantity['monotone'] for quantity in drawn)}"
@@ -44,7 +44,7 @@ def headroom() -> str:
 def quantities(name: str) -> str:
     """Return a row for each quantity: its range, what its ends alone take from the example, and its success there."""
     _, task = find_task(name)
-    rows, found = json.loads((FOLDER / f"sweep_{name}.json").read_text()), lists_of(name)[-1]
+    rows, found = json.loads((FOLDER / f"sweep_{name}.json").read_text()), read_lists(name)[-1]
     nominal = next(row for row in rows if not row["fixed"])
     lines = [
         "| quantity | range | alone, solved by the example | with all, solved by the example along the range |",
@@ -75,7 +75,7 @@ def written(rate: dict[str, Any]) -> str:
     return f"{100 * rate['success_rate']:.0f} % [{low:.0f}, {high:.0f}] of {rate['episodes']}"
 
 
-def lists_of(task: str) -> list[dict[str, Any]]:
+def read_lists(task: str) -> list[dict[str, Any]]:
     """Return the figures of a task's lists, each made from a secret of its own."""
     return [json.loads(path.read_text()) for path in sorted(FOLDER.glob(f"headroom_{task}_*.json"))]
 

@@ -25,8 +25,8 @@ def back_up(
     as_json: AsJson = False,
 ) -> None:
     """Write database and uploads to one file, while the service runs."""
-    with open_service(load_settings()) as services, _progress() as on_file:
-        description = backup.back_up(services, file, on_file=on_file)
+    with open_service(load_settings()) as services, _progress() as report_file:
+        description = backup.back_up(services, file, report_file=report_file)
     _print(file, description, as_json=as_json)
 
 
@@ -43,8 +43,8 @@ def restore(
         print(NOTHING_CHANGED, file=sys.stderr)
     else:
         require_consent(f"Replace the empty database by the one in {file}?", yes=yes)
-        with open_service(load_settings()) as services, _progress() as on_file:
-            description = restoring.restore(services, file, on_file=on_file)
+        with open_service(load_settings()) as services, _progress() as report_file:
+            description = restoring.restore(services, file, report_file=report_file)
         if description.track_files:
             print(RESTART, file=sys.stderr)
     _print(file, description, as_json=as_json)
@@ -56,10 +56,10 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("uploads", total=None)
 
-        def on_file(done: int, total: int) -> None:
+        def report_file(done: int, total: int) -> None:
             bar.update(task, completed=done, total=total)
 
-        yield on_file
+        yield report_file
 
 
 def _print(file: Path, description: "BackupDescription", *, as_json: bool) -> None:

@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 from vitac.server.evaluations.near_copies import list_near_copies
 from vitac.server.principals import CONSOLE
 from vitac.server.submissions import disqualification, listing, runs
-from vitac.server.submissions.archives import with_archives
+from vitac.server.submissions.archives import compare_archives
 from vitac.server.views.evaluations import NearCopyView
 from vitac.server.views.submissions import SubmissionView
 
@@ -75,7 +75,7 @@ def copies(
         with services.database.reading() as session:
             found = list_near_copies(session, CONSOLE)
         if archives:
-            found = with_archives(services, CONSOLE, found)
+            found = compare_archives(services, CONSOLE, found)
     if as_json:
         print_json([one.model_dump(mode="json") for one in found])
         return

@@ -33,28 +33,28 @@ def list_workers(session: Session) -> list[dict[str, object]]:
 @show(app, "show")
 def show_worker(session: Session, worker: WorkerId) -> dict[str, object]:
     """Show a worker and what it says about itself."""
-    return _shown(workers.view_of(session, load_settings(), worker))
+    return _shown(workers.view_worker(session, load_settings(), worker))
 
 
 @change(app, done="worker {worker} takes no new shards, from its next heartbeat on")
 def cordon(session: Session, worker: WorkerId) -> dict[str, object]:
     """Have a worker take no new shards; it finishes those that it runs."""
     workers.give_order(session, CONSOLE, worker, WorkerOrder.CORDON)
-    return _shown(workers.view_of(session, load_settings(), worker))
+    return _shown(workers.view_worker(session, load_settings(), worker))
 
 
 @change(app, done="worker {worker} takes shards, from its next heartbeat on")
 def uncordon(session: Session, worker: WorkerId) -> dict[str, object]:
     """Have a worker take shards again."""
     workers.give_order(session, CONSOLE, worker, WorkerOrder.WORK)
-    return _shown(workers.view_of(session, load_settings(), worker))
+    return _shown(workers.view_worker(session, load_settings(), worker))
 
 
 @change(app, done="worker {worker} ends after the shards that it runs")
 def drain(session: Session, worker: WorkerId) -> dict[str, object]:
     """Have a worker finish the shards that it runs, take no others, and end."""
     workers.give_order(session, CONSOLE, worker, WorkerOrder.DRAIN)
-    return _shown(workers.view_of(session, load_settings(), worker))
+    return _shown(workers.view_worker(session, load_settings(), worker))
 
 
 def _shown(view: WorkerView) -> dict[str, object]:

@@ -40,7 +40,7 @@ class SensorPanels:
     def __init__(self, playback: Playback) -> None:
         self._mesh = playback.gel
         self._camera, self._eye_distance_m = playback.camera, eye_distance_m(playback.gel)
-        self._triangles = SensingSurface.of_gel(playback.gel).triangles
+        self._triangles = SensingSurface.from_gel(playback.gel).triangles
         self._magnification = magnification(playback)
 
     def draw(

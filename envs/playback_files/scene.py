@@ -154,7 +154,7 @@ def _displacements_mm(playback: Playback, moment: Moment, surface: NDArray[np.in
 def _pressures_pa(playback: Playback, moment: Moment) -> FloatArray:
     """Return the contact pressure at the sensing nodes of both gels [Pa], shape [2, s]."""
     gel = playback.gel
-    triangles = SensingSurface.of_gel(gel).triangles
+    triangles = SensingSurface.from_gel(gel).triangles
     pressures = []
     for nodes_m in moment.gel_nodes_m:
         stress_pa = cauchy_stress_pa(

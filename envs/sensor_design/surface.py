@@ -28,7 +28,7 @@ class DrawnSurface:
     triangles: IndexArray
 
     @classmethod
-    def of_corners(cls, corners_mm: FloatArray) -> "DrawnSurface":
+    def from_corners(cls, corners_mm: FloatArray) -> "DrawnSurface":
         """Return the surface of triangles with corners of shape [f, 3, 3]; equal positions become one vertex.
 
         Triangles two of whose corners are one vertex are left away, and vertices that no other triangle has. Where a

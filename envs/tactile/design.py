@@ -10,7 +10,7 @@ from ..errors import VitacError
 from ..fem.model.mesh import GelMesh
 from .attachment import Attachment, Fault, attach_along_rays
 from .camera import CameraIntrinsics, camera_frame, project
-from .markers import in_picture, interpolated
+from .markers import find_in_picture, interpolated
 from .places import FacePlaces, places_on_faces
 from .thickness import eye_distance_m
 
@@ -51,7 +51,7 @@ class SensorDesign:
         triangles = self.gel.surface_triangles
         eye = (0.0, 0.0, -eye_distance_m(self.gel))
         found = attach_along_rays(eye, self._drawn_m, self.gel.rest_position_m, triangles, self._senses())
-        outside = (found.faults == Fault.NONE) & ~in_picture(self.rest_pixels)
+        outside = (found.faults == Fault.NONE) & ~find_in_picture(self.rest_pixels)
         found.faults[outside] = Fault.OUT_OF_PICTURE
         return found
 

@@ -93,7 +93,7 @@ class SensingSurface:
 
     @classmethod
     @lru_cache(maxsize=_SURFACES_KEPT)
-    def of_gel(cls, mesh: GelMesh) -> "SensingSurface":
+    def from_gel(cls, mesh: GelMesh) -> "SensingSurface":
         """Return the triangles of the mesh's boundary whose corners are all sensing nodes; made once for a mesh."""
         number = np.full(len(mesh.rest_position_m), -1, dtype=np.int64)
         number[mesh.sensing_nodes] = np.arange(len(mesh.sensing_nodes))
@@ -216,7 +216,7 @@ def _line(half: float, interval: float, translation: float) -> tuple[int, int]:
 
 
 @allocating_kernel
-def in_picture(pixels: FloatArray) -> NDArray[np.bool_]:
+def find_in_picture(pixels: FloatArray) -> NDArray[np.bool_]:
     """Return which pixel positions, shape [n, 2], are where markers are tracked."""
     inside = np.empty(pixels.shape[0], dtype=np.bool_)
     for i in range(pixels.shape[0]):
@@ -263,7 +263,7 @@ def _seen(
     corners = surface.triangles[triangle]
     reference = project(interpolated(reference_m, corners, weights), camera)
     current = project(interpolated(current_m, corners, weights), camera)
-    seen = np.flatnonzero(in_picture(reference))
+    seen = np.flatnonzero(find_in_picture(reference))
     flow = np.empty((2, len(seen), 2))
     for i in range(len(seen)):
         flow[0, i], flow[1, i] = reference[seen[i]], current[seen[i]]

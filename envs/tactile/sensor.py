@@ -72,7 +72,7 @@ class TactileSensor:
 
     @cached_property
     def _surface(self) -> SensingSurface:
-        return SensingSurface.of_gel(self.gel)
+        return SensingSurface.from_gel(self.gel)
 
     def _reference(self) -> FloatArray:
         if self._reference_m is None:

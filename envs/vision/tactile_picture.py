@@ -87,7 +87,7 @@ class TactileCamera:
         """
         change = _shaded(self._depth_m(gel_m, body_m, body_triangles)) - self._at_rest
         shaded = self._background + _blurred(change, _COLOUR_RADIUS_PX)
-        dotted = shaded * _without_dots(markers_px)[:, :, None]
+        dotted = shaded * _dim_dots(markers_px)[:, :, None]
         return np.clip(dotted, 0.0, 255.0).astype(np.uint8)
 
     def _depth_m(self, gel_m: FloatArray, body_m: FloatArray, body_triangles: IndexArray) -> FloatArray:
@@ -156,7 +156,7 @@ def _blurred(picture: FloatArray, radius_px: int) -> FloatArray:
     return sum((weight * framed[:, k : k + width] for k, weight in enumerate(weights)), np.zeros(picture.shape))
 
 
-def _without_dots(markers_px: FloatArray) -> FloatArray:
+def _dim_dots(markers_px: FloatArray) -> FloatArray:
     """Share of the light that the dots let through, shape [240, 320]; the darker of two that overlap."""
     share = np.ones((HEIGHT_PX, WIDTH_PX))
     steps = np.arange(-_DOT_REACH_PX, _DOT_REACH_PX + 1)

@@ -303,7 +303,7 @@ def _run(probe: Probe, sessions: _Sessions) -> Outcome:
             isolation = session.isolation
             reached = [_act(session, probe) for _ in range(_EPISODES)]
     except PolicyFailed as failure:
-        state = _state_after(failure.verdict, probe)
+        state = _judge_verdict(failure.verdict, probe)
         detail = f"{failure.verdict}: {failure.message}"
     except SandboxFailed as error:
         state, detail = ProbeState.FAILED, str(error)
@@ -314,7 +314,7 @@ def _run(probe: Probe, sessions: _Sessions) -> Outcome:
     return Outcome(name=probe.name, state=state, detail=detail, isolation=isolation)
 
 
-def _state_after(verdict: VerdictCode, probe: Probe) -> ProbeState:
+def _judge_verdict(verdict: VerdictCode, probe: Probe) -> ProbeState:
     """Return what a verdict says of the sandbox; a time limit that ended another attempt says nothing."""
     if verdict is probe.verdict:
         return ProbeState.HELD

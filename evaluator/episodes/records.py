@@ -185,7 +185,7 @@ class EpisodeRecord(StrictModel):
         return self
 
     @model_serializer(mode="wrap")
-    def _without_absent_picture(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _drop_absent_picture(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         written: dict[str, Any] = write(self)
         return {key: value for key, value in written.items() if key != "picture" or value is not None}
 

@@ -31,7 +31,7 @@ class Controller:
         estimate = self._updated(features)
         action = [min(max(-value / scale, -1.0), 1.0) for value, scale in zip(estimate, self._scale, strict=True)]
         self._last_motion = [value * scale for value, scale in zip(action, self._scale, strict=True)]
-        self._estimate = after_motion(estimate, self._last_motion)
+        self._estimate = move_offset(estimate, self._last_motion)
         self._env_steps += 1
         return action
 
@@ -62,7 +62,7 @@ def rotate_to_gripper(offset: Vector) -> list[float]:
     return [*_turned(x, y, theta_deg), theta_deg]
 
 
-def after_motion(offset: Vector, motion: Vector) -> list[float]:
+def move_offset(offset: Vector, motion: Vector) -> list[float]:
     """Return an offset in the gripper's frame [mm, mm, deg] after a motion in that frame, in the new one."""
     x, y, theta_deg = (value + change for value, change in zip(offset, motion, strict=True))
     return [*_turned(x, y, motion[2]), theta_deg]

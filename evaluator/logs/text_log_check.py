@@ -85,7 +85,7 @@ def is_text_log_file(path: Path) -> bool:
 
 
 def _tests(path: Path, task: Task, on_test: Callable[[int], object]) -> list[ResimulatedTest]:
-    env, tests = make_environment(task.of_text_logs(), None, ()), []
+    env, tests = make_environment(task.apply_text_log_settings(), None, ()), []
     for recording in read_recordings(path, task):
         played = resimulate(env, recording.episode, recording.actions)
         tests.append(

@@ -81,14 +81,14 @@ def verify(
     manifest = make_manifest(track, task, env)
     impossible = explain_impossible(must_agree(manifest), task, header, records, episodes)
     if impossible:
-        return _without_score(manifest, LogFinding.impossible(impossible))
+        return _refuse(manifest, LogFinding.impossible(impossible))
     played: list[EpisodeRecord] = []
     first: Divergence | None = None
     for record in records:
         checked = check_episode(env, task, manifest, header, record)
         first = first or checked.divergence
         if checked.finding:
-            return _without_score(manifest, checked.finding)
+            return _refuse(manifest, checked.finding)
         played.append(checked.record)
         on_episode(played[-1])
     return Verification(
@@ -158,7 +158,7 @@ def _make_divergence(step: int, record: EpisodeRecord, played: Resimulated) -> D
     )
 
 
-def _without_score(manifest: Manifest, finding: LogFinding) -> Verification:
+def _refuse(manifest: Manifest, finding: LogFinding) -> Verification:
     return Verification(
         verdict=finding.verdict, reason=finding.reason, manifest=manifest, divergence=finding.divergence
     )

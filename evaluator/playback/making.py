@@ -76,7 +76,7 @@ def replay(
     from vitac.envs.tasks.task_env import TactileTaskEnv
 
     # Where teams bring sensors, only text logs have none.
-    env = make_environment(task.of_text_logs() if sensor is None else task, sensor=sensor)
+    env = make_environment(task.apply_text_log_settings() if sensor is None else task, sensor=sensor)
     if not isinstance(env, TactileTaskEnv):
         raise NotPlayable(
             f"Episodes of {task.env_id} are not shown in 3D: a playback shows two gels and what they hold."

@@ -85,7 +85,7 @@ class Finding:
     is_warning: bool = False
 
     @classmethod
-    def at_most_mm(cls, rule: Rule, value_mm: float, limit_mm: float, problem: str) -> Self:
+    def limit_length(cls, rule: Rule, value_mm: float, limit_mm: float, problem: str) -> Self:
         """Return what was found about a length with an upper limit."""
         return cls(
             rule=rule,

@@ -49,7 +49,7 @@ def mesh_with_ftetwild(stl: Path, limits: SensorLimits) -> "Tetrahedra":
     except ImportError as error:
         raise MesherMissing(f"fTetWild is not installed ({error}); install it with `pip install pytetwild`.") from error
     corners = read_corners(stl, max_bytes=limits.max_stl_bytes, max_triangles=limits.max_triangles)
-    drawn = DrawnSurface.of_corners(corners)
+    drawn = DrawnSurface.from_corners(corners)
     surface = placed_on_base(drawn, length_mm=limits.base_length_mm, width_mm=limits.base_width_mm)
     faces = surface.triangles.astype(np.int32)
     with TemporaryDirectory() as scratch, chdir(scratch):  # It leaves files where it runs.

@@ -197,7 +197,7 @@ def _measured(mesh: Tetrahedra, volume_error: float, distance_mm: float, limits:
         problem="The mesh is not that of gel.stl; mesh it again.",
     )
     advice = "The surface of the mesh is not that of gel.stl; mesh it again."
-    yield Finding.at_most_mm(Rule.DISTANCE, distance_mm, limits.max_distance_mm, advice)
+    yield Finding.limit_length(Rule.DISTANCE, distance_mm, limits.max_distance_mm, advice)
     yield _base_nodes(mesh, limits)
 
 

@@ -35,7 +35,7 @@ class ShapeCheck:
         corners = self._read(path, limits)
         if corners is None:
             return
-        surface = DrawnSurface.of_corners(corners)
+        surface = DrawnSurface.from_corners(corners)
         for stage in _STAGES:
             found = [check(surface, limits) for check in stage]
             self.findings += found
@@ -228,7 +228,7 @@ def _beyond_base(surface: DrawnSurface, limits: SensorLimits) -> Finding:
     body = surface.vertices_mm[:, :2]
     beyond = float(max((base.min(axis=0) - body.min(axis=0)).max(), (body.max(axis=0) - base.max(axis=0)).max()))
     advice = "Parts of the gel stand out beyond its base; pull them in."
-    return Finding.at_most_mm(Rule.BEYOND_BASE, max(beyond, 0.0), limits.base_tolerance_mm, advice)
+    return Finding.limit_length(Rule.BEYOND_BASE, max(beyond, 0.0), limits.base_tolerance_mm, advice)
 
 
 def _thickness(surface: DrawnSurface, limits: SensorLimits) -> Finding:

@@ -31,7 +31,7 @@ def resimulate_text_log(part: LogShard, on_episode: Callable[[EpisodeRecord], No
     """
     with open_log(part.log) as stream:
         text_log = read_text_log(stream)
-    env = part.make_env(part.task.of_text_logs(), None, ())
+    env = part.make_env(part.task.apply_text_log_settings(), None, ())
     manifest = make_manifest(part.track, part.task, env)
     script = summarize(text_log)[0]
     impossible = explain_not_resimulated(text_log, script, part.task)

@@ -231,7 +231,7 @@ class Task(StrictModel):
             for number, start in enumerate(listed.starts, start=1)
         )
 
-    def of_text_logs(self) -> Self:
+    def apply_text_log_settings(self) -> Self:
         """Return the task with the settings under which its 2025 text logs were made, where they are others."""
         profile = self.profiles.get(TEXT_LOG_PROFILE)
         return self if profile is None else self.model_copy(update={"settings": self.settings | profile.settings})
@@ -303,7 +303,7 @@ class Track(StrictModel):
         """Return whether a worker needs ManiSkill to play the track, or a part of it."""
         return any(is_maniskill(task.env_id) for task in self.tasks.values())
 
-    def tasks_of(self, named: Collection[str]) -> tuple[str, ...]:
+    def list_played_tasks(self, named: Collection[str]) -> tuple[str, ...]:
         """Return what a submission plays that names these tasks: them, and what our own estimator plays of each."""
         return tuple(name for name, task in self.tasks.items() if name in named or task.player is not Player.POLICY)
 

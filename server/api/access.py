@@ -13,13 +13,13 @@ from ..services import Services
 bearer = HTTPBearer(auto_error=False, description="An API token: `vitac_` and 43 characters.")
 
 
-def services_of(request: Request) -> Services:
+def get_services(request: Request) -> Services:
     """Return the services that the app opened at its start."""
     services: Services = request.app.state.services
     return services
 
 
-def principal_of(
+def get_principal(
     request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(bearer)]
 ) -> Principal:
     """Return who asks.
@@ -27,13 +27,13 @@ def principal_of(
     Raises:
         ServiceError: no, unknown, expired or revoked token.
     """
-    principal = optional_principal_of(request, credentials)
+    principal = get_optional_principal(request, credentials)
     if principal is None:
         raise token_missing()
     return principal
 
 
-def optional_principal_of(
+def get_optional_principal(
     request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(bearer)]
 ) -> Principal | None:
     """Return who asks, or None without a token. A token that is given must be good, though.
@@ -43,13 +43,13 @@ def optional_principal_of(
     """
     if credentials is None:
         return None
-    with services_of(request).database.reading() as session:
+    with get_services(request).database.reading() as session:
         principal = tokens.authenticate(session, credentials.credentials)
     request.state.account = principal.account
     return principal
 
 
-def reader_of(principal: Annotated[Principal | None, Depends(optional_principal_of)]) -> Principal:
+def get_reader(principal: Annotated[Principal | None, Depends(get_optional_principal)]) -> Principal:
     """Return who reads; without a token a visitor, who may see what is public."""
     return principal or VISITOR
 
@@ -58,7 +58,7 @@ MAX_NUMBER: Final = 2_147_483_647
 """The largest that a column of numbers holds; the database ends a request with a larger one by an error."""
 
 RowNumber = Annotated[int, Path(ge=1, le=MAX_NUMBER)]
-ServicesOf = Annotated[Services, Depends(services_of)]
-PrincipalOf = Annotated[Principal, Depends(principal_of)]
-OptionalPrincipalOf = Annotated[Principal | None, Depends(optional_principal_of)]
-ReaderOf = Annotated[Principal, Depends(reader_of)]
+ServicesOf = Annotated[Services, Depends(get_services)]
+PrincipalOf = Annotated[Principal, Depends(get_principal)]
+OptionalPrincipalOf = Annotated[Principal | None, Depends(get_optional_principal)]
+ReaderOf = Annotated[Principal, Depends(get_reader)]

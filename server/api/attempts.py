@@ -7,7 +7,7 @@ from ..limiter import client_key
 from ..teams import teams
 
 
-def address_of(connection: HTTPConnection) -> str:
+def get_client_address(connection: HTTPConnection) -> str:
     """Return whom limits per address count for."""
     return client_key(connection.client.host if connection.client is not None else None)
 
@@ -18,7 +18,7 @@ def note_registration(request: Request) -> None:
     Raises:
         ServiceError: there were too many from this address.
     """
-    request.app.state.registration_limiter.note(address_of(request), "registrations from one address")
+    request.app.state.registration_limiter.note(get_client_address(request), "registrations from one address")
 
 
 def note_password(request: Request, team: str, member: str, *, device: str | None = None) -> float:
@@ -34,7 +34,7 @@ def note_password(request: Request, team: str, member: str, *, device: str | Non
         ServiceError: there were too many.
     """
     wait_s: float = request.app.state.sign_in_limiters.note(
-        address_of(request), member_key(team, member), device=device
+        get_client_address(request), member_key(team, member), device=device
     )
     return wait_s
 

@@ -9,7 +9,7 @@ from prometheus_client import CONTENT_TYPE_LATEST
 
 from ..errors import ProblemCode, ServiceError
 from ..operations.exposition import Exposition
-from .access import bearer, principal_of, services_of
+from .access import bearer, get_principal, get_services
 
 router = APIRouter(tags=["health"])
 
@@ -22,12 +22,12 @@ def require_metrics_reader(
     Raises:
         ServiceError: anybody else; names of hosts and how busy the service is are not for the world.
     """
-    expected = services_of(request).settings.metrics_token
+    expected = get_services(request).settings.metrics_token
     if expected is not None and credentials is not None:
         given = credentials.credentials.encode()
         if secrets.compare_digest(given, expected.get_secret_value().encode()):
             return
-    if not principal_of(request, credentials).is_organizer:
+    if not get_principal(request, credentials).is_organizer:
         raise ServiceError(ProblemCode.FORBIDDEN, "Metrics are for organizers and the holder of VITAC_METRICS_TOKEN.")
 
 

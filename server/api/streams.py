@@ -13,7 +13,7 @@ from ..limiter import ConcurrencyLimiter
 from ..principals import Principal
 from ..quotas import exceeded, find_limit
 from ..services import Services
-from .attempts import address_of
+from .attempts import get_client_address
 
 SHARE_OF_TEAMS = 0.9
 """The rest is for organizers and judges, whatever teams do."""
@@ -38,7 +38,7 @@ class OpenStreams:
     @classmethod
     def from_request(cls, request: Request, services: Services) -> Self:
         """Return those of the server that answers a request."""
-        return cls(services=services, limiter=request.app.state.stream_limiter, address=address_of(request))
+        return cls(services=services, limiter=request.app.state.stream_limiter, address=get_client_address(request))
 
     @asynccontextmanager
     async def one(self, principal: Principal) -> AsyncIterator[None]:
@@ -47,7 +47,7 @@ class OpenStreams:
         Raises:
             ServiceError: the server keeps no more open, or the address or the team has as many as possible.
         """
-        limit = await run_in_threadpool(self._limit_of, principal)
+        limit = await run_in_threadpool(self._find_limit, principal)
         with ExitStack() as stack:
             if principal.team_id is not None:
                 what = "event streams from one address"
@@ -67,7 +67,7 @@ class OpenStreams:
         async with self.one(principal):
             pass
 
-    def _limit_of(self, principal: Principal) -> int | None:
+    def _find_limit(self, principal: Principal) -> int | None:
         if principal.team_id is None:
             return None
         with self.services.database.transaction() as session:

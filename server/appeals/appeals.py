@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session, joinedload, selectinload
 from vitac.evaluator.episodes.records import EpisodeRecord
 
 from ..audit import record
-from ..contest.contest import Contest, stage_of
+from ..contest.contest import Contest, find_stage
 from ..db.models import Appeal, AppealReplay, EpisodeResult, Evaluation, Rejudgement, Submission
 from ..db.states import TERMINAL_EVALUATION_STATES, AppealState
 from ..errors import ProblemCode, ServiceError, not_found
@@ -276,7 +276,7 @@ def _require_time(session: Session, evaluation: Evaluation) -> None:
         raise ServiceError(ProblemCode.APPEAL_TOO_LATE, "This evaluation has not ended; wait for its result.")
     submission = evaluation.submission
     days = Contest.read(session, submission.contest or None).definition.appeal_days
-    final = stage_of(session, submission).final_since
+    final = find_stage(session, submission).final_since
     if final is not None:
         raise ServiceError(
             ProblemCode.APPEAL_TOO_LATE,

@@ -27,7 +27,7 @@ class BackupNotMade(VitacError):
 
 
 def back_up(
-    services: Services, destination: Path, *, on_file: Callable[[int, int], None] = lambda *_: None
+    services: Services, destination: Path, *, report_file: Callable[[int, int], None] = lambda *_: None
 ) -> BackupDescription:
     """Write the database and all uploaded files, as they are at one moment, to a new file that only its owner may read.
 
@@ -37,7 +37,7 @@ def back_up(
     Args:
         services: the open service.
         destination: file to write; must not exist.
-        on_file: called after each uploaded file with the number written and the total.
+        report_file: called after each uploaded file with the number written and the total.
 
     Raises:
         BackupNotMade: the file exists or cannot be written.
@@ -48,7 +48,7 @@ def back_up(
     track_files = own_track_files()  # before the dump, which may take long
     try:
         with new_file(destination) as unfinished:
-            description = _write(services, track_files, unfinished, on_file)
+            description = _write(services, track_files, unfinished, report_file)
     except FileExistsError as error:
         raise BackupNotMade(f"{destination} exists; name a file that does not.") from error
     except OSError as error:
@@ -59,7 +59,7 @@ def back_up(
 
 
 def _write(
-    services: Services, track_files: dict[str, str], unfinished: Path, on_file: Callable[[int, int], None]
+    services: Services, track_files: dict[str, str], unfinished: Path, report_file: Callable[[int, int], None]
 ) -> BackupDescription:
     folder = unfinished.parent
     dump = folder / DUMP_NAME
@@ -75,7 +75,7 @@ def _write(
             services.blobs.fetch(sha256, blob)
             writer.add(f"{BLOB_FOLDER}/{sha256}", blob)
             blob.unlink()
-            on_file(count, len(description.blobs))
+            report_file(count, len(description.blobs))
     return description
 
 

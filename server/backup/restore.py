@@ -39,7 +39,7 @@ def check(services: Services, source: Path) -> BackupDescription:
 
 
 def restore(
-    services: Services, source: Path, *, on_file: Callable[[int, int], None] = lambda *_: None
+    services: Services, source: Path, *, report_file: Callable[[int, int], None] = lambda *_: None
 ) -> BackupDescription:
     """Check a backup whole, then write its track files, uploads and database, and bring the schema up to date.
 
@@ -48,7 +48,7 @@ def restore(
     Args:
         services: the open, empty service.
         source: the backup.
-        on_file: called after each uploaded file with the number written and the total.
+        report_file: called after each uploaded file with the number written and the total.
 
     Raises:
         BackupRejected: the file is not a whole backup, or of a newer version.
@@ -65,7 +65,7 @@ def restore(
                 reader.extract_blob(sha256, blob)
                 services.blobs.put(blob, sha256)
                 blob.unlink()
-                on_file(count, len(blobs))
+                report_file(count, len(blobs))
             dump = folder / "database.dump"
             reader.extract_dump(dump)
             _restore_database(services, dump)

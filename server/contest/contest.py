@@ -50,16 +50,16 @@ class Contest:
         """
         if name is None:
             return cls.read_all(session)[0]
-        return cls._of(session, session.get(Competition, name) if name else None)
+        return cls._from_row(session, session.get(Competition, name) if name else None)
 
     @classmethod
     def read_all(cls, session: Session) -> Sequence[Self]:
         """Return all contests, the one that opened last first; without any a single one that is not held."""
         rows = session.scalars(select(Competition).order_by(Competition.name)).all()
         if not rows:
-            return [cls._of(session, None)]
+            return [cls._from_row(session, None)]
         now = datetime.now(UTC)
-        return sorted((cls._of(session, row) for row in rows), key=lambda one: _shown_first(one.opens, now))
+        return sorted((cls._from_row(session, row) for row in rows), key=lambda one: _shown_first(one.opens, now))
 
     @classmethod
     def find(cls, session: Session, name: str | None = None, *, track: str | None = None) -> Self:
@@ -122,7 +122,7 @@ class Contest:
         """
         lock = {"read": True} if shared else True
         found = session.get(Competition, name, with_for_update=lock, populate_existing=True) if name else None
-        return cls._of(session, found)
+        return cls._from_row(session, found)
 
     @classmethod
     def lock_held(cls, session: Session, by: Principal, name: str | None) -> Self:
@@ -149,7 +149,7 @@ class Contest:
         return contest
 
     @classmethod
-    def _of(cls, session: Session, row: Competition | None) -> Self:
+    def _from_row(cls, session: Session, row: Competition | None) -> Self:
         """Return the contest of a row; its content is validated again only where that was changed or read again."""
         if row is None:
             return cls(session=session, row=Competition(name=""), definition=_NO_COMPETITION, is_held=False)
@@ -356,7 +356,7 @@ class Contest:
         )
 
 
-def stage_of(session: Session, row: Submission | Rejudgement) -> Stage:
+def find_stage(session: Session, row: Submission | Rejudgement) -> Stage:
     """Return the stage that a row names."""
     return Contest.read(session, row.contest).stored_stage(row.track, row.stage)
 

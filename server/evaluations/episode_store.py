@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure, digest_of_stored
 from vitac.evaluator.tracks import ListKind
 
-from ..contest.contest import stage_of
+from ..contest.contest import find_stage
 from ..db.models import EpisodeResult, Evaluation, Submission
 from ..principals import Principal
 from ..queue.leases import Lease, lock_held, note_progress
@@ -50,7 +50,7 @@ class EpisodeKey:
             commitment=evaluation.commitment or "",
         )
 
-    def on_public_list(self) -> Self:
+    def select_public_list(self) -> Self:
         """Return the key of the episodes that are played on the public list beside a sealed one."""
         return replace(self, commitment="")
 
@@ -93,7 +93,7 @@ def played_keys(evaluation: Evaluation, submission: Submission) -> tuple[Episode
     key = EpisodeKey.from_evaluation(evaluation, submission)
     track = known_track(submission.track)
     is_public = track is not None and all(task.episode_list.kind is ListKind.PUBLIC for task in track.tasks.values())
-    return (key, key.on_public_list()) if key.commitment and is_public else (key,)
+    return (key, key.select_public_list()) if key.commitment and is_public else (key,)
 
 
 def find_shown_key(
@@ -118,7 +118,7 @@ def find_shown_key(
 def _is_closed_to(session: Session, by: Principal, submission: Submission) -> bool:
     if by.may_see(submission.team_id, submission.contest) or by.organizes(submission.contest):
         return False
-    stage = stage_of(session, submission)
+    stage = find_stage(session, submission)
     return stage.ranks_on_public_list and not stage.is_over(datetime.now(UTC))
 
 
@@ -203,9 +203,9 @@ def half_way_state(record: EpisodeRecord) -> str:
 def storable(record: EpisodeRecord) -> EpisodeRecord:
     """Return the record without characters that the database cannot hold; a policy may print whatever it likes."""
     failure = record.failure and record.failure.model_copy(
-        update={name: _without_nul(getattr(record.failure, name)) for name in ("message", "output_tail")}
+        update={name: _remove_nul(getattr(record.failure, name)) for name in ("message", "output_tail")}
     )
-    return record.model_copy(update={"failure": failure, "output": _without_nul(record.output)})
+    return record.model_copy(update={"failure": failure, "output": _remove_nul(record.output)})
 
 
 def stored_episodes(session: Session, lease: Lease) -> StoredEpisodes:
@@ -251,7 +251,7 @@ def count_stored(session: Session, key: EpisodeKey) -> int:
     return session.scalar(select(func.count()).select_from(EpisodeResult).where(*key.conditions())) or 0
 
 
-def _without_nul(text: str) -> str:
+def _remove_nul(text: str) -> str:
     return text.replace("\0", "\N{REPLACEMENT CHARACTER}").encode("utf-8", "replace").decode("utf-8")
 
 

@@ -17,7 +17,7 @@ from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
 from vitac.evaluator.tracks.versions import compute_hash, find_version
 
-from ..contest.contest import stage_of
+from ..contest.contest import find_stage
 from ..db.models import Evaluation, Shard, Submission
 from ..db.row_locks import lock_evaluation
 from ..db.states import OPEN_SHARD_STATES, EvaluationState, NoticeKind, ShardState
@@ -115,7 +115,7 @@ def start(
 
 def _find_commitment(session: Session, submission: Submission) -> str | None:
     """Return by which sealed list a submission is ranked; None for a log, which holds actions for the public one."""
-    return stage_of(session, submission).commitment if submission.kind.form.runs_policy else None
+    return find_stage(session, submission).commitment if submission.kind.form.runs_policy else None
 
 
 def _was_evaluated(session: Session, evaluation: Evaluation, submission: Submission) -> bool:

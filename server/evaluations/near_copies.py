@@ -40,7 +40,7 @@ class _Other:
 
     @property
     def moment(self) -> tuple[datetime, UUID]:
-        return _moment_of(self.evaluation.submission)
+        return _get_moment(self.evaluation.submission)
 
 
 def note_near_copies(
@@ -120,7 +120,7 @@ def _note(session: Session, evaluation: Evaluation, task: str, commitment: str, 
     for other in alike:
         by_team[other.evaluation.submission.team_id].append(other)
     ours = by_team.pop(evaluation.submission.team_id, [])
-    own_first = min([_moment_of(evaluation.submission), *(other.moment for other in ours)])
+    own_first = min([_get_moment(evaluation.submission), *(other.moment for other in ours)])
     for theirs in by_team.values():
         first = min(theirs, key=lambda other: other.moment)
         if first.moment < own_first:
@@ -150,7 +150,7 @@ def _add(session: Session, later: Evaluation, earlier: UUID, task: str, commitme
         flag_log(session, later, earlier, likeness.near)
 
 
-def _moment_of(submission: Submission) -> tuple[datetime, UUID]:
+def _get_moment(submission: Submission) -> tuple[datetime, UUID]:
     return submission.submitted_at, submission.id
 
 

@@ -34,15 +34,15 @@ def make_progress_view(evaluation: Evaluation, submission: Submission, counts: E
     """
     done = _counts_of_scores(evaluation) or counts
 
-    def done_of(task: str) -> tuple[int, int]:
+    def count_done(task: str) -> tuple[int, int]:
         return done.get(task, (0, 0))
 
     tasks = [
         TaskProgressView(
             task=task,
-            episodes_done=done_of(task)[0],
-            successes=done_of(task)[1],
-            episodes_total=done_of(task)[0] if evaluation.scores else _planned(evaluation, submission, task),
+            episodes_done=count_done(task)[0],
+            successes=count_done(task)[1],
+            episodes_total=count_done(task)[0] if evaluation.scores else _planned(evaluation, submission, task),
         )
         for task in submission.tasks
     ]
@@ -50,7 +50,7 @@ def make_progress_view(evaluation: Evaluation, submission: Submission, counts: E
         episodes_done=sum(task.episodes_done for task in tasks),
         episodes_total=sum(task.episodes_total for task in tasks),
         episodes_reused=evaluation.episodes_reused,
-        successes=sum(successes for _, successes in map(done_of, submission.tasks)),
+        successes=sum(successes for _, successes in map(count_done, submission.tasks)),
         tasks=tasks,
     )
 

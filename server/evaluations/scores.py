@@ -77,7 +77,7 @@ def combine_hashes(hashes: Mapping[str, str]) -> str:
 
 def make_score_views(evaluation: Evaluation) -> dict[str, Score]:
     """Return the stored score of each task; empty before the end."""
-    return {row["task"]: Score.model_validate(_of_score(row)) for row in evaluation.scores or []}
+    return {row["task"]: Score.model_validate(_select_score(row)) for row in evaluation.scores or []}
 
 
 def combined_score(evaluation: Evaluation) -> CombinedScore | None:
@@ -142,7 +142,7 @@ def practice_score_views(evaluation: Evaluation) -> list[PracticeScoreView] | No
 
 
 def _practice_score_view(row: Mapping[str, Any], sealed: Score) -> PracticeScoreView:
-    found, p_value = Score.model_validate(_of_score(row)), float(row["p_value"])
+    found, p_value = Score.model_validate(_select_score(row)), float(row["p_value"])
     points = 100 * (found.success_rate - sealed.success_rate)
     sentence = (
         f"Public list: {100 * found.success_rate:.1f} % ({found.successes} of {found.episodes}), "
@@ -159,7 +159,7 @@ def bounds(interval: Interval) -> tuple[float, float]:
     return interval.low, interval.high
 
 
-def _of_score(row: Mapping[str, Any]) -> dict[str, Any]:
+def _select_score(row: Mapping[str, Any]) -> dict[str, Any]:
     return {key: row[key] for key in Score.model_fields}
 
 

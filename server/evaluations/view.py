@@ -157,7 +157,7 @@ def _view(evaluation: Evaluation, workers: Callable[[str], WorkersAlive], rows: 
     progress = make_progress_view(evaluation, evaluation.submission, rows.counts.get(evaluation.id, {}))
     verdict, is_hidden = verdict_view(evaluation), evaluation.id in rows.hidden
     if is_hidden:
-        progress, verdict = _coarse(progress, shown_scores), _without_details(verdict, evaluation)
+        progress, verdict = _coarse(progress, shown_scores), _hide_details(verdict, evaluation)
     return EvaluationView(
         **vars(summary_view(evaluation)),
         started_at=evaluation.started_at,
@@ -219,7 +219,7 @@ def _coarse(progress: ProgressView, scores: list[TaskScoreView]) -> ProgressView
     return progress.model_copy(update={"episodes_done": done, "successes": None, "tasks": []})
 
 
-def _without_details(verdict: VerdictView | None, evaluation: Evaluation) -> VerdictView | None:
+def _hide_details(verdict: VerdictView | None, evaluation: Evaluation) -> VerdictView | None:
     """Return the verdict without what may repeat an observation, or say how a single episode ended."""
     hidden = SEALED_DETAILS if has_lists(evaluation) else f"{TRACK_REMOVED} Its details are no longer shown."
     return verdict and verdict.model_copy(update={"message": hidden, "task": None, "episode": None})

@@ -62,7 +62,7 @@ def _compared(session: Session, model_id: UUID, task: str, from_log: Callable[[]
         Evaluation, model_id, options=[defer(Evaluation.log_tail), joinedload(Evaluation.submission)]
     )
     # A log plays the public list, and so did each model, where another list ranks beside it.
-    key = EpisodeKey.from_evaluation(model, model.submission).on_public_list()
+    key = EpisodeKey.from_evaluation(model, model.submission).select_public_list()
     return _compare(model, from_log(), _actions(session, key, task))
 
 

@@ -169,7 +169,7 @@ def list_views(session: Session, settings: Settings) -> list[WorkerView]:
     return [worker_view(one, settings, now=now, shards=shards.get(one.id, ())) for one in list_workers(session)]
 
 
-def view_of(session: Session, settings: Settings, worker_id: UUID) -> WorkerView:
+def view_worker(session: Session, settings: Settings, worker_id: UUID) -> WorkerView:
     """Return one worker as organizers see it.
 
     Raises:

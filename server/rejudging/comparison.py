@@ -11,7 +11,7 @@ from vitac.evaluator.episodes.records import canonical_json
 from vitac.evaluator.scoring.ranking import CombinedScore
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..contest.contest import stage_of
+from ..contest.contest import find_stage
 from ..contest.definition import RankingKey
 from ..contest.stages import Stage
 from ..db.models import Evaluation, Rejudgement, Submission, Team
@@ -30,7 +30,7 @@ def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmi
     they were then, among the teams that take part now.
     """
     new, kept = find_newest_evaluations(session, rejudgement), _find_newer_evaluations(session, rejudgement)
-    stage = stage_of(session, rejudgement)
+    stage = find_stage(session, rejudgement)
     present, keys = _present(session, rejudgement, stage), stage.ranking
     replaced = {submission: run for submission, run in new.items() if not _keeps_result(run, kept)}
     ranks_before, ranks_after = _ranks(present, keys), _ranks({**present, **replaced}, keys)

@@ -11,7 +11,7 @@ from vitac.evaluator.tracks.versions import find_version
 
 from .. import names
 from ..audit import record
-from ..contest.contest import Contest, stage_of
+from ..contest.contest import Contest, find_stage
 from ..contest.stages import Stage
 from ..db.among import among
 from ..db.models import BoardResult, Evaluation, Rejudgement, Submission, Team
@@ -133,7 +133,7 @@ def apply(
     """
     found = _lock_open(session, by, rejudgement_id)
     _lock_contest(session, found.contest)
-    stage = stage_of(session, found)
+    stage = find_stage(session, found)
     if stage.frozen_at is not None:
         raise ServiceError(
             ProblemCode.INVALID_REQUEST,

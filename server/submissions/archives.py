@@ -16,7 +16,7 @@ from ..services import Services
 from ..views.evaluations import NearCopyView
 
 
-def with_archives(services: Services, by: Principal, found: Sequence[NearCopyView]) -> list[NearCopyView]:
+def compare_archives(services: Services, by: Principal, found: Sequence[NearCopyView]) -> list[NearCopyView]:
     """Return near copies with how alike the archives are, where both are models and still stored.
 
     Raises:

@@ -72,7 +72,7 @@ def run_again(session: Session, by: Principal, submission_id: UUID) -> Submissio
     if run is None:
         raise ServiceError(
             ProblemCode.NOT_REQUEUABLE,
-            f"Submission {submission.id} is being evaluated{_for_rejudgement(session, submission)}; wait, or cancel "
+            f"Submission {submission.id} is being evaluated{_name_rejudgement(session, submission)}; wait, or cancel "
             "that first.",
         )
     lifecycle.start(session, submission, run)
@@ -130,7 +130,7 @@ def _cancel(session: Session, by: Principal, evaluation_id: UUID) -> None:
     record(session, by, "submission.cancel", f"submission:{submission_id}", {"evaluation": str(evaluation.id)})
 
 
-def _for_rejudgement(session: Session, submission: Submission) -> str:
+def _name_rejudgement(session: Session, submission: Submission) -> str:
     """Return which evaluation of a rejudgement is active, for a message; empty where none is."""
     proposed = all_runs(submission).where(Evaluation.is_proposed, Evaluation.state.in_(ACTIVE_EVALUATION_STATES))
     found = session.scalars(proposed.limit(1)).first()

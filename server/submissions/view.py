@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..contest.contest import stage_of
+from ..contest.contest import find_stage
 from ..contest.stages import Stage
 from ..db.models import Evaluation, Submission
 from ..db.states import EvaluationState
@@ -68,7 +68,7 @@ def submission_views(
         fleet=known_workers,
         workers=cache(partial(_workers, known_workers)),
         places=cache(partial(_places, session, by)),
-        stage_of=partial(stage_of, session),
+        find_stage=partial(find_stage, session),
     )
     return [_view(found, shown) for found in runs.values()]
 
@@ -91,7 +91,7 @@ class _Shown:
         fleet: the workers known now.
         workers: who of them can run some tasks.
         places: on the boards of a stage.
-        stage_of: to which stage a submission was made.
+        find_stage: to which stage a submission was made.
     """
 
     by: Principal
@@ -102,7 +102,7 @@ class _Shown:
     fleet: Fleet
     workers: WorkersOf
     places: PlacesOf
-    stage_of: Callable[[Submission], Stage]
+    find_stage: Callable[[Submission], Stage]
 
 
 def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
@@ -144,7 +144,7 @@ def _explain_unranked(newest: Evaluation, shown: _Shown) -> str | None:
     submission = newest.submission
     if newest.state is not EvaluationState.COMPLETED or not submission.kind.form.runs_policy:
         return None
-    counted = shown.stage_of(submission).counted_results()
+    counted = shown.find_stage(submission).counted_results()
     return explain_unranked_submission(newest.evaluator_version, counted, submission.track)
 
 
@@ -166,5 +166,5 @@ def _ranks(newest: Evaluation, shown: _Shown) -> dict[str | None, RankView]:
     submission = newest.submission
     if newest.state is not EvaluationState.COMPLETED or not submission.kind.form.runs_policy:
         return {}
-    boards = shown.places(shown.stage_of(submission))
+    boards = shown.places(shown.find_stage(submission))
     return {task: places[submission.id] for task, places in boards.items() if submission.id in places}

@@ -37,7 +37,7 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
     return CheckedUpload(
         kind=SubmissionKind.MODEL,
         track=manifest.track,
-        tasks=track.tasks_of(manifest.tasks),
+        tasks=track.list_played_tasks(manifest.tasks),
         name=manifest.name,
         digest=digest,
         archive_sha256=received.sha256,

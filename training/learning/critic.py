@@ -82,7 +82,7 @@ class Critic(FittedValue):
         self._fit(samples, lambda: self._targets(known, random), random, after_sweep)
 
     @classmethod
-    def of_state(cls, plan: CriticPlan, state: Mapping[str, FloatArray]) -> "Critic":
+    def from_state(cls, plan: CriticPlan, state: Mapping[str, FloatArray]) -> "Critic":
         """Return a critic that continues from a state."""
         critic = cls(plan, np.random.default_rng(0))
         critic.restore(state)

@@ -57,7 +57,7 @@ class Library:
     def files(self) -> Mapping[str, Path]:
         """All files by their path in the folder; documents among them without their suffix."""
         paths = sorted(path for path in self.folder.rglob("*") if path.is_file())
-        return {name_of(path.relative_to(self.folder).as_posix()): path for path in paths}
+        return {strip_suffix(path.relative_to(self.folder).as_posix()): path for path in paths}
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -72,7 +72,7 @@ class Library:
             Chapter(
                 title=title,
                 documents=tuple(
-                    (ADDRESS + name_of(target), text)
+                    (ADDRESS + strip_suffix(target), text)
                     for text, target in re.findall(r"^- \[(.+?)\]\((.+?)\)", part, re.M)
                 ),
             )
@@ -127,7 +127,7 @@ class Library:
         if "://" in target or target.startswith("#"):
             return target
         path, hash_, anchor = target.partition("#")
-        found = name_of(posixpath.normpath(posixpath.join(posixpath.dirname(name), path)))
+        found = strip_suffix(posixpath.normpath(posixpath.join(posixpath.dirname(name), path)))
         if found.startswith("../web/static/"):
             return found.removeprefix("../web")
         if found not in self.files:
@@ -140,7 +140,7 @@ def is_document(path: str) -> bool:
     return path.endswith((".md", ".ipynb"))
 
 
-def name_of(path: str) -> str:
+def strip_suffix(path: str) -> str:
     """Return a path without the suffix of documents."""
     return path.removesuffix(".md").removesuffix(".ipynb")
 

@@ -47,17 +47,17 @@ class Document:
         return self.sections[0].heading
 
 
-def render_document(markdown: str, address_of: Callable[[str], str | None]) -> Document:
+def render_document(markdown: str, find_address: Callable[[str], str | None]) -> Document:
     """Render Markdown that begins with a heading of level 1.
 
     Args:
         markdown: CommonMark with tables.
-        address_of: returns the address of the target of a link or picture; None makes the link plain text.
+        find_address: returns the address of the target of a link or picture; None makes the link plain text.
     """
     tokens = _PARSER.parse(markdown)
     sections = _divide(tokens)
     for token in tokens:
-        _resolve_links(token.children or [], address_of)
+        _resolve_links(token.children or [], find_address)
     html = _PARSER.renderer.render(tokens[3:], _PARSER.options, {})
     return Document(html=Markup(html), sections=sections)  # noqa: S704 - our own documents
 
@@ -91,12 +91,12 @@ def _text(token: Token) -> str:
     return "".join(" " if child.type == "softbreak" else child.content for child in token.children)
 
 
-def _resolve_links(tokens: Sequence[Token], address_of: Callable[[str], str | None]) -> None:
+def _resolve_links(tokens: Sequence[Token], find_address: Callable[[str], str | None]) -> None:
     is_link = True
     for token in tokens:
         for attribute in ("href", "src"):
             if attribute in token.attrs:
-                address = address_of(str(token.attrs[attribute]))
+                address = find_address(str(token.attrs[attribute]))
                 is_link = address is not None
                 token.attrs = {**token.attrs, attribute: address} if address is not None else {}
         if token.type in ("link_open", "link_close") and not is_link:

@@ -8,7 +8,7 @@ from starlette.responses import Response
 from vitac.server.appeals import appeals
 from vitac.server.principals import Principal
 
-from ..site import page, require_viewer, site_of
+from ..site import get_site, page, require_viewer
 from .addresses import competition_address, read_contest_name
 from .forms import act, read_id, read_number
 
@@ -19,7 +19,7 @@ async def list_appeals(request: Request) -> Response:
     """Show the appeals of the team, all to organizers and judges."""
     viewer = await require_viewer(request)
     by, contest = viewer.principal, read_contest_name(request)
-    found = await site_of(request).ask(lambda session: appeals.visible(session, by, contest))
+    found = await get_site(request).ask(lambda session: appeals.visible(session, by, contest))
     given = request.query_params.get("submission", "")
     return page(
         request,

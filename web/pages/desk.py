@@ -16,7 +16,7 @@ from vitac.server.messages import announcements, questions
 from vitac.server.principals import Principal
 from vitac.server.teams import teams
 
-from ..site import page, require_viewer, site_of
+from ..site import get_site, page, require_viewer
 from .addresses import board_address
 from .forms import act, read_id, read_number
 
@@ -32,7 +32,7 @@ async def desk(request: Request) -> Response:
         ServiceError: the visitor is none.
     """
     viewer = await require_viewer(request)
-    found = await site_of(request).ask(lambda session: read_desk(session, viewer.principal))
+    found = await get_site(request).ask(lambda session: read_desk(session, viewer.principal))
     return page(request, "desk.html", viewer=viewer, section=ADDRESS, found=found, board_address=board_address)
 
 

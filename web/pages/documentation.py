@@ -8,7 +8,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 
 from ..documentation.library import ADDRESS, INDEX, MAX_FOUND, Library, is_document
-from ..site import page, viewer_of
+from ..site import get_viewer, page
 
 
 def get_library(request: Request) -> Library:
@@ -37,6 +37,6 @@ async def search(request: Request) -> Response:
 
 
 async def _page(request: Request, template: str, **values: Any) -> Response:
-    viewer = await viewer_of(request)
+    viewer = await get_viewer(request)
     chapters = get_library(request).chapters
     return page(request, template, viewer=viewer, section=ADDRESS, chapters=chapters, **{"query": "", **values})

@@ -16,7 +16,7 @@ from vitac.server.errors import ProblemCode, ServiceError
 
 from ..headers import HEADERS
 from ..session.signer import COOKIE
-from ..site import SignInNeeded, Viewer, page, sign_in_first, viewer_of
+from ..site import SignInNeeded, Viewer, get_viewer, page, sign_in_first
 
 Handler = Callable[[Request, Exception], Response | Awaitable[Response]]
 
@@ -83,7 +83,7 @@ async def _page(request: Request, error: Exception) -> Response:
 async def _viewer(request: Request) -> tuple[Viewer | None, bool]:
     """Return who is signed in, and whether that is known."""
     try:
-        return await viewer_of(request), True
+        return await get_viewer(request), True
     except Exception:  # noqa: BLE001 - whatever it is, the page tells of the first error
         return None, False
 

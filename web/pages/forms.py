@@ -11,7 +11,7 @@ from starlette.responses import RedirectResponse, Response
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import Principal
 
-from ..site import signed_in_form, site_of
+from ..site import get_site, signed_in_form
 
 FormT = TypeVar("FormT", bound=BaseModel)
 
@@ -25,7 +25,7 @@ async def act(
         ServiceError: the service refuses it.
     """
     viewer, fields = await signed_in_form(request)
-    await site_of(request).ask(lambda session: change(session, viewer.principal, fields))
+    await get_site(request).ask(lambda session: change(session, viewer.principal, fields))
     return RedirectResponse(back, status_code=303)
 
 

@@ -19,7 +19,7 @@ from vitac.server.views.leaderboards import LeaderboardView
 
 from ..front import Front, TrackCard
 from ..rendering import STATIC
-from ..site import Site, page, site_of, viewer_of
+from ..site import Site, get_site, get_viewer, page
 from .episodes.page import player_script
 
 NEWS = 5
@@ -30,11 +30,11 @@ EXAMPLE = "example.scene"
 
 async def home(request: Request) -> Response:
     """Show the front page; the player is loaded when somebody wants to play."""
-    site = site_of(request)
+    site = get_site(request)
     return page(
         request,
         "home.html",
-        viewer=await viewer_of(request),
+        viewer=await get_viewer(request),
         section="/",
         front=await site.front.get(lambda: site.read(lambda session: _front(session, site))),
         first_track=site.tracks[0],

@@ -13,7 +13,7 @@ from vitac.server.judging import judging as marking
 from vitac.server.judging.sheet import sheets
 from vitac.server.principals import Principal
 
-from ..site import page, require_viewer, site_of
+from ..site import get_site, page, require_viewer
 from .forms import act, read_id
 
 ADDRESS = "/judging"
@@ -28,7 +28,7 @@ async def judging(request: Request) -> Response:
         ServiceError: the visitor is neither.
     """
     viewer = await require_viewer(request)
-    found = await site_of(request).ask(lambda session: sheets(session, viewer.principal))
+    found = await get_site(request).ask(lambda session: sheets(session, viewer.principal))
     return page(request, "judging.html", viewer=viewer, section=ADDRESS, found=found, rows=_rows)
 
 

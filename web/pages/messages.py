@@ -9,7 +9,7 @@ from vitac.server.messages import announcements, questions
 from vitac.server.principals import Principal
 from vitac.server.views.messages import AnnouncementView, QuestionView
 
-from ..site import page, site_of, viewer_of
+from ..site import get_site, get_viewer, page
 from .forms import act
 
 ADDRESS = "/announcements"
@@ -17,13 +17,13 @@ ADDRESS = "/announcements"
 
 async def messages(request: Request) -> Response:
     """Show what organizers say to everybody, and the questions that the visitor may see."""
-    viewer = await viewer_of(request)
+    viewer = await get_viewer(request)
     by = viewer.principal if viewer is not None else None
 
     def read(session: Session) -> tuple[list[AnnouncementView], list[QuestionView]]:
         return announcements.shown(session), questions.visible(session, by)
 
-    said, asked = await site_of(request).ask(read)
+    said, asked = await get_site(request).ask(read)
     return page(request, "messages.html", viewer=viewer, section=ADDRESS, said=said, asked=asked)
 
 

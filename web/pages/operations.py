@@ -7,7 +7,7 @@ from vitac.server.metrics.totals import totals
 from vitac.server.operations import state
 from vitac.server.queue.workers import measure_disk
 
-from ..site import page, require_viewer, site_of
+from ..site import get_site, page, require_viewer
 
 
 async def operations(request: Request) -> Response:
@@ -19,7 +19,7 @@ async def operations(request: Request) -> Response:
     viewer = await require_viewer(request)
     if not viewer.is_organizer:
         raise ServiceError(ProblemCode.FORBIDDEN, "This page is for organizers. Sign in with an organizer's token.")
-    site = site_of(request)
+    site = get_site(request)
     settings = site.services.settings
     found = await site.ask(lambda session: state.operations(session, settings, totals(session)))
     disk = measure_disk(settings.state_dir)

@@ -4,7 +4,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from vitac.server.submissions import receipts as of_submissions
 
-from ..site import page, require_viewer, site_of, viewer_of
+from ..site import get_site, get_viewer, page, require_viewer
 from .addresses import as_id, read_contest_name
 
 
@@ -14,10 +14,10 @@ async def receipts(request: Request) -> Response:
     return page(
         request,
         "receipts.html",
-        viewer=await viewer_of(request),
+        viewer=await get_viewer(request),
         section="/receipts",
         contest=contest,
-        chain=await site_of(request).ask(
+        chain=await get_site(request).ask(
             lambda session: of_submissions.chain_view(session, after=0, limit=0, contest=contest)
         ),
     )
@@ -27,7 +27,7 @@ async def receipt_file(request: Request) -> Response:
     """Return the receipt of a submission's newest result."""
     viewer = await require_viewer(request)
     submission_id = as_id(request.path_params["submission_id"])
-    found = await site_of(request).ask(
+    found = await get_site(request).ask(
         lambda session: of_submissions.newest_receipt(session, viewer.principal, submission_id)
     )
     name = f"receipt-{found.link.number}.json"

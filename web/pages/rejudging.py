@@ -12,7 +12,7 @@ from vitac.server.principals import Principal
 from vitac.server.rejudging import rejudging
 from vitac.server.rejudging.view import rejudgement_detail_view, rejudgement_view
 
-from ..site import page, require_viewer, site_of
+from ..site import get_site, page, require_viewer
 from .forms import act, read_id
 
 ADDRESS = "/rejudging"
@@ -24,7 +24,7 @@ async def rejudgements(request: Request) -> Response:
     Raises:
         ServiceError: the visitor is no organizer.
     """
-    viewer, site = await require_viewer(request), site_of(request)
+    viewer, site = await require_viewer(request), get_site(request)
 
     def read(session: Session) -> dict[str, Any]:
         found = rejudging.rejudgements(session, viewer.principal)

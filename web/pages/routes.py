@@ -10,7 +10,7 @@ from starlette.types import Scope
 from ..documentation.library import ADDRESS, Library
 from ..headers import SecurityHeaders
 from ..rendering import STATIC, static_digest
-from ..site import Site, with_public_rankings
+from ..site import Site, name_public_rankings
 from . import (
     appeals,
     desk,
@@ -159,5 +159,5 @@ def pages() -> APIRouter:
         ("/sign-in/password", sign_in.sign_in_with_password, "POST"),
         ("/sign-out", sign_in.sign_out, "POST"),
     ):
-        router.add_route(path, with_public_rankings(page), methods=[method], include_in_schema=False)
+        router.add_route(path, name_public_rankings(page), methods=[method], include_in_schema=False)
     return router

@@ -5,17 +5,17 @@ from starlette.responses import Response
 from vitac.server.queue.workers import sandboxes
 
 from ..limits import limit_rows
-from ..site import page, site_of, viewer_of
+from ..site import get_site, get_viewer, page
 
 
 async def sandbox(request: Request) -> Response:
     """Show packages, BLAS, threads, CPU and limits, and how to bring other packages."""
-    site = site_of(request)
+    site = get_site(request)
     settings = site.services.settings
     return page(
         request,
         "sandbox.html",
-        viewer=await viewer_of(request),
+        viewer=await get_viewer(request),
         section="/sandbox",
         found=await site.ask(lambda session: sandboxes(session, settings)),
         limits=limit_rows(settings.limits),

@@ -11,7 +11,7 @@ from vitac.evaluator.tracks import Task
 
 from ..limits import limit_rows, size
 from ..rendering import STATIC
-from ..site import page, site_of, viewer_of
+from ..site import get_site, get_viewer, page
 from .leaderboards.tabs import accepts_logs, known_track, track_tabs
 
 
@@ -45,12 +45,12 @@ PICTURES = {
 
 async def rules(request: Request) -> Response:
     """Show the rules of a track, from its file and the limits in force."""
-    track, site = known_track(request.path_params["track"]), site_of(request)
+    track, site = known_track(request.path_params["track"]), get_site(request)
     settings = site.services.settings
     return page(
         request,
         "rules.html",
-        viewer=await viewer_of(request),
+        viewer=await get_viewer(request),
         section=f"/tracks/{track.name}/rules",
         track=track,
         action_types=ACTION_TYPES,

@@ -107,7 +107,7 @@ TASK = TaskDefinition(
     measures=(SURFACE_DIFF, PEG_HEIGHT),
     methods=(METHOD,),
     perspective="vitac.envs.tasks.fusion_insertion.perspective:PERSPECTIVE",
-    guided_motion="vitac.envs.tasks.fusion_insertion.guided_motion:over_the_hole_then_down",
+    guided_motion="vitac.envs.tasks.fusion_insertion.guided_motion:guide_to_the_hole",
     quantities=(*INSERTION_QUANTITIES, *LOOK_QUANTITIES),
     info_lengths={PEG_HEIGHT.name: 6},
 )

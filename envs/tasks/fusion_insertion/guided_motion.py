@@ -14,7 +14,7 @@ _CLOSE = 1e-3
 _RIM_OFFSET_MM = 9.5
 
 
-def over_the_hole_then_down(_: Observation, info: Info) -> ActionArray:
+def guide_to_the_hole(_: Observation, info: Info) -> ActionArray:
     """Take the offset away while hovering, then descend; the gripper's own axes turn with it."""
     *horizontal, z_mm = info["gt_offset_mm_deg"].tolist()
     there = max(abs(value) for value in horizontal) < _CLOSE

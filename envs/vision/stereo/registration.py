@@ -71,12 +71,12 @@ def _fill_gaps(hit_m: FloatArray, shown: NDArray[np.int32], depth_m: NDArray[np.
             if 0 < i < width - 1 and 0 < j < height - 1:
                 for down, right in _OPPOSITE:
                     if z == 0.0:
-                        z = _between(hit_m[j - down, i - right], hit_m[j + down, i + right])
+                        z = _pick_nearer(hit_m[j - down, i - right], hit_m[j + down, i + right])
             depth_m[j, i] = z
 
 
 @kernel
-def _between(before_m: float, after_m: float) -> float:
+def _pick_nearer(before_m: float, after_m: float) -> float:
     """Return the nearer of two depths on one surface; 0 where one is unknown or they are on different ones."""
     known = before_m > 0.0 and after_m > 0.0
     return min(before_m, after_m) if known and abs(before_m - after_m) < _ONE_SURFACE_M else 0.0

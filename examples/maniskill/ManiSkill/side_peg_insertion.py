@@ -35,14 +35,14 @@ class SidePegInsertion:
         return self._stage(tcp, peg, hole, state[PEG_HALF_LENGTH])
 
     def _go_above(self, tcp, peg, hole, half_length):
-        grasp = grasp_of(tcp, peg, half_length)
+        grasp = place_grasp(tcp, peg, half_length)
         above = grasp.moved([0, 0, ABOVE_M])
         if tcp.is_near(above, 0.006, 0.04):
             self._stage = self._go_down
         return action(tcp, above, OPEN)
 
     def _go_down(self, tcp, peg, hole, half_length):
-        grasp = grasp_of(tcp, peg, half_length)
+        grasp = place_grasp(tcp, peg, half_length)
         if tcp.is_near(grasp, 0.012, 0.1):
             self._stage = self._close
         return action(tcp, grasp, OPEN)
@@ -87,7 +87,7 @@ class Pose:
         return np.linalg.norm(self.position - other.position) < distance_m and angle < angle_rad
 
 
-def grasp_of(tcp, peg, half_length):
+def place_grasp(tcp, peg, half_length):
     """Return where the gripper holds the peg: from above, near its tail, the fingers at its sides."""
     side = peg.rotation[:, 1] * np.sign(peg.rotation[:, 1] @ tcp.rotation[:, 1])
     down = np.array([0.0, 0.0, -1.0])

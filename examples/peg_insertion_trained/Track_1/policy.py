@@ -160,7 +160,7 @@ def values(weights: Mapping[str, FloatArray], history: FloatArray, actions: Floa
         history: shape [HISTORY_SIZE].
         actions: shape [count, 3].
     """
-    copies = copies_in(weights)
+    copies = count_copies(weights)
     total = np.zeros(len(actions), dtype=np.float32)
     for copy in range(copies):
         layer = {name.removeprefix(f"{copy}_"): value for name, value in weights.items() if name.startswith(f"{copy}_")}
@@ -179,11 +179,11 @@ def belief_inputs(weights: Mapping[str, FloatArray], histories: FloatArray) -> F
     """
     layers = [
         np.maximum(histories @ weights[f"{copy}_history"] + weights[f"{copy}_bias0"], 0.0)
-        for copy in range(copies_in(weights))
+        for copy in range(count_copies(weights))
     ]
     return np.concatenate([histories, *layers, np.ones((len(histories), 1), dtype=np.float32)], axis=1)
 
 
-def copies_in(weights: Mapping[str, FloatArray]) -> int:
+def count_copies(weights: Mapping[str, FloatArray]) -> int:
     """Return how many networks there are."""
     return sum(name.endswith("_history") for name in weights)

@@ -26,7 +26,7 @@ class BodyLimit:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Hand the request on with a body that is counted while it is read."""
-        if scope["type"] != "http" or is_one_of(self._unlimited, scope):
+        if scope["type"] != "http" or matches_route(self._unlimited, scope):
             await self._app(scope, receive, send)
             return
         received, is_complete = 0, False
@@ -34,7 +34,7 @@ class BodyLimit:
 
         async def counted() -> Message:
             nonlocal received, is_complete
-            message = await receive() if is_complete else await _receive_before(deadline, receive)
+            message = await receive() if is_complete else await _receive_within(deadline, receive)
             received += len(message.get("body", b""))
             is_complete = not message.get("more_body", False)
             if received > self._limit_bytes:
@@ -44,13 +44,13 @@ class BodyLimit:
         await self._app(scope, counted, send)
 
 
-def is_one_of(routes: frozenset[tuple[str, str]], scope: Scope) -> bool:
+def matches_route(routes: frozenset[tuple[str, str]], scope: Scope) -> bool:
     """Return whether a request has one of these methods and paths, or paths up to their last slash."""
     path: str = scope["path"]
     return not routes.isdisjoint({(scope["method"], path), (scope["method"], path[: path.rfind("/") + 1])})
 
 
-async def _receive_before(deadline: float, receive: Receive) -> Message:
+async def _receive_within(deadline: float, receive: Receive) -> Message:
     try:
         async with asyncio.timeout_at(deadline):
             return await receive()

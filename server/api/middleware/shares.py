@@ -21,9 +21,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ...db.states import Role
 from ...errors import ProblemCode, ServiceError
-from ..attempts import address_of
+from ..attempts import get_client_address
 from ..problems import problem
-from .body_limit import is_one_of
+from .body_limit import matches_route
 
 logger = structlog.get_logger(__name__)
 
@@ -152,10 +152,10 @@ class Shares:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Hand the request on when its client has a place, or refuse it."""
-        if scope["type"] != "http" or scope["path"] in _ALWAYS_ANSWERED or is_one_of(self._apart, scope):
+        if scope["type"] != "http" or scope["path"] in _ALWAYS_ANSWERED or matches_route(self._apart, scope):
             await self._app(scope, receive, send)
             return
-        key = self._key_of(scope)
+        key = self._choose_key(scope)
         client = self._client(key)
         refusal = self._refusal(key, client)
         if refusal is not None:
@@ -224,7 +224,7 @@ class Shares:
         wait_s = max(1, round((client.used_s - BURST_S) / self._share))
         return _too_many("Your requests have used the time of this server that is for one client", wait_s)
 
-    def _key_of(self, scope: Scope) -> str:
+    def _choose_key(self, scope: Scope) -> str:
         """Return for whom a request counts; credentials that have not been found good count for the address."""
         credentials = _credentials(scope)
         account = self._accounts.get(credentials) if credentials else None
@@ -232,7 +232,7 @@ class Shares:
             self._is_warned = True
             client = scope.get("client") or ("unknown",)
             logger.info("forwarded_request", counted_for=client[0], advice="VITAC_TRUSTED_PROXIES names the proxies")
-        return account or f"address {address_of(HTTPConnection(scope))}"
+        return account or f"address {get_client_address(HTTPConnection(scope))}"
 
     def _note_account(self, scope: Scope) -> None:
         """Remember whose credentials they were, where a route has found out."""

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from visible_scenes import STARTS
 from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
-from vitac.envs.tasks.fusion_insertion.guided_motion import over_the_hole_then_down
+from vitac.envs.tasks.fusion_insertion.guided_motion import guide_to_the_hole
 
 
 def unseen() -> FusionInsertionEnv:
@@ -17,7 +17,7 @@ def planned(env: FusionInsertionEnv, start: tuple[float, ...]) -> dict[str, Any]
     observation, info = env.reset(options={"start": start, "rng_seed": (0, 1)})
     ended = False
     while not ended:
-        observation, _, terminated, truncated, info = env.step(over_the_hole_then_down(observation, info))
+        observation, _, terminated, truncated, info = env.step(guide_to_the_hole(observation, info))
         ended = terminated or truncated
     return info
 

@@ -102,7 +102,7 @@ def smooth(height_mm: Callable[[float, float], float], cells: int, rows: int | N
     ):
         for i in range(len(upper) - 1):
             corners += [(lower[i], lower[i + 1], upper[i + 1]), (lower[i], upper[i + 1], upper[i])]
-    return DrawnSurface.of_corners(np.array(corners))
+    return DrawnSurface.from_corners(np.array(corners))
 
 
 def round_outline(x: float, y: float, radius: float, corners: int) -> Outline:

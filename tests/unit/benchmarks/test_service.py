@@ -29,7 +29,7 @@ THEN_WAITS = f"{BURNS}\nwhile time.process_time() < end: pass\nsys.stdin.read()"
     ],
 )
 def test_processes_are_told_apart_by_their_command_line(command: tuple[str, ...], kind: str) -> None:
-    assert service.kind_of("\0".join(command)) == kind
+    assert service.name_process("\0".join(command)) == kind
 
 
 @pytest.fixture
@@ -64,4 +64,4 @@ def test_cpu_time_counts_for_the_kind_of_the_process_that_used_it_and_once(
     ],
 )
 def test_any_number_of_waits_can_be_measured(waits_ms: list[float], summary: dict[str, float]) -> None:
-    assert service.summary_of(waits_ms) == summary
+    assert service.summarize(waits_ms) == summary

@@ -14,8 +14,8 @@ from policies.baselines import (
     SEEDS,
     Row,
     line,
+    load_policy,
     percent,
-    policy_of,
     seed_line,
     training_seeds,
 )
@@ -129,7 +129,7 @@ def test_three_seeds_of_each_trained_baseline_are_told() -> None:
 
 
 def test_noise_takes_what_a_belief_is_further_from_the_truth_with_it() -> None:
-    weights = policy_of(EXAMPLES / "peg_insertion_trained").weights
+    weights = load_policy(EXAMPLES / "peg_insertion_trained").weights
     played = [play(ToyPeg(), random_actor, 7, numbers) for numbers in (range(200), range(200, 280))]
     blurred = [
         replace(

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from physics_report.tables import TABLES, DocumentError, with_tables
+from physics_report.tables import TABLES, DocumentError, fill_tables
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +21,7 @@ def figures(repository: Path) -> dict[str, Any]:
 
 
 def test_every_table_is_the_one_that_the_measured_figures_make(document: str, figures: dict[str, Any]) -> None:
-    assert with_tables(document, figures) == document
+    assert fill_tables(document, figures) == document
 
 
 def test_every_table_has_as_many_cells_in_each_row(figures: dict[str, Any]) -> None:
@@ -33,12 +33,12 @@ def test_every_table_has_as_many_cells_in_each_row(figures: dict[str, Any]) -> N
 def test_tables_are_made_anew_whatever_stood_there(document: str, figures: dict[str, Any]) -> None:
     emptied = re.sub(r"(<!-- table \w+ -->\n).*?(<!-- end -->)", r"\1\2", document, flags=re.DOTALL)
     assert emptied != document
-    assert with_tables(emptied, figures) == document
+    assert fill_tables(emptied, figures) == document
 
 
 def test_a_document_without_one_of_the_tables_is_refused(document: str, figures: dict[str, Any]) -> None:
     with pytest.raises(DocumentError, match="ledger"):
-        with_tables(document.replace("<!-- table ledger -->", ""), figures)
+        fill_tables(document.replace("<!-- table ledger -->", ""), figures)
 
 
 def test_every_miss_and_every_unsolved_step_is_explained(document: str, figures: dict[str, Any]) -> None:

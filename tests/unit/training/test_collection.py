@@ -40,7 +40,7 @@ def test_what_is_there_is_not_played_again(tmp_path: Path, toy: list[ToyPeg]) ->
     heard: list[tuple[int, int]] = []
     first = collect(BATCH, tmp_path)
     played = len(toy[0].resets)
-    again = collect(BATCH, tmp_path, after_file=lambda done, files: heard.append((done, files)))
+    again = collect(BATCH, tmp_path, report_file=lambda done, files: heard.append((done, files)))
     assert played == len(toy[0].resets) == len(first) == len(again) == BATCH.count
     assert heard == [(2, 2)]
 
@@ -60,7 +60,7 @@ def test_stopped_collection_goes_on_where_it_was(tmp_path: Path, monkeypatch: py
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        collect(BATCH, tmp_path, after_file=stop)
+        collect(BATCH, tmp_path, report_file=stop)
     assert len(contents(tmp_path)) == 1
     collect(BATCH, tmp_path)
     collect(BATCH, tmp_path / "whole")

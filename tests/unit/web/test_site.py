@@ -17,9 +17,9 @@ from vitac.web.site import (
     SignInNeeded,
     Site,
     Viewer,
+    get_principal,
     navigation,
     open_to_all,
-    principal_of,
     require_viewer,
     sign_in_first,
 )
@@ -67,8 +67,8 @@ def test_a_team_changes_its_own_an_organizer_everything_a_judge_nothing() -> Non
     assert judge.may_see("Team B")
     assert not judge.may_change("Team B")
     assert not viewer().may_see("Team B")
-    assert principal_of(None) is VISITOR
-    assert principal_of(judge) is judge.principal
+    assert get_principal(None) is VISITOR
+    assert get_principal(judge) is judge.principal
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_a_visitor_is_asked_to_sign_in_before_anything_else_and_a_viewer_is_not(
     async def next_viewer(_: Request) -> Viewer | None:
         return found.pop(0)
 
-    monkeypatch.setattr(site, "viewer_of", next_viewer)
+    monkeypatch.setattr(site, "get_viewer", next_viewer)
     with pytest.raises(SignInNeeded):
         asyncio.run(require_viewer(request()))
     assert asyncio.run(require_viewer(request())).name == "Team A"

@@ -4,7 +4,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from vitac.server.publishing.archive import archive_view
 
-from ...site import page, site_of, viewer_of
+from ...site import get_site, get_viewer, page
 from ..addresses import competition_address, read_contest_name
 
 
@@ -15,11 +15,11 @@ async def archive(request: Request) -> Response:
         ServiceError: there is no such competition that is final.
     """
     contest = read_contest_name(request)
-    found = await site_of(request).read(lambda session: archive_view(session, contest))
+    found = await get_site(request).read(lambda session: archive_view(session, contest))
     return page(
         request,
         "archive.html",
-        viewer=await viewer_of(request),
+        viewer=await get_viewer(request),
         section="/competition",
         found=found.competition,
         competition=competition_address(contest),

@@ -14,7 +14,7 @@ from vitac.server.messages import announcements
 from vitac.server.views.contest import CompetitionView
 from vitac.server.views.messages import AnnouncementView
 
-from ...site import page, principal_of, site_of, viewer_of
+from ...site import get_principal, get_site, get_viewer, page
 from ..addresses import board_address, competition_address, read_contest_name
 from ..forms import act
 
@@ -34,8 +34,8 @@ class Countdown:
 
 async def competitions(request: Request) -> Response:
     """Show all competitions of this service to everybody."""
-    found = (await site_of(request).read(competition_list_view)).items
-    return page(request, "competitions.html", viewer=await viewer_of(request), section="/competition", found=found)
+    found = (await get_site(request).read(competition_list_view)).items
+    return page(request, "competitions.html", viewer=await get_viewer(request), section="/competition", found=found)
 
 
 async def competition(request: Request) -> Response:
@@ -50,8 +50,8 @@ async def competition(request: Request) -> Response:
         shown = competition_view(session, contest)
         return shown, announcements.shown(session), len(competition_list_view(session).items)
 
-    found, said, n_competitions = await site_of(request).read(read)
-    viewer = await viewer_of(request)
+    found, said, n_competitions = await get_site(request).read(read)
+    viewer = await get_viewer(request)
     return page(
         request,
         "contest.html",
@@ -62,7 +62,7 @@ async def competition(request: Request) -> Response:
         board_address=partial(board_address, contest),
         has_others=n_competitions > 1,
         said=said[:N_SAID],
-        is_organizer=contest is not None and principal_of(viewer).organizes(contest),
+        is_organizer=contest is not None and get_principal(viewer).organizes(contest),
         now=(now := datetime.now(UTC)),
         countdowns=list_countdowns(found, now),
     )

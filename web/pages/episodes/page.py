@@ -15,7 +15,7 @@ from vitac.envs.scene.perspective import signed
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.playback.order import NotPlayable, require_playable
 from vitac.evaluator.tracks import Task, load_track
-from vitac.server.api.attempts import address_of
+from vitac.server.api.attempts import get_client_address
 from vitac.server.db.models import EpisodeResult
 from vitac.server.db.states import OPEN_PLAYBACK_STATES, PlaybackState
 from vitac.server.errors import ServiceError
@@ -27,7 +27,7 @@ from vitac.server.views.playbacks import EpisodeChoiceView, PlaybackView, ShownE
 
 from ...rendering import STATIC, words
 from ...session.forms import read_form
-from ...site import Viewer, open_to_all, page, principal_of, require_form_token, site_of, viewer_of
+from ...site import Viewer, get_principal, get_site, get_viewer, open_to_all, page, require_form_token
 from ..addresses import as_id
 
 FOLDERS = ("episodes", "practice")
@@ -114,7 +114,7 @@ class Player:
 @open_to_all
 async def episode(request: Request) -> Response:
     """Show an episode, beside another one if the address names one; nothing is computed by looking."""
-    viewer = await viewer_of(request)
+    viewer = await get_viewer(request)
     place = _place(request)
     players = [await _player(request, viewer, place)]
     beside = request.query_params.get("beside", "").strip()
@@ -142,7 +142,7 @@ async def episode(request: Request) -> Response:
 @open_to_all
 async def ask(request: Request) -> Response:
     """Ask for the playback of an episode; for a public one a visitor may, too, who has no session and so no token."""
-    viewer = await viewer_of(request)
+    viewer = await get_viewer(request)
     fields = await read_form(request)
     if viewer is not None:
         require_form_token(request, fields, viewer)
@@ -157,7 +157,7 @@ async def ask(request: Request) -> Response:
 @open_to_all
 async def playback(request: Request) -> Response:
     """Answer how far a playback is, as JSON, for the page's script."""
-    viewer = await viewer_of(request)
+    viewer = await get_viewer(request)
     shown = await _shown_episode(request, viewer, _place(request))
     if shown.playback is None:
         raise HTTPException(404)
@@ -167,7 +167,7 @@ async def playback(request: Request) -> Response:
 @open_to_all
 async def playback_file(request: Request) -> Response:
     """Answer with a file of a playback; under its key it never changes."""
-    viewer = await viewer_of(request)
+    viewer = await get_viewer(request)
     try:
         file = PlaybackFile(request.path_params["file"])
     except ValueError as error:
@@ -210,14 +210,14 @@ async def _player(request: Request, viewer: Viewer | None, place: EpisodeAddress
 
 
 async def _choices(request: Request, viewer: Viewer | None, place: EpisodeAddress) -> tuple[EpisodeChoiceView, ...]:
-    by = principal_of(viewer)
-    return await site_of(request).ask(
+    by = get_principal(viewer)
+    return await get_site(request).ask(
         lambda session: comparisons.list_choices(session, by, place.submission_id, place.task, place.number)
     )
 
 
 async def _shown_episode(request: Request, viewer: Viewer | None, place: EpisodeAddress) -> ShownEpisodeView:
-    site, by = site_of(request), principal_of(viewer)
+    site, by = get_site(request), get_principal(viewer)
     return await site.ask(
         lambda session: asking.shown_episode(
             session, site.services.settings, by, place.submission_id, place.task, place.number, practice=place.practice
@@ -227,9 +227,9 @@ async def _shown_episode(request: Request, viewer: Viewer | None, place: Episode
 
 async def _ask_for_playback(request: Request, viewer: Viewer | None, place: EpisodeAddress) -> PlaybackView:
     """Have the playback of an episode made; requests without a session count for their address, too."""
-    site, by, settings = site_of(request), principal_of(viewer), site_of(request).services.settings
+    site, by, settings = get_site(request), get_principal(viewer), get_site(request).services.settings
     if viewer is None:
-        address = address_of(request)
+        address = get_client_address(request)
         await asyncio.to_thread(site.playbacks.note, address, "playbacks from one address")
 
     def ask_for_it(session: Session) -> PlaybackView:
@@ -240,13 +240,13 @@ async def _ask_for_playback(request: Request, viewer: Viewer | None, place: Epis
 
 
 async def _read_file(request: Request, viewer: Viewer | None, place: EpisodeAddress, file: PlaybackFile) -> bytes:
-    services, by = site_of(request).services, principal_of(viewer)
+    services, by = get_site(request).services, get_principal(viewer)
 
     def read(session: Session) -> str:
         found = _find(session, by, place)
         return files.find_digest(session, found, file)
 
-    digest = await site_of(request).ask(read)
+    digest = await get_site(request).ask(read)
     return await asyncio.to_thread(files.read, services.database, services.blobs, digest)
 
 

@@ -5,7 +5,7 @@ from starlette.responses import Response
 from vitac.server.leaderboards.shown import shown_leaderboard, shown_log_boards
 from vitac.server.views.leaderboards import LeaderboardEntryView, LogBoardsView, LogEntryView
 
-from ...site import principal_of, site_of, viewer_of
+from ...site import get_principal, get_site, get_viewer
 from ..addresses import AskedBoard
 from .formats import csv_file
 
@@ -22,8 +22,8 @@ TEXT_LOG_COLUMNS = (
 
 async def leaderboard(request: Request) -> Response:
     """Return a board with a row for each entry."""
-    asked, by = AskedBoard.read(request), principal_of(await viewer_of(request))
-    board = await site_of(request).read(
+    asked, by = AskedBoard.read(request), get_principal(await get_viewer(request))
+    board = await get_site(request).read(
         lambda session: (
             shown_leaderboard(session, by, asked.track, task=asked.task, stage=asked.stage, contest=asked.contest).view
         )
@@ -72,8 +72,8 @@ async def text_logs(request: Request) -> Response:
 
 
 async def _log_boards(request: Request, asked: AskedBoard) -> LogBoardsView:
-    by = principal_of(await viewer_of(request))
-    return await site_of(request).read(
+    by = get_principal(await get_viewer(request))
+    return await get_site(request).read(
         lambda session: shown_log_boards(session, by, asked.track, stage=asked.stage, contest=asked.contest).view
     )
 

@@ -12,7 +12,7 @@ from vitac.server.submissions.listing import list_submissions
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 from vitac.server.views.submissions import SubmissionListView, SubmissionView
 
-from ...site import Page, Site, open_to_all, principal_of, require_viewer, site_of, viewer_of
+from ...site import Page, Site, get_principal, get_site, get_viewer, open_to_all, require_viewer
 from ..addresses import as_id
 from ..submission_detail import SubmissionDetail, read_detail
 from .formats import Format, attached, csv_text, table_file
@@ -48,7 +48,7 @@ def make_table_page(table: Table, form: Format) -> Page:
     @open_to_all
     async def answered(request: Request) -> Response:
         submission_id = as_id(request.path_params["submission_id"])
-        site, by = site_of(request), principal_of(await viewer_of(request))
+        site, by = get_site(request), get_principal(await get_viewer(request))
         detail = await site.read(lambda session: read_detail(session, site.services.settings, by, submission_id))
         return table_file(form, f"{submission_id}-{table.name}", table.columns, table.rows(detail))
 
@@ -109,7 +109,7 @@ TABLES = (
 async def submission_list(request: Request) -> Response:
     """Return all submissions that the visitor may see, newest first, a row for each task."""
     viewer = await require_viewer(request)
-    site, by = site_of(request), viewer.principal
+    site, by = get_site(request), viewer.principal
     first = await _list(site, by, None)
     return attached(StreamingResponse(_pages(site, by, first), media_type="text/csv"), "submissions.csv")
 

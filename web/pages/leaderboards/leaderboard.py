@@ -16,7 +16,7 @@ from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardVie
 from ...plots.dates import DatedRate, rates_by_date
 from ...plots.figure import Figure
 from ...rendering import steps, words
-from ...site import Site, page, principal_of, site_of, viewer_of
+from ...site import Site, get_principal, get_site, get_viewer, page
 from ..addresses import AskedBoard
 from .paging import board_page
 from .tabs import known_track, read_surroundings
@@ -41,9 +41,9 @@ class Cell:
 
 async def leaderboard(request: Request) -> Response:
     """Show the leaderboard of a track, or with `?task=` and `?stage=` that of a task or stage."""
-    asked, site, viewer = AskedBoard.read(request), site_of(request), await viewer_of(request)
+    asked, site, viewer = AskedBoard.read(request), get_site(request), await get_viewer(request)
     track, task = known_track(asked.track), asked.task
-    by, own_names = principal_of(viewer), viewer.own_names if viewer else frozenset()
+    by, own_names = get_principal(viewer), viewer.own_names if viewer else frozenset()
 
     def read(session: Session) -> dict[str, Any]:
         board = shown_leaderboard(session, by, track.name, task=task, stage=asked.stage, contest=asked.contest).view

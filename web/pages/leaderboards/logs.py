@@ -9,7 +9,7 @@ from starlette.responses import Response
 from vitac.server.leaderboards.shown import shown_log_boards
 from vitac.server.sharing.public_pages import public_among
 
-from ...site import page, principal_of, site_of, viewer_of
+from ...site import get_principal, get_site, get_viewer, page
 from ..addresses import AskedBoard, board_address
 from .paging import PAGE_ENTRIES, board_page
 from .tabs import known_track, read_surroundings
@@ -19,9 +19,9 @@ TEXT_LOGS = "text-logs"
 
 async def logs(request: Request) -> Response:
     """Show the logs of a track, with `?stage=` of a stage, with `?q=` those of teams with that in their name."""
-    asked, site, viewer = AskedBoard.read(request, logs=True), site_of(request), await viewer_of(request)
+    asked, site, viewer = AskedBoard.read(request, logs=True), get_site(request), await get_viewer(request)
     track = known_track(asked.track)
-    by, own_names = principal_of(viewer), viewer.own_names if viewer else frozenset()
+    by, own_names = get_principal(viewer), viewer.own_names if viewer else frozenset()
     paged = partial(board_page, request, asked.address(), own_names=own_names)
 
     def read(session: Session) -> dict[str, Any]:

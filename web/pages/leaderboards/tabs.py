@@ -92,17 +92,17 @@ def contest_tabs(session: Session, shown: str | None, track: str, page_of_track:
     )
 
 
-def stage_tabs(stages: Sequence[StageView], shown: str | None, address_of: Callable[[str], str]) -> tuple[Tab, ...]:
+def stage_tabs(stages: Sequence[StageView], shown: str | None, find_address: Callable[[str], str]) -> tuple[Tab, ...]:
     """Return the boards of the stages that have opened, and of the shown one; empty if there is only one.
 
     Args:
         stages: of the track.
         shown: name of the stage whose board is shown.
-        address_of: the address of a stage's board.
+        find_address: the address of a stage's board.
     """
     now = datetime.now(UTC)
     return _several(
-        Tab(title=stage.title, target=address_of(stage.name), current=stage.name == shown)
+        Tab(title=stage.title, target=find_address(stage.name), current=stage.name == shown)
         for stage in stages
         if stage.opens <= now or stage.name == shown
     )

@@ -9,7 +9,7 @@ from starlette.responses import Response
 from vitac.evaluator.scoring.comparison import Comparison, NothingToCompare, compare
 from vitac.server.submissions.listing import list_submissions
 
-from ...site import Viewer, page, require_viewer, site_of
+from ...site import Viewer, get_site, page, require_viewer
 from ..addresses import as_id
 from ..files.formats import csv_file, json_file, objects
 from ..submission_detail import SubmissionDetail, read_detail
@@ -22,7 +22,7 @@ async def compare_pages(request: Request) -> Response:
     """Show the comparison with the submission that `?with=` names, or a form to choose one."""
     viewer = await require_viewer(request)
     first, second = await _both(request, viewer)
-    site = site_of(request)
+    site = get_site(request)
     newest = await site.read(
         lambda session: list_submissions(
             session, site.services.settings, viewer.principal, track=first.submission.track
@@ -80,7 +80,7 @@ def _pairs(found: Comparison | None) -> Iterator[tuple[object, ...]]:
 
 
 async def _both(request: Request, viewer: Viewer) -> tuple[SubmissionDetail, SubmissionDetail | None]:
-    site, named = site_of(request), request.query_params.get("with")
+    site, named = get_site(request), request.query_params.get("with")
     submission_id, other_id = as_id(request.path_params["submission_id"]), as_id(named) if named else None
 
     def read(session: Session) -> tuple[SubmissionDetail, SubmissionDetail | None]:

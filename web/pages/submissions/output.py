@@ -7,7 +7,7 @@ from vitac.evaluator.tracks import load_track
 from vitac.server.submissions import listing
 from vitac.server.submissions.output import episode_outputs
 
-from ...site import Tab, page, require_viewer, site_of
+from ...site import Tab, get_site, page, require_viewer
 from ..addresses import as_id
 
 
@@ -16,8 +16,8 @@ async def output(request: Request) -> Response:
     viewer = await require_viewer(request)
     submission_id = as_id(request.path_params["submission_id"])
     task, after = request.query_params.get("task"), _number(request.query_params.get("after", "0"))
-    settings = site_of(request).services.settings
-    found, shown = await site_of(request).ask(
+    settings = get_site(request).services.settings
+    found, shown = await get_site(request).ask(
         lambda session: (
             listing.get(session, settings, viewer.principal, submission_id),
             episode_outputs(session, viewer.principal, submission_id, task, after=after),

@@ -21,7 +21,7 @@ from vitac.server.visibility import visible
 
 from ...plots.figure import Figure
 from ...plots.sensors import find_largest, marker_picture, quality_histogram, sensitivity_maps, still
-from ...site import Site, page, require_viewer, site_of
+from ...site import Site, get_site, page, require_viewer
 from ..addresses import as_id
 from ..episodes.page import player_script
 
@@ -63,7 +63,7 @@ class Part:
 async def sensor(request: Request) -> Response:
     """Show the sensor of a submission, beside that of another one if the address names it."""
     viewer = await require_viewer(request)
-    site = site_of(request)
+    site = get_site(request)
     beside = request.query_params.get("beside", "").strip()
     ids = [as_id(text) for text in (request.path_params["submission_id"], *([beside] if beside else ()))]
     shown = [await _shown_sensor(site, viewer.principal, submission_id) for submission_id in ids]
@@ -84,7 +84,7 @@ async def shape(request: Request) -> Response:
     """Answer with the gel of a submission's sensor, for the page's script; it never changes."""
     viewer = await require_viewer(request)
     submission_id = as_id(request.path_params["submission_id"])
-    shown = await _shown_sensor(site_of(request), viewer.principal, submission_id)
+    shown = await _shown_sensor(get_site(request), viewer.principal, submission_id)
     content = shown.looks.model_dump(mode="json", include={"vertices_mm", "triangles", "kinds"})
     return JSONResponse(content, headers={"Cache-Control": "private, max-age=3600", "Vary": "Cookie"})
 
@@ -93,7 +93,7 @@ async def document(request: Request) -> Response:
     """Return the design document of a submission as a file to save."""
     viewer = await require_viewer(request)
     submission_id = as_id(request.path_params["submission_id"])
-    site = site_of(request)
+    site = get_site(request)
     found = await site.ask(lambda session: sensors.document(session, viewer.principal, submission_id))
     content = await asyncio.to_thread(site.services.blobs.read, found.sha256)
     return Response(content, headers=sensors.to_save(submission_id, found) | {"Cache-Control": "no-store"})

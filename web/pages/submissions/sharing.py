@@ -15,7 +15,7 @@ from vitac.server.views.submissions import SubmissionView
 
 from ...sharing.citation import Citation, cite
 from ...sharing.preview import draw_preview
-from ...site import Viewer, open_to_all, signed_in_form, site_of
+from ...site import Viewer, get_site, open_to_all, signed_in_form
 from ..addresses import as_id
 from ..submission_detail import read_detail
 
@@ -43,7 +43,7 @@ class Shared:
 async def shared(request: Request, viewer: Viewer | None, found: SubmissionView, track: str) -> Shared:
     """Return how a submission of a track with that title is shared."""
     is_complete = found.evaluation.state is EvaluationState.COMPLETED
-    site = site_of(request)
+    site = get_site(request)
     address = f"{site.address(request)}/submissions/{found.id}"
     is_shown = (
         is_complete
@@ -63,7 +63,7 @@ async def set_public(request: Request) -> Response:
     viewer, fields = await signed_in_form(request)
     submission_id = as_id(request.path_params["submission_id"])
     public = fields.get("public") == "yes"
-    await site_of(request).ask(
+    await get_site(request).ask(
         lambda session: public_pages.set_public(session, viewer.principal, submission_id, public=public)
     )
     return RedirectResponse(f"/submissions/{submission_id}#sharing", status_code=303)
@@ -72,7 +72,7 @@ async def set_public(request: Request) -> Response:
 @open_to_all
 async def preview(request: Request) -> Response:
     """Answer with the picture that a link to a public submission is shown with elsewhere; for everybody the same."""
-    site, submission_id = site_of(request), as_id(request.path_params["submission_id"])
+    site, submission_id = get_site(request), as_id(request.path_params["submission_id"])
     detail = await site.read(lambda session: read_detail(session, site.services.settings, VISITOR, submission_id))
     found, title = detail.submission, load_track(detail.submission.track).title
     shown = f"{found.evaluation.id} {found.played_rank} {len(detail.episodes)} {found.name!r} {found.team.name!r}"

@@ -23,7 +23,7 @@ from vitac.server.views.submissions import EpisodeView, RankView, SubmissionView
 
 from ...plots.map import EpisodeMap, episode_map, title_of_task
 from ...rendering import render
-from ...site import Site, Viewer, open_to_all, page, principal_of, require_viewer, signed_in_form, site_of, viewer_of
+from ...site import Site, Viewer, get_principal, get_site, get_viewer, open_to_all, page, require_viewer, signed_in_form
 from ..addresses import as_id, board_address, board_query
 from ..leaderboards.tabs import find_stage_title
 from ..submission_detail import SubmissionDetail, read_detail
@@ -50,8 +50,8 @@ async def submissions(request: Request) -> Response:
     """List the visitor's submissions."""
     viewer = await require_viewer(request)
     before = request.query_params.get("before")
-    cursor, settings = None if before is None else as_id(before), site_of(request).services.settings
-    found = await site_of(request).read(
+    cursor, settings = None if before is None else as_id(before), get_site(request).services.settings
+    found = await get_site(request).read(
         lambda session: list_submissions(session, settings, viewer.principal, before=cursor)
     )
     return page(
@@ -66,21 +66,21 @@ async def submissions(request: Request) -> Response:
 @open_to_all
 async def submission(request: Request) -> Response:
     """Show one submission, a public one to everybody; the page updates itself while the evaluation runs."""
-    viewer = await viewer_of(request)
+    viewer = await get_viewer(request)
     try:
         values = await _values(request, viewer)
     except UnknownTrack:
         return await _page_of_removed_track(request, viewer)
     refresh = request.query_params.get("refresh") != "off"
     found: SubmissionView = values["submission"]
-    stages = await site_of(request).read(lambda session: track_stages(session, found.track)) if found.stage else ()
+    stages = await get_site(request).read(lambda session: track_stages(session, found.track)) if found.stage else ()
     return page(
         request,
         "submission.html",
         viewer=viewer,
         section="/submissions" if values["is_own"] else "",
         refresh=refresh,
-        **figures(site_of(request), found, values["titles"], values["episodes"], values["past"]),
+        **figures(get_site(request), found, values["titles"], values["episodes"], values["past"]),
         stage_title=find_stage_title(stages, found.stage),
         **values,
     )
@@ -98,7 +98,7 @@ async def _page_of_removed_track(request: Request, viewer: Viewer | None) -> Res
 
 async def events(request: Request) -> Response:
     """Send the live part of a submission's page whenever it changes, and `end` after the last change."""
-    viewer = await viewer_of(request)
+    viewer = await get_viewer(request)
     if viewer is None:
         return Response(status_code=204)  # stops EventSource from reconnecting
     await _values(request, viewer)  # refuses a submission of another team before the stream starts
@@ -112,7 +112,7 @@ async def cancel(request: Request) -> Response:
     """Cancel the evaluation of a submission."""
     viewer, _ = await signed_in_form(request)
     submission_id = as_id(request.path_params["submission_id"])
-    await site_of(request).ask(lambda session: runs.cancel(session, viewer.principal, submission_id))
+    await get_site(request).ask(lambda session: runs.cancel(session, viewer.principal, submission_id))
     return RedirectResponse(f"/submissions/{submission_id}", status_code=303)
 
 
@@ -125,7 +125,7 @@ async def _changes(request: Request, viewer: Viewer) -> AsyncIterator[ServerSent
 async def _views(request: Request) -> AsyncIterator[ServerSentEvent]:
     shown, changes = "", cast("Changes", request.app.state.changes)
     with changes.of(as_id(request.path_params["submission_id"])) as watched:
-        while (viewer := await viewer_of(request)) is not None:
+        while (viewer := await get_viewer(request)) is not None:
             seen = watched.version
             values = await watched.look(f"page {viewer.principal.account}", partial(_values, request, viewer))
             html = render("submission_live.html", request, viewer=viewer, **values)
@@ -139,12 +139,12 @@ async def _views(request: Request) -> AsyncIterator[ServerSentEvent]:
 
 
 def _open_streams(request: Request) -> OpenStreams:
-    return OpenStreams.from_request(request, site_of(request).services)
+    return OpenStreams.from_request(request, get_site(request).services)
 
 
 async def _read_detail(request: Request, viewer: Viewer | None) -> SubmissionDetail:
-    site, submission_id = site_of(request), as_id(request.path_params["submission_id"])
-    by = principal_of(viewer)
+    site, submission_id = get_site(request), as_id(request.path_params["submission_id"])
+    by = get_principal(viewer)
     return await site.read(lambda session: read_detail(session, site.services.settings, by, submission_id))
 
 
@@ -152,7 +152,7 @@ async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
     detail = await _read_detail(request, viewer)
     found = detail.submission
     track = load_track(found.track)
-    listed = (await site_of(request).read(competition_list_view)).items
+    listed = (await get_site(request).read(competition_list_view)).items
     titles = {name: title_of_task(track, name) for name in (*found.tasks, *found.evaluation.counted_tasks)}
     return {
         "is_own": viewer is not None and viewer.may_see(found.team.name, found.contest),
@@ -166,7 +166,7 @@ async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
         "past": detail.past,
         "active": found.evaluation.state not in TERMINAL_EVALUATION_STATES,
         "took": seconds_taken(found),
-        "parts": [task_part(site_of(request), detail, name) for name in found.tasks],
+        "parts": [task_part(get_site(request), detail, name) for name in found.tasks],
         "several": len(found.tasks) + len(found.missing_tasks) > 1,
         "action_matches": detail.action_matches,
         "episodes_with_output": detail.episodes_with_output,

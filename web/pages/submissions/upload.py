@@ -14,7 +14,7 @@ from vitac.server.submissions.upload import AnnouncedUpload, check, receive
 
 from ...limits import size
 from ...session.file_form import read_file_form
-from ...site import Viewer, page, require_form_token, require_viewer, site_of
+from ...site import Viewer, get_site, page, require_form_token, require_viewer
 from ..errors import wants_page
 
 ADDRESS = "/submissions/upload"
@@ -51,7 +51,7 @@ async def upload(request: Request) -> Response:
 
 
 async def _receive(request: Request, by: Principal, announced: AnnouncedUpload, body: AsyncIterator[bytes]) -> UUID:
-    services = site_of(request).services
+    services = get_site(request).services
     check(services, announced)
     with request.app.state.upload_limiter.one(by.account, UPLOADS):
         made, _ = await receive(services, by, announced, body)
@@ -59,7 +59,7 @@ async def _receive(request: Request, by: Principal, announced: AnnouncedUpload, 
 
 
 async def _form(request: Request, viewer: Viewer, *, wrong: str | None = None, status: int = 200) -> Response:
-    site = site_of(request)
+    site = get_site(request)
     settings = site.services.settings
     return page(
         request,

@@ -16,7 +16,7 @@ from vitac.server.members import registration
 from vitac.server.teams import teams
 
 from ...session.forms import read_form
-from ...site import page, site_of, viewer_of
+from ...site import get_site, get_viewer, page
 from ..forms import checked_form
 from .sign_in import begin_session
 
@@ -40,7 +40,7 @@ class RegisteredTeam:
 
 async def register_form(request: Request) -> Response:
     """Show the form."""
-    return await _page(request, viewer=await viewer_of(request), given=NOTHING)
+    return await _page(request, viewer=await get_viewer(request), given=NOTHING)
 
 
 async def register(request: Request) -> Response:
@@ -52,7 +52,7 @@ async def register(request: Request) -> Response:
     except ServiceError as error:
         if error.code not in IN_FORM:
             raise
-        viewer = await viewer_of(request)
+        viewer = await get_viewer(request)
         return await _page(request, viewer=viewer, given=given, wrong=error.detail, status=error.status)
     answer = await _page(request, viewer=None, viewer_known=False, given=NOTHING, made=made, status=HTTPStatus.CREATED)
     answer.headers["Cache-Control"] = "no-store"
@@ -63,7 +63,7 @@ async def register(request: Request) -> Response:
 async def _register(request: Request, given: Mapping[str, str]) -> RegisteredTeam:
     new = checked_form(NewTeam, {name: value if name == "name" else value or None for name, value in given.items()})
     await asyncio.to_thread(note_registration, request)
-    site = site_of(request)
+    site = get_site(request)
 
     def made(session: Session) -> RegisteredTeam:
         asked = registration.NewTeam(**new.model_dump())
@@ -79,5 +79,5 @@ async def _register(request: Request, given: Mapping[str, str]) -> RegisteredTea
 
 
 async def _page(request: Request, **values: object) -> Response:
-    shown = {"made": None, "wrong": None, "locked_since": await site_of(request).ask(teams.find_lock_date), **values}
+    shown = {"made": None, "wrong": None, "locked_since": await get_site(request).ask(teams.find_lock_date), **values}
     return page(request, "register.html", section="/register", **shown)  # type: ignore[arg-type]

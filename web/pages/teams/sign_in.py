@@ -8,7 +8,7 @@ from uuid import UUID
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from vitac.server import tokens
-from vitac.server.api.attempts import address_of, member_key, note_password
+from vitac.server.api.attempts import get_client_address, member_key, note_password
 from vitac.server.api.middleware.shares import leave_place
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.members import members, passwords
@@ -16,7 +16,7 @@ from vitac.server.principals import Principal
 
 from ...session import signer
 from ...session.forms import local_target, read_form
-from ...site import none_if_unknown, page, require_form_token, site_of, viewer_of
+from ...site import get_site, get_viewer, none_if_unknown, page, require_form_token
 
 WRONG_TOKEN = "This token is unknown, revoked or expired. Check that you pasted it completely."  # noqa: S105 - a sentence
 
@@ -36,7 +36,7 @@ async def sign_in(request: Request) -> Response:
     fields = await read_form(request)
     target = local_target(fields.get("next", ""))
     token = fields.get("token", "").strip()
-    by = await none_if_unknown(site_of(request).read(lambda session: tokens.authenticate(session, token)))
+    by = await none_if_unknown(get_site(request).read(lambda session: tokens.authenticate(session, token)))
     if by is None or by.token_id is None:
         return await _page(request, status=401, next=target, wrong=WRONG_TOKEN)
     answer = RedirectResponse(target, status_code=303)
@@ -69,13 +69,13 @@ async def _find_member(request: Request, team: str, member: str, password: str) 
     Raises:
         ServiceError: there were too many attempts.
     """
-    site = site_of(request)
+    site = get_site(request)
     cookie = request.cookies.get(signer.DEVICE_COOKIE)
     device = site.signer.read_device(cookie, member_key(team, member), now=datetime.now(UTC))
     leave_place(request)
     await asyncio.sleep(await asyncio.to_thread(note_password, request, team, member, device=device))
     thread = passwords.UNKNOWN_DEVICES if device is None else passwords.KNOWN_DEVICES
-    with request.app.state.sign_in_limiters.place(address_of(request), device=device):
+    with request.app.state.sign_in_limiters.place(get_client_address(request), device=device):
         made = await none_if_unknown(
             thread.wait_for(members.sign_in, site.services.database, team, member, password, signer.LIFETIME)
         )
@@ -85,7 +85,7 @@ async def _find_member(request: Request, team: str, member: str, password: str) 
 
 
 async def _page(request: Request, **values: object) -> Response:
-    shown = {"viewer": await viewer_of(request), "wrong": None, "wrong_password": None, "given": NOBODY, **values}
+    shown = {"viewer": await get_viewer(request), "wrong": None, "wrong_password": None, "given": NOBODY, **values}
     return page(request, "sign_in.html", section="/sign-in", **shown)  # type: ignore[arg-type]
 
 
@@ -93,12 +93,12 @@ def begin_session(request: Request, answer: Response, token_id: UUID, *, expires
     """Let the browser be signed in with a token from this answer on; `expires_at` None: for the usual time."""
     begun = signer.begin(token_id, now=datetime.now(UTC))
     session = begun if expires_at is None else replace(begun, expires_at=expires_at)
-    _set_cookie(request, answer, signer.COOKIE, site_of(request).signer.sign(session), signer.LIFETIME)
+    _set_cookie(request, answer, signer.COOKIE, get_site(request).signer.sign(session), signer.LIFETIME)
 
 
 def _remember_device(request: Request, answer: Response, member: str) -> None:
     """Let the browser be known as one on which a member has signed in: nobody else uses up its attempts."""
-    value = site_of(request).signer.sign_device(member, now=datetime.now(UTC))
+    value = get_site(request).signer.sign_device(member, now=datetime.now(UTC))
     _set_cookie(request, answer, signer.DEVICE_COOKIE, value, signer.DEVICE_LIFETIME)
 
 
@@ -116,10 +116,10 @@ def _set_cookie(request: Request, answer: Response, name: str, value: str, lifet
 async def sign_out(request: Request) -> Response:
     """End the session."""
     fields = await read_form(request)
-    viewer = await viewer_of(request)
+    viewer = await get_viewer(request)
     if viewer is not None:
         require_form_token(request, fields, viewer)
-        await site_of(request).ask(lambda session: tokens.end_session(session, viewer.principal))
+        await get_site(request).ask(lambda session: tokens.end_session(session, viewer.principal))
     answer = RedirectResponse("/", status_code=303)
     answer.delete_cookie(signer.COOKIE, httponly=True, samesite="strict", secure=request.url.scheme == "https")
     return answer

@@ -24,7 +24,7 @@ from vitac.server.teams import teams
 from vitac.server.views.teams import OwnTeamView, TokenView
 
 from ...session.forms import read_form
-from ...site import page, require_viewer, signed_in_form, site_of, viewer_of
+from ...site import get_site, get_viewer, page, require_viewer, signed_in_form
 from ..forms import act, checked_form, read_id
 from .sign_in import begin_session
 
@@ -57,7 +57,7 @@ async def team(request: Request) -> Response:
         good = [tokens.token_view(found) for found in tokens.list_tokens(session, by) if found.revoked_at is None]
         return members.own_team_view(session, by, teams.own(session, by)), good, teams.find_lock_date(session)
 
-    found, good, locked_since = await site_of(request).ask(read)
+    found, good, locked_since = await get_site(request).ask(read)
     myself = next(
         (one for one in found.members if one.id == by.member_id or (by.leads_team and one.role is MemberRole.CAPTAIN)),
         None,
@@ -79,8 +79,8 @@ async def team(request: Request) -> Response:
 async def data(request: Request) -> Response:
     """Download all data that the service stores about the team."""
     viewer = await require_viewer(request)
-    by, settings = viewer.principal, site_of(request).services.settings
-    found = await site_of(request).ask(lambda session: team_data.export(session, settings, by, teams.own(session, by)))
+    by, settings = viewer.principal, get_site(request).services.settings
+    found = await get_site(request).ask(lambda session: team_data.export(session, settings, by, teams.own(session, by)))
     headers = {"Cache-Control": "no-store", "Content-Disposition": 'attachment; filename="team.json"'}
     return Response(found.model_dump_json(indent=1), media_type="application/json", headers=headers)
 
@@ -96,7 +96,7 @@ async def change(request: Request) -> Response:
 async def change_password(request: Request) -> Response:
     """Set the password of the member who asks, or take it away."""
     viewer, fields = await signed_in_form(request)
-    by, site = viewer.principal, site_of(request)
+    by, site = viewer.principal, get_site(request)
     given = {name: fields.get(name) or None for name in ("password", "old_password")}
     changes = checked_form(MemberChanges, given)
     member = await site.read(lambda session: _self(session, by))
@@ -118,7 +118,7 @@ async def invite(request: Request) -> Response:
     """Make an invitation and show its code once."""
     viewer, _ = await signed_in_form(request)
     by = viewer.principal
-    code = await site_of(request).ask(lambda session: members.invite(session, by, teams.own(session, by))[1])
+    code = await get_site(request).ask(lambda session: members.invite(session, by, teams.own(session, by))[1])
     return page(
         request, "teams/secret.html", viewer=viewer, section=ADDRESS, status=201, what="invitation", secret=code
     )
@@ -133,7 +133,7 @@ async def renew_token(request: Request) -> Response:
         issued = members.renew_token(session, by, _self(session, by), lifetime)
         return issued.secret, issued.token.id
 
-    secret, token_id = await site_of(request).ask(made)
+    secret, token_id = await get_site(request).ask(made)
     shown = {"viewer_known": False, "what": "token", "secret": secret}  # the session of before has ended
     answer = page(request, "teams/secret.html", viewer=None, section=ADDRESS, status=HTTPStatus.CREATED, **shown)
     answer.headers["Cache-Control"] = "no-store"
@@ -143,7 +143,7 @@ async def renew_token(request: Request) -> Response:
 
 async def join_form(request: Request) -> Response:
     """Show the form with which somebody joins a team."""
-    return await _join_page(request, viewer=await viewer_of(request))
+    return await _join_page(request, viewer=await get_viewer(request))
 
 
 async def join(request: Request) -> Response:
@@ -165,9 +165,9 @@ async def join(request: Request) -> Response:
             member, issued = members.join(session, joining, lifetime)
             return member.team.name, issued.secret, issued.token.id
 
-        team_name, secret, token_id = await site_of(request).ask(joined)
+        team_name, secret, token_id = await get_site(request).ask(joined)
     except ServiceError as error:
-        viewer = await viewer_of(request)
+        viewer = await get_viewer(request)
         return await _join_page(request, viewer=viewer, wrong=error.detail, given=given, status=error.status)
     made = {"made": (team_name, secret), "viewer_known": False}
     answer = await _join_page(request, viewer=None, status=HTTPStatus.CREATED, **made)
@@ -217,11 +217,11 @@ CHANGES: Mapping[str, Change] = {
 
 
 def _token_lifetime(request: Request) -> timedelta:
-    return timedelta(days=site_of(request).services.settings.token_lifetime_days)
+    return timedelta(days=get_site(request).services.settings.token_lifetime_days)
 
 
 async def _join_page(request: Request, **values: object) -> Response:
-    locked = await site_of(request).ask(teams.find_lock_date)
+    locked = await get_site(request).ask(teams.find_lock_date)
     given = {"code": "", "name": "", "email": ""}
     shown = {"made": None, "wrong": None, "given": given, "locked_since": locked, **values}
     return page(request, "teams/join.html", section="/register", **shown)  # type: ignore[arg-type]

@@ -60,13 +60,13 @@ def test_edges_know_their_two_triangles() -> None:
 
 def test_triangles_without_area_from_equal_corners_are_left_away() -> None:
     corners = np.concatenate([drawn_gels.flat().corners_mm, np.zeros((1, 3, 3))])
-    assert len(DrawnSurface.of_corners(corners).triangles) == 12
+    assert len(DrawnSurface.from_corners(corners).triangles) == 12
 
 
 def test_a_point_of_a_triangle_without_area_does_not_count_towards_the_extent() -> None:
-    corners = DrawnSurface.of_corners(np.eye(3)[np.newaxis]).corners_mm
+    corners = DrawnSurface.from_corners(np.eye(3)[np.newaxis]).corners_mm
     stray = np.array([[[0.0, 0.0, 9.0], [0.0, 0.0, 9.0], [1.0, 0.0, 0.0]]])
-    surface = DrawnSurface.of_corners(np.concatenate([corners, stray]))
+    surface = DrawnSurface.from_corners(np.concatenate([corners, stray]))
     assert surface.vertices_mm.max() == 1.0
     assert np.array_equal(surface.corners_mm, corners)
 
@@ -89,7 +89,7 @@ def test_t_junctions_that_are_closed_by_triangles_without_height_are_divided(
     gel: Callable[[], DrawnSurface], parts: int
 ) -> None:
     plain = gel()
-    surface = DrawnSurface.of_corners(with_t_junctions(plain, parts).astype(np.float64))
+    surface = DrawnSurface.from_corners(with_t_junctions(plain, parts).astype(np.float64))
     assert (surface.n_open_edges, surface.n_mixed_edges, surface.n_branching_edges) == (0, 0, 0)
     assert surface.areas_mm2.min() > 1e-6
     assert len(surface.triangles) == len(plain.triangles) + 2 * (parts - 1)

@@ -39,7 +39,7 @@ def rest_view() -> np.ndarray:
 
 
 def flow(current: np.ndarray | None = None, settings: MarkerSettings | None = None, seed: int = 0) -> np.ndarray:
-    surface = SensingSurface.of_gel(gelsight_mini_mesh())
+    surface = SensingSurface.from_gel(gelsight_mini_mesh())
     view = rest_view()
     return marker_flow(
         surface,
@@ -116,7 +116,7 @@ def test_markers_stay_on_the_sensing_surface_and_in_the_picture() -> None:
 
 def test_reference_outside_the_picture_is_not_seen() -> None:
     view = rest_view() + np.array([0.006, 0.0, 0.0])
-    surface = SensingSurface.of_gel(gelsight_mini_mesh())
+    surface = SensingSurface.from_gel(gelsight_mini_mesh())
     pixels = marker_flow(surface, view, rest_view(), settings=STILL, random=np.random.default_rng(0))
     assert pixels[0, :, 0].max() < 320.0
     assert unique_count(pixels) < 63
@@ -148,7 +148,7 @@ def test_same_generator_state_gives_the_same_flow() -> None:
 
 def test_draws_come_in_the_documented_order() -> None:
     random = np.random.Generator(np.random.PCG64(7))
-    surface, view = SensingSurface.of_gel(gelsight_mini_mesh()), rest_view()
+    surface, view = SensingSurface.from_gel(gelsight_mini_mesh()), rest_view()
     pixels = marker_flow(surface, view, view, settings=MarkerSettings(), random=random)
     replay = np.random.Generator(np.random.PCG64(7))
     interval, angle, tx, ty = (
@@ -187,7 +187,7 @@ def test_range_of_a_draw_is_that_of_numpys_generator(low: float, width: float, s
 
 def drawn_step_by_step(current: np.ndarray, settings: MarkerSettings, random: np.random.Generator) -> np.ndarray:
     """The flow as NumPy computes it line by line, the fixed count apart; what the fused kernels have to give."""
-    surface, view = SensingSurface.of_gel(gelsight_mini_mesh()), rest_view()
+    surface, view = SensingSurface.from_gel(gelsight_mini_mesh()), rest_view()
     moved, shift = settings.translation_mm, settings.shift_mm
     interval = random.uniform(*settings.interval_mm)
     angle = random.uniform(-settings.rotation_rad, settings.rotation_rad)
@@ -203,7 +203,7 @@ def drawn_step_by_step(current: np.ndarray, settings: MarkerSettings, random: np
     triangle, weights = markers._attach(grid, *surface.arrays)
     corners = surface.triangles[triangle]
     seen = [project(markers.interpolated(side, corners, weights), CHALLENGE_CAMERA) for side in (view, current)]
-    flow = np.stack(seen)[:, markers.in_picture(seen[0])]
+    flow = np.stack(seen)[:, markers.find_in_picture(seen[0])]
     flow = flow[:, random.random(flow.shape[1]) >= settings.loss_probability]
     return flow + settings.noise_px * normal_pairs(random.random((flow.size // 2, 2))).reshape(flow.shape)
 
@@ -227,7 +227,7 @@ def test_fused_kernels_give_the_bits_of_numpy_line_by_line(ranges: MarkerSetting
         if count >= 128:
             expected = expected[:, left.choice(count, 128, replace=False)]
         pixels = flow(current, ranges, seed)
-        surface = SensingSurface.of_gel(gelsight_mini_mesh())
+        surface = SensingSurface.from_gel(gelsight_mini_mesh())
         assert np.array_equal(marker_flow(surface, rest_view(), current, settings=ranges, random=right), pixels)
         assert np.array_equal(pixels[:, :count], expected)
         assert (pixels[:, count:] == expected[:, -1:]).all()
@@ -236,13 +236,13 @@ def test_fused_kernels_give_the_bits_of_numpy_line_by_line(ranges: MarkerSetting
 
 def test_golden_flow_is_pinned() -> None:
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([0, 1])))
-    surface, view = SensingSurface.of_gel(gelsight_mini_mesh()), rest_view()
+    surface, view = SensingSurface.from_gel(gelsight_mini_mesh()), rest_view()
     pixels = marker_flow(surface, view, view, settings=MarkerSettings(), random=random)
     assert pixels[:, [0, 30, 127]].tolist() == GOLDEN_FLOW
 
 
 def test_triangles_of_the_sensing_surface_cover_its_rectangle() -> None:
-    surface = SensingSurface.of_gel(gelsight_mini_mesh())
+    surface = SensingSurface.from_gel(gelsight_mini_mesh())
     corners = surface.vertices_m[surface.triangles] * 1e3
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     assert 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() == pytest.approx(19.25 * 14.75)
@@ -250,9 +250,9 @@ def test_triangles_of_the_sensing_surface_cover_its_rectangle() -> None:
 
 def test_surface_of_a_mesh_is_made_once_and_that_of_another_mesh_is_its_own() -> None:
     mesh = gelsight_mini_mesh()
-    found = SensingSurface.of_gel(mesh)
-    assert SensingSurface.of_gel(mesh) is found
-    other = SensingSurface.of_gel(replace(mesh, rest_position_m=2 * mesh.rest_position_m))
+    found = SensingSurface.from_gel(mesh)
+    assert SensingSurface.from_gel(mesh) is found
+    other = SensingSurface.from_gel(replace(mesh, rest_position_m=2 * mesh.rest_position_m))
     assert np.array_equal(other.vertices_m, 2 * found.vertices_m)
     assert np.array_equal(other.hull_m, 2 * found.hull_m)
 
@@ -262,7 +262,7 @@ def test_gel_whose_sensing_nodes_form_no_triangle_is_refused() -> None:
     lone = np.zeros_like(mesh.sensing)
     lone[mesh.sensing_nodes[0]] = True
     with pytest.raises(NoMarkerVisible, match="no boundary triangle"):
-        SensingSurface.of_gel(
+        SensingSurface.from_gel(
             GelMesh(
                 rest_position_m=mesh.rest_position_m,
                 tetrahedra=mesh.tetrahedra,
@@ -291,7 +291,7 @@ def test_hull_contains_every_point_and_only_turns_left(points: list[tuple[int, i
 @given(st.floats(-0.0095, 0.0095), st.floats(-0.0073, 0.0073))
 @settings(max_examples=60)
 def test_attached_point_is_the_weighted_sum_of_its_triangle(x: float, y: float) -> None:
-    surface = SensingSurface.of_gel(gelsight_mini_mesh())
+    surface = SensingSurface.from_gel(gelsight_mini_mesh())
     triangle, weights = markers._attach(
         np.array([[x, y]]), surface.vertices_m, surface.triangles, surface.centroids_m, surface.hull_m
     )
@@ -302,7 +302,7 @@ def test_attached_point_is_the_weighted_sum_of_its_triangle(x: float, y: float) 
 
 
 def test_point_outside_the_hull_is_left_out() -> None:
-    surface = SensingSurface.of_gel(gelsight_mini_mesh())
+    surface = SensingSurface.from_gel(gelsight_mini_mesh())
     grid = np.array([[0.0097, 0.0], [0.0, 0.0], [0.0, -0.0074]])
     triangle, _ = markers._attach(grid, surface.vertices_m, surface.triangles, surface.centroids_m, surface.hull_m)
     assert len(triangle) == 1

@@ -2,7 +2,7 @@ from collections.abc import Sequence
 from math import cos, radians, sin
 
 import pytest
-from vitac.evaluator.estimator.controller import Controller, after_motion, append_motion, rotate_to_gripper
+from vitac.evaluator.estimator.controller import Controller, append_motion, move_offset, rotate_to_gripper
 from vitac.evaluator.estimator.regression import Coefficients, Regression
 
 SCALE = (2.0, 2.0, 4.0)
@@ -64,5 +64,5 @@ def test_frames_of_world_and_gripper_agree_on_motions(theta_deg: float) -> None:
         y + sin(angle) * motion[0] + cos(angle) * motion[1],
         theta_deg + motion[2],
     )
-    followed = after_motion(rotate_to_gripper((x, y, theta_deg)), motion)
+    followed = move_offset(rotate_to_gripper((x, y, theta_deg)), motion)
     assert followed == pytest.approx(rotate_to_gripper(moved))

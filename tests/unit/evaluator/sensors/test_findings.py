@@ -15,7 +15,7 @@ def test_a_rule_is_named_after_itself(rule: Rule) -> None:
     [(0.0, True, "0.000 mm"), (0.1, True, "0.100 mm"), (0.10001, False, "0.100 mm"), (2.5, False, "2.500 mm")],
 )
 def test_a_length_may_reach_its_limit(value_mm: float, ok: bool, text: str) -> None:
-    found = Finding.at_most_mm(Rule.DISTANCE, value_mm, 0.1, "Mesh it again.")
+    found = Finding.limit_length(Rule.DISTANCE, value_mm, 0.1, "Mesh it again.")
     assert found == Finding(rule=Rule.DISTANCE, ok=ok, value=text, limit="at most 0.1 mm", problem="Mesh it again.")
 
 

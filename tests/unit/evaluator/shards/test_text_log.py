@@ -110,7 +110,7 @@ def test_a_log_of_track_3_is_played_with_the_settings_under_which_it_was_made(tm
     assert [(record.shape, record.initial_offset) for record in records] == [
         (episode.shape, episode.offset) for episode in task.episodes[:27]
     ]
-    assert load_track("track_1").tasks["peg-insertion"].of_text_logs() is TASKS[PEG.name], "it was scored so"
+    assert load_track("track_1").tasks["peg-insertion"].apply_text_log_settings() is TASKS[PEG.name], "it was scored so"
 
 
 def test_actions_that_end_before_the_episode_does_are_no_success(tmp_path: Path) -> None:

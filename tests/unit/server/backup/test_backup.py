@@ -146,7 +146,7 @@ def test_backup_leaves_out_what_arrives_while_it_is_written(service: Service, em
     def upload_another(done: int, total: int) -> None:
         upload_and_play(service, "second")
 
-    description = back_up(service.services, file, on_file=upload_another)
+    description = back_up(service.services, file, report_file=upload_another)
     restore(empty, file)
     assert description.blobs == (digest,)
     assert count(empty, Submission) == 1
@@ -171,7 +171,7 @@ def test_file_that_appears_while_the_backup_is_written_is_kept(service: Service,
         file.write_text("precious")
 
     with pytest.raises(BackupNotMade, match="exists"):
-        back_up(service.services, file, on_file=write_another)
+        back_up(service.services, file, report_file=write_another)
     assert file.read_text() == "precious"
     assert list(file.parent.glob("backup*")) == [file]
 
@@ -257,7 +257,7 @@ def test_team_that_registers_during_a_restore_is_kept(service: Service, empty: S
             make_principal(session, "early")
 
     with pytest.raises(ServiceNotEmpty, match="got 1 teams"):
-        restore(empty, file, on_file=register_team)
+        restore(empty, file, report_file=register_team)
     with empty.database.transaction() as session:
         assert session.scalars(select(Team.name)).all() == ["early"]
 

@@ -11,7 +11,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server import tokens
 from vitac.server.appeals import appeals
 from vitac.server.contest.applying import apply
-from vitac.server.contest.contest import Contest, choose_contest, list_contest_choices, stage_of
+from vitac.server.contest.contest import Contest, choose_contest, find_stage, list_contest_choices
 from vitac.server.contest.definition import CompetitionDefinition
 from vitac.server.contest.freezing import freeze
 from vitac.server.contest.sealing import reveal
@@ -119,7 +119,7 @@ def test_one_contest_is_frozen_and_ended_while_the_other_continues(both: Databas
         ants = make_principal(session, "Ants")
         freeze(session, CONSOLE, CLASS)
         submission = submit(session, ants, contest=CLASS)
-        assert stage_of(session, submission).frozen_at is not None
+        assert find_stage(session, submission).frozen_at is not None
         assert Contest.find(session, MAIN).frozen_at is None
         complete_scored(session, submission, {TASK: make_score(80)})
         finalize(session, CONSOLE, CLASS, at=datetime.now(UTC) + timedelta(days=70), confirmed=None)

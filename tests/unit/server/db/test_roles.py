@@ -98,7 +98,7 @@ def test_a_schema_is_not_migrated_by_a_role_that_owns_nothing(role: str) -> None
         finish_one(empty)
 
 
-def services_of(settings: Settings, database: Database) -> Services:
+def get_services(settings: Settings, database: Database) -> Services:
     settings.scratch_dir.mkdir(parents=True)
     return Services(settings=settings, database=database, blobs=BlobStore.from_settings(settings), postgres=None)
 
@@ -109,10 +109,10 @@ def test_a_backup_of_the_service_is_restored_and_its_role_works_again(
     with database.transaction() as session:
         make_principal(session)
     file = tmp_path / "backup.vitac"
-    back_up(services_of(make_settings(state_dir=tmp_path / "old"), database), file)
+    back_up(get_services(make_settings(state_dir=tmp_path / "old"), database), file)
     with worked_on_by(role) as other:
         upgrade(other)
-        restored = services_of(make_settings(state_dir=tmp_path / "new"), other)
+        restored = get_services(make_settings(state_dir=tmp_path / "new"), other)
         restore(restored, file)
         with other.transaction() as session:
             submit(session, make_principal(session, "Bees"))

@@ -55,7 +55,7 @@ def test_the_lowest_of_the_networks_counts() -> None:
             for name, value in critic.state().items()
             if name.startswith(f"{number}.")
         }
-        single = Critic.of_state(CriticPlan(networks=1, hidden=32), state)
+        single = Critic.from_state(CriticPlan(networks=1, hidden=32), state)
         singles.append(single.log_odds(states, actions))
     np.testing.assert_array_equal(critic.log_odds(states, actions), np.minimum(*singles))
 
@@ -64,7 +64,7 @@ def test_continued_critic_has_the_same_bits() -> None:
     played = episodes(20)
     critic = Critic(PLAN, np.random.default_rng(3))
     critic.learn(played, np.random.default_rng(4), lambda _, __: None)
-    again = Critic.of_state(PLAN, critic.state())
+    again = Critic.from_state(PLAN, critic.state())
     for each in (critic, again):
         each.learn(played, np.random.default_rng(5), lambda _, __: None)
     for name, value in critic.state().items():
