@@ -34,7 +34,7 @@ async def opened(stack: AsyncExitStack, limiter: ConcurrencyLimiter, address: st
 def test_self_made_teams_leave_streams_to_other_addresses_and_to_organizers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(OpenStreams, "_limit_of", lambda *_: None)
+    monkeypatch.setattr(OpenStreams, "_find_limit", lambda *_: None)
     limiter = ConcurrencyLimiter(tmp_path / "streams", TOTAL)
 
     async def attack() -> None:
