@@ -64,6 +64,7 @@ class GraspState:
         ipc_steps: solved so far.
         solved: every IPC step so far converged.
         reports: those that nobody has taken yet.
+        last_report: of the last IPC step; None before the first.
         last_flow: marker flow that was drawn last, after how many IPC steps.
         seen_m: views of the running env step, see `GraspedScene.begin_env_step`.
     """
@@ -74,6 +75,7 @@ class GraspState:
     ipc_steps: int
     solved: bool
     reports: tuple[StepReport, ...]
+    last_report: StepReport | None
     last_flow: tuple[int, NDArray[np.float32]]
     seen_m: tuple[list[FloatArray], ...]
 
@@ -137,6 +139,7 @@ class GraspedScene:
                 solver=physics.solver,
             )
         self._reports: list[StepReport] = []
+        self._last_report: StepReport | None = None
         self.ipc_steps = 0
         self.solved = True
         self._last_flow = (-1, np.zeros((0,), np.float32))
@@ -212,6 +215,19 @@ class GraspedScene:
         """Return the present pose of the left (0) or right (1) sensor."""
         return self._gripper.sensor_pose(index)
 
+    def peak_part_force_n(self) -> float:
+        """Return the largest force on the held part in the solved IPC steps since reports were taken last [N]."""
+        solved = (report for report in self._reports if report.status is not StepStatus.NOT_CONVERGED)
+        return max((report.part_force_n for report in solved), default=0.0)
+
+    def contact_forces_n(self) -> FloatArray:
+        """Return the force of what does not hold the part on it, and of the contacts on each gel [N], shape [3, 3].
+
+        They are those of the last IPC step, in the world.
+        """
+        gels = np.array(self._last_report.gel_forces_n) if self._last_report else np.zeros((SENSOR_COUNT, 3))
+        return np.concatenate([gels.sum(axis=0, keepdims=True), gels])
+
     def take_reports(self) -> tuple[StepReport, ...]:
         """Return the report of the IPC steps since the last call."""
         reports, self._reports = tuple(self._reports), []
@@ -226,6 +242,7 @@ class GraspedScene:
             ipc_steps=self.ipc_steps,
             solved=self.solved,
             reports=tuple(self._reports),
+            last_report=self._last_report,
             last_flow=self._last_flow,
             seen_m=tuple(self._seen_m),
         )
@@ -237,7 +254,7 @@ class GraspedScene:
             sensor.capture_reference(reference_m)
         self._gripper.pose = state.pose
         self.ipc_steps, self.solved = state.ipc_steps, state.solved
-        self._reports = list(state.reports)
+        self._reports, self._last_report = list(state.reports), state.last_report
         self._last_flow = state.last_flow
         self._seen_m = list(state.seen_m)
         self._measured = _Measurements()
@@ -264,6 +281,7 @@ class GraspedScene:
             report = self._scene.step(driven_targets_m=self._gripper.driven_targets_m(pose))
         self.ipc_steps += 1
         self._reports.append(report)
+        self._last_report = report
         self.solved = report.status is not StepStatus.NOT_CONVERGED
         self._gripper.pose = pose
         if self._seen_m:

@@ -39,6 +39,18 @@ MEASURED_POSE: Observable[HasGrasp] = Observable(
     privileged=True,
 )
 
+CONTACT_FORCES: Observable[HasGrasp] = Observable(
+    name="contact_forces",
+    shape=(3, 3),
+    unit="N",
+    meaning=(
+        "[held part, left gel, right gel][x, y, z] forces of contacts in the world at the end of the env step: on the "
+        "held part of all that does not hold it, on a gel of all that it touches."
+    ),
+    read=lambda scene, _: scene.grasped.contact_forces_n(),
+    privileged=True,
+)
+
 SURFACE_POINTS: Observable[HasGrasp] = Observable(
     name="surface_pts",
     shape=(2, 2, SENSING_NODES, 3),

@@ -15,6 +15,7 @@ class EndReason(StrEnum):
 
     NOT_CONVERGED = "not_converged"  # the physics found no solution; nothing moves from then on
     SUCCESS = "success"  # the goal is reached
+    FORCE = "force"  # the force on the held part was above the limit, where a task has one
     TACTILE = "tactile"  # a sensing surface moved too far
     ERROR = "error"  # the gripper or the part left its range
     STEPS = "steps"  # the env steps are used up
@@ -24,6 +25,7 @@ class EndReason(StrEnum):
 class Flags:
     """Flags of an env step; several can be raised at once. What success asks of the others is the task's to say."""
 
+    force_too_large: bool = False
     tactile_movement_too_large: bool = False
     error_too_large: bool = False
     too_many_steps: bool = False
@@ -31,7 +33,9 @@ class Flags:
 
     @property
     def failure(self) -> EndReason | None:
-        """The flag that cuts the episode off, if any: tactile before error before steps."""
+        """The flag that cuts the episode off, if any: force before tactile before error before steps."""
+        if self.force_too_large:
+            return EndReason.FORCE
         if self.tactile_movement_too_large:
             return EndReason.TACTILE
         if self.error_too_large:

@@ -8,6 +8,7 @@ from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
+from math import inf
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, ClassVar, Generic, Protocol, TypeVar, cast
@@ -97,6 +98,8 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         draws: ranges of the task's quantities (`TaskDefinition.quantities`), from which every episode has values of its
             own; they are in the info as `draws`, and in no observation.
         contact_model: "challenge-2025" or "arena-1", with its own constants; by default that of the task's settings.
+        force_limit_n: largest force on the held part [N] that an env step may reach; beyond it the episode has failed.
+            None for no limit.
         render_mode: "rgb_array" for pictures by `render`.
         **overrides: fields of the task's settings.
 
@@ -135,6 +138,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         randomization: str = Randomization.NONE.value,
         draws: Mapping[str, Sequence[float]] | None = None,
         contact_model: str | None = None,
+        force_limit_n: float | None = None,
         render_mode: str | None = None,
         **overrides: Any,
     ) -> None:
@@ -151,6 +155,9 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         self._randomization = find_randomization(randomization)
         self._draws = check_draws(self.env_id, draws or {}, self.task.quantities)
         self._drawn: dict[str, float] = {}
+        usable = force_limit_n is None or 0 < force_limit_n < inf
+        require(usable, "force_limit_n", force_limit_n, "None or a positive force in N")
+        self._force_limit_n = force_limit_n
         require(render_mode in (None, *self.metadata["render_modes"]), "render_mode", render_mode, "None or rgb_array")
         self.render_mode = render_mode
         self._still: StillCamera | None = None
@@ -236,7 +243,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         self._scene.grasp()
         self._error_before = self._error()
         end_reason = None if self.scene.solved else EndReason.NOT_CONVERGED
-        return self._observation(), self._completed(self._info(Flags()), end_reason)
+        return self._observation(), self._completed(Flags(), end_reason)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
         """Play one env step.
@@ -250,13 +257,13 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         self.scene.begin_env_step()
         self.task_scene.move(command)
         error_now = self._error()
-        flags = self._judge()
+        flags = self._limited(self._judge())
         reward = self._reward(flags, self._error_before - error_now)
         self._error_before = error_now
         end_reason = self._end_reason(flags)
         succeeded = end_reason is EndReason.SUCCESS
         truncated = not self.scene.solved or flags.failure is not None
-        info = self._completed(self._info(replace(flags, is_success=succeeded)), end_reason)
+        info = self._completed(replace(flags, is_success=succeeded), end_reason)
         return self._observation(), reward, succeeded, truncated, info
 
     def snapshot(self) -> EpisodeSnapshot:
@@ -360,10 +367,19 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         assert self._episode_random is not None  # noqa: S101 - set by reset, as the scene is
         return np.asarray(entry.read(scene, self._episode_random)).astype(entry.dtype)
 
-    def _completed(self, info: Info, end_reason: EndReason | None) -> Info:
+    def _limited(self, flags: Flags) -> Flags:
+        """Return the flags of an env step with that of the force limit, where there is one: beyond it is no success."""
+        if self._force_limit_n is None or self.scene.peak_part_force_n() <= self._force_limit_n:
+            return flags
+        return replace(flags, force_too_large=True, is_success=False)
+
+    def _completed(self, flags: Flags, end_reason: EndReason | None) -> Info:
+        limit_n, is_beyond = self._force_limit_n, flags.force_too_large
+        limited = {} if limit_n is None else {"force_limit_n": limit_n, "force_too_large": is_beyond}
         drawn = {"draws": dict(self._drawn)} if self._draws else {}
         return {
-            **info,
+            **self._info(flags),
+            **limited,
             **drawn,
             "end_reason": None if end_reason is None else str(end_reason),
             "step_reports": self.scene.take_reports(),

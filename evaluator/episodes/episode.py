@@ -17,6 +17,7 @@ from ..agent.protocol.frames import CloudSpec
 from ..agent.session import Isolation
 from ..agent.verdicts import PolicyFailed
 from ..tracks import Episode, Task
+from .forces import ForceTrace
 from .picture_sample import PictureSample
 from .reading import Observation, Reading, make_reading
 from .records import ActionSequence, EpisodeOutcome, EpisodeRecord, FailureStage, PolicyFailure, Timings
@@ -149,6 +150,7 @@ class _Trace:
     """What has happened so far in an episode."""
 
     sample: PictureSample
+    forces: ForceTrace = field(default_factory=ForceTrace)
     actions: list[NDArray[np.float32]] = field(default_factory=list)
     state_hashes: list[str] = field(default_factory=list)
     infos: list[dict[str, JsonValue]] = field(default_factory=list)
@@ -229,6 +231,7 @@ def _play(
         trace.actions.append(np.array(action, dtype=np.float32))
         trace.state_hashes.append(trace.sample.look(env_step=len(trace.actions)))
         trace.infos.append(json_info(info))
+        trace.forces.add(info)
         trace.total_reward += float(reward)
         if terminated or truncated:
             trace.outcome = EpisodeOutcome(info["end_reason"])
@@ -268,6 +271,7 @@ def _record(task: Task, episode: Episode, trace: _Trace, timings: Timings) -> Ep
         state_hashes=tuple(trace.state_hashes),
         infos=tuple(trace.infos),
         picture=trace.sample.picture,
+        forces=trace.forces.figures(),
         failure=trace.failure,
         timings=timings,
         output=trace.output,

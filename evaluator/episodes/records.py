@@ -18,6 +18,7 @@ from pydantic import (
     JsonValue,
     NonNegativeFloat,
     NonNegativeInt,
+    PositiveFloat,
     PositiveInt,
     SerializerFunctionWrapHandler,
     model_serializer,
@@ -30,6 +31,8 @@ from ..strict_model import StrictModel, Word
 
 NOT_HASHED: Final = frozenset({"timings", "output"})
 """Fields of a record that may differ when its episode is played again; never part of a digest or of a log."""
+_OMITTED: Final = frozenset({"picture", "forces"})
+"""Fields that the JSON of a record has only where there is a value."""
 StateHash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
@@ -41,6 +44,7 @@ class EpisodeOutcome(StrEnum):
     """How an episode ended."""
 
     SUCCESS = "success"
+    FORCE = "force"
     TACTILE = "tactile"
     ERROR = "error"
     STEPS = "steps"
@@ -56,6 +60,7 @@ class EpisodeOutcome(StrEnum):
 
 _SENTENCES = {
     EpisodeOutcome.SUCCESS: "The task was solved.",
+    EpisodeOutcome.FORCE: "The force on the held part was above the task's limit.",
     EpisodeOutcome.TACTILE: "The gel surface of a sensor moved too far.",
     EpisodeOutcome.ERROR: "The gripper or the part left its range.",
     EpisodeOutcome.STEPS: "All env steps were used up.",
@@ -141,13 +146,42 @@ class SampledPicture(StrictModel):
     """Over all pictures of the task at that env step, observed or not."""
 
 
+class ForceFigures(StrictModel):
+    """Size of a contact force over the solved IPC steps of all env steps of an episode, its reset left out.
+
+    `p95_n` is the smallest of the forces that 95 % of the IPC steps do not exceed; `impulse_n_s` is the integral over
+    simulated time.
+    """
+
+    peak_n: NonNegativeFloat
+    p95_n: NonNegativeFloat
+    impulse_n_s: NonNegativeFloat
+
+
+class ContactForces(StrictModel):
+    """Forces of an episode: on the held part, of all that does not hold it, and on the left and the right gel.
+
+    `over_force_events` counts in how many runs of consecutive IPC steps the force on the part was above `over_force_n`:
+    the task's limit, or `forces.OVER_FORCE_N` without one. The stretches stand for damage to the gels and include that
+    of the grasp: the largest principal stretch of an element, and the largest over the IPC steps of what 95 % of the
+    elements do not exceed.
+    """
+
+    part: ForceFigures
+    gels: tuple[ForceFigures, ForceFigures]
+    over_force_n: PositiveFloat
+    over_force_events: NonNegativeInt
+    largest_stretch: NonNegativeFloat
+    high_stretch: NonNegativeFloat
+
+
 class EpisodeRecord(StrictModel):
     """One finished episode.
 
     `state_hashes` has one entry after the reset and one after each env step; `infos` one entry per env step.
     `initial_offset` is in the units of the task's `offset_option` (mm and degrees). `output` is the end of what the
-    policy printed meanwhile, for its team only. `picture` is of a task with cameras only; the record of another task
-    does not have the key.
+    policy printed meanwhile, for its team only. `picture` is of a task with cameras only, `forces` of one whose physics
+    reports them and of an episode with an env step; the record of another one does not have the key.
     """
 
     episode: PositiveInt
@@ -161,6 +195,7 @@ class EpisodeRecord(StrictModel):
     state_hashes: tuple[StateHash, ...] = Field(min_length=1)
     infos: tuple[dict[str, JsonValue], ...]
     picture: SampledPicture | None = None
+    forces: ContactForces | None = None
     failure: PolicyFailure | None = None
     timings: Timings = Timings()
     output: str = ""
@@ -185,9 +220,9 @@ class EpisodeRecord(StrictModel):
         return self
 
     @model_serializer(mode="wrap")
-    def _drop_absent_picture(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _drop_absent(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         written: dict[str, Any] = write(self)
-        return {key: value for key, value in written.items() if key != "picture" or value is not None}
+        return {key: value for key, value in written.items() if key not in _OMITTED or value is not None}
 
     def record_digest(self) -> str:
         """Return the SHA-256 [hex] of all but `NOT_HASHED`; equal records of a repeated episode have equal digests."""

@@ -9,8 +9,9 @@ from pydantic import JsonValue
 
 from ..tracks import Episode
 from .episode import Environment, json_info
+from .forces import ForceTrace
 from .picture_sample import PictureSample
-from .records import EpisodeOutcome, SampledPicture, Timings
+from .records import ContactForces, EpisodeOutcome, SampledPicture, Timings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +19,7 @@ class Resimulated:
     """An episode played again.
 
     `state_hashes` starts with the reset's. `end_step` counts from 1; it and `outcome` are None where nothing ended it.
-    `picture` is of an env step up to its end.
+    `picture` and `forces` are of the env steps up to its end.
     """
 
     state_hashes: tuple[str, ...]
@@ -27,6 +28,7 @@ class Resimulated:
     outcome: EpisodeOutcome | None
     end_step: int | None
     picture: SampledPicture | None
+    forces: ContactForces | None
     timings: Timings
 
 
@@ -42,7 +44,7 @@ def resimulate(env: Environment, episode: Episode, actions: NDArray[np.float32])
         What happened; the reward is that up to the end of the episode.
     """
     started, physics_s, markers_s = perf_counter(), env.physics_cpu_s, env.marker_cpu_s
-    sample = PictureSample(env, episode)
+    sample, forces = PictureSample(env, episode), ForceTrace()
     env.reset(options=episode.options)
     state_hashes, infos = [sample.look(env_step=0)], []
     total_reward, outcome, end_step = 0.0, None, None
@@ -52,6 +54,7 @@ def resimulate(env: Environment, episode: Episode, actions: NDArray[np.float32])
         infos.append(json_info(info))
         if end_step is None:
             total_reward += float(reward)
+            forces.add(info)
             if terminated or truncated:
                 outcome, end_step = EpisodeOutcome(info["end_reason"]), step
     return Resimulated(
@@ -61,6 +64,7 @@ def resimulate(env: Environment, episode: Episode, actions: NDArray[np.float32])
         outcome=outcome,
         end_step=end_step,
         picture=sample.picture,
+        forces=forces.figures(),
         timings=Timings(
             physics_s=env.physics_cpu_s - physics_s,
             markers_s=env.marker_cpu_s - markers_s,

@@ -12,7 +12,7 @@ from ..strict_model import StrictModel
 from ..tracks import Task
 from .recordings import Recording
 
-_FLAGS = ("is_success", "tactile_movement_too_large", "error_too_large")
+_FLAGS = ("is_success", "force_too_large", "tactile_movement_too_large", "error_too_large")
 
 
 class ReportedStep(StrictModel):
@@ -21,6 +21,7 @@ class ReportedStep(StrictModel):
     n: int
     measures: dict[str, tuple[float, ...]]
     is_success: bool | None = None
+    force_too_large: bool | None = None
     tactile_movement_too_large: bool | None = None
     error_too_large: bool | None = None
 

@@ -181,6 +181,7 @@ def _replace_states(record: EpisodeRecord, played: Resimulated) -> EpisodeRecord
             "infos": played.infos,
             "total_reward": played.total_reward,
             "picture": played.picture,
+            "forces": played.forces,
             "failure": failure,
             "timings": played.timings,
             "output": "",

@@ -58,5 +58,6 @@ def _record(task: Task, recording: Recording, played: Resimulated) -> EpisodeRec
         state_hashes=played.state_hashes[: steps + 1],
         infos=played.infos[:steps],
         picture=played.picture,
+        forces=played.forces,
         timings=played.timings,
     )

@@ -13,7 +13,7 @@ from pydantic import Field, PositiveInt, model_validator
 from vitac.envs.errors import VitacError
 from vitac.envs.maniskill.definition import is_maniskill
 from vitac.envs.observable import Observable
-from vitac.envs.tasks.definition import ActionComponent, TaskDefinition
+from vitac.envs.tasks.definition import ActionComponent, Family, TaskDefinition
 from vitac.envs.tasks.quantities import Quantity, check_draws
 
 from ..package_sets import PackageSet
@@ -154,6 +154,11 @@ class Task(StrictModel):
     draws: dict[Word, tuple[float, float]] = Field(
         default={}, description="Quantities that every episode has a value of its own of: lowest and highest."
     )
+    force_limit_n: float | None = Field(
+        default=None,
+        gt=0,
+        description="Largest force on the held part in an env step; beyond it an episode has failed.",
+    )
     player: Player = Field(default=Player.POLICY, description="Who chooses the actions.")
     profiles: dict[Word, Profile] = Field(default={}, description="Settings for re-simulation only, by name.")
     episode_list: EpisodeList
@@ -180,8 +185,9 @@ class Task(StrictModel):
 
     @property
     def environment_arguments(self) -> Mapping[str, object]:
-        """Return what its environment is made with: settings, and the ranges of what is drawn."""
-        return {**self.settings, **({"draws": self.draws} if self.draws else {})}
+        """Return what its environment is made with: settings, limit of force, and the ranges of what is drawn."""
+        limit = {} if self.force_limit_n is None else {"force_limit_n": self.force_limit_n}
+        return {**self.settings, **limit, **({"draws": self.draws} if self.draws else {})}
 
     @property
     def contact_model(self) -> str | None:
@@ -199,6 +205,14 @@ class Task(StrictModel):
             _ = self.definition
         except VitacError as error:
             raise ValueError(str(error)) from error
+        return self
+
+    @model_validator(mode="after")
+    def _force_is_known(self) -> Self:
+        if self.force_limit_n is not None and self.definition.family is not Family.TACTILE:
+            raise ValueError(
+                f"force_limit_n is {self.force_limit_n:g}, but {self.env_id} measures no contact force; leave it out"
+            )
         return self
 
     @model_validator(mode="after")
@@ -248,6 +262,7 @@ class Task(StrictModel):
         tables = [observed, done, *([measured] if measured else [])]
         absent: dict[str, Any] = {"profiles": True}  # never scored
         absent |= {name: True for name in ("settings", "draws") if not getattr(self, name)}
+        absent |= {"force_limit_n": True} if self.force_limit_n is None else {}
         absent |= {"player": True} if self.player is Player.POLICY else {}
         absent |= {"episode_list": {"commitment"}} if self.episode_list.commitment is None else {}
         own = self.model_dump_json(exclude=absent)

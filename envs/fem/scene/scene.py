@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..contact.memory import ContactMemory, empty_memory, sorted_memory
 from ..contact.overlap import find_overlap
+from ..elastic.stretch import measure_stretches
 from ..model.bodies import GelBody, RigidBody
 from ..model.points import point_positions
 from ..model.settings import AnyContactSettings, ContactSettings, CutOffSolverSettings, SolverSettings
@@ -75,6 +76,9 @@ class StepReport:
         smallest_det_f: smallest det F of all tetrahedra.
         active_contacts: pairs closer than d_hat.
         gel_forces_n: force of the contacts on each gel [N], as its driven nodes hold it; shape [g, 3].
+        largest_stretch: largest principal stretch of the tetrahedra of all gels; 1 where nothing is stretched.
+        high_stretch: the one that 95 % of these tetrahedra do not exceed.
+        time_step_s: length of the step [s].
     """
 
     status: StepStatus
@@ -91,6 +95,9 @@ class StepReport:
     smallest_det_f: float
     active_contacts: int
     gel_forces_n: tuple[tuple[float, float, float], ...] = ()
+    largest_stretch: float = 1.0
+    high_stretch: float = 1.0
+    time_step_s: float = 0.1
 
     @property
     def part_force_n(self) -> float:
@@ -180,6 +187,7 @@ class Scene:
             self._memory = sorted_memory(remember_step(self._model, self._x, start, attempt.memory))
         force, torque = self._net_load(self._workspace.system.gradient)
         counts, measures = attempt.record
+        largest_stretch, high_stretch = measure_stretches(self._model.elastic, self._x)
         return StepReport(
             status=status,
             newton_iterations=int(counts[Counter.ITERATIONS]),
@@ -195,6 +203,9 @@ class Scene:
             smallest_det_f=float(measures[Measure.SMALLEST_DET_F]),
             active_contacts=int(counts[Counter.ACTIVE_CONTACTS]),
             gel_forces_n=self._gel_forces_n(self._workspace.system.gradient),
+            largest_stretch=largest_stretch,
+            high_stretch=high_stretch,
+            time_step_s=time_step_s,
         )
 
     def gel_positions_m(self, index: int) -> FloatArray:

@@ -5,7 +5,7 @@ from typing import Protocol
 import numpy as np
 
 from ...observable import Observable
-from ...scene.observables import MEASURED_POSE, SURFACE_POINTS, played_shape
+from ...scene.observables import CONTACT_FORCES, MEASURED_POSE, SURFACE_POINTS, played_shape
 from ...vision.observables import DEPTH_PICTURE, OBJECT_POINT_CLOUD, POINT_CLOUD, RGB_PICTURE
 from ...vision.stereo.method import METHOD
 from ..definition import ActionComponent, TaskDefinition
@@ -102,6 +102,7 @@ TASK = TaskDefinition(
         MARKER_FLOW,
         played_shape("hexagon, cuboid"),
         MEASURED_POSE,
+        CONTACT_FORCES,
         SURFACE_POINTS,
     ),
     measures=(SURFACE_DIFF, PEG_HEIGHT),

@@ -7,8 +7,8 @@ from .settings import InsertionSettings
 def insertion_reward(flags: Flags, settings: InsertionSettings, *, progress: float, env_steps: int) -> float:
     """Return the reward of an env step: progress, less the penalty, plus what the end brings [D13].
 
-    The tactile or error flag costs 2 P for every step that is left, less one P, which the published formula does not
-    have [D10]; running out of steps costs nothing more.
+    The force, tactile or error flag costs 2 P for every step that is left, less one P, which the published formula does
+    not have [D10]; running out of steps costs nothing more.
 
     Args:
         flags: of the env step.
@@ -17,7 +17,7 @@ def insertion_reward(flags: Flags, settings: InsertionSettings, *, progress: flo
         env_steps: played so far, this one included.
     """
     final = 0.0
-    if flags.tactile_movement_too_large or flags.error_too_large:
+    if flags.force_too_large or flags.tactile_movement_too_large or flags.error_too_large:
         final = -2.0 * settings.step_penalty * (settings.max_steps - env_steps) + settings.step_penalty
     elif flags.is_success:
         final = settings.final_reward

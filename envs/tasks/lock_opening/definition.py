@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...observable import Observable
-from ...scene.observables import MEASURED_POSE, SURFACE_POINTS, marker_flow, played_shape
+from ...scene.observables import CONTACT_FORCES, MEASURED_POSE, SURFACE_POINTS, marker_flow, played_shape
 from ..definition import ActionComponent, InfoView, Measure, TaskDefinition
 from ..measures import SURFACE_DIFF
 from ..quantities import TOUCH_QUANTITIES, Quantity, setting
@@ -98,6 +98,7 @@ TASK = TaskDefinition(
         ),
         played_shape("key1, key2, key3, key4"),
         MEASURED_POSE,
+        CONTACT_FORCES,
         SURFACE_POINTS,
     ),
     measures=(

@@ -34,7 +34,7 @@ class LockOpeningSettings:
         action_scale_mm: motion at an action of 1: x [mm], z [mm].
         step_penalty: P in the reward.
         final_reward: reward of success.
-        failure_penalty: cost of the tactile or error flag.
+        failure_penalty: cost of the force, tactile or error flag.
         indentation_mm: how far each gel is pressed into the key.
         gripper_x_mm: grasp centre beside its nominal place on the handle, outwards; the jitter is added.
         gripper_z_mm: the same upwards.

@@ -1,6 +1,6 @@
 """The peg task as others need to know it: actions, observables and where its parts lie."""
 
-from ...scene.observables import MEASURED_POSE, SURFACE_POINTS, played_shape
+from ...scene.observables import CONTACT_FORCES, MEASURED_POSE, SURFACE_POINTS, played_shape
 from ..definition import TaskDefinition
 from ..insertion.interface import (
     INSERTION_QUANTITIES,
@@ -26,6 +26,7 @@ TASK = TaskDefinition(
         MARKER_FLOW,
         played_shape("cuboid, trapezoid, concave1"),
         MEASURED_POSE,
+        CONTACT_FORCES,
         SURFACE_POINTS,
     ),
     measures=(SURFACE_DIFF, PEG_HEIGHT),

@@ -9,15 +9,20 @@ from vitac.envs.fem.model.bodies import GelBody, RigidBody
 from vitac.envs.fem.scene.scene import StepReport, StepStatus
 
 
-def report(status: StepStatus = StepStatus.CONVERGED) -> StepReport:
+def report(status: StepStatus = StepStatus.CONVERGED, part_force_n: float = 0.0) -> StepReport:
     values: dict[str, Any] = dict.fromkeys(StepReport.__dataclass_fields__, 0)
-    return StepReport(**(values | {"status": status}))
+    gel_forces_n = ((0.0, 5.0, part_force_n), (0.0, -5.0, 0.0))
+    return StepReport(**(values | {"status": status, "gel_forces_n": gel_forces_n, "time_step_s": 0.1}))
 
 
 class FakeScene:
-    """Records what it is asked; `bulge_m` pushes the sensing nodes out, `statuses` are handed out step by step."""
+    """Records what it is asked; `statuses` are handed out step by step.
+
+    `bulge_m` pushes the sensing nodes out, `part_force_n` acts on the part.
+    """
 
     bulge_m = 0.0
+    part_force_n = 0.0
     statuses: Sequence[StepStatus] = ()
     built: "list[FakeScene]" = []  # noqa: RUF012 - cleared by the fixture that installs the class
 
@@ -35,7 +40,7 @@ class FakeScene:
         self.targets_m.append([targets.copy() for targets in driven_targets_m])
         for index, (gel, targets) in enumerate(zip(self.gels, driven_targets_m, strict=True)):
             self.placed[index] = rigid_fit(gel.mesh.rest_position_m[gel.mesh.driven_nodes], targets)
-        return report(self._pending.pop(0) if self._pending else StepStatus.CONVERGED)
+        return report(self._pending.pop(0) if self._pending else StepStatus.CONVERGED, self.part_force_n)
 
     def gel_positions_m(self, index: int) -> np.ndarray:
         mesh, (rotation, centre) = self.gels[index].mesh, self.placed[index]
@@ -64,6 +69,7 @@ def in_place_of_the_physics(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Fa
     """The body of a fixture: scenes are fakes, without a bulge and converging, while the test runs."""
     FakeScene.built.clear()
     monkeypatch.setattr(FakeScene, "bulge_m", 0.0)
+    monkeypatch.setattr(FakeScene, "part_force_n", 0.0)
     monkeypatch.setattr(FakeScene, "statuses", ())
     monkeypatch.setattr("vitac.envs.scene.grasped_scene.Scene", FakeScene)
     yield FakeScene.built

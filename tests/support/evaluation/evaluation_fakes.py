@@ -78,7 +78,7 @@ class FakeEnvironment:
             "surface_diff_m": np.array([1e-3, 2e-3]),
             "is_success": np.bool_(success),
             "end_reason": end_reason,
-            "step_reports": object(),
+            "step_reports": (),
         }
         return self._observation(), float(action.sum()), success, too_many, info
 

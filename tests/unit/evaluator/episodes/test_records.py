@@ -241,7 +241,7 @@ def test_result_hash_follows_the_documented_recipe() -> None:
 
 def test_words_that_stored_records_and_hashes_hold_stay() -> None:
     assert [outcome.value for outcome in EpisodeOutcome] == [
-        "success", "tactile", "error", "steps", "not_converged", "policy_failed", "actions_ended",
+        "success", "force", "tactile", "error", "steps", "not_converged", "policy_failed", "actions_ended",
     ]  # fmt: skip
     assert [stage.value for stage in FailureStage] == ["load", "episode"]
 
@@ -253,7 +253,7 @@ def test_records_without_pictures_keep_the_bytes_and_hashes_that_they_had_before
     records = [make_record(1), make_record(2, EpisodeOutcome.POLICY_FAILED, 2)]
     assert [record.record_digest()[:12] for record in records] == ["3cd85540f10a", "0191639b72d7"]
     assert result_hash(make_manifest(), records)[:12] == "3f1c404d8a50"
-    assert all("picture" not in record.model_dump(mode="json") for record in records)
+    assert all(not {"picture", "forces"} & record.model_dump(mode="json").keys() for record in records)
 
 
 def test_a_picture_is_part_of_the_record_its_digest_and_the_result_hash() -> None:
@@ -276,6 +276,7 @@ def test_every_outcome_is_explained_in_a_sentence_of_its_own() -> None:
     sentences = {outcome.value: outcome.sentence for outcome in EpisodeOutcome}
     assert sentences == {
         "success": "The task was solved.",
+        "force": "The force on the held part was above the task's limit.",
         "tactile": "The gel surface of a sensor moved too far.",
         "error": "The gripper or the part left its range.",
         "steps": "All env steps were used up.",

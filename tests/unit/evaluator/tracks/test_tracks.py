@@ -2,6 +2,7 @@ import hashlib
 import json
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -125,7 +126,14 @@ def test_a_task_without_settings_methods_and_commitment_keeps_the_digest_from_be
     observed = [(row.name, row.shape, row.dtype, row.unit, row.meaning) for row in task.observables]
     done = [(row.name, row.scale, row.unit, row.meaning) for row in task.actions]
     content = task.model_dump_json(
-        exclude={"settings": True, "draws": True, "player": True, "profiles": True, "episode_list": {"commitment"}}
+        exclude={
+            "settings": True,
+            "draws": True,
+            "force_limit_n": True,
+            "player": True,
+            "profiles": True,
+            "episode_list": {"commitment"},
+        }
     )
     content += json.dumps([observed, done])
     assert task.digest() == hashlib.sha256(content.encode()).hexdigest()
@@ -457,3 +465,23 @@ def test_draws_are_part_of_the_digest() -> None:
     _, task = find_task("peg-insertion-robust")
     other = task.model_copy(update={"draws": task.draws | {"clearance_mm": (0.5, 1.9)}})
     assert other.digest() != task.digest()
+
+
+def test_a_limit_of_force_is_an_argument_and_part_of_the_digest(content: dict[str, Any]) -> None:
+    plain = parse(content).tasks["peg-insertion"]
+    content["tasks"]["peg-insertion"]["force_limit_n"] = 20
+    limited = parse(content).tasks["peg-insertion"]
+    assert limited.environment_arguments == {**plain.environment_arguments, "force_limit_n": 20}
+    assert limited.digest() != plain.digest()
+    assert all(
+        task.force_limit_n is None for name in ("track_1", "track_2") for task in load_track(name).tasks.values()
+    )
+
+
+def test_refuses_a_limit_of_force_that_cannot_be_kept(content: dict[str, Any]) -> None:
+    content["tasks"]["peg-insertion"]["force_limit_n"] = 0
+    with pytest.raises(DocumentRejected, match=r"force_limit_n: .*greater than 0"):
+        parse(content)
+    cubes = next(iter(load_track("maniskill").tasks.values())).model_dump() | {"force_limit_n": 20}
+    with pytest.raises(ValueError, match=r"force_limit_n is 20, but \S+ measures no contact force; leave it out"):
+        Task(**cubes)

@@ -76,7 +76,15 @@ def test_observation_has_the_challenges_keys_in_its_order() -> None:
     assert list(observation) == PUBLIC
     assert observation in env.observation_space
     _, privileged, _ = played(privileged=True, options=RIGHT)
-    assert list(privileged) == ["gt_direction", "gt_offset", *PUBLIC, "shape", "measured_pose", "surface_pts"]
+    assert list(privileged) == [
+        "gt_direction",
+        "gt_offset",
+        *PUBLIC,
+        "shape",
+        "measured_pose",
+        "contact_forces",
+        "surface_pts",
+    ]
     assert privileged["gt_direction"].tolist() == [-1.0]
     assert privileged["gt_offset"] == pytest.approx([2.0, 18.625, 6.0, 15.5])
 

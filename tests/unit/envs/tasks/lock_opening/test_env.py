@@ -181,7 +181,7 @@ def test_privileged_observation_holds_points_and_scaled_distances() -> None:
     assert set(observation) == {
         *("key_side_pts", "lock1_pts", "lock2_pts", "lock_side_pts", "key1", "key2"),
         *("relative_motion", "marker_flow"),
-        *("shape", "measured_pose", "surface_pts"),
+        *("shape", "measured_pose", "contact_forces", "surface_pts"),
     }
     # Teeth 6.5 mm too deep, 1 mm below the ceiling; 200 per metre.
     assert observation["key1"] == pytest.approx([-1.3, 0.0, -0.2], abs=1e-6)

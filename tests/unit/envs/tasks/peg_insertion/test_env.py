@@ -103,7 +103,7 @@ def test_privileged_observation_adds_the_commanded_offset() -> None:
     env, observation, *_ = played([0.0, 0.0, 0.0], privileged=True)
     assert set(observation) == {
         *("gt_offset", "relative_motion", "marker_flow"),
-        *("shape", "measured_pose", "surface_pts"),
+        *("shape", "measured_pose", "contact_forces", "surface_pts"),
     }
     assert observation["gt_offset"].tolist() == [-4.0, -3.0, 6.0]
     assert observation in env.observation_space
@@ -146,6 +146,37 @@ def test_surface_motion_cuts_the_episode_off(physics: list[FakeScene]) -> None:
     assert (terminated, truncated, info["end_reason"]) == (False, True, "tactile")
     assert info["tactile_movement_too_large"] is True
     assert reward == -1.0 - 2.0 * 7 + 1.0
+
+
+def test_force_above_the_limit_is_no_success_and_ends_the_episode(physics: list[FakeScene]) -> None:
+    zero = [0.0, 0.0, 0.0]
+    env, *_, info = played(zero, zero, force_limit_n=20.0)
+    assert (info["force_limit_n"], info["force_too_large"], info["end_reason"]) == (20.0, False, None)
+    physics[0].part_force_n = 20.5
+    _, reward, terminated, truncated, info = env.step(np.zeros(3, dtype=np.float32))
+    assert (terminated, truncated, info["end_reason"]) == (False, True, "force")
+    assert (info["force_too_large"], info["is_success"]) == (True, False)
+    assert reward == -1.0 - 2.0 * 5 + 1.0
+
+
+def test_force_of_the_reset_is_no_env_steps(monkeypatch: pytest.MonkeyPatch, physics: list[FakeScene]) -> None:
+    monkeypatch.setattr(FakeScene, "part_force_n", 25.0)
+    env, *_ = played(force_limit_n=20.0)
+    physics[0].part_force_n = 0.0
+    assert env.step(np.zeros(3, dtype=np.float32))[-1]["end_reason"] is None
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, float("inf"), float("nan")])
+def test_limit_that_is_no_force_is_refused(limit: float) -> None:
+    with pytest.raises(SettingsError, match=r"Setting 'force_limit_n' is .*, expected None or a positive force in N"):
+        PegInsertionEnv(force_limit_n=limit)
+
+
+def test_contact_forces_are_seen_where_they_are_asked_for(physics: list[FakeScene]) -> None:
+    env, *_ = played(privileged=True, observation_keys=["contact_forces"])
+    physics[0].part_force_n = 3.0
+    observation = env.step(np.zeros(3, dtype=np.float32))[0]
+    assert observation["contact_forces"].tolist() == [[0, 0, 3], [0, 5, 3], [0, -5, 0]]
 
 
 def test_offset_out_of_range_cuts_the_episode_off() -> None:

@@ -1,0 +1,62 @@
+"""Follows the contact forces of an episode, for its record; called where episodes are played.
+
+A record holds them beside what its result hash covers: they follow from the same states. So a result has the same hash
+whether forces were recorded or not. The record's own digest covers them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from math import ceil, fsum, sqrt
+from typing import TYPE_CHECKING, Any, Final
+
+from .records import ContactForces, ForceFigures
+
+if TYPE_CHECKING:
+    from vitac.envs.fem.scene.scene import StepReport
+
+OVER_FORCE_N: Final = 40.0
+"""Force on the held part above which an event counts where the task has no limit: about 1.5 times the median peak of
+the heuristic for the peg."""
+_HIGH = 0.95
+"""Part of the IPC steps whose force is no higher than the 95th percentile."""
+
+
+@dataclass(kw_only=True)
+class ForceTrace:
+    """The solved IPC steps of the env steps of an episode so far."""
+
+    over_force_n: float = OVER_FORCE_N
+    reports: "list[StepReport]" = field(default_factory=list)
+
+    def add(self, info: Mapping[str, Any]) -> None:
+        """Take the info of an env step into account; one of other physics reports no IPC steps."""
+        self.over_force_n = info.get("force_limit_n", OVER_FORCE_N)
+        self.reports += [report for report in info.get("step_reports", ()) if report.status != "not_converged"]
+
+    def figures(self) -> ContactForces | None:
+        """Return what a record holds of the episode; None where no IPC step was reported."""
+        if not self.reports:
+            return None
+        part_n = [report.part_force_n for report in self.reports]
+        left_n, right_n = ([_size(report.gel_forces_n[side]) for report in self.reports] for side in (0, 1))
+        return ContactForces(
+            part=self._figures(part_n),
+            gels=(self._figures(left_n), self._figures(right_n)),
+            over_force_n=self.over_force_n,
+            over_force_events=sum(is_over for is_over, _ in groupby(force > self.over_force_n for force in part_n)),
+            largest_stretch=max(report.largest_stretch for report in self.reports),
+            high_stretch=max(report.high_stretch for report in self.reports),
+        )
+
+    def _figures(self, forces_n: Sequence[float]) -> ForceFigures:
+        ordered = sorted(forces_n)
+        impulses = (force * report.time_step_s for force, report in zip(forces_n, self.reports, strict=True))
+        return ForceFigures(
+            peak_n=ordered[-1], p95_n=ordered[ceil(_HIGH * len(ordered)) - 1], impulse_n_s=fsum(impulses)
+        )
+
+
+def _size(force_n: Sequence[float]) -> float:
+    x, y, z = force_n
+    return sqrt(x * x + y * y + z * z)
