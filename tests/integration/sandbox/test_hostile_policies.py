@@ -1,12 +1,13 @@
-"""Every policy in `policies/` meets the verdict that its header expects, on this machine's own isolation.
+"""Every policy in `policies/` meets the verdict that it expects, on this machine's own isolation.
 
-Headers: `# expect:` a verdict, or `harmless` where every action must be zero in every episode; `# where:` load or
-episode; `# limits:` smaller limits, so that the test is quick. Where there is no sandbox, these tests fail; they never
-skip.
+`acts.py` and `counting.py` hold many, each with `@expects`. Other files have headers: `# expect:` a verdict, or
+`harmless` where every action must be zero in every episode; `# where:` load or episode; `# limits:` smaller limits, so
+that the test is quick. Where there is no sandbox, these tests fail; they never skip.
 """
 
 import os
 import re
+import runpy
 from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
@@ -20,8 +21,9 @@ from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.session import PolicySession
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 
-POLICIES = sorted((Path(__file__).parent / "policies").glob("*.py"))
-TOOLS = Path(__file__).parent / "policies" / "tools" / "channel_tools.py"
+FOLDER = Path(__file__).parent / "policies"
+COLLECTIONS = ("acts", "counting")
+TOOLS = FOLDER / "tools" / "channel_tools.py"
 OBSERVATION = {
     "marker_flow": np.zeros((2, 2, 128, 2), dtype=np.float32),
     "relative_motion": np.zeros(4, dtype=np.float32),
@@ -31,17 +33,48 @@ ACTIONS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Header:
+class Hostile:
+    name: str
+    source: str
     expect: str
     where: str
     limits: Limits
 
 
-def header_of(path: Path) -> Header:
-    fields = dict(re.findall(r"^# (\w+): (.+)$", path.read_text(), re.MULTILINE))
+def in_a_file(path: Path) -> Hostile:
+    text = path.read_text()
+    fields = dict(re.findall(r"^# (\w+): (.+)$", text, re.MULTILINE))
     limits = dict(pair.split("=") for pair in fields.get("limits", "").split())
     numbers = {name: float(value) if "." in value else int(value) for name, value in limits.items()}
-    return Header(expect=fields["expect"], where=fields["where"], limits=Limits(**numbers))  # type: ignore[arg-type]
+    return Hostile(
+        name=path.stem, source=text, expect=fields["expect"], where=fields["where"], limits=Limits(**numbers)
+    )  # type: ignore[arg-type]
+
+
+def in_a_collection(path: Path) -> list[Hostile]:
+    text = path.read_text()
+    found = [made for made in runpy.run_path(str(path)).values() if hasattr(made, "expected")]
+    return [
+        Hostile(
+            name=policy.__name__,
+            source=f"{text}\n\nPolicy = {policy.__name__}\n",
+            expect=policy.expected["verdict"],
+            where=policy.expected["where"],
+            limits=Limits(**policy.expected["limits"]),
+        )
+        for policy in found
+    ]
+
+
+def all_policies() -> list[Hostile]:
+    paths = sorted(FOLDER.glob("*.py"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(TOOLS.parent)
+        return [
+            policy
+            for path in paths
+            for policy in (in_a_collection(path) if path.stem in COLLECTIONS else [in_a_file(path)])
+        ]
 
 
 @pytest.fixture
@@ -68,23 +101,22 @@ def left_behind() -> list[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", POLICIES, ids=lambda path: path.stem)
-def test_policy_meets_its_verdict(path: Path, outside: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("hostile", all_policies(), ids=lambda hostile: hostile.name)
+def test_policy_meets_its_verdict(hostile: Hostile, outside: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tracing, "_FREEZE_DEADLINE_S", 5.0)  # one of them never gets ready to be copied
-    header = header_of(path)
-    (outside / "policy.py").write_text(path.read_text())
+    (outside / "policy.py").write_text(hostile.source)
     (outside / TOOLS.name).write_text(TOOLS.read_text())
-    if header.where == "load":
-        with pytest.raises(PolicyFailed) as caught, PolicySession(outside, limits=header.limits):
+    if hostile.where == "load":
+        with pytest.raises(PolicyFailed) as caught, PolicySession(outside, limits=hostile.limits):
             pass
-        check_failure(caught.value, header.expect)
+        check_failure(caught.value, hostile.expect)
     else:
-        with PolicySession(outside, limits=header.limits) as session:
-            if "process_ids" in path.stem and not session.isolation.process_ids_repeat:
+        with PolicySession(outside, limits=hostile.limits) as session:
+            if "process_ids" in hostile.name and not session.isolation.process_ids_repeat:
                 pytest.skip("this machine cannot repeat process ids (/proc/sys is read-only); the result says so")
-            if "of_sockets" in path.stem and session.isolation.memory is MemoryIsolation.WATCHDOG:
+            if "of_sockets" in hostile.name and session.isolation.memory is MemoryIsolation.WATCHDOG:
                 pytest.skip("only a control group counts the memory of sockets; the result and its page say so")
-            check_episodes(session, header.expect)
+            check_episodes(session, hostile.expect)
     assert left_behind() == []
 
 

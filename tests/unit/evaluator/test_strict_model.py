@@ -141,6 +141,9 @@ def test_a_huge_integer_is_counted_in_bits() -> None:
     [
         ("name: [", "camera.yaml is not valid YAML: "),
         ("name: a\nname: b", "camera.yaml is not valid YAML: "),
+        ("- &a [*a]\n- *b", "camera.yaml is not valid YAML: "),
+        ("!!python/object:os.system {}", "camera.yaml is not valid YAML: "),
+        ("\x00", "camera.yaml is not valid YAML: "),
         ("", "camera.yaml is empty, expected a document with the keys name"),
     ],
 )

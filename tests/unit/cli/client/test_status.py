@@ -13,9 +13,6 @@ from vitac.cli.client.status import EvaluationEndedWithoutScore, require_score, 
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.server.db.models import Submission
 
-RATES = {"peg-insertion": "66.7 %", "lock-opening": "66.9 %", "all tasks": "66.8 %"}
-BOTH = MANIFEST.replace("[peg-insertion]", "[lock-opening, peg-insertion]")
-
 
 def submitted(service: CliService, tmp_path: Path, manifest: str = MANIFEST) -> str:
     answer = json.loads(service.run("submit", str(submission_folder(tmp_path / "mine", manifest)), "--json").stdout)
@@ -63,21 +60,6 @@ def test_shows_a_score_with_its_interval_and_hash(service: CliService, tmp_path:
     assert "lock-opening (counts as 0 %" in shown
     as_json = json.loads(service.run("status", submission_id, "--json").stdout)
     assert as_json["evaluation"]["result_hash"] in shown
-
-
-def test_two_tasks_are_shown_each_and_together(service: CliService, tmp_path: Path) -> None:
-    submission_id = submitted(service, tmp_path, BOTH)
-    queued = service.run("status", submission_id).stdout
-    assert queued.index("0 of 430") < queued.index("0 of 270, 0 successes") < queued.index("0 of 160, 0 successes")
-    play(service, submission_id)
-    shown = service.run("status", submission_id).stdout
-    assert "not submitted" not in shown
-    evaluation = json.loads(service.run("status", submission_id, "--json").stdout)["evaluation"]
-    hashes = [evaluation["result_hash"], *(score["result_hash"] for score in evaluation["scores"])]
-    rates = [f"{task:<19}  {rate}" for task, rate in RATES.items()]
-    for part in (*rates, *hashes):
-        assert part in shown
-    assert "peg-insertion 66.7 %, lock-opening 66.9 %" in service.run("status").stdout
 
 
 def test_watch_ends_with_the_evaluation(service: CliService, tmp_path: Path) -> None:

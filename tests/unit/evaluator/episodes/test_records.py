@@ -1,7 +1,6 @@
 import base64
 import hashlib
 import json
-import random
 from typing import Any
 
 import numpy as np
@@ -53,17 +52,6 @@ def test_actions_survive_to_the_last_bit(rows: list[list[float]]) -> None:
     assert packed.to_array().shape == actions.shape
 
 
-def test_actions_are_little_endian_float32() -> None:
-    packed = ActionSequence.from_array(np.array([[1.0, -2.0]], dtype=np.float32))
-    assert base64.b64decode(packed.float32_base64) == b"\x00\x00\x80\x3f\x00\x00\x00\xc0"
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_actions_must_be_finite(value: float) -> None:
-    with pytest.raises(ValidationError, match="every action must be finite"):
-        ActionSequence.from_array(np.array([[0, value, 0]], dtype=np.float32))
-
-
 @pytest.mark.parametrize(
     ("shape", "data", "message"),
     [
@@ -101,16 +89,6 @@ def test_actions_may_have_any_size_up_to_the_limits(shape: tuple[int, int]) -> N
 def test_steps_actions_hashes_and_infos_must_agree(changes: dict[str, Any]) -> None:
     with pytest.raises(ValidationError, match="all four must agree"):
         make_record(**{"infos": RECORDS[0].infos, "state_hashes": RECORDS[0].state_hashes, **changes})
-
-
-def test_all_lengths_that_disagree_are_told() -> None:
-    told = "env_steps is 3, but there are 1 actions, 2 state hashes after the reset's and 4 infos"
-    with pytest.raises(ValidationError, match=told):
-        make_record(
-            actions=ActionSequence.from_array(np.zeros((1, 3), np.float32)),
-            state_hashes=RECORDS[0].state_hashes[:3],
-            infos=({},) * 4,
-        )
 
 
 def test_an_episode_may_end_before_its_first_env_step_but_not_before_its_reset() -> None:
@@ -162,32 +140,12 @@ def test_result_hash_is_pinned() -> None:
     assert result_hash(make_manifest(), RECORDS) == "ac128852cd440edb18fa688a043ce257eb87cd493b8a090bd73252981cd2147f"
 
 
-@given(st.randoms())
-def test_result_hash_ignores_order(shuffler: random.Random) -> None:
-    shuffled = list(RECORDS)
-    shuffler.shuffle(shuffled)
-    assert result_hash(make_manifest(), shuffled) == result_hash(make_manifest(), RECORDS)
-
-
 def test_result_hash_ignores_times_output_and_machine() -> None:
     first = make_record(1, EpisodeOutcome.POLICY_FAILED, failure=make_failure(output_tail="at 10:31"))
     other = make_record(
         1, EpisodeOutcome.POLICY_FAILED, failure=make_failure(output_tail="at 10:32"), timings=Timings(wall_s=3)
     )
     assert result_hash(make_manifest(), [first]) == result_hash(make_manifest(platform_class="arm64-linux"), [other])
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"actions": ActionSequence.from_array(np.full((3, 3), 0.5, dtype=np.float32))},
-        {"state_hashes": ("f" * 64, *RECORDS[0].state_hashes[1:])},
-        {"outcome": EpisodeOutcome.STEPS},
-    ],
-)
-def test_result_hash_changes_with_what_happened(changes: dict[str, Any]) -> None:
-    changed = [make_record(1, **changes), *RECORDS[1:]]
-    assert result_hash(make_manifest(), changed) != result_hash(make_manifest(), RECORDS)
 
 
 def test_result_hash_changes_with_the_reason_of_a_failure_but_not_with_its_message() -> None:
@@ -197,15 +155,6 @@ def test_result_hash_changes_with_the_reason_of_a_failure_but_not_with_its_messa
 
     assert hash_of(code=VerdictCode.CRASHED) != hash_of(code=VerdictCode.CPU_TIME)
     assert hash_of(message="It ended with signal 11.") == hash_of(message="It ended with signal 9.")
-
-
-@pytest.mark.parametrize("key", ["track", "evaluator_version", "solver_version", "mesh_hash"])
-def test_result_hash_changes_with_the_evaluator(key: str) -> None:
-    assert result_hash(make_manifest(**{key: "other"}), RECORDS) != result_hash(make_manifest(), RECORDS)
-
-
-def test_result_hash_changes_when_an_episode_is_missing() -> None:
-    assert result_hash(make_manifest(), RECORDS[:2]) != result_hash(make_manifest(), RECORDS)
 
 
 def test_episode_twice_is_refused() -> None:
@@ -286,11 +235,6 @@ def test_every_outcome_is_explained_in_a_sentence_of_its_own() -> None:
     }
 
 
-@pytest.mark.parametrize("outcome", EpisodeOutcome)
-def test_the_success_of_a_record_is_its_outcome(outcome: EpisodeOutcome) -> None:
-    assert make_record(1, outcome).success == (outcome.value == "success")
-
-
 @pytest.mark.parametrize("dtype", [">f4", "<f8", "<i4"])
 def test_actions_of_any_type_are_stored_as_little_endian_float32(dtype: str) -> None:
     values = np.array([[1, -2], [3, 0]])
@@ -326,13 +270,6 @@ def test_disagreeing_lengths_are_told_in_a_sentence() -> None:
         "Value error, env_steps is 3, but there are 3 actions, 2 state hashes after the reset's and 1 infos; "
         "all four must agree"
     )
-
-
-def test_an_outcome_without_its_failure_is_told_in_a_sentence() -> None:
-    with pytest.raises(ValidationError) as refused:
-        make_record(1, EpisodeOutcome.POLICY_FAILED, failure=None)
-    message = refused.value.errors()[0]["msg"]
-    assert message == "Value error, outcome policy_failed and failure None do not belong together"
 
 
 def test_records_that_disagree_are_told_in_a_sentence() -> None:

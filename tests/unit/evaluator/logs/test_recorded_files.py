@@ -122,20 +122,6 @@ def test_unusable_line_is_named(tmp_path: Path, line: object, message: str) -> N
         read(tmp_path / "log.jsonl", LINE, line)
 
 
-def test_record_of_another_task_is_refused() -> None:
-    with pytest.raises(RecordingRejected, match="Episode 1 is of task 'lock-opening'"):
-        make_recording(make_record(task="lock-opening"), TASK)
-    with pytest.raises(RecordingRejected, match="Episode 1 is of task 'peg-insertion', expected 'lock-opening'"):
-        make_recording(make_record(), find_task("lock-opening")[1])
-
-
-def test_lines_are_numbered_from_one() -> None:
-    with pytest.raises(RecordingRejected, match=r"^Line 1 is not JSON"):
-        list(read_recordings_of("junk\n"))
-    with pytest.raises(RecordingRejected, match=r"^Line 3 is not JSON"):
-        list(read_recordings_of(json.dumps(LINE) + "\n", json.dumps(LINE) + "\n", "junk"))
-
-
 def read_recordings_of(*lines: str) -> list[Recording]:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "log.jsonl"
@@ -227,12 +213,6 @@ def test_a_line_may_be_as_long_as_the_limit_and_no_longer() -> None:
     assert [recording.episode.number for recording in read_recordings_of(full, text)] == [4, 4]
     with pytest.raises(RecordingRejected, match=r"^Line 2 is not JSON: "):
         read_recordings_of(text + "\n", full.replace("}\n", "  }\n"))
-
-
-def test_what_is_no_json_is_told_with_the_reason_in_one_sentence() -> None:
-    with pytest.raises(RecordingRejected) as refused:
-        read_recordings_of("{}}")
-    assert str(refused.value) == "Line 1 is not JSON: Extra data: line 1 column 3 (char 2)."
 
 
 def test_the_start_of_a_peg_line_is_taken_as_it_was_printed() -> None:

@@ -228,18 +228,7 @@ def test_where_states_may_differ_a_log_diverges_where_an_episode_ended_otherwise
     assert found.resimulated_info is not None
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"track": "track_2"},
-        {"task": "lock-opening"},
-        {"list_seed": 7},
-        {"task_hash": "0"},
-        {"evaluator_version": "0"},
-        {"solver_version": "0"},
-        {"mesh_hash": "other"},
-    ],
-)
+@pytest.mark.parametrize("changes", [{"task_hash": "0"}, {"mesh_hash": "other"}])
 def test_log_of_another_list_or_version_is_impossible(changes: dict[str, Any]) -> None:
     verification = check(header=made_elsewhere(**changes))
     key, value = next(iter(changes.items()))
@@ -252,17 +241,10 @@ def test_log_of_another_list_or_version_is_impossible(changes: dict[str, Any]) -
     ("records", "reason"),
     [
         (RECORDS[1:], "Expected 3 episodes, got 2; the first missing one is 1"),
-        ([], "Expected 3 episodes, got 0; the first missing one is 1"),
-        ([*RECORDS, RECORDS[0].model_copy(update={"episode": 4})], "Episode 4 is not in the list"),
         (
             with_record(2, shape="cuboid"),
             "Episode 2: expected the start trapezoid at (-4.0, -4.0, -8.0), got cuboid at",
         ),
-        (
-            with_record(2, initial_offset=(0.0, 0.0, 0.0)),
-            "Episode 2: expected the start trapezoid at (-4.0, -4.0, -8.0), got trapezoid at (0.0, 0.0, 0.0)",
-        ),
-        (with_record(3, task="lock-opening"), "Episode 3 is of task 'lock-opening'"),
     ],
 )
 def test_log_that_is_not_the_whole_list_is_impossible(records: list[EpisodeRecord], reason: str) -> None:
@@ -273,30 +255,6 @@ def test_log_that_is_not_the_whole_list_is_impossible(records: list[EpisodeRecor
 
 def test_part_of_a_list_can_be_verified_where_it_is_asked_for() -> None:
     assert check(RECORDS[:2], episodes=[1, 2]).verdict is VerificationResult.VERIFIED
-
-
-def test_action_out_of_bounds_is_impossible() -> None:
-    actions = RECORDS[1].actions.to_array()
-    actions[3, 1] = -1.5
-    verification = check(with_record(2, actions=ActionSequence.from_array(actions)))
-    assert verification.verdict is VerificationResult.IMPOSSIBLE
-    assert verification.reason == "Episode 2 has the action y = -1.5 at env step 4, expected values in [-1, 1]."
-
-
-def test_action_of_another_size_is_impossible() -> None:
-    wide = ActionSequence.from_array(np.zeros((RECORDS[1].env_steps, 4), np.float32))
-    assert check(with_record(2, actions=wide)).verdict is VerificationResult.IMPOSSIBLE
-
-
-def test_three_failures_of_the_policy_in_one_shard_are_impossible() -> None:
-    failed = RECORDS[2]
-    records = [
-        failed.model_copy(update={"episode": record.episode, "shape": record.shape, "failure": failed.failure})
-        for record in RECORDS
-    ]
-    verification = check(records)
-    assert verification.verdict is VerificationResult.IMPOSSIBLE
-    assert verification.reason.startswith("The policy failed too often, starting at episode 1;")
 
 
 @pytest.mark.parametrize(

@@ -156,12 +156,6 @@ def test_hostile_counts_of_a_mesh_are_refused(counts: str, tmp_path: Path) -> No
     assert broken(check_sensor(write_sensor(tmp_path, drawn_gels.flat(), mesh=text))) == [Rule.TET_MSH]
 
 
-def test_too_fine_a_mesh_is_refused(tmp_path: Path, ridge: Tetrahedra) -> None:
-    few = sensor_limits().model_copy(update={"max_nodes": 200})
-    check = check_sensor(write_sensor(tmp_path, drawn_gels.ridge(), mesh=msh(ridge)), few)
-    assert broken(check) == [Rule.NODES]
-
-
 def test_overhang_needs_a_mesh_of_its_own(tmp_path: Path) -> None:
     void = drawn_gels.turned_inside_out(drawn_gels.moved(drawn_gels.flat(4.0), scale=0.4, by=(1, 1, 1.2)))
     check = check_sensor(write_sensor(tmp_path, drawn_gels.together(drawn_gels.flat(), void)))

@@ -206,30 +206,6 @@ def test_unknown_key_names_the_nearest(
         parse(content)
 
 
-def test_unlike_key_lists_all_valid_ones(content: dict[str, object]) -> None:
-    with pytest.raises(
-        DocumentRejected, match="valid keys are accepts, combination_rule, combined_tasks, folder, has_sensor, name"
-    ):
-        parse(content | {"zzzz": 1})
-
-
-def test_missing_key_is_named(content: dict[str, object]) -> None:
-    del content["title"]
-    with pytest.raises(DocumentRejected, match="Missing key 'title'"):
-        parse(content)
-
-
-def test_key_given_twice_is_refused() -> None:
-    with pytest.raises(DocumentRejected, match="key 'name' is given twice"):
-        parse_yaml(Track, "name: a\nname: b\n", "track_1.yaml")
-
-
-@pytest.mark.parametrize("text", ["{", "- &a [*a]\n- *b", "!!python/object:os.system {}", "\x00"])
-def test_text_that_is_not_plain_yaml_is_refused(text: str) -> None:
-    with pytest.raises(DocumentRejected, match="is not valid YAML"):
-        parse_yaml(Track, text, "track_1.yaml")
-
-
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), "many", None])
 def test_offsets_must_be_finite_numbers(content: dict[str, object], value: object) -> None:
     content["tasks"]["peg-insertion"]["episode_list"]["blocks"][0]["starts"][3]["offset"][1] = value  # type: ignore[index]

@@ -1,10 +1,33 @@
-"""Lies beside every hostile policy: makes frames of its own and finds the channel to send them over."""
+"""Lies beside every hostile policy: what it is to meet, frames of its own, and the channel to send them over."""
 
 import json
 import os
 import stat
 import struct
 import sys
+
+
+def expects(verdict, where="episode", **limits):
+    """Say what a policy meets and under which smaller limits; a function is the `act` of a policy."""
+
+    def marked(made):
+        policy = made if isinstance(made, type) else type(made.__name__, (), {"reset": lambda self, task: None, "act": made})
+        policy.expected = {"verdict": verdict, "where": where, "limits": limits}
+        return policy
+
+    return marked
+
+
+class Counting:
+    """A policy whose action says how many episodes it has seen before its own."""
+
+    seen = 0
+
+    def reset(self, task):
+        pass
+
+    def act(self, observation):
+        return [float(self.seen), 0.0, 0.0]
 
 
 def channel():

@@ -1,8 +1,0 @@
-# expect: crashed
-# where: episode
-class Policy:
-    def reset(self, task):
-        pass
-
-    def act(self, observation):
-        raise ValueError("x" * 1_000_000)
