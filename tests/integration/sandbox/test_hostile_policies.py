@@ -46,9 +46,8 @@ def in_a_file(path: Path) -> Hostile:
     fields = dict(re.findall(r"^# (\w+): (.+)$", text, re.MULTILINE))
     limits = dict(pair.split("=") for pair in fields.get("limits", "").split())
     numbers = {name: float(value) if "." in value else int(value) for name, value in limits.items()}
-    return Hostile(
-        name=path.stem, source=text, expect=fields["expect"], where=fields["where"], limits=Limits(**numbers)
-    )  # type: ignore[arg-type]
+    smaller = Limits(**numbers)  # type: ignore[arg-type]
+    return Hostile(name=path.stem, source=text, expect=fields["expect"], where=fields["where"], limits=smaller)
 
 
 def in_a_collection(path: Path) -> list[Hostile]:
