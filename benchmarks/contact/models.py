@@ -1,40 +1,51 @@
-"""Plays one policy under both contact models: success by shape, forces, and how much of the marker flow differs.
+"""Plays policies under both contact models: success by shape, what is lost, forces, and how the marker flow differs.
 
-Usage: python benchmarks/contact/models.py [SUBMISSION] [--task peg-insertion] [--every 6]
+Usage: python benchmarks/contact/models.py [POLICY ...] [--every 6]
 
-SUBMISSION is a folder with a `policy.py`, by default the peg heuristic, which was fitted under challenge-2025. It runs
-in this process, so play only what you trust. Of a task's public list every N-th episode is played; one thread.
+POLICY is the name of an example, by default each of them; all were made under challenge-2025. Of the task's public list
+every N-th episode is played. One thread; the fusion example takes about a second per env step.
 """
 
 import argparse
 import importlib.util
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 from vitac.envs.fem.model.settings import ContactModel
 from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator.scoring.gain import paired_interval
 from vitac.evaluator.scoring.score import wilson_interval
 from vitac.evaluator.tracks import Episode, Task, find_task
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "peg_insertion_heuristic" / "Track_1"
+EXAMPLES = Path(__file__).parents[2] / "examples"
+POLICIES = {
+    "peg_insertion_heuristic": ("peg-insertion", "Track_1"),
+    "peg_insertion_trained": ("peg-insertion", "Track_1"),
+    "lock_opening_heuristic": ("lock-opening", "Track_1"),
+    "lock_opening_trained": ("lock-opening", "Track_1"),
+    "track_2_fusion": ("fusion-insertion", "Track_2"),
+}
 
 
 @dataclass(kw_only=True)
 class Played:
-    """One episode: whether it succeeded, forces [N], and the marker flow after the grasp."""
+    """One episode: whether it succeeded, forces [N], and the marker flow after the grasp and after an env step."""
 
     shape: str
     success: bool
-    flow: NDArray[np.float32]
+    flows: list[NDArray[np.float32]]
     part_forces_n: list[float] = field(default_factory=list)
     gel_forces_n: list[float] = field(default_factory=list)
 
 
 def read_policy(folder: Path) -> Any:
-    """Return the policy of a submission."""
+    """Return the policy of an example, which may import what lies beside it."""
+    sys.path.insert(0, str(folder))
     spec = importlib.util.spec_from_file_location("policy", folder / "policy.py")
     if spec is None or spec.loader is None:
         raise SystemExit(f"Expected a file policy.py in {folder}.")
@@ -47,10 +58,12 @@ def play(env: Any, task: Task, episode: Episode, policy: Any) -> Played:
     """Play one episode to its end."""
     observation, info = env.reset(options=episode.options)
     policy.reset(task.name)
-    played = Played(shape=episode.shape, success=False, flow=observation["marker_flow"].copy())
+    played = Played(shape=episode.shape, success=False, flows=[observation["marker_flow"].copy()])
     for _ in range(task.max_steps):
         action = np.clip(np.asarray(policy.act(observation), dtype=np.float32), -1, 1)
         observation, *_, info = env.step(action)
+        if len(played.flows) == 1:
+            played.flows.append(observation["marker_flow"].copy())
         played.part_forces_n += [report.part_force_n for report in info["step_reports"]]
         played.gel_forces_n += [
             float(np.linalg.norm(force)) for report in info["step_reports"] for force in report.gel_forces_n
@@ -79,23 +92,58 @@ def print_rates(name: str, episodes: list[Played]) -> None:
         )
 
 
+def print_loss(old: list[Played], new: list[Played]) -> None:
+    """Print by how much success falls from the first model to the second, on the same episodes."""
+    pairs = [(first.success, second.success) for first, second in zip(old, new, strict=True)]
+    only_old, only_new = pairs.count((True, False)), pairs.count((False, True))
+    low, high = paired_interval(only_old, only_new, len(pairs))
+    print(
+        f"loses {100 * (only_old - only_new) / len(pairs):.1f} points [{100 * low:.1f}, {100 * high:.1f}] "
+        f"({only_old} of {len(pairs)} succeed only under the first, {only_new} only under the second)"
+    )
+
+
+def print_flows(old: list[Played], new: list[Played]) -> None:
+    """Print how far markers move and how far apart they are between the models; the first action may differ already."""
+    for k, when in enumerate(("the grasp", "the first env step")):
+        flows = [
+            np.array([played.flows[k][:, 1] - played.flows[k][:, 0] for played in episodes]) for episodes in (old, new)
+        ]
+        moved, changed = (np.sqrt((flow**2).sum(axis=-1).mean()) for flow in (flows[0], flows[1] - flows[0]))
+        print(f"marker flow after {when}: {moved:.2f} pixels, differs by {changed:.2f} between the models (both RMS)")
+
+
+def compare_models(name: str, every: int) -> None:
+    """Play an example under both models and print."""
+    task_name, folder = POLICIES[name]
+    _, task = find_task(task_name)
+    policy, runs = read_policy(EXAMPLES / name / folder), []
+    print(f"== {name}")
+    for model in ContactModel:
+        chosen = task.model_copy(update={"settings": task.settings | {"contact_model": str(model)}})
+        env = make_environment(chosen, None, seen_keys(EXAMPLES / name / folder, task))
+        runs.append([play(env, chosen, episode, policy) for episode in task.episodes[::every]])
+        print_rates(str(model), runs[-1])
+    print_loss(*runs)
+    print_flows(*runs)
+
+
+def seen_keys(folder: Path, task: Task) -> tuple[str, ...]:
+    """Return what a submission asks to observe, by default all that its task shows."""
+    asked = yaml.safe_load((folder / "submission.yaml").read_text()).get("observation_keys")
+    return tuple(asked or (observable.name for observable in task.observables))
+
+
 def main() -> None:
     """Play and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("submission", type=Path, nargs="?", default=EXAMPLE)
-    parser.add_argument("--task", default="peg-insertion")
+    parser.add_argument("policies", nargs="*", metavar="POLICY", help=", ".join(POLICIES))
     parser.add_argument("--every", type=int, default=6)
     arguments = parser.parse_args()
-    _, task = find_task(arguments.task)
-    policy, flows = read_policy(arguments.submission), []
-    for model in ContactModel:
-        chosen = task.model_copy(update={"settings": task.settings | {"contact_model": str(model)}})
-        env = make_environment(chosen, None, tuple(observable.name for observable in task.observables))
-        episodes = [play(env, chosen, episode, policy) for episode in task.episodes[:: arguments.every]]
-        print_rates(str(model), episodes)
-        flows.append(np.array([played.flow[:, 1] - played.flow[:, 0] for played in episodes]))
-    moved, changed = (np.sqrt((flow**2).sum(axis=-1).mean()) for flow in (flows[0], flows[1] - flows[0]))
-    print(f"marker flow after the grasp: {moved:.2f} pixels, differs by {changed:.2f} between the models (both RMS)")
+    if unknown := set(arguments.policies) - set(POLICIES):
+        parser.error(f"unknown: {', '.join(sorted(unknown))}; expected some of {', '.join(POLICIES)}")
+    for name in arguments.policies or POLICIES:
+        compare_models(name, arguments.every)
 
 
 if __name__ == "__main__":

@@ -70,7 +70,7 @@ class FreeBody:
         self._rows = slice(len(mesh.rest_position_m), len(mesh.rest_position_m) + 4)
 
     def step(self, acceleration_m_s2: FloatArray) -> None:
-        """Make an IPC step, with v + h a for v: the predictor is x + h v + h^2 a."""
+        """Make an IPC step, with v + h a for v: the predictor is x + h v + h^2 a; a of all or of each frame point."""
         self.scene._velocity[self._rows] += self.time_step_s * acceleration_m_s2
         report = self.scene.step(driven_targets_m=self._targets)
         require(report.status is not StepStatus.NOT_CONVERGED, "IPC step", report.status, "a solved one")
@@ -195,12 +195,12 @@ def is_wedged(friction: float, steepness: float, *, gap_m: float = 0.02, time_st
     return bool(turned < 0.5 * free.contact.d_hat_m)
 
 
-def wedging_friction(steepness: float) -> float:
+def wedging_friction(steepness: float, gap_m: float = 0.02) -> float:
     """Return the smallest friction at which a rod stays wedged, by bisection to 1 %; theory has the steepness."""
     low, high = 0.5 * steepness, 2.0 * steepness
     while high / low > 1.01:
         between = float(np.sqrt(low * high))
-        low, high = (low, between) if is_wedged(between, steepness) else (between, high)
+        low, high = (low, between) if is_wedged(between, steepness, gap_m=gap_m) else (between, high)
     return float(np.sqrt(low * high))
 
 

@@ -1,16 +1,19 @@
 """The contact model arena-1 against textbooks, on materials and shapes that no task has: target, measured, verdict.
 
 Usage: python benchmarks/contact/textbook.py [--only GROUP ...] [--fine] [--json FILE]
+       [--modulus PA] [--poisson RATIO] [--friction MU] [--radius M] [--size FACTOR]
 
-Prints a line for each check as soon as it is known. `--fine` takes the mesh on which Hertz' and Mindlin's figures hold,
-which takes minutes; without it the domes are coarse. Exit code 1 where a measured value is beyond its bound.
+Prints a line for each check as soon as it is known. `--fine` takes the finer mesh of each, in some minutes. What is
+given replaces the benchmark's own: modulus and Poisson's ratio of gels, the friction coefficient where it is not what
+is sought, the radius of balls, and a factor of the sizes of blocks, pads, grips, pegs and walls. Exit code 1 where a
+measured value is beyond its bound.
 """
 
 import argparse
 import json
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +21,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "support" / "physics"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from contact.elastic import Dome, Rubber, partial_slip, press_dome, sheared_grip, slide_pad
+from contact.domes import Dome, partial_slip, press_dome
+from contact.elastic import Rubber, sheared_grip, slide_pad
+from contact.jamming import PegInHole
 from contact.rigid import (
     Block,
     incline_acceleration_error,
@@ -50,12 +55,44 @@ class Check:
         return abs(self.measured - self.target) <= self.bound
 
 
-def drifts(_: bool) -> Iterator[Check]:
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """What replaces the materials and sizes of the benchmark, and whether meshes are fine; None replaces nothing."""
+
+    youngs_modulus_pa: float | None = None
+    poisson_ratio: float | None = None
+    friction: float | None = None
+    radius_m: float | None = None
+    size: float = 1.0
+    fine: bool = False
+
+    def rubber(self, own: Rubber) -> Rubber:
+        """Return a gel's material."""
+        return replace(
+            own, youngs_modulus_pa=self.youngs_modulus_pa or own.youngs_modulus_pa,
+            poisson_ratio=own.poisson_ratio if self.poisson_ratio is None else self.poisson_ratio,
+        )  # fmt: skip
+
+    def rubs(self, own: float) -> float:
+        """Return a friction coefficient."""
+        return self.friction or own
+
+    def block(self, own: Block) -> Block:
+        """Return a block of the size."""
+        return replace(own, radius_m=own.radius_m * self.size, height_m=own.height_m * self.size)
+
+    def dome(self, own_radius_m: float) -> Dome:
+        """Return a dome of the ball's radius."""
+        return Dome(radius_m=self.radius_m or own_radius_m, cells=16 if self.fine else 10)
+
+
+def drifts(choice: Choice) -> Iterator[Check]:
     """Yield how far blocks drift at 90 % of what friction holds."""
-    for block, friction, seconds, time_step_s in (
+    for own, own_friction, seconds, time_step_s in (
         (CUBE, 0.5, 10.0, 0.01), (HEXAGON, 0.15, 60.0, 0.1), (TRIANGLE, 0.8, 60.0, 0.2), (CUBE, 0.3, 10.0, 0.005),
         (CUBE, 0.5, 60.0, 0.05), (CUBE, 0.5, 60.0, 0.5),
     ):  # fmt: skip
+        block, friction = choice.block(own), choice.rubs(own_friction)
         drift_um = 1e6 * incline_drift_m(block, friction, 0.9, seconds, time_step_s)
         name = (
             f"drift on an incline at 90 %: {block.material}, mu {friction}, {seconds:g} s in steps of {time_step_s} s"
@@ -63,44 +100,69 @@ def drifts(_: bool) -> Iterator[Check]:
         yield Check(name=name, target=0.0, measured=drift_um, bound=10.0, unit="um")
 
 
-def accelerations(_: bool) -> Iterator[Check]:
+def accelerations(choice: Choice) -> Iterator[Check]:
     """Yield errors of the acceleration of blocks above the friction angle."""
-    for block, friction, slope, time_step_s in (
-        (CUBE, 0.3, 0.5, 0.01), (HEXAGON, 0.15, 0.25, 0.005), (TRIANGLE, 0.6, 1.2, 0.002),
+    for own, own_friction, steeper, time_step_s in (
+        (CUBE, 0.3, 5 / 3, 0.01), (HEXAGON, 0.15, 5 / 3, 0.005), (TRIANGLE, 0.6, 2.0, 0.002),
     ):  # fmt: skip
+        block, friction = choice.block(own), choice.rubs(own_friction)
+        slope = steeper * friction
         error = 100 * incline_acceleration_error(block, friction, slope, time_step_s)
-        name = f"acceleration on an incline: {block.material}, mu {friction}, slope {slope}, steps of {time_step_s} s"
+        name = f"acceleration on an incline: {block.material}, mu {friction}, slope {slope:g}, steps of {time_step_s} s"
         yield Check(name=name, target=0.0, measured=error, bound=1.0, unit="%")
 
 
-def strains(_: bool) -> Iterator[Check]:
+def strains(choice: Choice) -> Iterator[Check]:
     """Yield how far parts give way that should be rigid, under 50 N."""
-    for block, time_step_s in ((CUBE, 0.1), (CUBE, 0.001), (HEXAGON, 0.1), (TRIANGLE, 0.02)):
+    for own, time_step_s in ((CUBE, 0.1), (CUBE, 0.001), (HEXAGON, 0.1), (TRIANGLE, 0.02)):
+        block = choice.block(own)
         percent = 100 * rigid_strain(block, 50.0, time_step_s)
         name = f"strain of a rigid part: {block.material}, 50 N, steps of {time_step_s} s"
         yield Check(name=name, target=0.0, measured=percent, bound=0.02, unit="%")
 
 
-def wedges(_: bool) -> Iterator[Check]:
+def wedges(choice: Choice) -> Iterator[Check]:
     """Yield from which friction a peg wedges: the line between its touches lies within both cones (Whitney 1982)."""
     for steepness in (0.25, 0.5, 1.0):
         name = f"friction from which a peg wedges, touching {steepness} of the gap apart in height"
-        measured = wedging_friction(steepness)
+        measured = wedging_friction(steepness, 0.02 * choice.size)
         yield Check(name=name, target=steepness, measured=measured, bound=0.03 * steepness, unit="")
 
 
-def energies(_: bool) -> Iterator[Check]:
+def jams(choice: Choice) -> Iterator[Check]:
+    """Yield the loads at which a peg jams, along lines of the plane of M / (r F_z) and F_x / F_z (Whitney 1982)."""
+    for own in (PegInHole(), PegInHole(radius_m=0.006, friction=0.15), PegInHole(depth_m=0.03, friction=0.5)):
+        peg = replace(
+            own, friction=choice.rubs(own.friction), radius_m=own.radius_m * choice.size,
+            depth_m=own.depth_m * choice.size,
+        )  # fmt: skip
+        one_side = peg.friction * (1 + peg.slenderness)
+        for contacts, moment, side in (
+            ("two contacts", 1.0, 0.0), ("two contacts", 0.0, 1.0), ("two contacts", -1.0, 0.3),
+            ("contacts on one side", one_side, 1.0), ("contacts on one side", -one_side, -1.0),
+        ):  # fmt: skip
+            name = (
+                f"load at which a peg jams over Whitney's: mu {peg.friction}, {1e3 * peg.depth_m:g} mm deep, "
+                f"{2e3 * peg.radius_m:g} mm wide, {contacts}, M / (r Fz) to Fx / Fz as {moment:.2g} to {side:g}"
+            )
+            measured = peg.jamming_load(moment, side) / peg.foretold_load(moment, side)
+            yield Check(name=name, target=1.0, measured=measured, bound=0.03, unit="")
+
+
+def energies(choice: Choice) -> Iterator[Check]:
     """Yield how far the energy of blocks rises that slide to rest."""
-    for block, friction, time_step_s in ((CUBE, 0.3, 0.01), (HEXAGON, 0.15, 0.005)):
-        rise = 100 * largest_rise_of_energy(block, friction, time_step_s)
+    for own, friction, time_step_s in ((CUBE, 0.3, 0.01), (HEXAGON, 0.15, 0.005)):
+        block = choice.block(own)
+        rise = 100 * largest_rise_of_energy(block, choice.rubs(friction), time_step_s)
         name = f"largest rise of energy in a step: {block.material}, steps of {time_step_s} s"
         yield Check(name=name, target=0.0, measured=max(0.0, rise), bound=0.01, unit="%")
 
 
-def pads(_: bool) -> Iterator[Check]:
+def pads(choice: Choice) -> Iterator[Check]:
     """Yield figures of pads that are pressed, dragged and held."""
-    for rubber, friction, size_m in ((SOFT, 0.7, (0.02, 0.015, 0.004)), (FIRM, 0.2, (0.1, 0.1, 0.03))):
-        slid = slide_pad(size_m, rubber, friction)
+    for own, own_friction, (x, y, z) in ((SOFT, 0.7, (0.02, 0.015, 0.004)), (FIRM, 0.2, (0.1, 0.1, 0.03))):
+        rubber, friction, size = choice.rubber(own), choice.rubs(own_friction), choice.size
+        slid = slide_pad((x * size, y * size, z * size), rubber, friction)
         name = f"pad of {rubber.youngs_modulus_pa:g} Pa, mu {friction}"
         yield Check(name=f"{name}: force in full slip over mu N", target=1.0, measured=slid.full, bound=0.01, unit="")
         yield Check(name=f"{name}: largest force over mu N", target=1.0, measured=slid.peak, bound=0.01, unit="")
@@ -108,32 +170,30 @@ def pads(_: bool) -> Iterator[Check]:
                     bound=0.1, unit="%")  # fmt: skip
 
 
-def grips(fine: bool) -> Iterator[Check]:
+def grips(choice: Choice) -> Iterator[Check]:
     """Yield figures of a box that two pads squeeze and shear: both sides, other steps, other meshes."""
-    cells, halved = ((8, 8, 6), (16, 16, 12)) if fine else ((6, 6, 4), (12, 12, 8))
-    for rubber, friction in ((SOFT, 0.6), (FIRM, 0.4)):
-        name, base = (
-            f"grip of {rubber.youngs_modulus_pa:g} Pa, mu {friction}",
-            sheared_grip(rubber, friction, cells=cells),
-        )
+    cells, halved = ((8, 8, 6), (16, 16, 12)) if choice.fine else ((6, 6, 4), (12, 12, 8))
+    for own, own_friction in ((SOFT, 0.6), (FIRM, 0.4)):
+        rubber, friction = choice.rubber(own), choice.rubs(own_friction)
+        name = f"grip of {rubber.youngs_modulus_pa:g} Pa, mu {friction}"
+        base = sheared_grip(rubber, friction, cells=cells, size=choice.size)
         yield Check(name=f"{name}: forces on the part that do not cancel", target=0.0,
                     measured=100 * base.unbalanced, bound=1.0, unit="%")  # fmt: skip
         yield Check(
             name=f"{name}: asymmetry of both gels", target=0.0, measured=100 * base.asymmetry, bound=1.0, unit="%"
         )
         for what, other in (
-            ("halved step", sheared_grip(rubber, friction, cells=cells, halved_step=True)),
-            ("halved mesh", sheared_grip(rubber, friction, cells=halved)),
+            ("halved step", sheared_grip(rubber, friction, cells=cells, size=choice.size, halved_step=True)),
+            ("halved mesh", sheared_grip(rubber, friction, cells=halved, size=choice.size)),
         ):
             change = 100 * float(np.linalg.norm(other.force_n) / np.linalg.norm(base.force_n) - 1)
             yield Check(name=f"{name}: force changes by {what}", target=0.0, measured=change, bound=3.0, unit="%")
 
 
-def domes(fine: bool) -> Iterator[Check]:
+def domes(choice: Choice) -> Iterator[Check]:
     """Yield figures of domes on a plate: Hertz, and Cattaneo and Mindlin."""
-    for dome, rubber in (
-        (Dome(cells=16 if fine else 8), Rubber()), (Dome(radius_m=0.5, touching_m=0.03, cells=16 if fine else 8), SOFT)
-    ):  # fmt: skip
+    for own_radius_m, own in ((0.8, Rubber()), (0.5, SOFT)):
+        dome, rubber = choice.dome(own_radius_m), choice.rubber(own)
         name = f"dome of {dome.radius_m} m, {rubber.youngs_modulus_pa:g} Pa"
         pressed = press_dome(dome, rubber)
         yield Check(name=f"{name}: force over Hertz'", target=1.0, measured=pressed.force_n / pressed.hertz_force_n,
@@ -141,12 +201,14 @@ def domes(fine: bool) -> Iterator[Check]:
         yield Check(name=f"{name}: radius over Hertz'", target=1.0, measured=pressed.radius_m / pressed.hertz_radius_m,
                     bound=0.02, unit="")  # fmt: skip
         for part in (0.3, 0.6):
-            measured, foretold = partial_slip(pressed, rubber, friction=0.5, part=part)
+            measured, foretold = partial_slip(pressed, rubber, friction=choice.rubs(0.5), part=part)
             yield Check(name=f"{name}: stick radius over a, at {part} mu N", target=foretold, measured=measured,
                         bound=0.05 * foretold, unit="")  # fmt: skip
 
 
-GROUPS = {group.__name__: group for group in (drifts, accelerations, strains, wedges, energies, pads, grips, domes)}
+GROUPS = {
+    group.__name__: group for group in (drifts, accelerations, strains, wedges, jams, energies, pads, grips, domes)
+}
 
 
 def main() -> None:
@@ -155,10 +217,19 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=GROUPS)
     parser.add_argument("--fine", action="store_true")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--modulus", type=float, help="[Pa]")
+    parser.add_argument("--poisson", type=float)
+    parser.add_argument("--friction", type=float)
+    parser.add_argument("--radius", type=float, help="[m]")
+    parser.add_argument("--size", type=float, default=1.0)
     arguments = parser.parse_args()
+    choice = Choice(
+        youngs_modulus_pa=arguments.modulus, poisson_ratio=arguments.poisson, friction=arguments.friction,
+        radius_m=arguments.radius, size=arguments.size, fine=arguments.fine,
+    )  # fmt: skip
     checks: list[Check] = []
     for name in arguments.only or GROUPS:
-        for check in GROUPS[name](arguments.fine):
+        for check in GROUPS[name](choice):
             verdict = "holds " if check.holds else "FAILS "
             sys.stdout.write(
                 f"{verdict} {check.name}: target {check.target:.5g} +- {check.bound:.3g}, "

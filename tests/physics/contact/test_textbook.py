@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from contact.domes import Dome, partial_slip, press_dome
 from contact.elastic import Rubber, sheared_grip, slide_pad
+from contact.jamming import PegInHole
 from contact.rigid import Block, incline_acceleration_error, incline_drift_m, is_wedged, largest_rise_of_energy
 
 BRASS = Block(corners=6, radius_m=0.02, height_m=0.006, density_kg_m3=7800.0, material="brass")
@@ -21,6 +23,21 @@ def test_block_slides_with_coulombs_acceleration() -> None:
 
 def test_rod_wedges_where_both_friction_cones_hold_the_line_between_its_touches() -> None:
     assert [is_wedged(friction, 0.5) for friction in (0.475, 0.525)] == [False, True]
+
+
+@pytest.mark.parametrize(("moment", "side"), [(0.0, 1.0), (1.3, -0.5), (1.3, 1.0)])
+def test_peg_jams_outside_of_whitneys_parallelogram(moment: float, side: float) -> None:
+    peg = PegInHole(friction=0.3)
+    load = peg.foretold_load(moment, side)
+    assert [peg.jams(part * load * moment, part * load * side) for part in (0.97, 1.03)] == [False, True]
+
+
+def test_dome_that_is_dragged_sticks_within_mindlins_radius() -> None:
+    rubber = Rubber(youngs_modulus_pa=3e4)
+    pressed = press_dome(Dome(radius_m=0.6, touching_m=0.03, cells=4), rubber)
+    assert pressed.force_n == pytest.approx(pressed.hertz_force_n, rel=0.2)
+    measured, foretold = partial_slip(pressed, rubber, friction=0.5, part=0.6)
+    assert measured == pytest.approx(foretold, rel=0.05)
 
 
 def test_energy_only_falls() -> None:
