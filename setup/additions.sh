@@ -1,5 +1,5 @@
 # shellcheck shell=sh
-# Adds to .venv what only some commands need: requirements/<name>.lock, and torch's build for CPUs. Read by ../vitac,
+# Adds to .venv what only some commands need: requirements/<name>.lock, for most with torch's build for CPUs. Read by ../vitac,
 # which sets `root`.
 #
 # .venv/vitac-<name> is written last and says what was added.
@@ -10,6 +10,7 @@ torch=2.13.0
 addition_title() { # name
   case $1 in
     maniskill) echo "ManiSkill" ;;
+    station) echo "What reads a station's devices" ;;
     torch) echo "Stable-Baselines3" ;;
   esac
 }
@@ -18,6 +19,7 @@ addition_title() { # name
 addition_notice() { # name
   case $1 in
     maniskill) echo "ManiSkill, SAPIEN and torch for CPUs take 3 GB in $venv and are installed once; pictures need a Vulkan driver as well." ;;
+    station) echo "OpenCV and the drivers of a station's devices take 300 MB in $venv and are installed once." ;;
     torch) echo "torch for CPUs, Stable-Baselines3 and TensorBoard take 1 GB in $venv and are installed once." ;;
   esac
 }
@@ -25,6 +27,7 @@ addition_notice() { # name
 addition_mib() { # name
   case $1 in
     maniskill) echo 4000 ;;
+    station) echo 400 ;;
     torch) echo 1500 ;;
   esac
 }
@@ -45,9 +48,7 @@ torch_for_cpus() {
   esac
 }
 
-install_addition() { # name
-  lock=$root/requirements/$1.lock
-  : >"$log"
+install_torch() { # name of the addition that needs it
   heading="installing torch for CPUs" # first, for PyPI has none for x86_64
   if ! logged "$heading" '' '' pip install --only-binary :all: --no-deps "$(torch_for_cpus)"; then
     if in_log 'No matching distribution'; then
@@ -56,6 +57,12 @@ install_addition() { # name
     fi
     fail_setup "$heading" "$(addition_mib "$1")"
   fi
+}
+
+install_addition() { # name
+  lock=$root/requirements/$1.lock
+  : >"$log"
+  if [ "$1" != station ]; then install_torch "$1"; fi
   heading="installing $(addition_title "$1")"
   logged "$heading" "$(grep -c '==' "$lock")" 'Collecting ' \
     pip install --require-hashes --only-binary :all: --no-deps -r "$lock" || fail_setup "$heading" "$(addition_mib "$1")"

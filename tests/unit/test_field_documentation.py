@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-FOLDERS = ("cli", "web", "server", "worker", "envs", "evaluator/logs")
+FOLDERS = ("cli", "web", "server", "worker", "envs", "evaluator/logs", "station")
 
 
 def dataclasses_in(folder: Path) -> Iterator[tuple[Path, ast.ClassDef]]:

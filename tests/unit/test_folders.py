@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-PRODUCT = ("cli", "envs", "evaluator", "server", "training", "web", "worker")
+PRODUCT = ("cli", "envs", "evaluator", "server", "station", "training", "web", "worker")
 CODE = (*PRODUCT, "benchmarks", "migrations", "tests")
 MAX_MODULES = 20
 MAX_SIBLINGS = 2
@@ -94,7 +94,7 @@ def test_the_page_of_folders_has_the_order_of_the_contracts(repository: Path) ->
             in_row = [layer_of(layers, name) for group in rows[folder] for name in sorted(names_in(group) & inner)]
             assert in_row == sorted(in_row), f"expected the row of {folder}/ in the order of its contract"
             compared.append(folder)
-    assert {"cli", "envs", "envs/fem", "evaluator", "server", "training", "web"} <= set(compared)
+    assert {"cli", "envs", "envs/fem", "evaluator", "server", "station", "training", "web"} <= set(compared)
 
 
 def layer_of(layers: list[set[str]], name: str) -> int:

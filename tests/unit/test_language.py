@@ -11,7 +11,7 @@ import pytest
 SUFFIXES = {".py", ".html", ".js", ".sh", ".md", ".yaml", ".yml"}
 PLACES = (
     *("cli", "web", "viewer", "worker", "server", "evaluator", "examples"),
-    *("envs", "tests/physics"),
+    *("envs", "station", "tests/physics"),
     *("docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md"),
     *("vitac", "setup", "docker", "docker-compose.yml"),
 )
@@ -38,7 +38,10 @@ NO_VERBS = re.compile(
     "Pairs?|Parts?|Places|Points?|Nodes?|Edges?|Corners?|Vertices|Triangles?|Volumes?|Centroids|Blocks|Rows|Pixels?|"
     "Indices|Libraries|Elimination|Boundary|Hexagon|Board|Unit"
 )
-CODE = ("benchmarks", "cli", "envs", "evaluator", "examples", "migrations", "server", "training", "web", "worker")
+CODE = (
+    *("benchmarks", "cli", "envs", "evaluator", "examples", "migrations"),
+    *("server", "station", "training", "web", "worker"),
+)
 
 
 def texts(repository: Path) -> Iterator[Path]:

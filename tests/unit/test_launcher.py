@@ -213,7 +213,12 @@ def test_each_command_adds_its_packages_and_later_commands_keep_them(checkout: C
 )
 def test_only_commands_of_the_service_bring_server_and_database(checkout: Checkout, noun: Noun) -> None:
     checkout.run(str(checkout.root / "vitac"), noun.name, "word")
-    wanted = {None: ["pip base.lock"], "server": ["pip server.lock"], "worker": ["pip server.lock", "pip show.lock"]}
+    wanted = {
+        None: ["pip base.lock"],
+        "server": ["pip server.lock"],
+        "station": ["pip base.lock", "pip station.lock"],
+        "worker": ["pip server.lock", "pip show.lock"],
+    }
     assert checkout.calls == ["venv", *wanted[noun.extra]]
 
 
@@ -223,6 +228,7 @@ def test_only_commands_of_the_service_bring_server_and_database(checkout: Checko
         ("sensor show folder", "show"),
         ("sensor show --help", "base"),
         ("show --help", "base"),
+        ("station --help", "base"),
         ("sensor check folder", "base"),
         ("sensor evaluate folder", "base"),
         ("sandbox", "base"),

@@ -19,7 +19,7 @@ from packaging.utils import canonicalize_name
 from vitac.cli.main import NOUNS
 from vitac.envs.maniskill.catalogue import catalogue
 
-FOLDERS = ("cli", "docs", "envs", "evaluator", "migrations", "server", "training", "web", "worker")
+FOLDERS = ("cli", "docs", "envs", "evaluator", "migrations", "server", "station", "training", "web", "worker")
 NOT_SHIPPED = {"__pycache__", "node_modules"}
 URL_HOSTS = {
     "arxiv.org",
@@ -121,6 +121,11 @@ def test_evaluator_imports_simulation_only_to_run(repository: Path) -> None:
     assert not loaded & {"torch", "sapien", "mani_skill", "numba"}
 
 
+def test_station_imports_without_the_libraries_of_its_devices(repository: Path) -> None:
+    loaded = modules_loaded_by("import " + ", ".join(modules_below(repository, "station")))
+    assert not loaded & {"cv2", "numba", "pymodbus", "pyrealsense2", "scipy", "serial"}
+
+
 def test_no_task_of_ours_needs_what_the_extras_for_other_environments_bring() -> None:
     """Track 1, 2 and 3 play on a machine without torch, SAPIEN and ManiSkill."""
     play = (
@@ -181,7 +186,7 @@ def locked(repository: Path, profile: str) -> dict[str, set[str]]:
     return versions
 
 
-@pytest.mark.parametrize("profile", ["base", "server", "show", "dev"])
+@pytest.mark.parametrize("profile", ["base", "server", "show", "station", "dev"])
 def test_lock_satisfies_the_project(repository: Path, project: dict[str, Any], profile: str) -> None:
     wanted = list(project["project"]["dependencies"]) + project["build-system"]["requires"]
     wanted += project["project"]["optional-dependencies"].get(profile, [])
@@ -203,6 +208,8 @@ EXTENDED = [
     ("base", "show"),
     ("server", "dev"),
     ("show", "dev"),
+    ("base", "station"),
+    ("station", "dev"),
 ]
 
 
@@ -212,7 +219,7 @@ def test_larger_lock_extends_the_smaller_one(repository: Path, smaller: str, lar
     assert {name: held.get(name) for name in locked(repository, smaller)} == locked(repository, smaller)
 
 
-@pytest.mark.parametrize("profile", ["base", "server", "show", "dev", "maniskill", "torch", "node"])
+@pytest.mark.parametrize("profile", ["base", "server", "show", "station", "dev", "maniskill", "torch", "node"])
 def test_lock_has_a_hash_for_every_package_and_names_no_index(repository: Path, profile: str) -> None:
     text = (repository / "requirements" / f"{profile}.lock").read_text()
     pinned = re.findall(r"^\S+==.*\\\n    --hash=sha256:[0-9a-f]{64}", text, re.MULTILINE)

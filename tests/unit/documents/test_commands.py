@@ -11,7 +11,10 @@ import typer
 from shown_documents import FENCE, documents
 from vitac.cli.main import NOUNS, build_app
 
-SOURCES = ("cli", "envs", "evaluator", "server", "setup", "training", "web/pages", "web/templates", "worker")
+SOURCES = (
+    *("cli", "envs", "evaluator", "server", "setup", "station", "training"),
+    *("web/pages", "web/templates", "worker"),
+)
 NAMED_IN_SOURCES = re.compile(r"`((?:\./)?vitac [^`\n]+)`|<code>((?:\./)?vitac [^<]+)</code>")
 LAUNCHER_OPTIONS = ("--maniskill", "--torch")
 ENDS_OF_A_COMMAND = {"|", "&", "&&", ";", ">", ">>", "<"}

@@ -1,0 +1,174 @@
+"""Checks that the devices of a station are those of its file, and fit its limits. Moves nothing."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+from vitac.envs.errors import VitacError
+
+from .description import Calibration, DepthCamera, ForceTorqueSensor, Gripper, Limits, Stage, StationDescription
+from .description import TactileCamera as TactileCameraDescription
+from .devices import depth_camera, force_torque, gripper, stage, tactile_camera
+from .devices.device import DeviceNotFound, Identity
+from .limits import CONTROL_PERIOD_S
+
+_BRAKING_S: Final = CONTROL_PERIOD_S / 2
+"""What of it the stage has to slow down; the rest is for the reading and the command."""
+_READING_S: Final = 1.0
+_SAME: Final = 0.02
+"""Relative difference up to which two calibrations are of the same sensor."""
+_AXES: Final = ("x", "y", "z", "the rotary axis")
+
+
+class Rule(StrEnum):
+    """What a device must do."""
+
+    FOUND = "found"
+    """It answers at its address."""
+    WORKS = "works"
+    """It answers without a fault."""
+    SERIAL_NUMBER = "serial number"
+    FIRMWARE = "firmware"
+    CALIBRATION = "calibration"
+    """It is the one that was calibrated."""
+    LIMITS = "limits"
+    """It can keep the limits."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """What is wrong with a device, in a sentence."""
+
+    rule: Rule
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceCheck:
+    """What was found about one device; it is as it should be if there are no problems."""
+
+    device: str
+    problems: tuple[Problem, ...]
+
+
+def check_station(description: StationDescription) -> Iterator[DeviceCheck]:
+    """Check one device after the other."""
+    devices: dict[str, Iterator[Problem]] = {
+        "left tactile camera": _check_tactile_camera(description.left),
+        "right tactile camera": _check_tactile_camera(description.right),
+        "force/torque sensor": _check_force_torque(description.force_torque),
+        "stage": _check_stage(description.stage, description.limits),
+        "gripper": _check_gripper(description.gripper),
+    }
+    if description.depth_camera is not None:
+        devices["RGB-D camera"] = _check_depth_camera(description.depth_camera)
+    for device, problems in devices.items():
+        yield DeviceCheck(device=device, problems=tuple(_until_failure(problems)))
+
+
+def _until_failure(problems: Iterator[Problem]) -> Iterator[Problem]:
+    try:
+        yield from problems
+    except DeviceNotFound as error:
+        yield Problem(rule=Rule.FOUND, sentence=str(error))
+    except VitacError as error:
+        yield Problem(rule=Rule.WORKS, sentence=str(error))
+
+
+def _check_tactile_camera(camera: TactileCameraDescription) -> Iterator[Problem]:
+    yield from _check_calibration(camera.serial_number, camera.calibration)
+    with tactile_camera.TactileCamera(camera.serial_number, stream=camera.stream) as opened:
+        opened.read()
+
+
+def _check_depth_camera(camera: DepthCamera) -> Iterator[Problem]:
+    yield from _check_calibration(camera.serial_number, camera.calibration)
+    with depth_camera.DepthCamera(camera.serial_number) as opened:
+        yield from _check_identity(opened.identify(), camera.serial_number, camera.firmware)
+        measured, stored = camera.calibration, opened.intrinsics()
+        for name in ("width", "height", "fx", "fy", "cx", "cy"):
+            yield from _check_value(name, getattr(measured, name), getattr(stored, name))
+        opened.read()
+
+
+def _check_force_torque(sensor: ForceTorqueSensor) -> Iterator[Problem]:
+    yield from _check_calibration(sensor.serial_number, sensor.calibration)
+    with force_torque.ForceTorqueSensor(sensor.host, sensor.port) as opened:
+        stored = opened.decoupling()
+        if [len(row) for row in stored] != [6] * 6:
+            yield _calibration(f"Expected a matrix of 6 x 6 from the box, got rows of {[len(row) for row in stored]}.")
+        elif not _is_same_matrix(stored, sensor.calibration.decoupling):
+            yield _calibration(
+                "The box has the decoupling matrix of another sensor than the file. Send it this sensor's by AT+DCPM."
+            )
+        opened.start(sensor.rate_hz)
+        opened.read(timeout_s=_READING_S)
+        opened.stop()
+
+
+def _check_stage(described: Stage, limits: Limits) -> Iterator[Problem]:
+    yield from _check_calibration(described.serial_number, described.calibration)
+    with stage.Stage(described.port) as opened:
+        yield from _check_identity(opened.identify(), described.serial_number, described.firmware)
+        settings = opened.settings()
+        for axis, name in enumerate(_AXES):
+            steps = settings.get(100 + axis, 0.0)
+            yield from _check_value(f"steps of {name}", described.calibration.steps[axis], steps)
+        yield from _check_braking(settings, limits)
+        for number, meaning in {20: "soft limits", 22: "homing"}.items():
+            if not settings.get(number):
+                yield Problem(rule=Rule.LIMITS, sentence=f"The stage has no {meaning}: set ${number}=1.")
+        if opened.status().state is stage.StageState.ALARM:
+            yield Problem(rule=Rule.WORKS, sentence="The stage is locked by an alarm: clear its way, then home it.")
+
+
+def _check_braking(settings: dict[int, float], limits: Limits) -> Iterator[Problem]:
+    speeds = [limits.speed_mm_s] * 3 + [limits.rotation_deg_s]
+    for axis, (name, speed) in enumerate(zip(_AXES, speeds, strict=True)):
+        needed = speed / _BRAKING_S
+        if settings.get(120 + axis, 0.0) < needed:
+            yield Problem(
+                rule=Rule.LIMITS,
+                sentence=f"From {speed} a second {name} must stop in {1e3 * _BRAKING_S:.0f} ms: expected ${120 + axis} "
+                f"of at least {needed:.0f}, got {settings.get(120 + axis, 0.0):.0f}. Raise it, or lower the speed.",
+            )
+
+
+def _check_gripper(described: Gripper) -> Iterator[Problem]:
+    with gripper.Gripper(described.port, unit=described.unit) as opened:
+        opened.check_fault(opened.status())
+    yield from ()
+
+
+def _check_calibration(serial_number: str, calibration: Calibration) -> Iterator[Problem]:
+    if calibration.serial_number != serial_number:
+        yield _calibration(
+            f"The calibration is of {calibration.serial_number}, expected one of {serial_number}. Calibrate this one."
+        )
+
+
+def _check_identity(found: Identity, serial_number: str, firmware: str) -> Iterator[Problem]:
+    if found.serial_number != serial_number:
+        sentence = f"Expected serial number {serial_number}, got {found.serial_number}. Plug in the right device."
+        yield Problem(rule=Rule.SERIAL_NUMBER, sentence=sentence)
+    if found.firmware != firmware:
+        sentence = (
+            f"Expected firmware {firmware}, got {found.firmware}. Try it with the new one, then correct the file."
+        )
+        yield Problem(rule=Rule.FIRMWARE, sentence=sentence)
+
+
+def _check_value(name: str, described: float, stored: float) -> Iterator[Problem]:
+    if abs(described - stored) > _SAME * abs(described):
+        yield _calibration(f"{name}: expected {described} as in the file, the device has {stored}. Calibrate it.")
+
+
+def _is_same_matrix(stored: list[list[float]], described: tuple[tuple[float, ...], ...]) -> bool:
+    largest = max(abs(value) for row in described for value in row)
+    pairs = zip(stored, described, strict=True)
+    return all(abs(a - b) <= 1e-4 * largest for rows in pairs for a, b in zip(*rows, strict=True))
+
+
+def _calibration(sentence: str) -> Problem:
+    return Problem(rule=Rule.CALIBRATION, sentence=sentence)

@@ -1,0 +1,169 @@
+"""The file that describes a station: its devices, their addresses and calibrations, and its limits."""
+
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from vitac.evaluator.strict_model import StrictModel, Word, read_yaml
+
+Interval = Annotated[tuple[float, float], Field(description="[lowest, highest]")]
+Byte = Annotated[int, Field(ge=0, le=255)]
+Row = tuple[float, float, float, float, float, float]
+
+
+class Calibration(StrictModel):
+    """What was measured on one device, and stays true only for that device."""
+
+    serial_number: Word
+    """Serial number of the device that was calibrated."""
+
+
+class TactileCalibration(Calibration):
+    """Calibration of a tactile sensor."""
+
+    markers: PositiveInt
+    """Markers that the tracker finds on the gel at rest."""
+
+
+class TactileCamera(StrictModel):
+    """A GelSight Mini."""
+
+    serial_number: Word
+    stream: str | None = None
+    """Address of a stream of pictures that is read in place of the USB camera, as a twin sends it."""
+    calibration: TactileCalibration
+
+
+class DepthCalibration(Calibration):
+    """Intrinsics of the colour camera, to which depth is aligned [pixel]."""
+
+    width: PositiveInt
+    height: PositiveInt
+    fx: PositiveFloat
+    fy: PositiveFloat
+    cx: PositiveFloat
+    cy: PositiveFloat
+
+
+class DepthCamera(StrictModel):
+    """A RealSense D415."""
+
+    serial_number: Word
+    firmware: Word
+    calibration: DepthCalibration
+
+
+class ForceTorqueCalibration(Calibration):
+    """Calibration of a force/torque sensor, from its maker's certificate."""
+
+    decoupling: tuple[Row, Row, Row, Row, Row, Row]
+    """Matrix from bridge voltages to forces and torques."""
+
+
+class ForceTorqueSensor(StrictModel):
+    """An SRI M3813A at its interface box M8128."""
+
+    host: str
+    port: Annotated[int, Field(ge=1, le=65535)] = 4008
+    rate_hz: PositiveInt = 1000
+    serial_number: Word
+    calibration: ForceTorqueCalibration
+
+
+class StageCalibration(Calibration):
+    """Calibration of a stage."""
+
+    steps: tuple[PositiveFloat, PositiveFloat, PositiveFloat, PositiveFloat]
+    """Steps of x, y and z per mm, and of the rotary axis per degree."""
+
+
+class Stage(StrictModel):
+    """Three linear axes and a rotary axis at a controller that speaks GRBL 1.1."""
+
+    port: str
+    """Serial port, best by its name in /dev/serial/by-id."""
+    serial_number: Word
+    """Text stored in the controller with `$I=`."""
+    firmware: Word
+    """Version that the controller reports, as 1.1h.20190825."""
+    calibration: StageCalibration
+
+
+class Gripper(StrictModel):
+    """A Robotiq Hand-E at a serial port. It reports neither serial number nor firmware over Modbus RTU."""
+
+    port: str
+    unit: Annotated[int, Field(ge=1, le=247)] = 9
+
+
+class Workspace(StrictModel):
+    """Where the stage may go."""
+
+    x_mm: Interval
+    y_mm: Interval
+    z_mm: Interval
+    rotation_deg: Interval
+
+    @model_validator(mode="after")
+    def _check_order(self) -> Self:
+        for name, (low, high) in self.intervals().items():
+            if low >= high:
+                raise ValueError(f"{name}: expected [lowest, highest], got [{low}, {high}]")
+        return self
+
+    def intervals(self) -> dict[str, Interval]:
+        """Return the interval of each axis, in the order of the stage's axes."""
+        return {"x_mm": self.x_mm, "y_mm": self.y_mm, "z_mm": self.z_mm, "rotation_deg": self.rotation_deg}
+
+
+class GripperLimits(StrictModel):
+    """The hardest commands that the gripper gets, as its bytes: 0 to 255."""
+
+    position: Annotated[tuple[Byte, Byte], Field(description="[widest open, closed furthest]")] = (0, 255)
+    speed: Byte = 255
+    force: Byte
+
+
+class Limits(StrictModel):
+    """What no command and no reading may pass. The limit on force and torque is ours: the challenge had none."""
+
+    workspace: Workspace
+    speed_mm_s: PositiveFloat
+    rotation_deg_s: PositiveFloat
+    force_n: PositiveFloat
+    torque_nm: PositiveFloat
+    marker_movement_px: PositiveFloat = 30.0
+    """Over-force of the challenge: its largest movement of a marker."""
+    gripper: GripperLimits
+    reading_s: PositiveFloat = 0.1
+    """The stage stops if the force/torque sensor sent nothing for this long."""
+    heartbeat_s: PositiveFloat = 0.5
+    """The stage stops if whoever commands it was not heard for this long."""
+
+
+class StationDescription(StrictModel):
+    """A station."""
+
+    name: Word
+    left: TactileCamera
+    right: TactileCamera
+    depth_camera: DepthCamera | None = None
+    force_torque: ForceTorqueSensor
+    stage: Stage
+    gripper: Gripper
+    limits: Limits
+
+    @model_validator(mode="after")
+    def _check_devices(self) -> Self:
+        if self.left.serial_number == self.right.serial_number:
+            raise ValueError(f"left and right are both {self.left.serial_number}; expected two tactile sensors")
+        return self
+
+
+def read_description(path: Path) -> StationDescription:
+    """Read the file of a station.
+
+    Raises:
+        DocumentRejected: with one sentence for each thing that is wrong in it.
+    """
+    return read_yaml(StationDescription, path)

@@ -1,0 +1,99 @@
+"""Driver of the RGB-D camera: RealSense D415 by `pyrealsense2`, depth aligned to colour."""
+
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .device import DeviceFault, DeviceNotFound, Identity
+
+WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
+_ANSWER_MS: Final = 2000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Intrinsics:
+    """Intrinsics of the colour camera [pixel]."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColourDepth:
+    """One aligned pair.
+
+    Attributes:
+        colour: shape [480, 640, 3], blue first.
+        depth_m: shape [480, 640], 0 where unknown [m].
+    """
+
+    colour: NDArray[np.uint8]
+    depth_m: NDArray[np.float32]
+
+
+class DepthCamera:
+    """An open D415; use it in `with`."""
+
+    def __init__(self, serial_number: str) -> None:
+        """Start both streams; raise DeviceNotFound where no such camera is plugged in."""
+        import pyrealsense2 as rs
+
+        self._name = f"RGB-D camera {serial_number}"
+        self._device = _find(rs, serial_number)
+        settings = rs.config()
+        settings.enable_device(serial_number)
+        settings.enable_stream(rs.stream.depth, WIDTH, HEIGHT, rs.format.z16, RATE_HZ)
+        settings.enable_stream(rs.stream.color, WIDTH, HEIGHT, rs.format.bgr8, RATE_HZ)
+        self._pipeline = rs.pipeline()
+        try:
+            self._profile = self._pipeline.start(settings)
+        except RuntimeError as error:
+            raise DeviceFault(f"The {self._name} does not start: {error}. Plug it into a USB 3 port.") from error
+        self._align = rs.align(rs.stream.color)
+        self._metres_per_unit = self._profile.get_device().first_depth_sensor().get_depth_scale()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pipeline.stop()
+
+    def identify(self) -> Identity:
+        """Return its serial number and firmware."""
+        import pyrealsense2 as rs
+
+        return Identity(
+            serial_number=self._device.get_info(rs.camera_info.serial_number),
+            firmware=self._device.get_info(rs.camera_info.firmware_version),
+        )
+
+    def intrinsics(self) -> Intrinsics:
+        """Return the intrinsics of the colour camera that its maker stored in it."""
+        import pyrealsense2 as rs
+
+        found = self._profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics()
+        return Intrinsics(width=found.width, height=found.height, fx=found.fx, fy=found.fy, cx=found.ppx, cy=found.ppy)
+
+    def read(self) -> ColourDepth:
+        """Return the next pair; raise DeviceFault if the camera stopped sending."""
+        try:
+            frames = self._align.process(self._pipeline.wait_for_frames(_ANSWER_MS))
+        except RuntimeError as error:
+            raise DeviceFault(f"The {self._name} stopped sending: {error}. Plug it in again.") from error
+        depth = np.asanyarray(frames.get_depth_frame().get_data())
+        colour = np.asanyarray(frames.get_color_frame().get_data()).copy()
+        return ColourDepth(colour=colour, depth_m=depth.astype(np.float32) * np.float32(self._metres_per_unit))
+
+
+def _find(rs: Any, serial_number: str) -> Any:
+    there = {device.get_info(rs.camera_info.serial_number): device for device in rs.context().query_devices()}
+    if serial_number not in there:
+        names = ", ".join(sorted(there)) or "none"
+        raise DeviceNotFound(f"No RealSense with serial number {serial_number}. Here: {names}. Check cable and file.")
+    return there[serial_number]

@@ -1,0 +1,21 @@
+"""What all drivers share: who a device says it is, and how it fails."""
+
+from dataclasses import dataclass
+
+from vitac.envs.errors import VitacError
+
+
+class DeviceNotFound(VitacError):
+    """Nothing answers at the device's address; check cable, power and the address in the station's file."""
+
+
+class DeviceFault(VitacError):
+    """A device answers wrongly, reports a fault or stopped answering; the message says which and what to do."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identity:
+    """Who a device says it is; None for what it does not report."""
+
+    serial_number: str | None = None
+    firmware: str | None = None

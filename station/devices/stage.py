@@ -1,0 +1,185 @@
+"""Driver of the stage: GRBL 1.1 over a serial line. Positions are absolute, in mm and degrees.
+
+One command is sent at a time and answered with `ok`; `?`, `!` and Ctrl-X are single bytes that GRBL obeys at any time.
+"""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import StrEnum
+from threading import Lock
+from time import monotonic
+from typing import Final, NamedTuple, Self
+
+from .device import DeviceFault, DeviceNotFound, Identity
+
+_BAUD: Final = 115_200
+_ANSWER_S: Final = 1.0
+_HOME_S: Final = 120.0
+_HOLD, _RESET, _STATUS = b"!", b"\x18", b"?"
+_FIELD = re.compile(r"(\w+):([^|>]*)")
+
+
+class Pose(NamedTuple):
+    """Position of the four axes."""
+
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    rotation_deg: float
+
+
+class StageState(StrEnum):
+    """State of GRBL's machine, as it names it."""
+
+    IDLE = "Idle"
+    RUN = "Run"
+    HOLD = "Hold"
+    HOME = "Home"
+    ALARM = "Alarm"
+    OTHER = "Other"
+    """Jog, door, check or sleep: nothing that this driver asks for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageStatus:
+    """One answer to `?`.
+
+    Attributes:
+        state: of the machine.
+        is_moving: false once a hold has come to rest, and when idle.
+        pose: where the controller counts that its axes are.
+    """
+
+    state: StageState
+    is_moving: bool
+    pose: Pose
+
+
+class Stage:
+    """A stage at an open serial port; use it in `with`."""
+
+    def __init__(self, port: str) -> None:
+        """Open the port; raise DeviceNotFound where there is none."""
+        from serial import Serial, SerialException
+
+        self._lock = Lock()
+        try:
+            self._line = Serial(port, _BAUD, timeout=0.02, write_timeout=_ANSWER_S)
+        except (SerialException, OSError) as error:
+            raise DeviceNotFound(f"No stage at {port}: {error}. Check its cable and `port` in the file.") from error
+        self._port = port
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._line.close()
+
+    def identify(self) -> Identity:
+        """Return version and stored text of `$I`: [VER:version:text]."""
+        for line in self._command("$I"):
+            if found := re.fullmatch(r"\[VER:([^:\]]*):([^\]]*)\]", line):
+                return Identity(firmware=found[1], serial_number=found[2] or None)
+        raise DeviceFault(f"Stage at {self._port}: expected [VER:...] after $I, got none. Is it GRBL 1.1?")
+
+    def settings(self) -> dict[int, float]:
+        """Return GRBL's settings `$0` to `$133` by number."""
+        found = (re.fullmatch(r"\$(\d+)=(\S+).*", line) for line in self._command("$$"))
+        return {int(each[1]): float(each[2]) for each in found if each}
+
+    def status(self) -> StageStatus:
+        """Ask for state and position; works during a motion."""
+        with self._lock, self._reported():
+            self._line.write(_STATUS)
+            return _parse_status(next(line for line in self._lines(_ANSWER_S) if line.startswith("<")))
+
+    def home(self) -> None:
+        """Drive all axes to their switches; return when they are there."""
+        self._command("$H", answer_s=_HOME_S)
+
+    def start_move(self, target: Pose, *, feed: float) -> None:
+        """Start a straight motion; it is checked by nobody, see `vitac.station.motion`.
+
+        Args:
+            target: where to.
+            feed: length of the motion over all four axes per minute, as GRBL counts it [mm or deg / min].
+        """
+        x, y, z, rotation = target
+        self._command(f"G90 G21 G94 G1 X{x:.4f} Y{y:.4f} Z{z:.4f} A{rotation:.4f} F{feed:.3f}")
+
+    def hold(self) -> None:
+        """Slow down to rest at once: one byte, sent even while another thread waits for an answer."""
+        with self._reported():
+            self._line.write(_HOLD)
+
+    def forget_motion(self) -> None:
+        """Discard what is left of a held motion; the position stays known, as the stage is at rest."""
+        with self._lock, self._reported():
+            self._line.write(_RESET)
+            next(line for line in self._lines(_ANSWER_S) if line.startswith("Grbl"))
+
+    def unlock(self) -> None:
+        """Leave the alarm state without homing."""
+        self._command("$X")
+
+    def _command(self, text: str, *, answer_s: float = _ANSWER_S) -> list[str]:
+        """Send a line and return what is answered before `ok`."""
+        answered: list[str] = []
+        with self._lock, self._reported():
+            self._line.write(text.encode() + b"\n")
+            for line in self._lines(answer_s):
+                if line == "ok":
+                    return answered
+                if line.startswith(("error:", "ALARM:")):
+                    raise DeviceFault(f"Stage refused {text!r}: {line}. {_REMEDIES.get(line, _LOOK_UP)}")
+                answered.append(line)
+        raise AssertionError  # lines end only in an exception
+
+    def _lines(self, within_s: float) -> Iterator[str]:
+        """Yield lines that arrive within a time, without empty ones."""
+        end = monotonic() + within_s
+        pending = b""
+        while monotonic() < end:
+            pending += self._line.readline()
+            if pending.endswith(b"\n"):
+                line, pending = pending.decode("ascii", "replace").strip(), b""
+                if line:
+                    yield line
+        raise DeviceFault(f"Stage at {self._port} did not answer within {within_s} s. Check its power; home it again.")
+
+    @contextmanager
+    def _reported(self) -> Iterator[None]:
+        """Raise what a broken line raises as a fault of the device."""
+        from serial import SerialException
+
+        try:
+            yield
+        except (SerialException, OSError) as error:
+            raise DeviceFault(f"The line to the stage at {self._port} broke: {error}. Check its cable.") from error
+
+
+_LOOK_UP: Final = "GRBL's manual lists the codes."
+_REMEDIES: Final = {
+    "error:9": "It is locked by an alarm: clear its way, then home it.",
+    "error:15": "The target is beyond its travel.",
+    "ALARM:1": "It met a limit switch and lost its position: clear its way, then home it.",
+    "ALARM:2": "The target is beyond its travel: correct the workspace in the file.",
+    "ALARM:8": "Homing did not find a switch: check it.",
+    "ALARM:9": "Homing did not find a switch: check it.",
+}
+
+
+def _parse_status(line: str) -> StageStatus:
+    word, _, detail = line[1:].partition("|")[0].rstrip(">").partition(":")
+    fields = dict(_FIELD.findall(line))
+    try:
+        pose = Pose(*map(float, fields["MPos"].split(",")))
+    except (KeyError, ValueError, TypeError) as error:
+        raise DeviceFault(
+            f"Expected MPos of four axes from the stage, got {line!r:.80}. Set $10=1 and connect the rotary axis as A."
+        ) from error
+    state = StageState(word) if word in set(StageState) else StageState.OTHER
+    at_rest = state in (StageState.IDLE, StageState.ALARM) or (state is StageState.HOLD and detail == "0")
+    return StageStatus(state=state, is_moving=not at_rest, pose=pose)

@@ -1,0 +1,1 @@
+"""What a station sees in the pictures of its tactile sensors."""

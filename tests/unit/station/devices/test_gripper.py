@@ -1,0 +1,94 @@
+"""The driver of the gripper against its twin, over a real pseudo-terminal."""
+
+from collections.abc import Iterator
+
+import pytest
+from vitac.station.devices.device import DeviceFault, DeviceNotFound
+from vitac.station.devices.gripper import Grasp, Gripper
+from vitac.station.twin.gripper import GripperFault, GripperTwin, checksum
+from vitac.station.twin.terminal import Terminal
+
+
+@pytest.fixture
+def twin() -> GripperTwin:
+    return GripperTwin()
+
+
+@pytest.fixture
+def line(twin: GripperTwin) -> Iterator[Terminal]:
+    with Terminal(twin) as terminal:
+        yield terminal
+
+
+@pytest.fixture
+def gripper(line: Terminal) -> Iterator[Gripper]:
+    with Gripper(line.port) as opened:
+        yield opened
+
+
+def close(gripper: Gripper) -> None:
+    gripper.activate()
+    gripper.start_move(255, speed=255, force=50)
+
+
+def test_checksum_is_that_of_the_makers_example() -> None:
+    # Activation request in Robotiq's manual: 09 10 03 E8 00 03 06 00 00 00 00 00 00 73 30.
+    assert checksum(bytes.fromhex("091003E8000306000000000000")) == bytes.fromhex("7330")
+
+
+def test_is_inactive_until_it_is_activated(gripper: Gripper) -> None:
+    assert not gripper.status().is_activated
+    gripper.activate()
+    assert gripper.status().is_activated
+
+
+def test_closing_meets_the_object(gripper: Gripper) -> None:
+    close(gripper)
+    status = gripper.wait(timeout_s=5.0)
+    assert (status.grasp, status.position, status.request) == (Grasp.MET_OBJECT_CLOSING, 180, 255)
+    assert status.current > 0
+
+
+def test_closing_on_nothing_ends_at_the_position(gripper: Gripper, twin: GripperTwin) -> None:
+    twin.object_at = None
+    close(gripper)
+    assert gripper.wait(timeout_s=5.0).grasp is Grasp.AT_POSITION
+
+
+def test_stop_leaves_the_fingers_where_they_are(gripper: Gripper, twin: GripperTwin) -> None:
+    close(gripper)
+    gripper.stop()
+    assert twin.position() == twin.position() < 180
+
+
+def test_stuck_fingers_are_a_fault(gripper: Gripper, twin: GripperTwin) -> None:
+    twin.faults.add(GripperFault.STUCK)
+    close(gripper)
+    with pytest.raises(DeviceFault, match=r"still moves after 0\.05 s, at position 0: it is stuck"):
+        gripper.wait(timeout_s=0.05)
+
+
+def test_reported_fault_is_named_and_activation_clears_it(gripper: Gripper, twin: GripperTwin) -> None:
+    close(gripper)
+    twin.faults.add(GripperFault.OVERCURRENT)
+    with pytest.raises(DeviceFault, match="reports fault 0x0E: overcurrent"):
+        gripper.wait(timeout_s=5.0)
+    gripper.activate()
+    assert gripper.status().fault == 0
+
+
+def test_wrong_unit_does_not_answer(line: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vitac.station.devices.gripper._ANSWER_S", 0.02)
+    with Gripper(line.port, unit=8) as other, pytest.raises(DeviceFault, match="unit 8 does not answer"):
+        other.status()
+
+
+def test_unplugged_line_is_a_fault(gripper: Gripper, line: Terminal) -> None:
+    line.unplug()
+    with pytest.raises(DeviceFault, match="does not answer"):
+        gripper.status()
+
+
+def test_missing_port_is_named() -> None:
+    with pytest.raises(DeviceNotFound, match="No gripper at /dev/no-such-port"):
+        Gripper("/dev/no-such-port")

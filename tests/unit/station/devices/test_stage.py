@@ -1,0 +1,131 @@
+"""The driver of the stage against its twin, over a real pseudo-terminal."""
+
+from collections.abc import Iterator
+
+import pytest
+from vitac.station.devices.device import DeviceFault, DeviceNotFound, Identity
+from vitac.station.devices.stage import Pose, Stage, StageState
+from vitac.station.twin.stage import StageFault, StageTwin
+from vitac.station.twin.terminal import Terminal
+
+TARGET = Pose(10.0, -5.0, 2.5, 15.0)
+
+
+class Clock:
+    """Time that a test sets."""
+
+    now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def twin(clock: Clock) -> StageTwin:
+    return StageTwin(clock=clock)
+
+
+@pytest.fixture
+def line(twin: StageTwin) -> Iterator[Terminal]:
+    with Terminal(twin) as terminal:
+        yield terminal
+
+
+@pytest.fixture
+def stage(line: Terminal) -> Iterator[Stage]:
+    with Stage(line.port) as opened:
+        yield opened
+
+
+def test_says_who_it_is_and_how_it_is_set(stage: Stage) -> None:
+    assert stage.identify() == Identity(serial_number="STAGE-1", firmware="1.1h.20190825")
+    assert stage.settings()[120] == 500.0
+
+
+def test_moves_to_a_pose_and_rests_there(stage: Stage, clock: Clock) -> None:
+    stage.start_move(TARGET, feed=600.0)
+    clock.now_s = 0.5
+    status = stage.status()
+    assert (status.state, status.is_moving) == (StageState.RUN, True)
+    assert 0 < status.pose.x_mm < TARGET.x_mm
+    clock.now_s = 10.0
+    status = stage.status()
+    assert (status.state, status.is_moving, status.pose) == (StageState.IDLE, False, TARGET)
+
+
+def test_hold_brakes_with_the_acceleration_of_the_stage(stage: Stage, twin: StageTwin, clock: Clock) -> None:
+    stage.start_move(TARGET, feed=600.0)
+    clock.now_s = 0.5
+    stage.hold()
+    assert stage.status().is_moving
+    assert twin.speed() == 10.0
+    clock.now_s = 0.5 + 10.0 / 500.0
+    status = stage.status()
+    assert (status.state, status.is_moving) == (StageState.HOLD, False)
+    assert twin.rest_s == clock.now_s
+
+
+def test_position_is_known_after_a_held_motion_is_forgotten(stage: Stage, clock: Clock) -> None:
+    stage.start_move(TARGET, feed=600.0)
+    clock.now_s = 0.5
+    stage.hold()
+    assert stage.status().is_moving
+    clock.now_s = 1.0
+    held = stage.status().pose
+    stage.forget_motion()
+    assert stage.status().state is StageState.IDLE
+    assert stage.status().pose == held
+
+
+def test_reset_in_motion_loses_the_position_and_homing_finds_it(stage: Stage, clock: Clock) -> None:
+    stage.start_move(TARGET, feed=600.0)
+    clock.now_s = 0.5
+    stage.forget_motion()
+    assert stage.status().state is StageState.ALARM
+    with pytest.raises(DeviceFault, match=r"error:9\. It is locked by an alarm: clear its way, then home it"):
+        stage.start_move(TARGET, feed=600.0)
+    stage.home()
+    assert stage.status().pose == Pose(0, 0, 0, 0)
+
+
+def test_limit_switch_is_a_fault_with_its_remedy(stage: Stage, twin: StageTwin) -> None:
+    twin.faults.add(StageFault.ALARM)
+    with pytest.raises(DeviceFault, match=r"ALARM:1\. It met a limit switch"):
+        stage.start_move(TARGET, feed=600.0)
+    assert stage.status().state is StageState.ALARM
+    stage.unlock()
+    assert stage.status().state is StageState.IDLE
+
+
+def test_target_beyond_the_travel_is_refused_by_the_controller(stage: Stage) -> None:
+    with pytest.raises(DeviceFault, match=r"ALARM:2\. The target is beyond its travel"):
+        stage.start_move(TARGET._replace(x_mm=1000.0), feed=600.0)
+
+
+def test_silent_controller_is_a_fault(stage: Stage, twin: StageTwin, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vitac.station.devices.stage._ANSWER_S", 0.05)
+    twin.faults.add(StageFault.SILENT)
+    with pytest.raises(DeviceFault, match=r"did not answer within 0\.05 s"):
+        stage.status()
+
+
+def test_three_axes_are_too_few(stage: Stage, twin: StageTwin, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(twin, "receive", lambda _: b"<Idle|MPos:0.000,0.000,0.000|FS:0,0>\r\n")
+    with pytest.raises(DeviceFault, match="Expected MPos of four axes"):
+        stage.status()
+
+
+def test_unplugged_line_is_a_fault(stage: Stage, line: Terminal) -> None:
+    line.unplug()
+    with pytest.raises(DeviceFault, match=r"The line to the stage at \S+ broke"):
+        stage.status()
+
+
+def test_missing_port_is_named() -> None:
+    with pytest.raises(DeviceNotFound, match="No stage at /dev/no-such-port"):
+        Stage("/dev/no-such-port")

@@ -1,0 +1,104 @@
+"""`check_station` names what is wrong with each device of a station of twins."""
+
+from collections.abc import Callable
+
+import pytest
+from twin_station import TwinStation
+from vitac.evaluator.strict_model import validate
+from vitac.station.check import Rule, check_station
+from vitac.station.description import StationDescription
+from vitac.station.twin.force_torque import ForceTorqueFault
+from vitac.station.twin.gripper import GripperFault
+
+
+def problems(twins: TwinStation) -> dict[str, list[tuple[Rule, str]]]:
+    described = validate(StationDescription, twins.description, "station.yaml")
+    return {
+        each.device: [(problem.rule, problem.sentence) for problem in each.problems]
+        for each in check_station(described)
+        if each.problems
+    }
+
+
+def test_station_as_described_has_no_problems(twins: TwinStation) -> None:
+    assert problems(twins) == {}
+
+
+def other_serial_number(twins: TwinStation) -> None:
+    twins.stage.serial_number = "STAGE-2"
+
+
+def other_firmware(twins: TwinStation) -> None:
+    twins.stage.firmware = "1.1f.20170801"
+
+
+def other_steps(twins: TwinStation) -> None:
+    twins.stage.settings[102] = 800.0
+
+
+def slow_brakes(twins: TwinStation) -> None:
+    twins.stage.settings[121] = 100.0
+
+
+def no_homing(twins: TwinStation) -> None:
+    twins.stage.settings[22] = 0.0
+
+
+def stage_unplugged(twins: TwinStation) -> None:
+    twins.lines["stage"].unplug()
+
+
+def other_gel(twins: TwinStation) -> None:
+    twins.description["left"]["calibration"]["serial_number"] = "2871-46HU"
+
+
+def camera_unplugged(twins: TwinStation) -> None:
+    twins.description["right"]["stream"] = None
+
+
+def other_sensor_at_the_box(twins: TwinStation) -> None:
+    twins.force_torque.decoupling[1][2] = 3.5
+
+
+def frozen_box(twins: TwinStation) -> None:
+    twins.force_torque.faults.add(ForceTorqueFault.FROZEN)
+
+
+def gripper_fault(twins: TwinStation) -> None:
+    twins.gripper.faults.add(GripperFault.OVERCURRENT)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "device", "rule", "sentence"),
+    [
+        (other_serial_number, "stage", Rule.SERIAL_NUMBER, "Expected serial number STAGE-1, got STAGE-2."),
+        (other_firmware, "stage", Rule.FIRMWARE, "Expected firmware 1.1h.20190825, got 1.1f.20170801."),
+        (other_steps, "stage", Rule.CALIBRATION, "steps of z: expected 400.0 as in the file, the device has 800.0."),
+        (slow_brakes, "stage", Rule.LIMITS, "y must stop in 10 ms: expected $121 of at least 300, got 100."),
+        (no_homing, "stage", Rule.LIMITS, "The stage has no homing: set $22=1."),
+        (stage_unplugged, "stage", Rule.FOUND, "No stage at /dev/pts/"),
+        (other_gel, "left tactile camera", Rule.CALIBRATION, "calibration is of 2871-46HU, expected one of 28F0-GX7F."),
+        (camera_unplugged, "right tactile camera", Rule.FOUND, "No camera has the serial number 28W2-TRN5."),
+        (other_sensor_at_the_box, "force/torque sensor", Rule.CALIBRATION, "decoupling matrix of another sensor"),
+        (frozen_box, "force/torque sensor", Rule.WORKS, "stopped answering"),
+        (gripper_fault, "gripper", Rule.WORKS, "reports fault 0x0E: overcurrent"),
+    ],
+)
+def test_names_what_is_wrong_with_one_device_and_nothing_else(
+    twins: TwinStation, spoil: Callable[[TwinStation], None], device: str, rule: Rule, sentence: str
+) -> None:
+    spoil(twins)
+    found = problems(twins)
+    assert list(found) == [device]
+    assert [each[0] for each in found[device]] == [rule]
+    assert sentence in found[device][0][1]
+
+
+def test_every_problem_of_a_device_is_named(twins: TwinStation) -> None:
+    other_gel(twins)
+    twins.description["left"]["stream"] = None
+    other_serial_number(twins)
+    no_homing(twins)
+    found = problems(twins)
+    assert [rule for rule, _ in found["left tactile camera"]] == [Rule.CALIBRATION, Rule.FOUND]
+    assert [rule for rule, _ in found["stage"]] == [Rule.SERIAL_NUMBER, Rule.LIMITS]

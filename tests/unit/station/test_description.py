@@ -1,0 +1,44 @@
+"""A station's file: what it must say, and how it is refused."""
+
+import re
+from pathlib import Path
+
+import pytest
+from twin_station import TwinStation
+from vitac.evaluator.strict_model import DocumentRejected, parse_yaml
+from vitac.station.description import StationDescription, read_description
+
+
+def test_reads_the_file_and_fills_in_what_has_a_default(twins: TwinStation, tmp_path: Path) -> None:
+    described = read_description(twins.write(tmp_path))
+    assert described.force_torque.rate_hz == 1000
+    assert described.limits.marker_movement_px == 30.0
+    assert described.depth_camera is None
+
+
+def test_description_in_the_documentation_is_accepted(repository: Path) -> None:
+    (block,) = re.findall(r"```yaml\n(.*?)```", (repository / "docs" / "station.md").read_text(), re.DOTALL)
+    assert parse_yaml(StationDescription, block, "docs/station.md").stage.serial_number == "STAGE-1"
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "sentence"),
+    [
+        (("left", "serial"), "x", "Unknown key 'left.serial'; did you mean 'serial_number'?"),
+        (("limits", "workspace", "x_mm"), [3, -3], r"x_mm: expected \[lowest, highest\], got \[3.0, -3.0\]"),
+        (("limits", "speed_mm_s"), 0, "limits.speed_mm_s: Input should be greater than 0"),
+        (("limits", "force_n"), float("nan"), "limits.force_n: Input should be a finite number"),
+        (("limits", "gripper", "force"), 256, "limits.gripper.force: Input should be less than or equal to 255"),
+        (("right", "serial_number"), "28F0-GX7F", "left and right are both 28F0-GX7F; expected two tactile sensors"),
+    ],
+)
+def test_refuses_with_a_sentence(
+    twins: TwinStation, tmp_path: Path, keys: tuple[str, ...], value: object, sentence: str
+) -> None:
+    *outer, last = keys
+    place = twins.description
+    for key in outer:
+        place = place[key]
+    place[last] = value
+    with pytest.raises(DocumentRejected, match=sentence):
+        read_description(twins.write(tmp_path))

@@ -1,0 +1,198 @@
+"""The guard over twins at real lines: commands pass only within the limits, and a reading past one stops the stage."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+from twin_station import TwinStation
+from vitac.evaluator.strict_model import validate
+from vitac.station.description import StationDescription
+from vitac.station.devices.device import DeviceFault
+from vitac.station.devices.force_torque import ForceTorqueSensor
+from vitac.station.devices.gripper import Gripper
+from vitac.station.devices.stage import Pose, Stage, StageState
+from vitac.station.guard import Guard, StationStopped
+from vitac.station.limits import LimitPassed
+from vitac.station.twin.force_torque import ForceTorqueFault
+
+TARGET = Pose(14.0, 0.0, 0.0, 10.0)
+SLOW = {"speed_mm_s": 3.0, "rotation_deg_s": 4.0}
+
+
+class Heartbeats:
+    """Time by which heartbeats are counted, set by a test."""
+
+    now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def heartbeats() -> Heartbeats:
+    return Heartbeats()
+
+
+@pytest.fixture
+def guard(twins: TwinStation, heartbeats: Heartbeats) -> Iterator[Guard]:
+    limits = validate(StationDescription, twins.description, "station.yaml").limits
+    with ExitStack() as stack:
+        stage = stack.enter_context(Stage(twins.lines["stage"].port))
+        gripper = stack.enter_context(Gripper(twins.lines["gripper"].port))
+        force_torque = stack.enter_context(ForceTorqueSensor("127.0.0.1", twins.force_torque.port))
+        gripper.activate()
+        force_torque.start(rate_hz=1000)
+        yield stack.enter_context(
+            Guard(limits=limits, stage=stage, gripper=gripper, force_torque=force_torque, clock=heartbeats)
+        )
+
+
+def sense(twins: TwinStation, *wrench: float) -> None:
+    x, y, z, a, b, c = wrench
+    twins.force_torque.wrench = lambda: (x, y, z, a, b, c)
+
+
+def assert_held(guard: Guard, twins: TwinStation, reason: str) -> None:
+    """The stage comes to rest far from its target, and no command moves it."""
+    with pytest.raises(StationStopped, match=reason):
+        guard.wait()
+    while guard.stage.status().is_moving:
+        pass
+    assert guard.stage.status().state is StageState.HOLD
+    held = twins.stage.position()
+    assert held[0] < TARGET.x_mm / 2
+    with pytest.raises(StationStopped, match="Make it safe, then release it"):
+        guard.move(TARGET, **SLOW)
+    with pytest.raises(StationStopped):
+        guard.grip(100, speed=10, force=10)
+    assert twins.stage.position() == held
+
+
+def test_moves_within_the_limits(guard: Guard) -> None:
+    target = Pose(0.02, -0.01, 0.01, 0.03)
+    guard.move(target, **SLOW)
+    assert guard.wait().pose == target
+
+
+@pytest.mark.parametrize(
+    ("target", "sentence"),
+    [
+        (TARGET._replace(x_mm=15.1), r"Target x_mm 15\.1: expected -15\.0 to 15\.0"),
+        (TARGET._replace(rotation_deg=-21.0), "Target rotation_deg"),
+        (TARGET._replace(z_mm=float("nan")), "Target z_mm nan"),
+    ],
+)
+def test_target_past_the_workspace_is_not_sent(guard: Guard, twins: TwinStation, target: Pose, sentence: str) -> None:
+    with pytest.raises(LimitPassed, match=sentence):
+        guard.move(target, **SLOW)
+    assert twins.stage.position() == (0, 0, 0, 0)
+    assert guard.reason is None
+
+
+@pytest.mark.parametrize("speed", [3.1, 0.0, -1.0, float("nan")])
+def test_speed_past_its_limit_is_not_sent(guard: Guard, twins: TwinStation, speed: float) -> None:
+    with pytest.raises(LimitPassed, match=r"speed_mm_s \S+: expected more than 0 and at most 3"):
+        guard.move(TARGET, speed_mm_s=speed, rotation_deg_s=4.0)
+    assert twins.stage.speed() == 0
+
+
+def test_grip_past_its_limit_is_not_sent(guard: Guard, twins: TwinStation) -> None:
+    with pytest.raises(LimitPassed, match="Gripper force 101: expected 0 to 100"):
+        guard.grip(255, speed=255, force=101)
+    assert guard.gripper.status().request == 0
+    guard.grip(255, speed=255, force=100)
+    assert guard.gripper.wait(timeout_s=5.0).position == 180
+
+
+@pytest.mark.parametrize(
+    ("wrench", "reason"),
+    [
+        ((0, 12, 16.1, 0, 0, 0), r"Force 20\.08 N: expected at most 20"),
+        ((0, 0, 0, 0, 0, -1.1), r"Torque 1\.100 N m: expected at most 1"),
+        ((float("nan"), 0, 0, 0, 0, 0), "Force nan N"),
+    ],
+)
+def test_force_past_its_limit_stops_the_stage(
+    guard: Guard, twins: TwinStation, wrench: tuple[float, ...], reason: str
+) -> None:
+    guard.move(TARGET, **SLOW)
+    sense(twins, *wrench)
+    assert_held(guard, twins, reason)
+
+
+def test_marker_past_its_limit_stops_the_stage(guard: Guard, twins: TwinStation) -> None:
+    guard.move(TARGET, **SLOW)
+    guard.see_markers(np.array([[0.0, 1.0], [29.0, 0.0]]))
+    assert guard.reason is None
+    guard.see_markers(np.array([[0.0, 1.0], [25.0, 17.0]]))
+    assert_held(guard, twins, r"A marker moved by 30\.2 px: expected at most 30")
+
+
+def test_lost_heartbeat_stops_the_stage(guard: Guard, twins: TwinStation, heartbeats: Heartbeats) -> None:
+    guard.move(TARGET, **SLOW)
+    heartbeats.now_s = 0.4
+    guard.beat()
+    heartbeats.now_s = 0.8
+    assert guard.stage.status().is_moving
+    assert guard.reason is None
+    heartbeats.now_s = 1.0
+    assert_held(guard, twins, r"No heartbeat for 0\.60 s: expected one every 0\.5 s")
+
+
+def freeze(twins: TwinStation) -> None:
+    twins.force_torque.faults.add(ForceTorqueFault.FROZEN)
+
+
+def cut(twins: TwinStation) -> None:
+    twins.force_torque.cut()
+
+
+@pytest.mark.parametrize("fail", [freeze, cut])
+def test_stage_stops_when_the_force_is_no_longer_known(
+    guard: Guard, twins: TwinStation, fail: Callable[[TwinStation], None]
+) -> None:
+    guard.move(TARGET, **SLOW)
+    guard.limits = guard.limits.model_copy(update={"reading_s": 0.05})
+    sent = twins.force_torque.sent
+    while twins.force_torque.sent < sent + 3:  # the guard waits by the new limit once the next frame is there
+        pass
+    fail(twins)
+    assert_held(guard, twins, "force/torque box")
+
+
+def test_motion_that_reaches_the_controller_after_a_stop_is_held(
+    guard: Guard, twins: TwinStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = guard.stage.start_move
+
+    def stopped_before(target: Pose, *, feed: float) -> None:
+        guard.stop("an operator pressed stop.")  # its hold finds the stage at rest, and does nothing
+        start(target, feed=feed)
+
+    monkeypatch.setattr(guard.stage, "start_move", stopped_before)
+    with pytest.raises(StationStopped, match="an operator pressed stop"):
+        guard.move(TARGET, **SLOW)
+    assert_held(guard, twins, "an operator pressed stop")
+
+
+def test_released_station_moves_again_from_where_it_was_held(guard: Guard, twins: TwinStation) -> None:
+    guard.move(TARGET, **SLOW)
+    guard.stop("an operator pressed stop.")
+    guard.release()
+    assert guard.stage.status().state is StageState.IDLE
+    target = Pose(*(round(value, 2) for value in twins.stage.position()))
+    guard.move(target, **SLOW)
+    assert guard.wait().pose == target
+
+
+def test_stage_in_motion_takes_no_other_target(guard: Guard) -> None:
+    guard.move(TARGET, **SLOW)
+    with pytest.raises(DeviceFault, match="Expected a stage at rest, got Run"):
+        guard.move(TARGET._replace(x_mm=0.0), **SLOW)
+
+
+def test_stage_does_not_move_on_when_nobody_guards_it(twins: TwinStation, guard: Guard) -> None:
+    guard.move(TARGET, **SLOW)
+    guard.__exit__()
+    assert_held(guard, twins, "nobody guards it")
