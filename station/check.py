@@ -12,12 +12,16 @@ from .description import TactileCamera as TactileCameraDescription
 from .devices import depth_camera, force_torque, gripper, stage, tactile_camera
 from .devices.device import DeviceNotFound, Identity
 from .limits import CONTROL_PERIOD_S
+from .perception.markers import cut_picture, find_markers
+from .perception.tracker import DROPPED_PICTURES
 
 _BRAKING_S: Final = CONTROL_PERIOD_S / 2
 """What of it the stage has to slow down; the rest is for the reading and the command."""
 _READING_S: Final = 1.0
 _SAME: Final = 0.02
 """Relative difference up to which two calibrations are of the same sensor."""
+_VISIBLE_MARKERS: Final = 0.95
+"""Part of the calibrated markers that must be seen."""
 _AXES: Final = ("x", "y", "z", "the rotary axis")
 
 
@@ -79,7 +83,13 @@ def _until_failure(problems: Iterator[Problem]) -> Iterator[Problem]:
 def _check_tactile_camera(camera: TactileCameraDescription) -> Iterator[Problem]:
     yield from _check_calibration(camera.serial_number, camera.calibration)
     with tactile_camera.TactileCamera(camera.serial_number, stream=camera.stream) as opened:
-        opened.read()
+        for _ in range(DROPPED_PICTURES):
+            opened.read()
+        found, expected = len(find_markers(cut_picture(opened.read()))), camera.calibration.markers
+    if found < _VISIBLE_MARKERS * expected:
+        yield _calibration(
+            f"Expected {expected} markers on the gel, got {found}. Clean it, or replace and calibrate it."
+        )
 
 
 def _check_depth_camera(camera: DepthCamera) -> Iterator[Problem]:

@@ -3,20 +3,32 @@
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import cache
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 from vitac.station.twin.force_torque import ForceTorqueTwin
 from vitac.station.twin.gripper import GripperTwin
 from vitac.station.twin.pictures import CameraTwin
+from vitac.station.twin.pressed_gel import SMALL_CAMERA, marker_grid
 from vitac.station.twin.stage import StageTwin
 from vitac.station.twin.terminal import Terminal
 
 
-def noisy_picture(generator: np.random.Generator) -> Any:
-    return generator.integers(90, 110, (48, 64, 3)).astype(np.uint8)
+@cache
+def gel_pictures() -> list[NDArray[np.uint8]]:
+    """Pictures of a gel at rest, rendered once."""
+    generator = np.random.default_rng(1)
+    return [SMALL_CAMERA.picture(marker_grid(), generator) for _ in range(3)]
+
+
+def camera() -> CameraTwin:
+    pictures = cycle(gel_pictures())
+    return CameraTwin(picture=lambda: next(pictures), period_s=0.001)
 
 
 @dataclass
@@ -44,11 +56,8 @@ def tactile(serial_number: str, stream: str) -> dict[str, Any]:
 
 @contextmanager
 def twin_station() -> Iterator[TwinStation]:
-    generator = np.random.default_rng(1)
     with ExitStack() as stack:
-        left, right = (
-            stack.enter_context(CameraTwin(picture=lambda: noisy_picture(generator), period_s=0.001)) for _ in range(2)
-        )
+        left, right = stack.enter_context(camera()), stack.enter_context(camera())
         box = stack.enter_context(ForceTorqueTwin())
         stage, gripper = StageTwin(), GripperTwin()
         lines = {

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 from twin_station import TwinStation
 from vitac.evaluator.strict_model import validate
@@ -9,6 +10,7 @@ from vitac.station.check import Rule, check_station
 from vitac.station.description import StationDescription
 from vitac.station.twin.force_torque import ForceTorqueFault
 from vitac.station.twin.gripper import GripperFault
+from vitac.station.twin.pressed_gel import SMALL_CAMERA, marker_grid
 
 
 def problems(twins: TwinStation) -> dict[str, list[tuple[Rule, str]]]:
@@ -52,6 +54,12 @@ def other_gel(twins: TwinStation) -> None:
     twins.description["left"]["calibration"]["serial_number"] = "2871-46HU"
 
 
+def worn_gel(twins: TwinStation) -> None:
+    generator = np.random.default_rng(1)
+    few = marker_grid()[:50]
+    twins.right.picture = lambda: SMALL_CAMERA.picture(few, generator)
+
+
 def camera_unplugged(twins: TwinStation) -> None:
     twins.description["right"]["stream"] = None
 
@@ -78,6 +86,7 @@ def gripper_fault(twins: TwinStation) -> None:
         (no_homing, "stage", Rule.LIMITS, "The stage has no homing: set $22=1."),
         (stage_unplugged, "stage", Rule.FOUND, "No stage at /dev/pts/"),
         (other_gel, "left tactile camera", Rule.CALIBRATION, "calibration is of 2871-46HU, expected one of 28F0-GX7F."),
+        (worn_gel, "right tactile camera", Rule.CALIBRATION, "Expected 63 markers on the gel, got 50."),
         (camera_unplugged, "right tactile camera", Rule.FOUND, "No camera has the serial number 28W2-TRN5."),
         (other_sensor_at_the_box, "force/torque sensor", Rule.CALIBRATION, "decoupling matrix of another sensor"),
         (frozen_box, "force/torque sensor", Rule.WORKS, "stopped answering"),

@@ -1,0 +1,73 @@
+"""Measures the marker trackers on rendered pictures with known truth, on one core.
+
+    .venv/bin/python benchmarks/station/tracker.py
+
+Of each sequence and tracker: error of the positions and of the movements of the markers that are not lost [pixel of
+320 x 240], share within 1.5 pixels, markers that are not lost at the end, and time for a picture.
+"""
+
+from collections.abc import Callable
+from time import process_time
+
+import numpy as np
+from vitac.station.perception.assignment import AssignedMarkerTracker
+from vitac.station.perception.tracker import DROPPED_PICTURES, MarkerTracker
+from vitac.station.twin.gel_picture import GelCamera
+from vitac.station.twin.pressed_gel import Press, PressedGel
+
+CAMERAS = {"640": GelCamera(), "3280": GelCamera(width=3280, height=2464)}
+"""What OpenCV asks a camera for where nothing is set, and the whole sensor of a GelSight Mini."""
+SHEAR = Press(shear_px=(18, 9), pictures=75)
+GELS = {
+    "rest": PressedGel(press=Press()),
+    "shear": PressedGel(press=SHEAR),
+    "twist": PressedGel(press=Press(twist_rad=0.2, pictures=75)),
+    "spread": PressedGel(press=Press(spread=0.15, pictures=75)),
+    "fast shear": PressedGel(press=Press(shear_px=(28, -14), pictures=30)),
+    "noise": PressedGel(press=SHEAR, camera=GelCamera(noise=6.0)),
+    "defocus": PressedGel(press=SHEAR, camera=GelCamera(defocus_px=2.5)),
+    "worn": PressedGel(press=SHEAR, worn=12),
+    "dazzled": PressedGel(press=SHEAR, dazzled=12),
+    "whole sensor": PressedGel(press=Press(shear_px=(18, 9), pictures=30), camera=CAMERAS["3280"]),
+}
+Tracker = MarkerTracker | AssignedMarkerTracker
+
+
+def measure(gel: PressedGel, tracker: Tracker) -> tuple[np.ndarray, np.ndarray, int, list[float]]:
+    """Return errors of positions and movements [pixel], markers at the end, and times [ms]."""
+    errors, movement_errors, times_ms, rest, remaining = [], [], [], None, 0
+    for number, (picture, truth) in enumerate(gel.pictures()):
+        start = process_time()
+        flow = tracker.see(picture)
+        times_ms.append(1e3 * (process_time() - start))
+        if flow is None:
+            continue
+        rest = truth if number == DROPPED_PICTURES else rest
+        assert rest is not None  # noqa: S101 - set by the first picture that is not dropped
+        nearest = np.linalg.norm(flow.reference[:, None] - rest[None], axis=2).argmin(axis=1)
+        errors.append(np.linalg.norm(flow.current - truth[nearest], axis=1))
+        movement = (flow.current - flow.reference) - (truth - rest)[nearest]
+        movement_errors.append(np.linalg.norm(movement, axis=1))
+        remaining = len(nearest)
+    return np.concatenate(errors), np.concatenate(movement_errors), remaining, times_ms[DROPPED_PICTURES:]
+
+
+def main() -> None:
+    """Print a table."""
+    import cv2
+    import scipy.optimize  # noqa: F401 - its import is no time of the first picture
+
+    cv2.setNumThreads(1)
+    trackers: dict[str, Callable[[], Tracker]] = {"challenge": MarkerTracker, "assigned": AssignedMarkerTracker}
+    print("gel           tracker    position: median, 99 %   <= 1.5   movement: median, 99 %   left   ms: median, p99")
+    for name, gel in GELS.items():
+        for title, make in trackers.items():
+            errors, movements, remaining, times_ms = measure(gel, make())
+            shown = (*np.percentile(errors, (50, 99)), (errors <= 1.5).mean(), *np.percentile(movements, (50, 99)))
+            position = "{:8.3f} {:10.3f} {:12.2%} {:13.3f} {:10.3f}".format(*shown)
+            spent = "{:9.1f} {:6.1f}".format(*np.percentile(times_ms, (50, 99)))
+            print(f"{name:<13} {title:<10} {position} {remaining:12d} {spent}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""Pictures of a gel under three coloured lights, with printed markers at given places: what a twin's camera sees."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+_WIDTH_PX, _HEIGHT_PX = 320, 240
+_BORDER: Final = 7
+_MORE_ROWS_AT_THE_TOP: Final = 2
+_LIGHTS: Final = (  # direction in the picture, and colour (blue first)
+    ((1.0, 0.0), (120.0, 30.0, 20.0)),
+    ((-0.5, 0.87), (20.0, 110.0, 30.0)),
+    ((-0.5, -0.87), (30.0, 30.0, 120.0)),
+)
+_AMBIENT: Final = 70.0
+_SUBPIXEL_BITS: Final = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class GelCamera:
+    """A camera behind a gel.
+
+    Attributes:
+        width: of its pictures [pixel].
+        height: of its pictures.
+        marker_radius_px: of a printed marker in the cut picture of 320 x 240.
+        darkness: part of the light that a marker swallows.
+        defocus_px: standard deviation of the blur in the cut picture.
+        noise: standard deviation of a colour's value.
+    """
+
+    width: int = 640
+    height: int = 480
+    marker_radius_px: float = 4.0
+    darkness: float = 0.75
+    defocus_px: float = 1.0
+    noise: float = 2.0
+
+    def picture(
+        self,
+        markers_px: NDArray[np.float64],
+        generator: np.random.Generator,
+        *,
+        darkness: NDArray[np.float64] | None = None,
+        tilt: tuple[float, float] = (0.0, 0.0),
+    ) -> NDArray[np.uint8]:
+        """Return a picture of the camera, blue first.
+
+        Args:
+            markers_px: centres in the cut picture, shape [n, 2] [pixel].
+            generator: draws the noise.
+            darkness: of each marker, shape [n]; a worn one is paler.
+            tilt: slope of the gel's face, which shifts the light.
+        """
+        import cv2
+
+        light = np.ones((self.height, self.width), np.float32)
+        scale_x, scale_y = self._scales()
+        radius = round(self.marker_radius_px * scale_x * (1 << _SUBPIXEL_BITS))
+        depths = np.full(len(markers_px), self.darkness) if darkness is None else darkness
+        for (u, v), depth in zip(self.from_cut(markers_px), depths, strict=True):
+            centre = (round(u * (1 << _SUBPIXEL_BITS)), round(v * (1 << _SUBPIXEL_BITS)))
+            cv2.circle(light, centre, radius, 1.0 - float(depth), -1, cv2.LINE_8, _SUBPIXEL_BITS)
+        blurred = cv2.GaussianBlur(light, (0, 0), self.defocus_px * scale_x, sigmaY=self.defocus_px * scale_y)
+        shaded = self._shading(tilt) * blurred[..., None]
+        noisy = shaded + self.noise * generator.standard_normal(shaded.shape, dtype=np.float32)
+        return np.asarray(np.clip(np.rint(noisy), 0, 255), dtype=np.uint8)
+
+    def from_cut(self, positions_px: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where positions of the cut picture are in the camera's, shape [n, 2] [pixel]."""
+        corner = (self.width // _BORDER, self.height // _BORDER + _MORE_ROWS_AT_THE_TOP)
+        moved: NDArray[np.float64] = (positions_px + 0.5) * self._scales() - 0.5 + corner
+        return moved
+
+    def _scales(self) -> tuple[float, float]:
+        columns = self.width - 2 * (self.width // _BORDER)
+        rows = self.height - 2 * (self.height // _BORDER) - _MORE_ROWS_AT_THE_TOP
+        return columns / _WIDTH_PX, rows / _HEIGHT_PX
+
+    def _shading(self, tilt: tuple[float, float]) -> NDArray[np.float32]:
+        x = np.linspace(-1, 1, self.width, dtype=np.float32)[None, :]
+        y = np.linspace(-1, 1, self.height, dtype=np.float32)[:, None]
+        shading = np.full((self.height, self.width, 3), _AMBIENT, np.float32)
+        for (along_x, along_y), colour in _LIGHTS:
+            towards = 0.5 + 0.25 * (along_x * (x + tilt[0]) + along_y * (y + tilt[1]))
+            shading += np.clip(towards, 0, 1)[..., None] * np.array(colour, np.float32)
+        return shading
