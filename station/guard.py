@@ -66,7 +66,7 @@ class Guard:
         self._over.set()
         self._thread.join()
         if self._reason is None:
-            self.stop("nobody guards it now")
+            self.stop("Nobody guards it.")
 
     @property
     def reason(self) -> str | None:
@@ -103,7 +103,7 @@ class Guard:
             self._check_released()
             status = self.stage.status()
             if status.state is StageState.ALARM:
-                self.stop("the stage is in alarm")
+                self.stop("The stage is in alarm.")
                 raise DeviceFault("The stage is in alarm: clear its way, then home it.")
             if status.state is StageState.IDLE:
                 self._check_released()

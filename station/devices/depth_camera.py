@@ -42,8 +42,7 @@ class DepthCamera:
 
     def __init__(self, serial_number: str) -> None:
         """Start both streams; raise DeviceNotFound where no such camera is plugged in."""
-        import pyrealsense2 as rs
-
+        rs = _library()
         self._name = f"RGB-D camera {serial_number}"
         self._device = _find(rs, serial_number)
         settings = rs.config()
@@ -66,8 +65,7 @@ class DepthCamera:
 
     def identify(self) -> Identity:
         """Return its serial number and firmware."""
-        import pyrealsense2 as rs
-
+        rs = _library()
         return Identity(
             serial_number=self._device.get_info(rs.camera_info.serial_number),
             firmware=self._device.get_info(rs.camera_info.firmware_version),
@@ -75,8 +73,7 @@ class DepthCamera:
 
     def intrinsics(self) -> Intrinsics:
         """Return the intrinsics of the colour camera that its maker stored in it."""
-        import pyrealsense2 as rs
-
+        rs = _library()
         found = self._profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics()
         return Intrinsics(width=found.width, height=found.height, fx=found.fx, fy=found.fy, cx=found.ppx, cy=found.ppy)
 
@@ -89,6 +86,14 @@ class DepthCamera:
         depth = np.asanyarray(frames.get_depth_frame().get_data())
         colour = np.asanyarray(frames.get_color_frame().get_data()).copy()
         return ColourDepth(colour=colour, depth_m=depth.astype(np.float32) * np.float32(self._metres_per_unit))
+
+
+def _library() -> Any:
+    try:
+        import pyrealsense2
+    except ImportError as error:  # also of the system library that it loads
+        raise DeviceNotFound(f"pyrealsense2 cannot be loaded: {error}. Install it, and libusb-1.0.") from error
+    return pyrealsense2
 
 
 def _find(rs: Any, serial_number: str) -> Any:

@@ -195,4 +195,4 @@ def test_stage_in_motion_takes_no_other_target(guard: Guard) -> None:
 def test_stage_does_not_move_on_when_nobody_guards_it(twins: TwinStation, guard: Guard) -> None:
     guard.move(TARGET, **SLOW)
     guard.__exit__()
-    assert_held(guard, twins, "nobody guards it")
+    assert_held(guard, twins, "Nobody guards it")
