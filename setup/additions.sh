@@ -10,7 +10,7 @@ torch=2.13.0
 addition_title() { # name
   case $1 in
     maniskill) echo "ManiSkill" ;;
-    station) echo "What reads a station's devices" ;;
+    station) echo "the drivers of a station" ;;
     torch) echo "Stable-Baselines3" ;;
   esac
 }

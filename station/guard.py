@@ -137,9 +137,10 @@ class Guard:
         """Discard what is left of the motion and allow commands again, as an operator decides."""
         while self.stage.status().is_moving:
             self._over.wait(CONTROL_PERIOD_S / 4)
-        self.stage.forget_motion()
-        self.beat()
-        self._reason = None
+        with self._stopping:  # who stops it meanwhile stops it again afterwards
+            self.stage.forget_motion()
+            self.beat()
+            self._reason = None
 
     def _check_released(self) -> None:
         if self._reason is not None:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
+from logging import NullHandler, getLogger
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -10,6 +11,7 @@ from .device import DeviceFault, DeviceNotFound
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+getLogger("pymodbus").addHandler(NullHandler())  # what it has to say is in the errors here
 _BAUD: Final = 115_200
 _COMMAND_REGISTER: Final = 0x03E8
 _STATUS_REGISTER: Final = 0x07D0

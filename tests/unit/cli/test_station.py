@@ -46,6 +46,13 @@ def test_problem_is_printed_and_ends_with_1(twins: TwinStation, tmp_path: Path, 
     assert [each["rule"] for each in problems] == ["serial number"]
 
 
+def test_port_that_is_not_there_is_said_once(twins: TwinStation, tmp_path: Path, run: Run) -> None:
+    twins.lines["gripper"].unplug()
+    code, output, errors = run(twins.write(tmp_path))
+    assert (code, errors) == (1, "")
+    assert "gripper, found: No gripper at /dev/pts/" in output
+
+
 def test_file_that_describes_no_station_is_refused(tmp_path: Path, run: Run) -> None:
     (tmp_path / "station.yaml").write_text("name: empty\n")
     code, _, errors = run(tmp_path / "station.yaml")

@@ -1,6 +1,8 @@
 """`check_station` names what is wrong with each device of a station of twins."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +10,8 @@ from twin_station import TwinStation
 from vitac.evaluator.strict_model import validate
 from vitac.station.check import Rule, check_station
 from vitac.station.description import StationDescription
+from vitac.station.devices.depth_camera import Intrinsics
+from vitac.station.devices.device import Identity
 from vitac.station.twin.force_torque import ForceTorqueFault
 from vitac.station.twin.gripper import GripperFault
 from vitac.station.twin.pressed_gel import SMALL_CAMERA, marker_grid
@@ -101,6 +105,36 @@ def test_names_what_is_wrong_with_one_device_and_nothing_else(
     assert list(found) == [device]
     assert [each[0] for each in found[device]] == [rule]
     assert sentence in found[device][0][1]
+
+
+@pytest.mark.parametrize(
+    ("firmware", "focal_px", "rules"),
+    [
+        ("5.15.1", 610.0, []),
+        ("5.16.0", 610.0, [Rule.FIRMWARE]),
+        ("5.15.1", 640.0, [Rule.CALIBRATION]),
+    ],
+)
+def test_depth_camera_is_compared_with_what_it_has_stored(
+    twins: TwinStation, monkeypatch: pytest.MonkeyPatch, firmware: str, focal_px: float, rules: list[Rule]
+) -> None:
+    """No twin speaks as a RealSense does, so this one stands in for its driver."""
+
+    class Camera(nullcontext[Any]):
+        def __init__(self, serial_number: str) -> None:
+            super().__init__(self)
+            self.identify = lambda: Identity(serial_number=serial_number, firmware=firmware)
+            self.intrinsics = lambda: Intrinsics(width=640, height=480, fx=focal_px, fy=610.0, cx=318.0, cy=242.0)
+            self.read = lambda: None
+
+    monkeypatch.setattr("vitac.station.devices.depth_camera.DepthCamera", Camera)
+    measured = {"width": 640, "height": 480, "fx": 612, "fy": 611, "cx": 320, "cy": 240}
+    twins.description["depth_camera"] = {
+        "serial_number": "821312061234",
+        "firmware": "5.15.1",
+        "calibration": {"serial_number": "821312061234", **measured},
+    }
+    assert [rule for rule, _ in problems(twins).get("RGB-D camera", [])] == rules
 
 
 def test_every_problem_of_a_device_is_named(twins: TwinStation) -> None:
