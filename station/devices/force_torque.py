@@ -63,7 +63,8 @@ class ForceTorqueSensor:
         return [[float(value) for value in row.split(",")] for row in rows]
 
     def start(self, rate_hz: int) -> None:
-        """Set the rate and start the stream of frames."""
+        """Set the rate and start the stream of frames, also where another program has left one running."""
+        self.stop()
         self._ask(f"SMPR={rate_hz}")
         self._ask(f"SGDM={_FORMAT}")
         with self._reported():

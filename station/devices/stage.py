@@ -17,6 +17,7 @@ from .device import DeviceFault, DeviceNotFound, Identity
 _BAUD: Final = 115_200
 _ANSWER_S: Final = 1.0
 _HOME_S: Final = 120.0
+_TRIES: Final = 3
 _HOLD, _RESET, _STATUS = b"!", b"\x18", b"?"
 _FIELD = re.compile(r"(\w+):([^|>]*)")
 
@@ -42,6 +43,10 @@ class StageState(StrEnum):
     """Jog, door, check or sleep: nothing that this driver asks for."""
 
 
+class StageSilent(DeviceFault):
+    """The controller did not answer in time; check its power, then home it again."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class StageStatus:
     """One answer to `?`.
@@ -61,7 +66,7 @@ class Stage:
     """A stage at an open serial port; use it in `with`."""
 
     def __init__(self, port: str) -> None:
-        """Open the port; raise DeviceNotFound where there is none."""
+        """Open the port; raise DeviceNotFound where there is none, or nothing answers at it."""
         from serial import Serial, SerialException
 
         self._lock = Lock()
@@ -70,6 +75,7 @@ class Stage:
         except (SerialException, OSError) as error:
             raise DeviceNotFound(f"No stage at {port}: {error}. Check its cable and `port` in the file.") from error
         self._port = port
+        self._await_start()
 
     def __enter__(self) -> Self:
         return self
@@ -124,6 +130,17 @@ class Stage:
         """Leave the alarm state without homing."""
         self._command("$X")
 
+    def _await_start(self) -> None:
+        """Wait until the controller answers; behind an Arduino's USB it restarts when its port is opened."""
+        for _ in range(_TRIES):
+            try:
+                self.status()
+            except StageSilent:
+                continue
+            return
+        self._line.close()
+        raise DeviceNotFound(f"Nothing answers at {self._port}: expected GRBL 1.1. Check its power and `port`.")
+
     def _command(self, text: str, *, answer_s: float = _ANSWER_S) -> list[str]:
         """Send a line and return what is answered before `ok`."""
         answered: list[str] = []
@@ -147,7 +164,7 @@ class Stage:
                 line, pending = pending.decode("ascii", "replace").strip(), b""
                 if line:
                     yield line
-        raise DeviceFault(f"Stage at {self._port} did not answer within {within_s} s. Check its power; home it again.")
+        raise StageSilent(f"Stage at {self._port} did not answer within {within_s} s. Check its power; home it again.")
 
     @contextmanager
     def _reported(self) -> Iterator[None]:

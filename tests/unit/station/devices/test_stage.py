@@ -126,6 +126,26 @@ def test_unplugged_line_is_a_fault(stage: Stage, line: Terminal) -> None:
         stage.status()
 
 
+def test_port_at_which_nothing_answers_has_no_stage(
+    line: Terminal, twin: StageTwin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vitac.station.devices.stage._ANSWER_S", 0.05)
+    twin.faults.add(StageFault.SILENT)
+    with pytest.raises(DeviceNotFound, match=r"Nothing answers at \S+: expected GRBL 1\.1"):
+        Stage(line.port)
+
+
+def test_stage_that_restarts_when_its_port_is_opened_is_waited_for(
+    line: Terminal, twin: StageTwin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vitac.station.devices.stage._ANSWER_S", 0.05)
+    answers = [b"", b"\r\nGrbl 1.1h ['$' for help]\r\n<Idle|MPos:0.000,0.000,0.000,0.000|FS:0,0>\r\n"]
+    receive = twin.receive
+    monkeypatch.setattr(twin, "receive", lambda data: answers.pop(0) if answers else receive(data))
+    with Stage(line.port) as stage:
+        assert stage.identify().firmware == "1.1h.20190825"
+
+
 def test_missing_port_is_named() -> None:
     with pytest.raises(DeviceNotFound, match="No stage at /dev/no-such-port"):
         Stage("/dev/no-such-port")
