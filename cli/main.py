@@ -59,6 +59,12 @@ NOUNS = (
     Noun(name="serve", module="service.serve", summary="Run the service: database, API and pages.", extra=_SERVER),
     Noun(name="worker", module="service.worker", summary="Run a worker that evaluates submissions.", extra="worker"),
     Noun(
+        name="scale",
+        module="service.scale",
+        summary="Start workers on a cluster when there is work.",
+        extra="worker",
+    ),
+    Noun(
         name="admin", module="admin.app", summary="Manage teams, submissions, evaluations and workers.", extra=_SERVER
     ),
     Noun(name="sandbox", module="sandbox", summary="Print what a policy runs with: packages, BLAS, threads, CPU."),

@@ -19,6 +19,7 @@ from .heartbeat import START_PATIENCE_S, Heartbeat
 from .isolation import IsolationReport, probe_isolation
 from .shard_run import StartShard
 from .staging import SubmissionStage
+from .stay import UNLIMITED, Stay, WorkerRefused
 from .worker import QueueWorker
 
 logger = structlog.get_logger(__name__)
@@ -35,29 +36,39 @@ LOOK_S = 0.5
 """Time between two looks for a reason to take no more shards."""
 
 
-def run(settings: Settings, *, probe: ProbeIsolation = probe_isolation) -> None:
-    """Evaluate what is in the queue until SIGTERM or SIGINT; shards at work are given back then.
+def run(settings: Settings, stay: Stay = UNLIMITED, *, probe: ProbeIsolation = probe_isolation) -> None:
+    """Evaluate what is in the queue until SIGTERM or SIGINT, when shards at work are given back, or until `stay` ends.
 
     Raises:
+        WorkerRefused: the stay is limited, and this machine may take no shards.
         VitacError: database or file store cannot be used.
+        DBAPIError: the database was away for too long.
     """
     with open_services(settings, may_run_database=False) as services, ShardProcesses() as processes:
         processes.prepare()
-        work(services, processes.running_shard, probe=probe)
+        work(services, processes.running_shard, stay, probe=probe)
 
 
-def work(services: Services, start: StartShard, *, probe: ProbeIsolation = probe_isolation) -> None:
-    """Run one worker on open services; must be called in the main thread."""
+def work(
+    services: Services, start: StartShard, stay: Stay = UNLIMITED, *, probe: ProbeIsolation = probe_isolation
+) -> None:
+    """Run one worker on open services; must be called in the main thread.
+
+    Raises:
+        WorkerRefused: the stay is limited, and this machine may take no shards.
+    """
     stopping = threading.Event()
     with _stopped_by_signals(stopping):
         while not stopping.is_set():
             report = probe()
             refusal = _explain_refused(services, report)
+            if refusal is not None and stay.is_limited:
+                raise WorkerRefused(refusal)
             if refusal is not None:
                 _refuse(services, report, refusal, stopping)
                 continue
             try:
-                _take_shards(services, report, start, stopping)
+                _take_shards(services, report, start, stopping, stay)
             except OSError as error:
                 if not is_disk_full(error):
                     raise
@@ -65,9 +76,16 @@ def work(services: Services, start: StartShard, *, probe: ProbeIsolation = probe
                 stopping.wait(DISK_AGAIN_S)
 
 
-def _take_shards(services: Services, report: IsolationReport, start: StartShard, stopping: threading.Event) -> None:
-    """Take and run shards until a request to stop, or until the service declares another evaluator."""
+def _take_shards(
+    services: Services, report: IsolationReport, start: StartShard, stopping: threading.Event, stay: Stay
+) -> None:
+    """Take and run shards until a request to stop, the stay's end, or until the service declares another evaluator."""
     leaving = threading.Event()
+
+    def order() -> WorkerOrder:
+        is_over = stay.is_over(taken=worker.taken, idle_s=worker.idle_s)
+        return WorkerOrder.DRAIN if is_over else heartbeat.order
+
     with ExitStack() as stack:
         heartbeat = Heartbeat(
             services,
@@ -83,12 +101,12 @@ def _take_shards(services: Services, report: IsolationReport, start: StartShard,
         housekeeping = Housekeeping(services, supersedes=False)
         housekeeping.start()
         stack.callback(housekeeping.stop)
-        worker = QueueWorker(services, stage, heartbeat.worker_id, start, order=lambda: heartbeat.order)
+        worker = QueueWorker(services, stage, heartbeat.worker_id, start, order=order)
         # A thread, not the signal's handler: that may interrupt whoever holds the locks which `stop` needs.
         threading.Thread(target=_stop_on_event, args=((stopping, leaving), worker), name="stop", daemon=True).start()
         logger.info("worker_started", worker=str(heartbeat.worker_id), slots=services.settings.worker_slots)
         asyncio.run(worker.run())
-        if heartbeat.order is WorkerOrder.DRAIN:
+        if order() is WorkerOrder.DRAIN:
             stopping.set()
         logger.info("worker_stopped", worker=str(heartbeat.worker_id))
 

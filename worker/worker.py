@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -41,6 +42,7 @@ class QueueWorker:
     """Runs shards and makes playbacks of the queue.
 
     `run` returns after `stop`, which may be called from any thread, or after the last shard when `order` says so.
+    `taken` counts the shards and playbacks that it took.
     """
 
     def __init__(
@@ -61,10 +63,18 @@ class QueueWorker:
         self._free_slots = threading.Semaphore(self._slots)
         self._lock = threading.Lock()
         self._runs: set[ShardRun | PlaybackRun] = set()
+        self._idle_since = time.monotonic()
+        self.taken = 0
         self._stopping = False
         self._order = order
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stopped: asyncio.Event | None = None
+
+    @property
+    def idle_s(self) -> float:
+        """Time since it had a shard or playback, or since its start [s]; 0 while it has one."""
+        with self._lock:
+            return 0.0 if self._runs else time.monotonic() - self._idle_since
 
     async def run(self) -> None:
         """Work until `stop`; connects again whenever the database went away."""
@@ -181,7 +191,7 @@ class QueueWorker:
 
     def _make_playback(self, playback_id: int, _slot: Slot) -> None:
         """Do the job of a playback, in a thread; its row decides whether there is something to do."""
-        if self._stopping:
+        if self._stopping or self._order() is not WorkerOrder.WORK:
             return
         lease_s = self._services.settings.lease_s
         lease = self._services.database.retrying(
@@ -195,6 +205,7 @@ class QueueWorker:
         """Run to the end; None where the database is away for too long, and the sweep gives the work to another."""
         with self._lock:
             self._runs.add(run)
+            self.taken += 1
             stop_at_once = self._stopping
         if stop_at_once:
             run.stop()
@@ -209,6 +220,7 @@ class QueueWorker:
         finally:
             with self._lock:
                 self._runs.discard(run)
+                self._idle_since = time.monotonic()
 
     def _claim(self, shard_id: int) -> Lease | None:
         lease_s = self._services.settings.lease_s

@@ -7,8 +7,14 @@ from typing import Any
 import kubernetes_validate
 import pytest
 import yaml
+from databases import fresh_database
+from service_factories import make_principal, make_upload
+from sqlalchemy import text
 from vitac.server.api import health
+from vitac.server.db.engine import Database
+from vitac.server.queue.depth import count_open_work
 from vitac.server.settings import Settings
+from vitac.server.submissions import creation
 
 VERSIONS = ("1.30", "1.34", kubernetes_validate.latest_version())
 COMPONENTS = ("server", "worker")
@@ -16,8 +22,15 @@ COMPONENTS = ("server", "worker")
 
 @pytest.fixture(scope="module")
 def manifests(repository: Path) -> list[dict[str, Any]]:
-    files = sorted((repository / "docs" / "kubernetes").glob("*.yaml"))
-    return [document for file in files for document in yaml.safe_load_all(file.read_text())]
+    folder = repository / "docs" / "kubernetes"
+    files = yaml.safe_load((folder / "kustomization.yaml").read_text())["resources"]
+    assert {*files, "kustomization.yaml", "keda.yaml"} == {file.name for file in folder.iterdir()}
+    return [document for file in files for document in yaml.safe_load_all((folder / file).read_text())]
+
+
+@pytest.fixture(scope="module")
+def keda(repository: Path) -> list[dict[str, Any]]:
+    return list(yaml.safe_load_all((repository / "docs" / "kubernetes" / "keda.yaml").read_text()))
 
 
 def of_kind(manifests: list[dict[str, Any]], kind: str) -> dict[str, dict[str, Any]]:
@@ -107,8 +120,33 @@ def test_probes_ask_routes_that_exist(manifests: list[dict[str, Any]]) -> None:
     assert set(probes.values()) <= {getattr(route, "path", None) for route in health.router.routes}
 
 
+def test_scaled_object_has_its_target_and_its_secret(
+    keda: list[dict[str, Any]], manifests: list[dict[str, Any]]
+) -> None:
+    authentication, scaled = keda
+    assert scaled["spec"]["scaleTargetRef"]["name"] in of_kind(manifests, "Deployment")
+    (trigger,) = scaled["spec"]["triggers"]
+    assert trigger["authenticationRef"]["name"] == authentication["metadata"]["name"]
+    (connection,) = authentication["spec"]["secretTargetRef"]
+    assert connection["key"] in of_kind(manifests, "Secret")[connection["name"]]["stringData"]
+
+
+def test_query_of_the_scaled_object_counts_what_the_queue_does(keda: list[dict[str, Any]]) -> None:
+    (trigger,) = keda[1]["spec"]["triggers"]
+    with fresh_database() as address:
+        database = Database(address)
+        with database.transaction() as session:
+            creation.create(session, make_principal(session), make_upload(archive_sha256="0" * 64))
+        with database.transaction() as session:
+            counted = session.scalar(text(trigger["metadata"]["query"]))
+            assert counted == count_open_work(session) > 1
+        database.dispose()
+
+
 def test_images_are_of_this_release(manifests: list[dict[str, Any]], repository: Path) -> None:
     release = tomllib.loads((repository / "pyproject.toml").read_text())["project"]["version"]
     for component in COMPONENTS:
         (container,) = pod(manifests, component)["containers"]
         assert container["image"].endswith(f"/vitac-arena-{component}:{release}")
+    base = yaml.safe_load((repository / "docs" / "kubernetes" / "kustomization.yaml").read_text())
+    assert {image["newTag"] for image in base["images"]} == {release}
