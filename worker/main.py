@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
 import structlog
+from sqlalchemy.exc import DBAPIError
 from vitac.evaluator.shards.process import ShardProcesses
+from vitac.server.db.availability import DatabaseUnreachable
 from vitac.server.db.states import WorkerOrder, WorkerState
 from vitac.server.housekeeping import Housekeeping
 from vitac.server.queue.declared import declared_versions, explain_other_evaluator
@@ -41,12 +43,15 @@ def run(settings: Settings, stay: Stay = UNLIMITED, *, probe: ProbeIsolation = p
 
     Raises:
         WorkerRefused: the stay is limited, and this machine may take no shards.
-        VitacError: database or file store cannot be used.
-        DBAPIError: the database was away for too long.
+        DatabaseUnreachable: at the start, or for too long afterwards.
+        VitacError: the file store cannot be used.
     """
     with open_services(settings, may_run_database=False) as services, ShardProcesses() as processes:
         processes.prepare()
-        work(services, processes.running_shard, stay, probe=probe)
+        try:
+            work(services, processes.running_shard, stay, probe=probe)
+        except DBAPIError as error:
+            raise DatabaseUnreachable(f"The database cannot be used: {' '.join(str(error.orig).split())}.") from error
 
 
 def work(

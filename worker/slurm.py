@@ -10,8 +10,10 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
+from vitac.server.db.availability import DatabaseUnreachable
 from vitac.server.queue.depth import count_open_work
 from vitac.server.services import Services
 
@@ -27,7 +29,7 @@ class SlurmError(VitacError):
 
 @dataclass(frozen=True, kw_only=True)
 class Scaling:
-    """What one look at queue and jobs came to.
+    """What one look at queue and jobs found and did.
 
     Attributes:
         work: shards and playbacks that wait or run.
@@ -65,10 +67,13 @@ class SlurmScaler:
 
         Raises:
             SlurmError: Slurm refused, or does not answer.
-            DBAPIError: the database does not.
+            DatabaseUnreachable: the database does not.
         """
-        with self.services.database.transaction() as session:
-            return self._scale(session)
+        try:
+            with self.services.database.transaction() as session:
+                return self._scale(session)
+        except DBAPIError as error:
+            raise DatabaseUnreachable(f"The database cannot be used: {' '.join(str(error.orig).split())}.") from error
 
     def _scale(self, session: Session) -> Scaling:
         work = count_open_work(session)

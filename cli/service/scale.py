@@ -53,15 +53,15 @@ def slurm(
 
 def _scale_until_stopped(scaler: "SlurmScaler", every_s: float) -> None:
     """Scale again and again; jobs that end at once are submitted at ever longer intervals."""
-    from sqlalchemy.exc import DBAPIError
+    from vitac.server.db.availability import DatabaseUnreachable
     from vitac.worker.slurm import SlurmError
 
     last, pause_s = None, every_s
     while True:
         try:
             done = scaler.scale()
-        except (SlurmError, DBAPIError) as error:
-            warn(f"{' '.join(str(error).split())} The next look is in {every_s:.0f} s.")
+        except (SlurmError, DatabaseUnreachable) as error:
+            warn(f"{error} The next look is in {every_s:.0f} s.")
         else:
             ended_at_once = last is not None and last.submitted and not done.running + done.pending
             is_stuck = ended_at_once and last is not None and done.work >= last.work

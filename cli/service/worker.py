@@ -44,7 +44,6 @@ def command(
     if parent is not None:
         exit_with_parent(parent)
     with no_collections():
-        from sqlalchemy.exc import DBAPIError
         from vitac.server.db.availability import DatabaseUnreachable
         from vitac.worker.main import run
         from vitac.worker.stay import ONCE_WAITS_S, Stay, WorkerRefused
@@ -54,8 +53,8 @@ def command(
         run(settings, Stay(runs=1 if once else None, idle_s=idle_s, lifetime_s=max_lifetime))
     except WorkerRefused as error:
         _exit(os.EX_UNAVAILABLE, str(error))
-    except (DatabaseUnreachable, DBAPIError) as error:
-        _exit(os.EX_TEMPFAIL, " ".join(str(error).split()))
+    except DatabaseUnreachable as error:
+        _exit(os.EX_TEMPFAIL, str(error))
 
 
 def _exit(code: int, sentence: str) -> None:
