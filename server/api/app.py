@@ -19,6 +19,7 @@ from ..settings import Settings
 from ..submissions.watch import Changes
 from . import (
     appeals,
+    comparisons,
     competitions,
     health,
     judging,
@@ -149,6 +150,7 @@ def _routes() -> Sequence[BaseRoute]:
         messages.router,
         appeals.router,
         submissions.router,
+        comparisons.router,
         receipts.router,
         judging.router,
         uploads.router,

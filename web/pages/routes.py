@@ -102,9 +102,10 @@ def pages() -> APIRouter:
             for form in Format
         ),
         ("/submissions/{submission_id}/receipt.json", receipts.receipt_file, "GET"),
-        ("/submissions/{submission_id}/compare", comparison.compare_pages, "GET"),
-        ("/submissions/{submission_id}/compare.csv", comparison.compare_csv, "GET"),
-        ("/submissions/{submission_id}/compare.json", comparison.compare_json, "GET"),
+        ("/submissions/{submission_id}/compare", comparison.compare_with, "GET"),
+        (comparison.ADDRESS, comparison.compare_pages, "GET"),
+        (f"{comparison.ADDRESS}.csv", comparison.compare_csv, "GET"),
+        (f"{comparison.ADDRESS}.json", comparison.compare_json, "GET"),
         ("/submissions/{submission_id}/output", output.output, "GET"),
         ("/submissions/{submission_id}/sensor", sensors.sensor, "GET"),
         ("/submissions/{submission_id}/sensor/shape", sensors.shape, "GET"),

@@ -40,11 +40,12 @@ from vitac.server.receipts.receipt import Receipt
 from vitac.server.services import Services
 from vitac.server.settings import Registration, load_settings
 from vitac.server.sharing import public_pages
-from vitac.server.submissions import listing, output, receipts, runs, sensors, upload
+from vitac.server.submissions import comparison, listing, output, receipts, runs, sensors, upload
 from vitac.server.submissions.upload import AnnouncedUpload
 from vitac.server.submissions.watch import Changes
 from vitac.server.teams import teams
 from vitac.server.views.archive import ArchiveView
+from vitac.server.views.comparisons import ComparisonView
 from vitac.server.views.contest import CompetitionListView, CompetitionView, PublicRankingView, StageView
 from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
 from vitac.server.views.logs import ActionMatchView
@@ -195,6 +196,10 @@ class FixedData(FixedPlaybacks):
                 )
         raise token_missing() if by == VISITOR else not_found("submission", submission_id)
 
+    def compare(self, settings: object, by: Principal, ids: Sequence[UUID]) -> ComparisonView:
+        details = [self.submission(settings, by, submission_id) for submission_id in ids]
+        return comparison.make_comparison([comparison.make_side(one.submission, one.episodes) for one in details])
+
     def may_see(self, by: Principal, submission: SubmissionView) -> bool:
         return by.reads_all_teams or by.team_name == submission.team.name
 
@@ -322,6 +327,7 @@ for _module, _name, _data_of in (
     (submission_detail, "read_detail", lambda data: data.submission),
     (listing, "get", lambda data: data.get),
     (listing, "list_submissions", lambda data: data.submissions),
+    (comparison, "compare_results", lambda data: data.compare),
     (output, "episode_outputs", lambda data: data.output),
     (receipts, "chain_view", lambda data: data.chain),
     (receipts, "newest_receipt", lambda data: data.receipt),

@@ -45,6 +45,7 @@ class SiteUnderTest:
             f"{self.path_of('both')}/output",
             f"{self.path_of('both')}/compare",
             f"{self.path_of('both')}/compare?with={self.path_of('done').rpartition('/')[2]}",
+            "/compare",
         ]
 
     def sign_in(self, page: Page, name: str = "Gelbots") -> None:

@@ -1,103 +1,115 @@
-"""Two submissions compared episode by episode, with the exact p-value of McNemar's test."""
+"""Any results beside each other: by shape, by difficulty, in pairs, and the episodes in which they differ."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
+from uuid import UUID
 
 from sqlalchemy.orm import Session
 from starlette.requests import Request
-from starlette.responses import Response
-from vitac.evaluator.scoring.comparison import Comparison, NothingToCompare, compare
+from starlette.responses import RedirectResponse, Response
+from vitac.evaluator.tracks import load_track
+from vitac.server.leaderboards.shown import shown_leaderboard
+from vitac.server.submissions.comparison import MOST_COMPARED, compare_results
 from vitac.server.submissions.listing import list_submissions
+from vitac.server.views.comparisons import ComparedEndView, ComparedEpisodeView, ComparedResultView, ComparisonView
 
-from ...site import Viewer, get_site, page, require_viewer
+from ...site import Viewer, get_principal, get_site, get_viewer, open_to_all, page
 from ..addresses import as_id
-from ..files.formats import csv_file, json_file, objects
-from ..submission_detail import SubmissionDetail, read_detail
+from ..files.formats import csv_file, json_file
 
-COLUMNS = ("task", "episode", "shape", "first_outcome", "first_env_steps", "second_outcome", "second_env_steps")
-COUNTS = ("both", "only_first", "only_second", "neither", "unpaired", "p_value")
+ADDRESS = "/compare"
+OFFERED = 20
+"""Maximum number of a leaderboard's entries that are offered."""
+SHOWN = 20
+"""Maximum number of episodes on the page; files have all."""
 
 
+@open_to_all
 async def compare_pages(request: Request) -> Response:
-    """Show the comparison with the submission that `?with=` names, or a form to choose one."""
-    viewer = await require_viewer(request)
-    first, second = await _both(request, viewer)
-    site = get_site(request)
-    newest = await site.read(
-        lambda session: list_submissions(
-            session, site.services.settings, viewer.principal, track=first.submission.track
-        )
-    )
-    offered = [other for other in newest.items if other.id != first.submission.id and other.evaluation.scores]
-    if second and second.submission.id not in {first.submission.id, *(other.id for other in offered)}:
-        offered.append(second.submission)
+    """Show the results that `?id=` names, one or several times, beside each other."""
+    viewer = await get_viewer(request)
+    found = await _read(request, viewer)
+    names = list(_names(found.results))
     return page(
         request,
         "comparison.html",
         viewer=viewer,
-        section="/submissions",
-        first=first.submission,
-        second=second.submission if second else None,
-        found=_compared(first, second),
-        offered=offered,
+        section="",
+        found=found,
+        names=names,
+        titles=_titles(found.results),
+        different=found.differing[:SHOWN],
+        beside=partial(_beside, found),
+        versions=sorted({result.evaluator_version for result in found.results}),
+        query="&".join(f"id={result.submission_id}" for result in found.results),
+        offered=await _offered(request, viewer, found) if len(found.results) < MOST_COMPARED else {},
     )
 
 
 async def compare_csv(request: Request) -> Response:
-    """Return the pairs of episodes as a file."""
-    viewer = await require_viewer(request)
-    return csv_file("comparison", COLUMNS, _pairs(_compared(*await _both(request, viewer))))
+    """Return the episodes in which they differ as a file, with two columns for each result."""
+    found = await _read(request, await get_viewer(request))
+    columns = [f"{name} {what}" for name in _names(found.results) for what in ("outcome", "env steps")]
+    rows = (
+        (one.task, one.episode, one.shape, *(cell for end in one.ends for cell in _cells(end)))
+        for one in found.differing
+    )
+    return csv_file("comparison", ("task", "episode", "shape", *columns), rows)
 
 
 async def compare_json(request: Request) -> Response:
-    """Return counts, p-value and pairs of episodes as a file; `result` is null where nothing can be compared."""
-    viewer = await require_viewer(request)
-    first, second = await _both(request, viewer)
-    found = _compared(first, second)
-    result = {name: getattr(found, name) for name in COUNTS} if found else None
-    return json_file(
-        "comparison",
-        {
-            "first": _named(first),
-            "second": _named(second) if second else None,
-            "result": result,
-            "pairs": objects(COLUMNS, _pairs(found)),
-        },
-    )
+    """Return the comparison as a file, as the API answers it."""
+    return json_file("comparison", (await _read(request, await get_viewer(request))).model_dump(mode="json"))
 
 
-def _named(detail: SubmissionDetail) -> dict[str, str]:
-    found = detail.submission
-    evaluator = found.evaluation.evaluator_version
-    return {"id": str(found.id), "name": found.name, "team": found.team.name, "evaluator_version": evaluator}
+async def compare_with(request: Request) -> Response:
+    """Lead from the address below a submission, with `?with=` another one, to the page of both."""
+    named = (request.path_params["submission_id"], request.query_params.get("with"))
+    ids = [str(as_id(one)) for one in named if one]
+    return RedirectResponse(f"{ADDRESS}?{'&'.join(f'id={one}' for one in ids)}", status_code=303)
 
 
-def _pairs(found: Comparison | None) -> Iterator[tuple[object, ...]]:
-    for pair in found.pairs if found else ():
-        first, second = pair.first, pair.second
-        ends = (first.outcome, first.env_steps, second.outcome, second.env_steps)
-        yield first.task, first.episode, first.shape, *ends
+def _beside(found: ComparisonView, one: ComparedEpisodeView, place: int) -> str:
+    """Return the query by which the page of an episode shows another result's beside it; empty where there is none."""
+    other = next((n for n, end in enumerate(one.ends) if end is not None and n != place), None)
+    return "" if other is None else f"?beside={found.results[other].submission_id}:{one.episode}"
 
 
-async def _both(request: Request, viewer: Viewer) -> tuple[SubmissionDetail, SubmissionDetail | None]:
-    site, named = get_site(request), request.query_params.get("with")
-    submission_id, other_id = as_id(request.path_params["submission_id"]), as_id(named) if named else None
+def _cells(end: ComparedEndView | None) -> tuple[object, object]:
+    return (end.outcome, end.env_steps) if end else (None, None)
 
-    def read(session: Session) -> tuple[SubmissionDetail, SubmissionDetail | None]:
-        read_one = partial(read_detail, session, site.services.settings, viewer.principal)
-        return read_one(submission_id), read_one(other_id) if other_id else None
+
+async def _read(request: Request, viewer: Viewer | None) -> ComparisonView:
+    ids = [as_id(named) for named in request.query_params.getlist("id")][: MOST_COMPARED + 1]
+    site, by = get_site(request), get_principal(viewer)
+    return await site.read(lambda session: compare_results(session, site.services.settings, by, ids))
+
+
+def _names(results: Sequence[ComparedResultView]) -> Iterator[str]:
+    """Yield a name for each result, with its number where another one has the same."""
+    plain = [f"{result.team}: {result.submission_name}" for result in results]
+    for number, name in enumerate(plain, start=1):
+        yield f"{name} ({number})" if plain.count(name) > 1 else name
+
+
+def _titles(results: Sequence[ComparedResultView]) -> dict[str, str]:
+    """Return the titles of all tasks of their tracks."""
+    tracks = {result.track for result in results}
+    return {name: task.title for track in tracks for name, task in load_track(track).tasks.items()}
+
+
+async def _offered(request: Request, viewer: Viewer | None, found: ComparisonView) -> dict[UUID, str]:
+    """Return what can be added: the visitor's newest results of the track, and the first of its leaderboard."""
+    if not found.results:
+        return {}
+    track, taken = found.results[0].track, {result.submission_id for result in found.results}
+    site, by = get_site(request), get_principal(viewer)
+
+    def read(session: Session) -> dict[UUID, str]:
+        own = list_submissions(session, site.services.settings, by, track=track).items if viewer else []
+        listed = {one.id: f"{one.team.name}: {one.name}" for one in own if one.evaluation.scores}
+        for entry in shown_leaderboard(session, by, track).view.entries[:OFFERED]:
+            listed.setdefault(entry.submission_id, f"{entry.team}: {entry.submission_name}")
+        return {submission_id: name for submission_id, name in listed.items() if submission_id not in taken}
 
     return await site.read(read)
-
-
-def _compared(first: SubmissionDetail, second: SubmissionDetail | None) -> Comparison | None:
-    """Return the comparison; None where there is nothing to compare, also because the lists were not the same."""
-    ours, theirs = first.submission, second.submission if second else None
-    if second is None or theirs is None or ours.track != theirs.track:
-        return None
-    if ours.evaluation.commitment != theirs.evaluation.commitment:
-        return None
-    try:
-        return compare(first.episodes, second.episodes)
-    except NothingToCompare:
-        return None

@@ -1,6 +1,5 @@
 import csv
 import io
-import json
 import re
 from collections.abc import Mapping
 from uuid import UUID
@@ -8,7 +7,7 @@ from uuid import UUID
 import page_service
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import LOCK, TASK, a_submission, an_id, some_episodes
+from page_fixtures import LOCK, TASK, a_leaderboard, a_score, a_submission, an_entry, an_id, some_episodes
 from page_service import FixedData
 from visits import BOTH, COMPLETED, QUEUED, RUNNING, sign_in
 from vitac.server.db.states import EvaluationState
@@ -17,6 +16,7 @@ from vitac.server.views.submissions import EpisodeView, SubmissionView
 from vitac.web.pages.submission_detail import SubmissionDetail
 
 OTHER = a_submission("Gelbots", EvaluationState.COMPLETED, name="other")
+THIRD = a_submission("Gelbots", EvaluationState.COMPLETED, name="third")
 ONLY_LOCK = a_submission("Gelbots", EvaluationState.COMPLETED, name="lock", tasks=(LOCK,))
 
 
@@ -30,7 +30,7 @@ def some_ends(solved: str) -> list[EpisodeView]:
 @pytest.fixture
 def ends(data: FixedData, monkeypatch: pytest.MonkeyPatch) -> dict[UUID, list[EpisodeView]]:
     """Episodes of submissions, to be filled."""
-    data.found = [COMPLETED, OTHER, BOTH, ONLY_LOCK, RUNNING, QUEUED]
+    data.found = [COMPLETED, OTHER, THIRD, BOTH, ONLY_LOCK, RUNNING, QUEUED]
     given: dict[UUID, list[EpisodeView]] = {}
     whole = FixedData.submission
 
@@ -44,64 +44,69 @@ def ends(data: FixedData, monkeypatch: pytest.MonkeyPatch) -> dict[UUID, list[Ep
     return given
 
 
-def shown(browser: AsgiBrowser, other: SubmissionView | None, suffix: str = "") -> str:
+def shown(browser: AsgiBrowser, *others: SubmissionView, suffix: str = "") -> str:
     sign_in(browser, "Gelbots")
-    query = f"?with={other.id}" if other else ""
-    answer = browser.get(f"/submissions/{COMPLETED.id}/compare{suffix}{query}")
+    query = "&".join(f"id={one.id}" for one in (COMPLETED, *others))
+    answer = browser.get(f"/compare{suffix}?{query}")
     assert answer.status_code == 200
     return answer.text
 
 
-def test_without_another_one_a_form_offers_those_that_can_be_compared(
-    browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]
+def texts(html: str) -> list[list[str]]:
+    """The rows of all tables, as the texts of their cells."""
+    rows = re.findall(r"<tr role=.*?</tr>", html, re.DOTALL)
+    cells = [re.findall(r"<t[dh] .*?</t[dh]>", row, re.DOTALL) for row in rows]
+    return [[" ".join(re.sub(r"<[^>]+>", " ", cell).split()) for cell in row] for row in cells]
+
+
+def test_own_results_and_those_of_the_board_are_offered(
+    data: FixedData, browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]
 ) -> None:
     assert ends == {}
-    html = shown(browser, None)
+    bears = an_entry(1, "Bears", a_score((90, 80, 71), 4.31))
+    data.board = a_leaderboard(bears)
+    html = shown(browser)
     for offered in (OTHER, BOTH):
-        assert f'<option value="{offered.id}"' in html
+        assert f'<option value="{offered.id}">' in html
     for other in (COMPLETED, RUNNING, QUEUED):
         assert f'<option value="{other.id}"' not in html
+    assert f'<option value="{bears.submission_id}">Bears: policy</option>' in html
 
 
-def test_two_submissions_of_one_name_are_told_apart(
+def test_the_address_below_a_submission_leads_to_the_page_of_both(browser: AsgiBrowser) -> None:
+    answer = browser.get(f"/submissions/{COMPLETED.id}/compare?with={OTHER.id}")
+    assert (answer.status_code, answer.headers["location"]) == (303, f"/compare?id={COMPLETED.id}&id={OTHER.id}")
+
+
+def test_submissions_of_one_name_have_numbers(
     data: FixedData, browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]
 ) -> None:
     again = COMPLETED.model_copy(update={"id": an_id("again")})
     data.found = [COMPLETED, again, OTHER]
     ends |= {COMPLETED.id: some_ends("xxo"), again.id: some_ends("xoo"), OTHER.id: some_ends("xoo")}
-    html, name = shown(browser, again), COMPLETED.name
-    for named in (f"Only {name} (first)</dt><dd>1</dd>", f"Only {name} (second)</dt><dd>0</dd>"):
-        assert named in html
-    for number, which in (("first", name), ("second", name)):
-        assert f'scope="col">{which} ({number})</th>' in html
-    assert "(first)" not in shown(browser, OTHER), "two names say which is which"
+    assert "Gelbots: done (1) and Gelbots: done (2)" in {row[0] for row in texts(shown(browser, again))}
+    assert "Gelbots: done and Gelbots: other" in {row[0] for row in texts(shown(browser, OTHER))}
 
 
-def test_those_of_the_track_are_offered_whatever_was_submitted_since(
-    data: FixedData, browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]
-) -> None:
-    assert ends == {}
-    later = [COMPLETED.model_copy(update={"id": an_id(f"log {n}"), "track": "track_2"}) for n in range(2)]
-    data.found, data.page_size = [*later, OTHER, COMPLETED, BOTH], 2
-    html = shown(browser, None)
-    assert f'<option value="{OTHER.id}"' in html
-    assert str(later[0].id) not in html
-    assert str(BOTH.id) not in html  # on a later page, but named by the address
-    assert f'<option value="{BOTH.id}" selected' in shown(browser, BOTH)
-
-
-def test_counts_p_value_and_differing_episodes_are_shown(
+def test_three_are_compared_in_pairs_by_shape_and_by_difficulty(
     browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]
 ) -> None:
-    ends[COMPLETED.id], ends[OTHER.id] = some_ends("xxxxxxx.."), some_ends("x......x.")
-    html = shown(browser, OTHER)
-    for name, count in (("Both solve", 1), ("Only done", 6), ("Only other", 1), ("Neither", 1)):
-        assert f"<dt>{name}</dt><dd>{count}</dd>" in html
-    assert "<dd>0.125</dd>" in html
-    assert html.count("<tr role=") == 1 + 7
-    assert f'<option value="{OTHER.id}" selected' in html
-    for meaning in ("success: The task was solved.", "steps: All env steps were used up."):
-        assert html.count(f"<li>{meaning}</li>") == 1
+    ends |= {COMPLETED.id: some_ends("xxxxxxx.."), OTHER.id: some_ends("x......x."), THIRD.id: some_ends("x......x.")}
+    rows = texts(shown(browser, OTHER, THIRD).replace("\N{NO-BREAK SPACE}", " "))
+    names = [f"Gelbots: {name}" for name in ("done", "other", "third")]
+    pairs = {row[0]: [cell.split()[-1] for cell in row[1:]] for row in rows if " and " in row[0]}
+    assert pairs == {
+        f"{names[0]} and {names[1]}": ["1", "6", "1", "1", "0.125"],
+        f"{names[0]} and {names[2]}": ["1", "6", "1", "1", "0.125"],
+        f"{names[1]} and {names[2]}": ["2", "0", "0", "7", "1"],
+    }
+    assert ["Shape", *names] in rows
+    assert next(row for row in rows if row[0] == "Trapezoid")[1].endswith("82.2 % 74 of 90")
+    assert ["Starts", *names] in rows
+    quarters = [row for row in rows if row[0].endswith("starts")]
+    assert [row[0] for row in quarters] == ["Far starts", "Farthest starts"], "of the others none was played"
+    counts = [re.findall(r"(\d+) of (\d+)", " ".join(row)) for row in quarters]
+    assert [sum(int(done) for done, _ in of) for of in zip(*filter(None, counts), strict=True)] == [7, 2, 2]
 
 
 def test_each_differing_episode_leads_to_both_side_by_side(
@@ -110,59 +115,38 @@ def test_each_differing_episode_leads_to_both_side_by_side(
     ends[COMPLETED.id], ends[OTHER.id] = some_ends("xx."), some_ends("x.x")
     html = shown(browser, OTHER)
     links = re.findall(r'href="/submissions/([0-9a-f-]+)/episodes/([a-z-]+)/(\d+)\?beside=([0-9a-f-]+):(\d+)"', html)
-    assert len(links) == 2
-    for first, task, number, second, beside in links:
-        assert (first, second, beside) == (str(COMPLETED.id), str(OTHER.id), number)
-        assert task == "peg-insertion"
+    mine, other = str(COMPLETED.id), str(OTHER.id)
+    assert links == [(one, TASK, n, two, n) for n in "23" for one, two in ((mine, other), (other, mine))]
 
 
-def test_all_pairs_are_a_file(browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]) -> None:
-    ends[COMPLETED.id], ends[OTHER.id] = some_ends("x."), some_ends("..")
-    rows = list(csv.DictReader(io.StringIO(shown(browser, OTHER, ".csv"))))
-    assert [(row["episode"], row["first_outcome"], row["second_outcome"]) for row in rows] == [
-        ("1", "success", "steps"),
-        ("2", "steps", "steps"),
-    ]
+def test_differing_episodes_and_the_comparison_are_files(
+    browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]
+) -> None:
+    ends[COMPLETED.id], ends[OTHER.id] = some_ends("x.."), some_ends("...")
+    rows = list(csv.DictReader(io.StringIO(shown(browser, OTHER, suffix=".csv"))))
+    (row,) = rows
+    assert (row["episode"], row["Gelbots: done outcome"], row["Gelbots: other outcome"]) == ("1", "success", "steps")
+    assert '"p_value":1.0' in shown(browser, OTHER, suffix=".json")
 
 
-def test_counts_and_pairs_are_a_file_too(browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]) -> None:
-    ends[COMPLETED.id], ends[OTHER.id] = some_ends("xxxxxxx.."), some_ends("x......x.")
-    assert f'href="/submissions/{COMPLETED.id}/compare.json?with={OTHER.id}"' in shown(browser, OTHER)
-    found = json.loads(shown(browser, OTHER, ".json"))
-    counts = {"both": 1, "only_first": 6, "only_second": 1, "neither": 1, "unpaired": 0, "p_value": 0.125}
-    assert found["result"] == counts
-    assert (found["first"]["id"], found["second"]["name"]) == (str(COMPLETED.id), OTHER.name)
-    assert len(found["pairs"]) == 9
-    second = found["pairs"][1]
-    assert (second["task"], second["episode"]) == (TASK, 2)
-    assert (second["first_outcome"], second["second_outcome"]) == ("success", "steps")
-    assert second["first_env_steps"] == ends[COMPLETED.id][1].env_steps
-    nothing = json.loads(shown(browser, ONLY_LOCK, ".json"))
-    assert (nothing["result"], nothing["pairs"]) == (None, [])
-    assert json.loads(shown(browser, None, ".json"))["second"] is None
-
-
-def test_nothing_in_common_is_told(browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]) -> None:
+def test_nothing_in_common_is_said(data: FixedData, browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]) -> None:
     assert "have no episode in common" in shown(browser, ONLY_LOCK)
     ends[OTHER.id] = []
     assert "have no episode in common" in shown(browser, OTHER)
+    sealed = THIRD.evaluation.model_copy(update={"commitment": "c0ffee"})
+    data.found[2] = THIRD.model_copy(update={"evaluation": sealed})
+    assert "have no episode in common" in shown(browser, THIRD)
 
 
-def test_other_lists_are_not_compared(data: FixedData, browser: AsgiBrowser) -> None:
-    sealed = OTHER.evaluation.model_copy(update={"commitment": "c0ffee"})
-    data.found = [COMPLETED, OTHER.model_copy(update={"evaluation": sealed})]
-    assert "have no episode in common" in shown(browser, OTHER)
-
-
-def test_different_evaluators_are_told(data: FixedData, browser: AsgiBrowser) -> None:
+def test_different_evaluators_are_named(data: FixedData, browser: AsgiBrowser) -> None:
     data.found = [COMPLETED, OTHER]
     assert "different evaluators" not in shown(browser, OTHER)
     older = OTHER.evaluation.model_copy(update={"evaluator_version": "0+old"})
     data.found = [COMPLETED, OTHER.model_copy(update={"evaluation": older})]
-    assert "different evaluators, 1+0123456789ab and 0+old" in shown(browser, OTHER)
+    assert "different evaluators, 0+old and 1+0123456789ab" in shown(browser, OTHER)
 
 
 def test_another_teams_submission_is_not_there(browser: AsgiBrowser) -> None:
     sign_in(browser, "Gelbots")
     for other in (QUEUED.id, an_id("nobody"), "no-id"):
-        assert browser.get(f"/submissions/{COMPLETED.id}/compare?with={other}").status_code == 404
+        assert browser.get(f"/compare?id={COMPLETED.id}&id={other}").status_code == 404

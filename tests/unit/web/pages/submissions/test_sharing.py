@@ -30,7 +30,6 @@ def test_everybody_sees_the_result_and_nothing_of_the_team(browser: AsgiBrowser)
         for hidden in (
             "Make it private",
             "Submissions so far",
-            "/compare",
             "/output",
             "/api/v1/submissions/",
             "Cancel",

@@ -1,0 +1,267 @@
+"""Results beside each other; called by the API and the pages.
+
+Of a submission that somebody may not see, what a leaderboard shows of it is compared: its scores, no episodes.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import combinations
+from math import hypot
+from uuid import UUID
+
+from sqlalchemy.orm import Session
+from vitac.envs.tasks.definition import Family
+from vitac.evaluator.scoring.comparison import NothingToCompare, compare
+from vitac.evaluator.scoring.score import rate
+
+from ..db.models import Submission
+from ..errors import ProblemCode, ServiceError
+from ..evaluations.history import newest_evaluation
+from ..leaderboards.shown import shown_leaderboard
+from ..principals import Principal
+from ..settings import Settings
+from ..sharing.public_pages import readable
+from ..tracks import find_family, known_task
+from ..views.comparisons import (
+    ComparedEndView,
+    ComparedEpisodeView,
+    ComparedGroupView,
+    ComparedPairView,
+    ComparedResultView,
+    ComparisonView,
+    RateView,
+)
+from ..views.leaderboards import LeaderboardEntryView
+from ..views.scores import ShapeScoreView, TaskScoreView
+from ..views.submissions import EpisodeView, SubmissionView
+from . import listing
+
+MOST_COMPARED = 8
+QUARTERS = ("nearest starts", "near starts", "far starts", "farthest starts")
+"""Episodes by the distance of their start from the target, as names of four groups of starts."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Side:
+    """One of the results, with the episodes that are shown of it.
+
+    Attributes:
+        view: the result.
+        episodes: how they ended; empty where single episodes are not shown.
+        commitment: of the list that it played; None: the track file's own.
+    """
+
+    view: ComparedResultView
+    episodes: Sequence[EpisodeView] = ()
+    commitment: str | None = None
+
+    def plays_list_of(self, other: "Side") -> bool:
+        """Return whether an episode of both with one number is the same one."""
+        return (self.view.track, self.commitment) == (other.view.track, other.commitment)
+
+
+def compare_results(session: Session, settings: Settings, by: Principal, ids: Sequence[UUID]) -> ComparisonView:
+    """Return some results beside each other, in their order.
+
+    Args:
+        session: of the transaction.
+        settings: of this process.
+        by: who reads it.
+        ids: of the submissions.
+
+    Raises:
+        ServiceError: there is a submission that they may not see and that is on no leaderboard, or there are too many.
+    """
+    wanted = tuple(dict.fromkeys(ids))
+    if len(wanted) > MOST_COMPARED:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST,
+            f"Expected at most {MOST_COMPARED} submissions to compare, got {len(wanted)}. Leave some out.",
+        )
+    return make_comparison([_read_side(session, settings, by, submission_id) for submission_id in wanted])
+
+
+def _read_side(session: Session, settings: Settings, by: Principal, submission_id: UUID) -> Side:
+    try:
+        submission = readable(session, by, submission_id)
+    except ServiceError:
+        hidden = session.get(Submission, submission_id)
+        entry = _find_entry(session, by, hidden) if hidden else None
+        if hidden is None or entry is None:
+            raise
+        return Side(view=_view_of_entry(entry, hidden.track))
+    found = listing.get(session, settings, by, submission.id)
+    return make_side(found, listing.list_episodes(session, by, newest_evaluation(session, submission)))
+
+
+def make_side(found: SubmissionView, episodes: Sequence[EpisodeView]) -> Side:
+    """Return a submission that the reader may see."""
+    view = ComparedResultView(
+        submission_id=found.id,
+        submission_name=found.name,
+        team=found.team.name,
+        track=found.track,
+        submitted_at=found.submitted_at,
+        evaluator_version=found.evaluation.evaluator_version,
+        played=found.evaluation.played,
+        scores=found.evaluation.scores,
+        has_page=True,
+        episodes=len(episodes),
+    )
+    return Side(view=view, episodes=episodes, commitment=found.evaluation.commitment)
+
+
+def _find_entry(session: Session, by: Principal, submission: Submission) -> LeaderboardEntryView | None:
+    """Return the entry of a submission on a leaderboard that everybody sees; None where it is on none."""
+    for task in (None, *submission.tasks):
+        if task is None or known_task(submission.track, task):
+            board = shown_leaderboard(
+                session,
+                by,
+                submission.track,
+                task=task,
+                stage=submission.stage or None,
+                contest=submission.contest or None,
+            ).view
+            found = next((entry for entry in board.entries if entry.submission_id == submission.id), None)
+            if found is not None:
+                return found
+    return None
+
+
+def _view_of_entry(entry: LeaderboardEntryView, track: str) -> ComparedResultView:
+    return ComparedResultView(
+        submission_id=entry.submission_id,
+        submission_name=entry.submission_name,
+        team=entry.team,
+        track=track,
+        submitted_at=entry.submitted_at,
+        evaluator_version=entry.evaluator_version,
+        played=entry.played,
+        scores=entry.scores,
+        has_page=False,
+        episodes=0,
+    )
+
+
+def make_comparison(sides: Sequence[Side]) -> ComparisonView:
+    """Return some results beside each other."""
+    return ComparisonView(
+        results=[side.view for side in sides],
+        groups=[*_by_shape(sides), *_by_difficulty(sides)],
+        pairs=list(_pairs(sides)),
+        differing=list(_differing(sides)),
+    )
+
+
+def _by_shape(sides: Sequence[Side]) -> Iterator[ComparedGroupView]:
+    scores = [{score.task: score for score in side.view.scores} for side in sides]
+    for task in dict.fromkeys(task for by_task in scores for task in by_task):
+        shapes = [_shapes(by_task.get(task)) for by_task in scores]
+        for shape in dict.fromkeys(name for by_shape in shapes for name in by_shape):
+            rates = [_rate_view(by_shape[shape]) if shape in by_shape else None for by_shape in shapes]
+            yield ComparedGroupView(task=task, name=shape, is_shape=True, rates=rates)
+
+
+def _shapes(score: TaskScoreView | None) -> Mapping[str, ShapeScoreView]:
+    return {part.shape: part for part in score.shapes} if score else {}
+
+
+def _rate_view(part: ShapeScoreView) -> RateView:
+    return RateView(
+        episodes=part.episodes,
+        successes=part.successes,
+        success_rate=part.success_rate,
+        success_rate_interval=part.success_rate_interval,
+    )
+
+
+def _by_difficulty(sides: Sequence[Side]) -> Iterator[ComparedGroupView]:
+    """Yield the rates among four groups of starts, where these are the track file's, and known."""
+    known = [side for side in sides if side.episodes and side.commitment is None]
+    named = dict.fromkeys((side.view.track, end.task) for side in known for end in side.episodes)
+    for track, task in named:
+        quarters = quarters_of_starts(track, task)
+        for quarter, name in enumerate(QUARTERS if quarters else ()):
+            rates = [
+                _rate_among(side, task, quarters, quarter) if side in known and side.view.track == track else None
+                for side in sides
+            ]
+            if any(rates):
+                yield ComparedGroupView(task=task, name=name, is_shape=False, rates=rates)
+
+
+def _rate_among(side: Side, task: str, quarters: Mapping[int, int], quarter: int) -> RateView | None:
+    ends = [end for end in side.episodes if end.task == task and quarters.get(end.episode) == quarter]
+    if not ends:
+        return None
+    found = rate(sum(end.success for end in ends), len(ends))
+    return RateView(
+        episodes=found.episodes,
+        successes=found.successes,
+        success_rate=found.success_rate,
+        success_rate_interval=(found.interval.low, found.interval.high),
+    )
+
+
+@cache
+def quarters_of_starts(track: str, task: str) -> Mapping[int, int]:
+    """Return in which quarter of the starts each episode is, by number: 0 for those nearest to their targets.
+
+    The distance is that of the offset, each component relative to the largest in the list. Empty for tasks whose starts
+    are no offsets.
+    """
+    found = known_task(track, task)
+    if found is None or find_family(track, task) is not Family.TACTILE:
+        return {}
+    starts = {episode.offset for episode in found.episodes}
+    largest = [max(abs(start[place]) for start in starts) or 1.0 for place in range(len(next(iter(starts))))]
+    distances = {start: hypot(*(value / most for value, most in zip(start, largest, strict=True))) for start in starts}
+    ordered = sorted(starts, key=lambda start: (distances[start], start))
+    quarter = {start: len(QUARTERS) * place // len(ordered) for place, start in enumerate(ordered)}
+    return {episode.number: quarter[episode.offset] for episode in found.episodes}
+
+
+def _pairs(sides: Sequence[Side]) -> Iterator[ComparedPairView]:
+    for (first, ours), (second, theirs) in combinations(enumerate(sides), 2):
+        if not ours.plays_list_of(theirs):
+            continue
+        try:
+            found = compare(ours.episodes, theirs.episodes)
+        except NothingToCompare:
+            continue
+        yield ComparedPairView(
+            first=first,
+            second=second,
+            both=found.both,
+            only_first=found.only_first,
+            only_second=found.only_second,
+            neither=found.neither,
+            unpaired=found.unpaired,
+            p_value=found.p_value,
+        )
+
+
+def _differing(sides: Sequence[Side]) -> Iterator[ComparedEpisodeView]:
+    """Yield the episodes that some solve and others do not, of those on the list of the first that shows any."""
+    first = next((side for side in sides if side.episodes), None)
+    if first is None:
+        return
+    ends = [
+        {(end.task, end.episode): end for end in side.episodes} if side.plays_list_of(first) else {} for side in sides
+    ]
+    for task, number in sorted({key for by_key in ends for key in by_key}):
+        played = [by_key.get((task, number)) for by_key in ends]
+        shown = [end for end in played if end is not None]
+        if len({end.success for end in shown}) > 1:
+            yield ComparedEpisodeView(
+                task=task,
+                episode=number,
+                shape=shown[0].shape,
+                ends=[_end_view(end) if end is not None else None for end in played],
+            )
+
+
+def _end_view(end: EpisodeView) -> ComparedEndView:
+    return ComparedEndView(outcome=end.outcome, success=end.success, env_steps=end.env_steps)
