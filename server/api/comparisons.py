@@ -5,7 +5,7 @@ from uuid import UUID
 
 from fastapi import APIRouter, Query
 
-from ..submissions.comparison import MOST_COMPARED, compare_results
+from ..submissions.comparison import MAX_COMPARED, compare_results
 from ..views.comparisons import ComparisonView
 from .access import ReaderOf, ServicesOf
 from .problems import RESPONSES
@@ -17,7 +17,7 @@ router = APIRouter(prefix="/comparisons", tags=["submissions"], responses=RESPON
 def get_comparison(
     services: ServicesOf,
     principal: ReaderOf,
-    submission: Annotated[list[UUID], Query(min_length=1, max_length=MOST_COMPARED, description="Id of each.")],
+    submission: Annotated[list[UUID], Query(min_length=1, max_length=MAX_COMPARED, description="Id of each.")],
 ) -> ComparisonView:
     """Return results beside each other; of submissions that you may not see, what leaderboards show of them."""
     with services.database.reading() as session:

@@ -37,7 +37,7 @@ from ..views.scores import ShapeScoreView, TaskScoreView
 from ..views.submissions import EpisodeView, SubmissionView
 from . import listing
 
-MOST_COMPARED = 8
+MAX_COMPARED = 8
 QUARTERS = ("nearest starts", "near starts", "far starts", "farthest starts")
 """Episodes by the distance of their start from the target, as names of four groups of starts."""
 
@@ -74,10 +74,10 @@ def compare_results(session: Session, settings: Settings, by: Principal, ids: Se
         ServiceError: there is a submission that they may not see and that is on no leaderboard, or there are too many.
     """
     wanted = tuple(dict.fromkeys(ids))
-    if len(wanted) > MOST_COMPARED:
+    if len(wanted) > MAX_COMPARED:
         raise ServiceError(
             ProblemCode.INVALID_REQUEST,
-            f"Expected at most {MOST_COMPARED} submissions to compare, got {len(wanted)}. Leave some out.",
+            f"Expected at most {MAX_COMPARED} submissions to compare, got {len(wanted)}. Leave some out.",
         )
     return make_comparison([_read_side(session, settings, by, submission_id) for submission_id in wanted])
 

@@ -9,7 +9,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.tracks import load_track
 from vitac.server.leaderboards.shown import shown_leaderboard
-from vitac.server.submissions.comparison import MOST_COMPARED, compare_results
+from vitac.server.submissions.comparison import MAX_COMPARED, compare_results
 from vitac.server.submissions.listing import list_submissions
 from vitac.server.views.comparisons import ComparedEndView, ComparedEpisodeView, ComparedResultView, ComparisonView
 
@@ -42,7 +42,7 @@ async def compare_pages(request: Request) -> Response:
         beside=partial(_beside, found),
         versions=sorted({result.evaluator_version for result in found.results}),
         query="&".join(f"id={result.submission_id}" for result in found.results),
-        offered=await _offered(request, viewer, found) if len(found.results) < MOST_COMPARED else {},
+        offered=await _offered(request, viewer, found) if len(found.results) < MAX_COMPARED else {},
     )
 
 
@@ -80,7 +80,7 @@ def _cells(end: ComparedEndView | None) -> tuple[object, object]:
 
 
 async def _read(request: Request, viewer: Viewer | None) -> ComparisonView:
-    ids = [as_id(named) for named in request.query_params.getlist("id")][: MOST_COMPARED + 1]
+    ids = [as_id(named) for named in request.query_params.getlist("id")][: MAX_COMPARED + 1]
     site, by = get_site(request), get_principal(viewer)
     return await site.read(lambda session: compare_results(session, site.services.settings, by, ids))
 

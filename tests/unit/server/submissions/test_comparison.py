@@ -6,7 +6,7 @@ from vitac.evaluator.tracks import load_track
 from vitac.server.db.engine import Database
 from vitac.server.errors import ServiceError
 from vitac.server.principals import VISITOR
-from vitac.server.submissions.comparison import MOST_COMPARED, compare_results, quarters_of_starts
+from vitac.server.submissions.comparison import MAX_COMPARED, compare_results, quarters_of_starts
 
 
 def test_of_a_submission_that_somebody_may_not_see_what_boards_show_is_compared(database: Database) -> None:
@@ -33,7 +33,7 @@ def test_so_much_is_compared_at_once(database: Database) -> None:
         database.transaction() as session,
         pytest.raises(ServiceError, match="at most 8 submissions to compare, got 9"),
     ):
-        compare_results(session, make_settings(), VISITOR, [uuid4() for _ in range(MOST_COMPARED + 1)])
+        compare_results(session, make_settings(), VISITOR, [uuid4() for _ in range(MAX_COMPARED + 1)])
 
 
 def test_starts_of_a_task_are_in_four_groups_by_their_distance_all_repeats_in_one() -> None:
