@@ -121,7 +121,7 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("delete", "/api/v1/tokens/{token_id}"): LEADERS,
     ("get", "/api/v1/submissions"): SIGNED_IN,
     ("post", "/api/v1/submissions"): TEAMS | {Who.ORGANIZER},
-    ("get", "/api/v1/comparisons"): READERS,
+    ("get", "/api/v1/comparisons"): EVERYBODY,
     ("get", SUBMISSION): READERS,
     ("get", f"{SUBMISSION}/episodes"): READERS,
     ("get", f"{SUBMISSION}/action-matches"): READERS,
