@@ -234,7 +234,7 @@ def list_addresses(services: Services) -> tuple[dict[str, str], dict[str, str], 
 
 
 async def measure_times(client: httpx.AsyncClient, address: str, n_requests: int) -> dict[str, float]:
-    """Ask for one page again and again."""
+    """Ask for one page again and again, and return its times and its size."""
     wall_ms, cpu_ms = [], []
     for _ in range(WARM_UP + n_requests):
         began, began_cpu = perf_counter(), process_time()
@@ -242,7 +242,8 @@ async def measure_times(client: httpx.AsyncClient, address: str, n_requests: int
         wall_ms.append(1000 * (perf_counter() - began))
         cpu_ms.append(1000 * (process_time() - began_cpu))
         response.raise_for_status()
-    return percentiles(wall_ms[WARM_UP:]) | {f"cpu_{name}": ms for name, ms in percentiles(cpu_ms[WARM_UP:]).items()}
+    times = percentiles(wall_ms[WARM_UP:]) | {f"cpu_{name}": ms for name, ms in percentiles(cpu_ms[WARM_UP:]).items()}
+    return times | {"kB": round(len(response.content) / 1000, 1)}
 
 
 def percentiles(times_ms: list[float]) -> dict[str, float]:

@@ -4,18 +4,22 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
-from ..leaderboards.made_boards import MadeBoard
+from ..leaderboards.made_boards import PAGE_ENTRIES, MadeBoard
 from ..leaderboards.shown import shown_leaderboard, shown_log_boards
 from ..tracks import load_known_track, track_file, track_view, track_views
 from ..views.leaderboards import LeaderboardView, LogBoardsView
 from ..views.tracks import TrackListView, TrackView
-from .access import ReaderOf, ServicesOf
+from .access import MAX_NUMBER, ReaderOf, ServicesOf
 from .conditional import answer
 from .problems import RESPONSES
+
+MAX_PAGE_ENTRIES = 500
 
 router = APIRouter(tags=["tracks"], responses=RESPONSES)
 
 Stage = Annotated[str | None, Query(description="Of the competition; the one that opened last without it.")]
+After = Annotated[int, Query(ge=0, le=MAX_NUMBER, description="`next_after` of the page before.")]
+Limit = Annotated[int, Query(ge=1, le=MAX_PAGE_ENTRIES, description="Number of entries.")]
 UNCHANGED: dict[int | str, dict[str, Any]] = {
     304: {"description": "As the `If-None-Match` of the request says, the client has this revision."}
 }
@@ -50,11 +54,13 @@ def get_leaderboard(
     contest: str | None = None,
     task: Annotated[str | None, Query(description="Rank by this task alone; all tasks together without it.")] = None,
     stage: Stage = None,
+    after: After = 0,
+    limit: Limit = PAGE_ENTRIES,
 ) -> Response:
-    """Return the standings of a track or of one of its tasks: the best completed evaluation of each team."""
+    """Return a page of the standings of a track or of one of its tasks: the best completed evaluation of each team."""
     with services.database.reading() as session:
         board = shown_leaderboard(session, principal, track, task=task, stage=stage, contest=contest)
-    return _answer(request, board)
+    return _answer(request, board, after, limit)
 
 
 @router.get("/competitions/{contest}/leaderboards/{track}/logs", response_model=LogBoardsView, responses=UNCHANGED)
@@ -67,17 +73,21 @@ def get_log_boards(
     *,
     contest: str | None = None,
     stage: Stage = None,
+    after: After = 0,
+    limit: Limit = PAGE_ENTRIES,
 ) -> Response:
-    """Return the verified logs of a track, ranked by task, and the 2025 text logs, which are not ranked."""
+    """Return a page of the verified logs of a track, ranked by task, and the 2025 text logs, which are not ranked."""
     with services.database.reading() as session:
         board = shown_log_boards(session, principal, track, stage=stage, contest=contest)
-    return _answer(request, board)
+    return _answer(request, board, after, limit)
 
 
-def _answer(request: Request, board: MadeBoard[LeaderboardView] | MadeBoard[LogBoardsView]) -> Response:
+def _answer(
+    request: Request, board: MadeBoard[LeaderboardView] | MadeBoard[LogBoardsView], after: int, limit: int
+) -> Response:
     return answer(
         request,
-        board.body,
+        board.body(after, limit),
         revision=board.view.revision,
         media_type="application/json",
         headers={"Cache-Control": "no-cache", "Vary": "Authorization"},

@@ -15,12 +15,15 @@ from vitac.evaluator.version import evaluator_version
 
 from ..views.leaderboards import LeaderboardView, LogBoardsView
 
+PAGE_ENTRIES = 100
+"""Number of entries of a page that the API sends."""
+
 BoardT = TypeVar("BoardT", LeaderboardView, LogBoardsView)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MadeBoard(Generic[BoardT]):
-    """A board, and as the API sends it.
+    """A board, and pages of it as the API sends them.
 
     Attributes:
         view: the board.
@@ -30,10 +33,16 @@ class MadeBoard(Generic[BoardT]):
     view: BoardT
     names: str = ""
 
+    def body(self, after: int = 0, limit: int = PAGE_ENTRIES) -> bytes:
+        """Return a page of the board as JSON; the first one is kept."""
+        return self._first if (after, limit) == (0, PAGE_ENTRIES) else self._page(after, limit)
+
     @cached_property
-    def body(self) -> bytes:
-        """The view as JSON."""
-        return self.view.model_dump_json().encode()
+    def _first(self) -> bytes:
+        return self._page(0, PAGE_ENTRIES)
+
+    def _page(self, after: int, limit: int) -> bytes:
+        return self.view.cut(after, limit).model_dump_json().encode()
 
 
 class MadeBoards(Generic[BoardT]):

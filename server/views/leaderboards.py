@@ -1,6 +1,7 @@
 """Leaderboards of tracks and tasks, and the boards of logs."""
 
 from datetime import datetime
+from typing import Self
 from uuid import UUID
 
 from pydantic import Field
@@ -71,8 +72,16 @@ class LeaderboardView(View):
     )
     revision: str = Field(description="Changes with the entries; the ETag of the answer.")
     generated_at: datetime = Field(description="When this revision was put together.")
-    teams: int
+    teams: int = Field(description="Number of all entries.")
     entries: list[LeaderboardEntryView]
+    next_after: int | None = Field(
+        default=None, description="Give this as `after` for the next page; null on the last one."
+    )
+
+    def cut(self, after: int, limit: int) -> Self:
+        """Return a page of it."""
+        more = after + limit if len(self.entries) > after + limit else None
+        return self.model_copy(update={"entries": self.entries[after : after + limit], "next_after": more})
 
 
 class LogEntryView(View):
@@ -142,7 +151,17 @@ class LogBoardsView(View):
     generated_at: datetime = Field(description="When this revision was put together.")
     boards: list[LogBoardView]
     text_logs: list[TextLogEntryView]
+    next_after: int | None = Field(
+        default=None, description="Give this as `after` for the next page of each board; null on the last one."
+    )
     why_rates_differ: str = Field(description="Why the claimed and the re-simulated rates of text logs differ.")
+
+    def cut(self, after: int, limit: int) -> Self:
+        """Return a page of each of its boards."""
+        most = max([len(self.text_logs), *(len(board.entries) for board in self.boards)])
+        boards = [board.model_copy(update={"entries": board.entries[after : after + limit]}) for board in self.boards]
+        changes = {"boards": boards, "text_logs": self.text_logs[after : after + limit]}
+        return self.model_copy(update=changes | {"next_after": after + limit if most > after + limit else None})
 
 
 class PastResultView(View):

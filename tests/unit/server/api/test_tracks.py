@@ -68,6 +68,18 @@ def test_leaderboard_shows_the_best_completed_entry_of_each_team(service: Servic
     assert [shape["episodes"] for shape in first["scores"][0]["shapes"]] == [90, 90, 90]
 
 
+def test_a_leaderboard_is_sent_in_pages(service: Service) -> None:
+    for number, token in enumerate((service.token, service.other_token)):
+        evaluated(service, token, f"x = {number}", successes_below(100 + number))
+    address = f"/api/v1/leaderboards/{TRACK}?task={TASK}&limit=1"
+    first, second = (service.client.get(f"{address}&after={after}").json() for after in (0, 1))
+    assert [(entry["rank"]) for page in (first, second) for entry in page["entries"]] == [1, 2]
+    assert [(page["teams"], page["next_after"]) for page in (first, second)] == [(2, 1), (2, None)]
+    assert service.client.get(f"{address}&after=5").json()["entries"] == []
+    assert service.client.get(f"/api/v1/leaderboards/{TRACK}/logs?limit=1").json()["next_after"] is None
+    problem_of(service.client.get(f"/api/v1/leaderboards/{TRACK}?limit=501"), 422, "invalid_request")
+
+
 def test_leaderboard_that_a_client_has_is_not_sent_again_until_it_changes(service: Service) -> None:
     address = f"/api/v1/leaderboards/{TRACK}"
     evaluated(service, service.token, "x = 1", successes_below(100))

@@ -79,9 +79,9 @@ def test_a_board_that_cannot_be_made_leaves_the_last_one() -> None:
 
 def test_the_body_is_the_view_as_json_and_made_once() -> None:
     board = Maker().get("a", "1")
-    assert json.loads(board.body)["revision"] == "1"
-    assert LeaderboardView.model_validate_json(board.body) == board.view
-    assert board.body is board.body
+    assert json.loads(board.body())["revision"] == "1"
+    assert LeaderboardView.model_validate_json(board.body()) == board.view
+    assert board.body() is board.body()
 
 
 def test_a_revision_is_short_and_depends_on_every_entry_and_their_order() -> None:
