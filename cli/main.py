@@ -42,7 +42,12 @@ NOUNS = (
     Noun(name="seeds", module="seeds", summary="Make and verify the secrets of sealed episode lists."),
     Noun(name="show", module="show.command", summary="Draw an episode."),
     Noun(name="sensor", module="sensor", summary="Check, mesh and draw a sensor of your own."),
-    Noun(name="station", module="station", summary="Check the devices of a laboratory.", extra="station"),
+    Noun(
+        name="station",
+        module="station",
+        summary="Check a laboratory's devices, or run twins of them.",
+        extra="station",
+    ),
     Noun(name="train", module="train", summary="Train a policy from a recipe, and export it."),
     Noun(name="register", module="client.register", summary="Register a team at a service."),
     Noun(name="login", module="client.login", summary="Store a team's token for later commands."),

@@ -13,7 +13,7 @@ app = typer.Typer(no_args_is_help=True)
 
 @app.callback()
 def station() -> None:
-    """Check the devices of a laboratory."""
+    """Check the devices of a laboratory, or twins in their place."""
 
 
 @app.command("check")
@@ -37,3 +37,18 @@ def check(
                 print(f"{each.device}, {problem.rule}: {problem.sentence}")
     if any(each.problems for each in found):
         raise typer.Exit(1)
+
+
+@app.command("twin")
+def twin(file: Annotated[Path, typer.Argument(help="Where to write the description of the twins (YAML).")]) -> None:
+    """Run twins of all devices but the RGB-D camera, which send the same bytes, until Ctrl-C."""
+    from signal import pause
+
+    from vitac.station.twin.laboratory import twin_station
+
+    if file.exists():
+        raise typer.BadParameter(f"{file} exists; name a new file.")
+    with twin_station() as station:
+        station.write(file)
+        print(f"{file} describes the twins. They run until Ctrl-C; check them with: vitac station check {file}")
+        pause()

@@ -10,7 +10,7 @@ torch=2.13.0
 addition_title() { # name
   case $1 in
     maniskill) echo "ManiSkill" ;;
-    station) echo "the drivers of a station" ;;
+    station) echo "the station's software" ;;
     torch) echo "Stable-Baselines3" ;;
   esac
 }

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from twin_station import TwinStation
 from vitac.evaluator.strict_model import validate
 from vitac.station.check import Rule, check_station
 from vitac.station.description import StationDescription
@@ -14,6 +13,7 @@ from vitac.station.devices.depth_camera import Intrinsics
 from vitac.station.devices.device import Identity
 from vitac.station.twin.force_torque import ForceTorqueFault
 from vitac.station.twin.gripper import GripperFault
+from vitac.station.twin.laboratory import TwinStation
 from vitac.station.twin.pressed_gel import SMALL_CAMERA, marker_grid
 
 

@@ -4,13 +4,18 @@ import re
 from pathlib import Path
 
 import pytest
-from twin_station import TwinStation
 from vitac.evaluator.strict_model import DocumentRejected, parse_yaml
 from vitac.station.description import StationDescription, read_description
+from vitac.station.twin.laboratory import TwinStation
+
+
+def written(twins: TwinStation, folder: Path) -> Path:
+    twins.write(folder / "station.yaml")
+    return folder / "station.yaml"
 
 
 def test_reads_the_file_and_fills_in_what_has_a_default(twins: TwinStation, tmp_path: Path) -> None:
-    described = read_description(twins.write(tmp_path))
+    described = read_description(written(twins, tmp_path))
     assert described.force_torque.rate_hz == 1000
     assert described.limits.marker_movement_px == 30.0
     assert described.depth_camera is None
@@ -41,4 +46,4 @@ def test_refuses_with_a_sentence(
         place = place[key]
     place[last] = value
     with pytest.raises(DocumentRejected, match=sentence):
-        read_description(twins.write(tmp_path))
+        read_description(written(twins, tmp_path))

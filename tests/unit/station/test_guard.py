@@ -5,7 +5,6 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from twin_station import TwinStation
 from vitac.evaluator.strict_model import validate
 from vitac.station.description import StationDescription
 from vitac.station.devices.device import DeviceFault
@@ -15,6 +14,7 @@ from vitac.station.devices.stage import Pose, Stage, StageState
 from vitac.station.guard import Guard, StationStopped
 from vitac.station.limits import LimitPassed
 from vitac.station.twin.force_torque import ForceTorqueFault
+from vitac.station.twin.laboratory import TwinStation
 
 TARGET = Pose(14.0, 0.0, 0.0, 10.0)
 SLOW = {"speed_mm_s": 3.0, "rotation_deg_s": 4.0}

@@ -1,0 +1,104 @@
+"""Twins of all devices of a station but the RGB-D camera, and the file that describes them."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from copy import deepcopy
+from dataclasses import dataclass
+from functools import cache
+from itertools import cycle
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from .force_torque import ForceTorqueTwin
+from .gripper import GripperTwin
+from .pictures import CameraTwin
+from .pressed_gel import SMALL_CAMERA, marker_grid
+from .stage import StageTwin
+from .terminal import Terminal
+
+_PICTURES: Final = 3
+_LIMITS: Final[dict[str, Any]] = {
+    "workspace": {"x_mm": [-15, 15], "y_mm": [-15, 15], "z_mm": [-30, 30], "rotation_deg": [-20, 20]},
+    "speed_mm_s": 3,
+    "rotation_deg_s": 4,
+    "force_n": 20,
+    "torque_nm": 1,
+    "gripper": {"force": 100},
+}
+
+
+@dataclass
+class TwinStation:
+    """Twins at their lines.
+
+    Attributes:
+        lines: the serial ones, by device.
+        description: what the station's file says of them.
+    """
+
+    left: CameraTwin
+    right: CameraTwin
+    force_torque: ForceTorqueTwin
+    stage: StageTwin
+    gripper: GripperTwin
+    lines: dict[str, Terminal]
+    description: dict[str, Any]
+
+    def write(self, file: Path) -> None:
+        """Write the station's file."""
+        file.write_text(yaml.safe_dump(self.description, sort_keys=False), encoding="utf-8")
+
+
+@contextmanager
+def twin_station(*, picture_period_s: float = 0.04) -> Iterator[TwinStation]:
+    """Start twins whose gels are at rest; they end with the context."""
+    with ExitStack() as stack:
+        left, right = (stack.enter_context(_camera(picture_period_s)) for _ in range(2))
+        box = stack.enter_context(ForceTorqueTwin())
+        stage, gripper = StageTwin(), GripperTwin()
+        lines = {"stage": stack.enter_context(Terminal(stage)), "gripper": stack.enter_context(Terminal(gripper))}
+        described = {
+            "name": "twin",
+            "left": _describe_camera("28F0-GX7F", left),
+            "right": _describe_camera("28W2-TRN5", right),
+            "force_torque": _describe_force_torque("FT-1", box),
+            "stage": _describe_stage(lines["stage"], stage),
+            "gripper": {"port": lines["gripper"].port},
+            "limits": deepcopy(_LIMITS),
+        }
+        yield TwinStation(left, right, box, stage, gripper, lines, described)
+
+
+@cache
+def _gel_pictures() -> list[NDArray[np.uint8]]:
+    generator = np.random.default_rng(1)
+    return [SMALL_CAMERA.picture(marker_grid(), generator) for _ in range(_PICTURES)]
+
+
+def _camera(period_s: float) -> CameraTwin:
+    pictures = cycle(_gel_pictures())
+    return CameraTwin(picture=lambda: next(pictures), period_s=period_s)
+
+
+def _describe_camera(serial_number: str, camera: CameraTwin) -> dict[str, Any]:
+    calibration = {"serial_number": serial_number, "markers": len(marker_grid())}
+    return {"serial_number": serial_number, "stream": camera.stream, "calibration": calibration}
+
+
+def _describe_force_torque(serial_number: str, box: ForceTorqueTwin) -> dict[str, Any]:
+    calibration = {"serial_number": serial_number, "decoupling": [list(row) for row in box.decoupling]}
+    return {"host": "127.0.0.1", "port": box.port, "serial_number": serial_number, "calibration": calibration}
+
+
+def _describe_stage(line: Terminal, stage: StageTwin) -> dict[str, Any]:
+    steps = [stage.settings[number] for number in range(100, 104)]
+    return {
+        "port": line.port,
+        "serial_number": stage.serial_number,
+        "firmware": stage.firmware,
+        "calibration": {"serial_number": stage.serial_number, "steps": steps},
+    }
