@@ -5,7 +5,6 @@ nothing. Called by whatever gives a team something that is counted.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from types import MappingProxyType
 from uuid import UUID
@@ -25,6 +24,7 @@ from .errors import ProblemCode, ServiceError
 from .principals import Principal
 from .settings import Quotas
 from .teams import teams
+from .views.teams import QuotaView, StageQuotaView
 
 DAILY = frozenset({Quota.SCORED_RUNS_PER_DAY, Quota.ATTEMPTS_PER_DAY})
 _UNITS: Mapping[Quota, str] = MappingProxyType(
@@ -51,36 +51,6 @@ _COUNTED_IN_STAGE: Mapping[str, frozenset[EvaluationState]] = MappingProxyType(
         "attempts": frozenset(EvaluationState),
     }
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class QuotaUse:
-    """How much of a quota a team has used.
-
-    Attributes:
-        quota: which one.
-        limit: how much is possible; None: any number.
-        used: how much is used; None where only the server processes know.
-        opens_at: when a daily quota counts from zero again.
-    """
-
-    quota: Quota
-    limit: int | None
-    used: int | None
-    opens_at: datetime | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class StageQuotaUse:
-    """How much of a quota of an open stage a team has used; `limit` None: any number."""
-
-    contest: str
-    track: str
-    stage: str
-    closes: datetime
-    quota: str
-    limit: int | None
-    used: int
 
 
 def find_limit(session: Session, quotas: Quotas, team_id: UUID, quota: Quota) -> int | None:
@@ -155,11 +125,11 @@ def exceeded(team: str, quota: Quota, limit: int) -> ServiceError:
     )
 
 
-def uses(session: Session, quotas: Quotas, team_id: UUID) -> list[QuotaUse]:
+def uses(session: Session, quotas: Quotas, team_id: UUID) -> list[QuotaView]:
     """Return all quotas of a team."""
     now = datetime.now(UTC)
     return [
-        QuotaUse(
+        QuotaView(
             quota=quota,
             limit=find_limit(session, quotas, team_id, quota),
             used=_used(session, team_id, quota),
@@ -169,11 +139,11 @@ def uses(session: Session, quotas: Quotas, team_id: UUID) -> list[QuotaUse]:
     ]
 
 
-def stage_uses(session: Session, team: Team, at: datetime | None = None) -> list[StageQuotaUse]:
+def stage_uses(session: Session, team: Team, at: datetime | None = None) -> list[StageQuotaView]:
     """Return what a team may still have in each open stage that it takes part in; `at` None: now."""
     now = at or datetime.now(UTC)
     return [
-        StageQuotaUse(
+        StageQuotaView(
             contest=contest.name,
             track=stage.track,
             stage=stage.name,

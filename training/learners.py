@@ -31,9 +31,9 @@ class Learners:
 
     def __init__(self, recipe: Recipe, random: np.random.Generator) -> None:
         self._recipe = recipe
-        self._critic = Critic(recipe.critic.plan(), random)
-        self._assessor = Assessor(recipe.assessor.plan(), random)
-        self._student = Student(recipe.student.plan(), random)
+        self._critic = Critic(recipe.critic, random)
+        self._assessor = Assessor(recipe.assessor, random)
+        self._student = Student(recipe.student, random)
         self._belief: FloatArray = np.zeros((0, 3), dtype=np.float32)
 
     def learn(self, known: Known, number: int, random: np.random.Generator, tell: TellTurn) -> None:
@@ -52,7 +52,7 @@ class Learners:
 
     def networks(self) -> Networks:
         """Return what actors act by."""
-        plan = self._recipe.critic.plan()
+        plan = self._recipe.critic
         return Networks(plan=plan, critic=self._critic.state(), student=make_weights(self._student.state()))
 
     def state(self) -> dict[str, FloatArray]:

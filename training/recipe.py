@@ -9,58 +9,8 @@ from vitac.evaluator.strict_model import StrictModel, read_yaml
 
 from .learning.assessor import AssessorPlan
 from .learning.critic import CriticPlan
+from .learning.fitted_value import Count
 from .learning.student import StudentPlan
-
-Count = Annotated[int, Field(ge=1, le=1_000_000)]
-
-
-class CriticRecipe(StrictModel):
-    """How the critic is learned; see `CriticPlan`."""
-
-    networks: Count = 3
-    """Networks whose lowest value counts."""
-    hidden: Count = 64
-    """Units of both layers."""
-    sweeps: Count = 12
-    """Of targets, in each round."""
-    epochs: Count = 4
-    """Over all transitions, in each sweep."""
-
-    def plan(self) -> CriticPlan:
-        """Return the plan that the learner takes."""
-        return CriticPlan(networks=self.networks, hidden=self.hidden, sweeps=self.sweeps, epochs=self.epochs)
-
-
-class StudentRecipe(StrictModel):
-    """How the student is learned; see `StudentPlan`."""
-
-    networks: Count = 2
-    """Networks whose mean counts."""
-    hidden: Count = 128
-    """Units of both layers."""
-    epochs: Count = 30
-    """Over all histories, in each round."""
-
-    def plan(self) -> StudentPlan:
-        """Return the plan that the learner takes."""
-        return StudentPlan(networks=self.networks, hidden=self.hidden, epochs=self.epochs)
-
-
-class AssessorRecipe(StrictModel):
-    """How the assessor is learned; see `AssessorPlan`."""
-
-    networks: Count = 2
-    """Networks whose lowest value counts."""
-    hidden: Count = 128
-    """Units of both layers."""
-    sweeps: Count = 6
-    """Of targets, each time."""
-    epochs: Count = 2
-    """Over all transitions, in each sweep."""
-
-    def plan(self) -> AssessorPlan:
-        """Return the plan that the learner takes."""
-        return AssessorPlan(networks=self.networks, hidden=self.hidden, sweeps=self.sweeps, epochs=self.epochs)
 
 
 class Recipe(StrictModel):
@@ -88,15 +38,15 @@ class Recipe(StrictModel):
     """Largest spread of the noise on the actions of student and critic."""
     chosen_by: Count = 100
     """Held-out episodes by which the best round is chosen."""
-    critic: CriticRecipe = CriticRecipe()
+    critic: CriticPlan = CriticPlan()
     """How the critic is learned."""
-    assessor: AssessorRecipe = AssessorRecipe()
+    assessor: AssessorPlan = AssessorPlan()
     """How the assessor is learned."""
     assessed_from: Count = 4
     """First round in which the student learns of the assessor; before, of the critic."""
     assessments: Count = 2
     """How often the assessor assesses the student, and the student learns of it, in a round."""
-    student: StudentRecipe = StudentRecipe()
+    student: StudentPlan = StudentPlan()
     """How the student is learned."""
 
     @model_validator(mode="before")

@@ -9,13 +9,14 @@ cut into equal parts, in which the example's success must be monotone within the
 import argparse
 import json
 import secrets
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from one_at_a_time import POLICIES, sealed_task
 from players import Example, Planner
 from vitac.envs.tasks.quantities import Quantity
-from vitac.evaluator.scoring.by_draw import is_monotone, rates_by_draw
+from vitac.evaluator.scoring.by_draw import RateOfPart, rates_by_draw
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.tracks import Task
 from vitac.evaluator.tracks.sealed import make_commitment, read_secret
@@ -54,6 +55,20 @@ def measure_by_draw(task: Task, quantity: Quantity, episodes: list[dict[str, Any
     pairs = [(episode["draws"][quantity.name], episode["example"] == "success") for episode in episodes]
     parts = rates_by_draw(quantity, task.draws[quantity.name], pairs)
     return {"monotone": is_monotone(parts), "parts": [part.model_dump() for part in parts]}
+
+
+def is_monotone(parts: Sequence[RateOfPart]) -> bool:
+    """Return whether a rate that only rises, or only falls, lies within the 95 % interval of every part."""
+    return _can_rise(parts) or _can_rise(parts[::-1])
+
+
+def _can_rise(parts: Sequence[RateOfPart]) -> bool:
+    least = 0.0
+    for part in parts:
+        least = max(least, part.rate.interval.low)
+        if least > part.rate.interval.high:
+            return False
+    return True
 
 
 def successes(episodes: list[dict[str, Any]], player: str) -> dict[str, Any]:

@@ -8,8 +8,9 @@ from sqlalchemy.orm import Session
 from vitac.server import quotas
 from vitac.server.db.states import Quota
 from vitac.server.principals import CONSOLE
-from vitac.server.quotas import QuotaUse, uses
+from vitac.server.quotas import uses
 from vitac.server.teams import teams
+from vitac.server.views.teams import QuotaView
 
 from ..service.database import load_settings
 from ..terminal.output import AsJson, print_done
@@ -24,7 +25,7 @@ TeamName = Annotated[str, typer.Argument(help="Name or id of the team.")]
 
 
 @list_records(app, "quota", "limit", "used", "opens_at", none="No quota.")
-def list_quotas(session: Session, team: TeamName) -> Sequence[QuotaUse]:
+def list_quotas(session: Session, team: TeamName) -> Sequence[QuotaView]:
     """List the quotas of a team and how much of each is used."""
     return uses(session, load_settings().quotas, teams.find(session, team).id)
 
@@ -50,4 +51,4 @@ def set_quota(
             quotas.set_quota(session, CONSOLE, found, Quota(quota), None if limit == UNLIMITED else int(limit))
         used = quotas.uses(session, load_settings().quotas, found.id)
         sentence = f"{quota} of {found.name}: {limit}"
-    print_done(sentence, next(vars(use) for use in used if use.quota == quota), as_json=as_json)
+    print_done(sentence, next(use.model_dump() for use in used if use.quota == quota), as_json=as_json)

@@ -13,12 +13,6 @@ def as_polygon(corners: list[tuple[float, float]]) -> Polygon:
     return np.array(corners, dtype=np.float64)
 
 
-def signed_area(polygon: Polygon) -> float:
-    """Return the enclosed area, positive when the corners run counter-clockwise; unit of the corners, squared."""
-    following = np.roll(polygon, -1, axis=0)
-    return float(0.5 * (polygon[:, 0] * following[:, 1] - polygon[:, 1] * following[:, 0]).sum())
-
-
 def mitred_offset(polygon: Polygon, distance: float) -> Polygon:
     """Return the counter-clockwise polygon with every edge moved out by `distance`, its ends to the mitre joints."""
     edges = np.roll(polygon, -1, axis=0) - polygon

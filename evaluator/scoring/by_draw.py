@@ -1,6 +1,6 @@
 """Success against a quantity drawn for every episode, in equal parts of its range. Used by pages and benchmarks."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from vitac.envs.tasks.quantities import Quantity
 
@@ -44,17 +44,3 @@ def rates_by_draw(
         for part, found in enumerate(solved)
         if found
     )
-
-
-def is_monotone(parts: Sequence[RateOfPart]) -> bool:
-    """Return whether a rate that only rises, or only falls, lies within the 95 % interval of every part."""
-    return _can_rise(parts) or _can_rise(parts[::-1])
-
-
-def _can_rise(parts: Sequence[RateOfPart]) -> bool:
-    least = 0.0
-    for part in parts:
-        least = max(least, part.rate.interval.low)
-        if least > part.rate.interval.high:
-            return False
-    return True

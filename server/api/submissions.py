@@ -3,7 +3,7 @@
 import base64
 import binascii
 import json
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import aclosing
 from http import HTTPStatus
 from typing import Annotated
@@ -224,19 +224,13 @@ def get_log(
 @router.put("/{submission_id}/public")
 def put_public(services: ServicesOf, principal: PrincipalOf, submission_id: UUID, wanted: Publicity) -> SubmissionView:
     """Let everybody see the result of a submission, once its evaluation is complete, or its team only."""
-    with services.database.transaction() as session:
-        public_pages.set_public(session, principal, submission_id, public=wanted.public)
-    with services.database.transaction() as session:
-        return listing.get(session, services.settings, principal, submission_id)
+    return _show_changed(services, principal, submission_id, public_pages.set_public, public=wanted.public)
 
 
 @router.post("/{submission_id}/cancel")
 def cancel_submission(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
     """End a queued or running evaluation. Finished episodes stay stored: uploading again takes it up."""
-    with services.database.transaction() as session:
-        runs.cancel(session, principal, submission_id)
-    with services.database.transaction() as session:
-        return listing.get(session, services.settings, principal, submission_id)
+    return _show_changed(services, principal, submission_id, runs.cancel)
 
 
 @router.put("/{submission_id}/disqualification")
@@ -244,28 +238,19 @@ def put_disqualification(
     services: ServicesOf, principal: PrincipalOf, submission_id: UUID, wanted: Disqualification
 ) -> SubmissionView:
     """Take a submission off all boards (organizers only); its team takes part as before."""
-    with services.database.transaction() as session:
-        disqualification.disqualify(session, principal, submission_id, wanted.reason)
-    with services.database.transaction() as session:
-        return listing.get(session, services.settings, principal, submission_id)
+    return _show_changed(services, principal, submission_id, disqualification.disqualify, reason=wanted.reason)
 
 
 @router.delete("/{submission_id}/disqualification")
 def delete_disqualification(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
     """Put a disqualified submission back on the boards (organizers only)."""
-    with services.database.transaction() as session:
-        disqualification.reinstate(session, principal, submission_id)
-    with services.database.transaction() as session:
-        return listing.get(session, services.settings, principal, submission_id)
+    return _show_changed(services, principal, submission_id, disqualification.reinstate)
 
 
 @router.post("/{submission_id}/requeue", status_code=HTTPStatus.ACCEPTED)
 def requeue_submission(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
     """Start a new run of all episodes (organizers only). Earlier results stay."""
-    with services.database.transaction() as session:
-        runs.run_again(session, principal, submission_id)
-    with services.database.transaction() as session:
-        return listing.get(session, services.settings, principal, submission_id)
+    return _show_changed(services, principal, submission_id, runs.run_again)
 
 
 @router.get(
@@ -282,6 +267,16 @@ async def follow_submission(
     streams = OpenStreams.from_request(request, services)
     await streams.require_place(principal)
     return EventSourceResponse(_events(request, streams, principal, submission_id), ping=PING_S)
+
+
+def _show_changed(
+    services: Services, principal: Principal, submission_id: UUID, change: Callable[..., object], **values: object
+) -> SubmissionView:
+    """Change a submission and return it as it is then."""
+    with services.database.transaction() as session:
+        change(session, principal, submission_id, **values)
+    with services.database.transaction() as session:
+        return listing.get(session, services.settings, principal, submission_id)
 
 
 def _require_own(services: Services, principal: Principal, submission_id: UUID) -> None:

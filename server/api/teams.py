@@ -18,7 +18,7 @@ from ..quotas import charge, stage_uses, uses
 from ..services import Services
 from ..teams import teams
 from ..teams.shown_names import ShownNames
-from ..views.teams import MeView, NewTokenView, QuotaView, RegisteredTeamView, StageQuotaView, TokenListView
+from ..views.teams import MeView, NewTokenView, QuotaView, RegisteredTeamView, TokenListView
 from .access import OptionalPrincipalOf, PrincipalOf, ServicesOf
 from .attempts import note_registration
 from .problems import RESPONSES
@@ -110,7 +110,7 @@ def get_me(services: ServicesOf, principal: PrincipalOf) -> MeView:
             team=teams.team_view(team, ShownNames.read(session, principal)) if team is not None else None,
             token=tokens.token_view(token) if token is not None else None,
             quotas=_quotas(session, services, principal),
-            stage_quotas=[StageQuotaView(**vars(use)) for use in (stage_uses(session, team) if team else ())],
+            stage_quotas=stage_uses(session, team) if team else [],
         )
 
 
@@ -123,7 +123,7 @@ def _owner_of_new_token(session: Session, principal: Principal, new: NewToken) -
 def _quotas(session: Session, services: Services, principal: Principal) -> list[QuotaView]:
     if principal.team_id is None:
         return []
-    return [QuotaView(**vars(use)) for use in uses(session, services.settings.quotas, principal.team_id)]
+    return uses(session, services.settings.quotas, principal.team_id)
 
 
 def _lifetime(services: Services, days: int | None) -> timedelta:

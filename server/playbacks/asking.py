@@ -6,7 +6,6 @@ ask for those of public submissions and have one such limit together.
 """
 
 import hashlib
-from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from uuid import UUID
 
@@ -31,7 +30,7 @@ from ..settings import Settings
 from ..sharing.public_pages import readable
 from ..teams.shown_names import ShownNames
 from ..tracks import find_playback_family
-from ..views.playbacks import PlaybackView, ShownEpisodeView, StoryMomentView
+from ..views.playbacks import PlaybackView, ShownEpisodeView
 from .story import tell_story
 
 NOBODY_DRAWS = "no running worker can draw ManiSkill’s environments, which takes its packages and a Vulkan driver"
@@ -165,7 +164,7 @@ def shown_episode(
         env_steps=record.env_steps,
         total_reward=record.total_reward,
         story=story.sentence,
-        moments=tuple(StoryMomentView(**asdict(moment)) for moment in story.moments),
+        moments=story.moments,
         evaluator_version=episode.evaluator_version,
         record_digest=episode.record_digest,
         playback=None if playback is None else playback_view(session, settings, playback),

@@ -15,6 +15,8 @@ from vitac.envs.scene.perspective import Perspective
 from vitac.envs.tasks.ending import LARGEST_SURFACE_DIFF_M
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, counted_env_steps
 
+from ..views.playbacks import StoryMomentView
+
 TOUCH_MM: Final = 0.2
 """Motion of a gel's surface since the grasp from which on the held part counts as touching something."""
 STILL_MM: Final = 0.05
@@ -33,20 +35,11 @@ class Mark(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StoryMoment:
-    """An env step after which something had happened."""
-
-    env_step: int
-    mark: Mark
-    text: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class Story:
     """What happened in an episode."""
 
     sentence: str
-    moments: tuple[StoryMoment, ...]
+    moments: tuple[StoryMomentView, ...]
 
 
 def tell_story(record: EpisodeRecord, env_id: str) -> Story:
@@ -134,15 +127,15 @@ def _state_of(course: _Course) -> str:
     return f"with the {course.perspective.held_name} {goal} ({course.position})"
 
 
-def _moments(outcome: EpisodeOutcome, course: _Course) -> tuple[StoryMoment, ...]:
+def _moments(outcome: EpisodeOutcome, course: _Course) -> tuple[StoryMomentView, ...]:
     held, last = course.perspective.held_name, len(course.infos)
-    found = [StoryMoment(env_step=step, mark=Mark.SLIP, text="a gel springs back") for step in course.slipped]
+    found = [StoryMomentView(env_step=step, mark=Mark.SLIP, text="a gel springs back") for step in course.slipped]
     if course.touched:
-        found.append(StoryMoment(env_step=course.touched, mark=Mark.TOUCH, text=f"the {held} touches"))
+        found.append(StoryMomentView(env_step=course.touched, mark=Mark.TOUCH, text=f"the {held} touches"))
     if outcome is EpisodeOutcome.SUCCESS:
-        found.append(StoryMoment(env_step=last, mark=Mark.SOLVED, text="solved"))
+        found.append(StoryMomentView(env_step=last, mark=Mark.SOLVED, text="solved"))
     else:
         if course.stuck:
-            found.append(StoryMoment(env_step=course.stuck, mark=Mark.STUCK, text=f"the {held} comes no nearer"))
-        found.append(StoryMoment(env_step=last, mark=Mark.LIMIT, text=outcome.value.replace("_", " ")))
+            found.append(StoryMomentView(env_step=course.stuck, mark=Mark.STUCK, text=f"the {held} comes no nearer"))
+        found.append(StoryMomentView(env_step=last, mark=Mark.LIMIT, text=outcome.value.replace("_", " ")))
     return tuple(sorted(found, key=lambda moment: moment.env_step))

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import PositiveFloat
 
 from ..episodes import Episodes
 from ..submission.policy import HISTORY_SIZE
 from .critic import STATE_SIZE, transitions
 from .ensemble import Samples
-from .fitted_value import FittedValue
+from .fitted_value import Count, FittedValue, FittingPlan
 from .network import FloatArray, probability
 from .student import student_inputs
 from .symmetry import HISTORY, STATE, both
@@ -23,26 +24,15 @@ from .symmetry import HISTORY, STATE, both
 _SIGNS = both(STATE, HISTORY)
 
 
-@dataclass(frozen=True, kw_only=True)
-class AssessorPlan:
-    """How an assessor is learned.
+class AssessorPlan(FittingPlan):
+    """How an assessor is learned."""
 
-    Attributes:
-        networks: whose lowest value counts.
-        hidden: units of both layers.
-        sweeps: of targets.
-        epochs: over all transitions, in each sweep.
-        batch: transitions of a gradient step.
-        rate: of learning.
-        discount: of an env step, so that sooner is better.
-    """
-
-    networks: int = 2
-    hidden: int = 128
-    sweeps: int = 6
-    epochs: int = 2
-    batch: int = 256
-    rate: float = 1e-3
+    networks: Count = 2
+    hidden: Count = 128
+    sweeps: Count = 6
+    epochs: Count = 2
+    batch: Count = 256
+    rate: PositiveFloat = 1e-3
     discount: float = 0.98
 
 

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import PositiveFloat
 
 from ..episodes import Episodes
 from .ensemble import Samples
-from .fitted_value import FittedValue
+from .fitted_value import Count, FittedValue, FittingPlan
 from .network import FloatArray, probability
 from .symmetry import STATE, TURNABLE
 
@@ -22,29 +23,18 @@ _FIRST_LOWER_END_MM, _Z_STEP_MM = 19.875, 0.125
 _CHUNK = 4096
 
 
-@dataclass(frozen=True, kw_only=True)
-class CriticPlan:
-    """How a critic is learned.
+class CriticPlan(FittingPlan):
+    """How a critic is learned."""
 
-    Attributes:
-        networks: whose lowest value counts.
-        hidden: units of both layers.
-        sweeps: of targets.
-        epochs: over all transitions, in each sweep.
-        batch: transitions of a gradient step.
-        rate: of learning.
-        discount: of an env step, so that sooner is better.
-        candidates: next actions among which the best is looked for.
-    """
-
-    networks: int = 3
-    hidden: int = 64
-    sweeps: int = 12
-    epochs: int = 4
-    batch: int = 128
-    rate: float = 2e-3
+    networks: Count = 3
+    hidden: Count = 64
+    sweeps: Count = 12
+    epochs: Count = 4
+    batch: Count = 128
+    rate: PositiveFloat = 2e-3
     discount: float = 0.97
-    candidates: int = 64
+    candidates: Count = 64
+    """Next actions among which the best is looked for."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,41 +1,36 @@
 """A value of actions that is fitted in sweeps, each to targets of its own; what critic and assessor have in common."""
 
 from collections.abc import Callable, Mapping
-from typing import Protocol
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field, PositiveFloat
+from vitac.evaluator.strict_model import StrictModel
 
 from .ensemble import Ensemble, Samples
 from .network import FloatArray, Layout
 from .symmetry import Signs
 
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
 
-class FittingPlan(Protocol):
-    """How a value is fitted; see `CriticPlan` and `AssessorPlan`."""
 
-    @property
-    def networks(self) -> int:
-        """How many, of which the lowest value counts."""
+class FittingPlan(StrictModel):
+    """How a value is fitted, as recipes say it."""
 
-    @property
-    def hidden(self) -> int:
-        """Units of both layers."""
-
-    @property
-    def sweeps(self) -> int:
-        """Of targets."""
-
-    @property
-    def epochs(self) -> int:
-        """Over all samples, in each sweep."""
-
-    @property
-    def batch(self) -> int:
-        """Samples of a gradient step."""
-
-    @property
-    def rate(self) -> float:
-        """Of learning."""
+    networks: Count
+    """How many, of which the lowest value counts."""
+    hidden: Count
+    """Units of both layers."""
+    sweeps: Count
+    """Of targets, each time."""
+    epochs: Count
+    """Over all samples, in each sweep."""
+    batch: Count
+    """Samples of a gradient step."""
+    rate: PositiveFloat
+    """Of learning."""
+    discount: Annotated[float, Field(gt=0.0, le=1.0)]
+    """Of an env step, so that sooner is better."""
 
 
 class FittedValue:

@@ -10,36 +10,35 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import PositiveFloat
+from vitac.evaluator.strict_model import StrictModel
 
 from ..episodes import Episodes
 from ..submission.policy import HISTORY_SIZE, history_features
 from .critic import stack_states
 from .ensemble import Ensemble
+from .fitted_value import Count
 from .network import FloatArray, Layout, Learner, probability
 from .symmetry import HISTORY, TURNABLE
 
 
-@dataclass(frozen=True, kw_only=True)
-class StudentPlan:
-    """How a student is learned.
+class StudentPlan(StrictModel):
+    """How a student is learned, as recipes say it."""
 
-    Attributes:
-        networks: whose mean counts.
-        hidden: units of both layers.
-        epochs: over all histories.
-        batch: histories of a gradient step.
-        actions: of each history in a gradient step, random ones and some near the critic's best.
-        rate: of learning at the start; it falls to a tenth.
-        candidates: actions among which the best is looked for.
-    """
-
-    networks: int = 2
-    hidden: int = 128
-    epochs: int = 30
-    batch: int = 128
-    actions: int = 16
-    rate: float = 1.5e-3
-    candidates: int = 128
+    networks: Count = 2
+    """How many, whose mean counts."""
+    hidden: Count = 128
+    """Units of both layers."""
+    epochs: Count = 30
+    """Over all histories, in each round."""
+    batch: Count = 128
+    """Histories of a gradient step."""
+    actions: Count = 16
+    """Of each history in a gradient step, random ones and some near the critic's best."""
+    rate: PositiveFloat = 1.5e-3
+    """Of learning at the start; it falls to a tenth."""
+    candidates: Count = 128
+    """Actions among which the best is looked for."""
 
 
 _CHUNK = 2048

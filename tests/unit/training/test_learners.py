@@ -8,16 +8,19 @@ from toy_peg import ToyPeg
 from vitac.training.actors import ActorKind, guided_actor, random_actor
 from vitac.training.episodes import play
 from vitac.training.learners import Known, Learners
-from vitac.training.recipe import AssessorRecipe, CriticRecipe, Recipe, StudentRecipe
+from vitac.training.learning.assessor import AssessorPlan
+from vitac.training.learning.critic import CriticPlan
+from vitac.training.learning.student import StudentPlan
+from vitac.training.recipe import Recipe
 
 RECIPE = Recipe(
     task="peg-insertion",
     seed=2,
-    critic=CriticRecipe(networks=1, hidden=32, sweeps=6, epochs=3),
-    assessor=AssessorRecipe(networks=1, hidden=32, sweeps=4, epochs=2),
+    critic=CriticPlan(networks=1, hidden=32, sweeps=6, epochs=3),
+    assessor=AssessorPlan(networks=1, hidden=32, sweeps=4, epochs=2),
     assessed_from=2,
     assessments=2,
-    student=StudentRecipe(networks=1, hidden=32, epochs=3),
+    student=StudentPlan(networks=1, hidden=32, epochs=3),
 )
 
 

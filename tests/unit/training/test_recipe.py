@@ -4,10 +4,7 @@ from pathlib import Path
 
 import pytest
 from vitac.evaluator.strict_model import DocumentRejected
-from vitac.training.learning.assessor import AssessorPlan
-from vitac.training.learning.critic import CriticPlan
-from vitac.training.learning.student import StudentPlan
-from vitac.training.recipe import AssessorRecipe, CriticRecipe, Recipe, StudentRecipe, read_recipe
+from vitac.training.recipe import Recipe, read_recipe
 
 
 def read(tmp_path: Path, text: str) -> Recipe:
@@ -19,15 +16,13 @@ def read(tmp_path: Path, text: str) -> Recipe:
 def test_task_and_seed_are_enough(tmp_path: Path) -> None:
     recipe = read(tmp_path, "task: peg-insertion\nseed: 3\n")
     assert (recipe.task, recipe.seed) == ("peg-insertion", 3)
-    assert recipe.critic.plan() == CriticPlan()
-    assert recipe.student.plan() == StudentPlan()
 
 
 def test_values_reach_the_learners(tmp_path: Path) -> None:
     text = "task: peg-insertion\nseed: 3\ncritic: {hidden: 32, sweeps: 2}\nstudent: {networks: 1, epochs: 5}\n"
     recipe = read(tmp_path, text)
-    assert (recipe.critic.plan().hidden, recipe.critic.plan().sweeps) == (32, 2)
-    assert (recipe.student.plan().networks, recipe.student.plan().epochs) == (1, 5)
+    assert (recipe.critic.hidden, recipe.critic.sweeps) == (32, 2)
+    assert (recipe.student.networks, recipe.student.epochs) == (1, 5)
 
 
 @pytest.mark.parametrize(
@@ -36,6 +31,7 @@ def test_values_reach_the_learners(tmp_path: Path) -> None:
         ("seed: 3\n", "Missing key 'task'"),
         ("task: peg-insertion\nseed: 3\nround: 2\n", "Unknown key 'round'; did you mean 'rounds'"),
         ("task: peg-insertion\nseed: 3\ncritic: {hiden: 2}\n", "Unknown key 'critic.hiden'; did you mean 'hidden'"),
+        ("task: peg-insertion\nseed: 3\ncritic: {rate: 0}\n", "critic.rate: Input should be greater than 0"),
         ("task: chess\nseed: 3\n", "task: Input should be 'peg-insertion'"),
         ("task: peg-insertion\nseed: -1\n", "seed: Input should be greater than or equal to 0"),
         ("task: peg-insertion\nseed: 3\nrounds: 0\n", "rounds: Input should be greater than or equal to 1"),
@@ -48,9 +44,3 @@ def test_values_reach_the_learners(tmp_path: Path) -> None:
 def test_mistakes_are_named(tmp_path: Path, text: str, told: str) -> None:
     with pytest.raises(DocumentRejected, match=told):
         read(tmp_path, text)
-
-
-def test_defaults_are_stated_once() -> None:
-    assert CriticRecipe().plan() == CriticPlan()
-    assert AssessorRecipe().plan() == AssessorPlan()
-    assert StudentRecipe().plan() == StudentPlan()

@@ -15,8 +15,11 @@ from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.version import evaluator_parts
 from vitac.training.charts import FOLDER, Charts
 from vitac.training.files import FileDamaged
+from vitac.training.learning.assessor import AssessorPlan
+from vitac.training.learning.critic import CriticPlan
 from vitac.training.learning.network import Learner, TrainingDiverged
-from vitac.training.recipe import AssessorRecipe, CriticRecipe, Recipe, StudentRecipe
+from vitac.training.learning.student import StudentPlan
+from vitac.training.recipe import Recipe
 from vitac.training.run import Folder, OtherRun, RoundResult, Run, best, format_rate, read_results
 from vitac.training.streams import StreamRefused, Use, stream
 
@@ -29,11 +32,11 @@ RECIPE = Recipe(
     student_episodes=20,
     critic_episodes=10,
     chosen_by=10,
-    critic=CriticRecipe(networks=1, hidden=16, sweeps=2, epochs=1),
-    assessor=AssessorRecipe(networks=1, hidden=16, sweeps=2, epochs=1),
+    critic=CriticPlan(networks=1, hidden=16, sweeps=2, epochs=1),
+    assessor=AssessorPlan(networks=1, hidden=16, sweeps=2, epochs=1),
     assessed_from=2,
     assessments=2,
-    student=StudentRecipe(networks=1, hidden=16, epochs=2),
+    student=StudentPlan(networks=1, hidden=16, epochs=2),
 )
 
 LIMIT_S = 60

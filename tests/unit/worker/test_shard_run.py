@@ -23,7 +23,7 @@ from service_factories import (
     submit,
 )
 from small_disk import FILLER, fill, make_room, small_disk
-from sqlalchemy import select, text
+from sqlalchemy import select
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from structlog.testing import capture_logs
@@ -497,23 +497,6 @@ def test_process_that_stored_episodes_before_it_hung_costs_no_attempt(
     with services.database.transaction() as session:
         shard = session.get_one(Shard, lease.shard_id)
         assert (shard.state, shard.attempts) == (ShardState.QUEUED, 0)
-
-
-def test_database_that_drops_all_connections_in_the_middle_changes_nothing(
-    services: Services, stage: SubmissionStage, lease: Lease
-) -> None:
-    def gate(number: int) -> None:
-        if number % 7 == 0:
-            with services.database.transaction() as session:
-                session.execute(
-                    text(
-                        "SELECT pg_terminate_backend(pid) FROM pg_stat_activity "
-                        "WHERE datname = current_database() AND pid <> pg_backend_pid()"
-                    )
-                )
-
-    assert ShardRun(services, stage, lease, FakeShards(gate=gate)).run() is RunEnd.FINISHED
-    assert stored_numbers(services) == list(range(1, 28))
 
 
 def test_archive_that_is_gone_from_the_store_is_reported_as_a_broken_machine(

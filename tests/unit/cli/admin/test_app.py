@@ -11,7 +11,6 @@ from typer.testing import Result
 from vitac.cli.admin.consent import ConsentMissing
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.scoring.ranking import combine
-from vitac.server.audit import newest_entries
 from vitac.server.db.models import Submission, Worker
 from vitac.server.db.states import WorkerState
 from vitac.server.errors import ServiceError
@@ -132,38 +131,10 @@ def test_lists_submissions_by_team_and_state(service: CliService, submission_id:
     assert [item["id"] for item in listed["items"]] == [submission_id]
 
 
-def test_shows_a_submission_of_any_team(service: CliService, submission_id: str) -> None:
-    assert "queued" in admin(service, "submission", "show", submission_id).stdout
-    shown = read(service, "submission", "show", submission_id)
-    assert isinstance(shown, dict)
-    assert shown["team"]["name"] == "Team A"
-
-
-def test_cancels_a_submission_and_writes_the_audit_log(service: CliService, submission_id: str) -> None:
-    assert admin(service, "submission", "cancel", submission_id, "--dry-run").exit_code == 0
-    assert "queued" in admin(service, "submission", "show", submission_id).stdout
-    cancelled = json.loads(admin(service, "submission", "cancel", submission_id, "--yes", "--json").stdout)
-    assert cancelled == read(service, "submission", "show", submission_id)
-    assert cancelled["evaluation"]["state"] == "cancelled"
-    with service.database.transaction() as session:
-        newest = newest_entries(session, 1)[0]
-    assert (newest.actor, newest.action) == ("organizer:console", "submission.cancel")
-    assert isinstance(admin(service, "submission", "cancel", submission_id, "--yes").exception, ServiceError)
-
-
 def test_nothing_is_changed_without_consent(service: CliService, submission_id: str) -> None:
     refused = admin(service, "submission", "cancel", submission_id)
     assert isinstance(refused.exception, ConsentMissing)
     assert "queued" in admin(service, "submission", "show", submission_id).stdout
-
-
-def test_requeue_starts_a_new_run_and_keeps_the_old_one(service: CliService, submission_id: str) -> None:
-    play(service, submission_id)
-    assert admin(service, "submission", "requeue", submission_id, "--yes").exit_code == 0
-    found = read(service, "evaluation", "list")
-    assert isinstance(found, list)
-    assert [(row["run"], row["state"]) for row in found] == [(2, "queued"), (1, "completed")]
-    assert "50.0 %" in admin(service, "evaluation", "list", "--state", "completed").stdout  # one of two tasks
 
 
 def test_the_combination_is_that_of_todays_rule_in_every_list(

@@ -158,14 +158,6 @@ def test_every_command_is_a_read_or_a_change(options: dict[str, set[str]]) -> No
     assert READS.isdisjoint(TRIED_ELSEWHERE)
 
 
-def test_every_command_prints_json(options: dict[str, set[str]]) -> None:
-    assert [name for name, given in options.items() if "--json" not in given] == []
-
-
-def test_every_change_has_a_dry_run_and_no_read_has_one(options: dict[str, set[str]]) -> None:
-    assert {name for name, given in options.items() if "--dry-run" not in given} == READS | WITHOUT_DRY_RUN
-
-
 def test_nothing_but_a_change_asks(options: dict[str, set[str]]) -> None:
     asking = {name for name, given in options.items() if "--yes" in given}
     assert asking.isdisjoint(READS)

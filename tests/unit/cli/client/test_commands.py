@@ -116,13 +116,6 @@ def test_registration_by_invite_needs_the_code(tmp_path: Path) -> None:
         assert "Newcomers" in run(service, "register", "Newcomers", "--invite", INVITE)
 
 
-def test_closed_registration_says_what_to_do(tmp_path: Path) -> None:
-    with cli_service(tmp_path / "state", registration="closed") as service:
-        refused = service.run_with_input("", "register", "Newcomers", token=None)
-    assert "registration_closed" in str(refused.exception)
-    assert "vitac login" in str(refused.exception)
-
-
 def test_the_quotas_of_an_open_stage_are_shown(service: CliService) -> None:
     assert "stage1" not in service.run("whoami").stdout
     content = make_competition()

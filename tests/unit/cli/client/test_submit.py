@@ -12,7 +12,7 @@ from uploaded_logs import EPISODES, a_log, a_text_log, packed
 from vitac.cli.client.refusals import RequestRefused, ServiceUnreachable
 from vitac.cli.client.upload_kind import find_kind
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
-from vitac.evaluator.submission.sources import NoSubmission, submission_digest
+from vitac.evaluator.submission.sources import NoSubmission
 from vitac.server.db.models import PartialUpload
 
 from competitions import make_competition, open_now, put_in_place
@@ -25,21 +25,6 @@ def test_submits_a_folder_and_prints_id_and_page(service: CliService, tmp_path: 
     assert f"{service.address}/submissions/{submission_id}" in done.stdout
     assert "number 1 in the queue" in done.stdout
     assert "tasks       peg-insertion\nnot played  lock-opening (counts as 0 %" in done.stdout
-
-
-def test_json_is_the_services_answer(service: CliService, tmp_path: Path) -> None:
-    folder = submission_folder(tmp_path / "mine")
-    answer = json.loads(service.run("submit", str(folder), "--json").stdout)
-    assert answer["evaluation"]["state"] == "queued"
-    assert answer["digest"] == submission_digest(folder)
-
-
-def test_folder_and_its_zip_are_the_same_submission(service: CliService, tmp_path: Path) -> None:
-    folder = submission_folder(tmp_path / "mine")
-    archive = tmp_path / "mine.zip"
-    archive.write_bytes(zip_of(**{f"Track_1/{path.name}": path.read_text() for path in folder.iterdir()}))
-    ids = [json.loads(service.run("submit", str(path), "--json").stdout)["id"] for path in (folder, archive)]
-    assert ids[0] == ids[1]
 
 
 def test_watch_stays_until_the_evaluation_has_ended(service: CliService, tmp_path: Path) -> None:

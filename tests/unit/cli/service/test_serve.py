@@ -13,7 +13,6 @@ import pytest
 from databases import fresh_database, state_directory
 from psycopg.conninfo import conninfo_to_dict, make_conninfo
 from psycopg.sql import SQL, Identifier
-from vitac.cli.service.web_server import bind
 from worker_fakes import eventually
 
 SERVE = "from vitac.cli.main import main; main()"
@@ -91,15 +90,6 @@ def test_brings_its_own_database_where_none_is_configured(environment: dict[str,
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=300)
     assert process.returncode == 0
-
-
-def test_a_taken_port_is_refused(environment: dict[str, str]) -> None:
-    with bind("127.0.0.1", 0) as taken:
-        taken.listen()
-        with serve(environment, "--port", str(taken.getsockname()[1])) as process:
-            _, complaints = process.communicate(timeout=300)
-    assert process.returncode == 1
-    assert "Address already in use" in complaints
 
 
 def test_an_unreachable_database_is_refused_with_what_to_check(environment: dict[str, str]) -> None:

@@ -266,14 +266,3 @@ def test_a_task_without_cameras_is_refused(run: Run, view: str) -> None:
     code, _, err = run("peg-insertion", "--episode", 5, "--view", view, "--width", 600)
     assert code == 1
     assert "has no cameras beside the gripper: expected --view episode" in err
-
-
-@pytest.mark.parametrize("missing", ["matplotlib", "PIL"])
-def test_the_extra_that_drawing_needs_is_named_with_how_to_install_it(
-    missing: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(show, "find_spec", lambda name: None if name == missing else object())
-    with pytest.raises(show.ExtraMissing, match=r"^Drawing needs the extra 'show'; install it with: .*matplotlib"):
-        show.require_extra()
-    monkeypatch.setattr(show, "find_spec", lambda _: object())
-    show.require_extra()

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from polygon_area import signed_area
 from vitac.envs.fem.model.mesh import SurfaceMesh, unique_edges
 from vitac.envs.geometry.bases import ClearanceOutOfRange, base_surface, hole_outlines_mm
-from vitac.envs.geometry.polygon import signed_area
 from vitac.envs.geometry.stl import read_stl
 
 # The files hold rounded millimetres, the ASCII one with fewer digits.

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from polygon_area import signed_area
 from vitac.envs.geometry.hexagons import hexagon_bottom_vertices, hexagon_peg_surface, regular_hexagon_mm
-from vitac.envs.geometry.polygon import signed_area
 from vitac.envs.geometry.stl import read_stl
 
 

@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from polygon_area import signed_area
 from vitac.envs.geometry.keys import (
     KEY_HALF_THICKNESS_MM,
     KEYS,
@@ -25,7 +26,7 @@ from vitac.envs.geometry.locks import (
     lock_dimensions,
     lock_surface,
 )
-from vitac.envs.geometry.polygon import contains, signed_area
+from vitac.envs.geometry.polygon import contains
 
 EACH = pytest.mark.parametrize("shape", KeyShape)
 

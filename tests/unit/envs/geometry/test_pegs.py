@@ -5,6 +5,7 @@ from math import sqrt
 
 import numpy as np
 import pytest
+from polygon_area import signed_area
 from vitac.envs.geometry.pegs import (
     BOTTOM_CORNERS_MM,
     CLEARANCE_MM,
@@ -20,7 +21,7 @@ from vitac.envs.geometry.pegs import (
     peg_surface,
     profile_mm,
 )
-from vitac.envs.geometry.polygon import contains, signed_area
+from vitac.envs.geometry.polygon import contains
 
 EACH = pytest.mark.parametrize("shape", PegShape)
 # Twice the half width at y [mm], from the drawings.

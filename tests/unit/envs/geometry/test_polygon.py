@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from polygon_area import signed_area
 from vitac.envs.geometry.pegs import PLATE_OUTLINE_MM, PROFILES_MM, PegShape, hole_outline_mm
 from vitac.envs.geometry.polygon import (
     as_polygon,
@@ -10,7 +11,6 @@ from vitac.envs.geometry.polygon import (
     mitred_offset,
     overlaps_plate,
     segments_touch,
-    signed_area,
 )
 from vitac.envs.geometry.solid import rectangle
 

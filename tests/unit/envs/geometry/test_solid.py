@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from polygon_area import signed_area
 from vitac.envs.fem.model.mesh import SurfaceMesh
-from vitac.envs.geometry.polygon import Polygon, as_polygon, signed_area
+from vitac.envs.geometry.polygon import Polygon, as_polygon
 from vitac.envs.geometry.solid import (
     XY_ALONG_Z,
     ZX_ALONG_Y,

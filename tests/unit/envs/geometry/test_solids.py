@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from polygon_area import signed_area
 from vitac.envs.fem.model.mesh import SurfaceMesh, unique_edges
 from vitac.envs.geometry.keys import KEYS, KeyShape, key_control_points, key_surface, profile_mm
 from vitac.envs.geometry.locks import LOCKS, lock_control_points, lock_surface
@@ -16,7 +17,6 @@ from vitac.envs.geometry.pegs import (
     hole_surface,
     peg_surface,
 )
-from vitac.envs.geometry.polygon import signed_area
 from vitac.envs.geometry.stl import read_stl
 
 CUBIC_MILLIMETRE_M3 = 1e-9

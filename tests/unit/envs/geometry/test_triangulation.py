@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from polygon_area import signed_area
 from vitac.envs.geometry.pegs import PLATE_OUTLINE_MM, PROFILES_MM, PegShape, hole_outline_mm
-from vitac.envs.geometry.polygon import Polygon, as_polygon, orientation, signed_area
+from vitac.envs.geometry.polygon import Polygon, as_polygon, orientation
 from vitac.envs.geometry.solid import rectangle
 from vitac.envs.geometry.triangulation import triangulate
 

@@ -137,7 +137,9 @@ def test_a_policy_that_failed_too_often_is_named_by_the_first_failure_of_its_sha
     problem = problem_of(crashed(1), *(crashed(size + number) for number in (3, 4, 5)))
     assert problem is not None
     assert (problem.reason, problem.episode) == (ImpossibleReason.BROKEN_POLICY, size + 3)
-    assert f"starting at episode {size + 3};" in problem.message
+    assert problem.message == (
+        f"The policy failed too often, starting at episode {size + 3}; such an evaluation ends without a score."
+    )
 
 
 def test_what_is_known_without_an_environment_is_a_part_of_what_must_agree() -> None:

@@ -1,22 +1,19 @@
 """What comes in the place of a log, and how each is refused: by a stable code, the line and the reason."""
 
-import base64
 import gzip
 import json
 import resource
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 from service_client import Service, problem_of, running_service
 from service_factories import TRACK, make_failed_record, make_principal, make_record, make_secret
 from sqlalchemy import text
 from text_log_writer import text_log
 from uploaded_logs import a_log, a_text_log, packed, some_records, upload_log
-from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
+from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.logs.text_2025 import Script
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -40,32 +37,6 @@ def count(service: Service, table: str) -> int:
 def assert_nothing_left(service: Service) -> None:
     assert service.leftovers() == []
     assert count(service, "submissions") == count(service, "evaluations") == count(service, "procrastinate_jobs") == 0
-
-
-def altered(line: int, change: Callable[[dict[str, Any]], object]) -> bytes:
-    """The log with one line (from 1) changed, its digest left as it was."""
-    content = json.loads(LINES[line - 1])
-    change(content)
-    return b"".join([*LINES[: line - 1], json.dumps(content).encode() + b"\n", *LINES[line:]])
-
-
-def with_record(episode: int, **changes: Any) -> list[EpisodeRecord]:
-    """All records, one of them another."""
-    return [make_record(n, **(changes if n == episode else {})) for n in range(1, 271)]
-
-
-def with_actions(value: float) -> list[EpisodeRecord]:
-    actions = np.zeros((3, 3), np.float32)
-    actions[1, 2] = value
-    return with_record(5, actions=ActionSequence.from_array(actions))
-
-
-def nan_actions() -> bytes:
-    """The log with NaN in the fifth episode; its bytes have to be put in place, for no record takes them."""
-    good = some_records()[4].actions.float32_base64.encode()
-    bad = base64.b64encode(np.full((3, 3), np.nan, "<f4").tobytes())
-    assert LINES[5].count(good) == 1
-    return LOG.replace(good, bad)
 
 
 def failures(episodes: set[int]) -> list[EpisodeRecord]:
@@ -120,13 +91,9 @@ def test_log_that_names_another_team_is_refused_also_from_an_organizer(service: 
 def test_damaged_log_is_refused_by_line_and_reason(service: Service) -> None:
     for log, reason, line in [
         (b"\x00\xff\xfe\x80" * 100, "not_a_log", 1),
-        (altered(3, lambda content: content["record"].update(total_reward=99.5)), "altered", 3),
         (LOG.replace(LINES[5], LINES[5].replace(b'"total_reward":1.0', b'"total_reward":NaN')), "not_json", 6),
-        (nan_actions(), "invalid", 6),
         (b"".join(LINES[:100]), "truncated", 101),
-        (LOG + LOG, "trailing", 273),
         (packed(LOG)[:-100], "damaged", None),
-        (packed(LOG) + packed(LOG), "trailing", 273),
     ]:
         problem = problem_of(upload_log(service, log), 422, "log_rejected")
         assert (problem["reason"], problem["line"]) == (reason, line), problem["detail"]
@@ -136,17 +103,8 @@ def test_damaged_log_is_refused_by_line_and_reason(service: Service) -> None:
 
 def test_log_that_no_evaluation_can_have_made_is_refused_at_once(service: Service) -> None:
     for log, reason, line, episode in [
-        (a_log(track="track_9"), "other_evaluation", 1, None),
-        (a_log(task="peg-removal"), "other_evaluation", 1, None),
-        (a_log(task="lock-opening"), "other_evaluation", 1, None),
         (a_log(evaluator_version="0+old"), "other_evaluation", 1, None),
-        (a_log(list_seed=7), "other_evaluation", 1, None),
         (a_log(some_records()[1:]), "episode_missing", 271, 1),
-        (a_log([]), "episode_missing", 2, 1),
-        (a_log([*some_records(), make_record(1).model_copy(update={"episode": 271})]), "not_in_list", 272, 271),
-        (a_log(with_record(5, shape="concave1")), "other_start", 6, 5),
-        (a_log(with_record(5, task="lock-opening")), "other_task", 6, 5),
-        (a_log(with_actions(1.5)), "wrong_action", 6, 5),
         (a_log(failures({1, 2, 3})), "broken_policy", 272, 1),
     ]:
         problem = problem_of(upload_log(service, log), 422, "log_impossible")
@@ -244,12 +202,8 @@ def changed_test(number: int, old: bytes, new: bytes) -> bytes:
 def test_text_log_that_is_not_one_whole_evaluation_is_refused(service: Service) -> None:
     for log, code, reason in [
         (b"\x00\xff" * 100, "log_rejected", "not_a_text_log"),
-        (LOG, "log_rejected", "not_a_text_log"),
-        (TEXT_LOG + TEXT_LOG, "log_rejected", "not_a_text_log"),
         (b"".join(TEXT_LINES[:-2]), "log_rejected", "truncated"),
         (changed_test(3, b"0.25", b"1.25"), "log_impossible", "wrong_action"),
-        (changed_test(3, b"Initial offset: [-4.", b"Initial offset: [-3."), "log_impossible", "other_start"),
-        (a_text_log(totals=("#SUCCESS_RATE: 999.00%", "#AVG_STEP: 2.00")), "log_rejected", "out_of_place"),
         (a_text_log(totals=(), episodes=[]), "log_impossible", "episode_missing"),
     ]:
         problem = problem_of(upload_log(service, log, "text_log"), 422, code)

@@ -171,15 +171,6 @@ def test_cancel_ends_the_evaluation_once(service: Service) -> None:
     assert problem["state"] == "cancelled"
 
 
-def test_requeue_is_for_organizers(service: Service) -> None:
-    identity = service.upload(ARCHIVE).json()["id"]
-    problem_of(service.post(f"/submissions/{identity}/requeue"), 403, "forbidden")
-    problem_of(service.post(f"/submissions/{identity}/requeue", service.organizer_token), 409, "not_requeuable")
-    service.post(f"/submissions/{identity}/cancel")
-    answer = service.post(f"/submissions/{identity}/requeue", service.organizer_token)
-    assert (answer.status_code, answer.json()["evaluation"]["run"]) == (202, 2)
-
-
 def test_other_content_types_are_refused(service: Service) -> None:
     for content_type in ["", "text/plain", "multipart/form-data; boundary=x", "application/gzip"]:
         problem = problem_of(service.upload(ARCHIVE, Content_Type=content_type), 415, "unsupported_content_type")
@@ -224,25 +215,6 @@ def test_archive_that_breaks_a_rule_is_refused_and_nothing_is_left(service: Serv
     ]:
         problem = problem_of(service.upload(archive), 422, "archive_rejected")
         assert problem["reason"] == reason
-        assert_nothing_left(service)
-
-
-def test_archive_in_the_folder_of_another_track_is_refused(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vitac.evaluator.submission.archive.archive_folders", lambda: ("Track_1", "Track_2"))
-    archive = make_archive({"Track_2/submission.yaml": MANIFEST, "Track_2/policy.py": POLICY})
-    problem = problem_of(service.upload(archive), 422, "archive_rejected")
-    assert problem["reason"] == "wrong_top_folder"
-    assert "expected folder Track_1, got Track_2" in problem["detail"]
-    assert_nothing_left(service)
-
-
-def test_wrong_manifest_is_refused_with_what_is_wrong(service: Service) -> None:
-    for manifest, says in [
-        ("track: track_1\ntasks: [peg-insertion]\nnaem: x\n", "did you mean 'name'?"),
-        ("track: track_9\ntasks: [peg-insertion]\nname: x\n", "There is no track 'track_9'"),
-    ]:
-        problem = problem_of(service.upload(make_archive(manifest=manifest)), 422, "manifest_rejected")
-        assert says in problem["detail"]
         assert_nothing_left(service)
 
 

@@ -5,11 +5,7 @@ from service_client import Service, make_archive, problem_of
 from service_factories import LOCK, TASK, TRACK, RecordOf, make_record, play_all
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import registry
-from vitac.server.contest.freezing import freeze
 from vitac.server.db.models import Submission
-from vitac.server.principals import CONSOLE
-
-from competitions import make_competition, open_now, put_in_place
 
 
 def successes_below(limit: int) -> RecordOf:
@@ -93,20 +89,3 @@ def test_leaderboard_that_a_client_has_is_not_sent_again_until_it_changes(servic
     evaluated(service, service.token, "x = 3", successes_below(101))
     changed = service.client.get(address, headers={"If-None-Match": first.headers["etag"]})
     assert (changed.status_code, changed.json()["entries"][0]["successes"]) == (200, 100)
-
-
-def test_organizers_see_what_frozen_boards_do_not_show_to_others(service: Service) -> None:
-    with service.database.transaction() as session:
-        put_in_place(session, open_now(make_competition()))
-        freeze(session, CONSOLE)
-    late = evaluated(service, service.token, "x = 1", successes_below(100))
-    path = f"/leaderboards/{TRACK}?task={TASK}"
-    assert service.client.get(f"/api/v1{path}").json()["entries"] == []
-    theirs, live = service.get(path), service.get(path, service.organizer_token)
-    assert (theirs.json()["entries"], theirs.json()["frozen_at"] is not None) == ([], True)
-    assert [entry["submission_id"] for entry in live.json()["entries"]] == [late]
-    assert live.headers["vary"] == "Authorization"
-    assert live.headers["etag"] != theirs.headers["etag"]
-    logs = [service.get(f"/leaderboards/{TRACK}/logs", token) for token in (None, service.organizer_token)]
-    assert len({answer.headers["etag"] for answer in logs}) == 2
-    assert service.client.get(f"/api/v1{path}").json()["entries"] == []

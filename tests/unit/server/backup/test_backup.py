@@ -346,17 +346,3 @@ def test_backup_that_is_not_whole_is_refused_before_anything_changes(
                 bring(empty, changed)
     assert is_current(empty.database)
     assert list(empty.settings.state_dir.rglob("sha256/*/*")) == []
-
-
-def test_truncated_backup_is_refused(service: Service, empty: Services, file: Path) -> None:
-    upload_and_play(service)
-    back_up(service.services, file)
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    with pytest.raises(BackupRejected):
-        restore(empty, file)
-
-
-def test_file_that_is_no_backup_is_refused(empty: Services, file: Path) -> None:
-    file.write_text("hello")
-    with pytest.raises(BackupRejected, match=r"not a complete backup.*vitac admin backup"):
-        restore(empty, file)

@@ -160,18 +160,6 @@ def test_the_list_of_a_stage_with_another_name_is_shown_as_withdrawn(database: D
     assert {stage: withdrawn for stage, (_, withdrawn) in lists_of(database).items()} == {SECOND: True, "final": False}
 
 
-def test_a_stage_that_turns_public_plays_no_sealed_list(database: Database) -> None:
-    applied(database, make_competition())
-    public, place = deepcopy(make_competition()), f"tracks.{TRACK}.stages.{SECOND}.list"
-    stages(public)[1]["list"] = "public"
-    assert [change.place for change in applied(database, public, confirmed=[place])] == [place]
-    with database.transaction() as session:
-        assert not Contest.read(session).stage(TRACK, SECOND).is_sealed
-        withdrawn = newest_entries(session)[0]
-        assert (withdrawn.action, withdrawn.after) == ("list.withdraw", {"commitment": None})
-    assert applied(database, public) == []
-
-
 def test_a_list_that_an_evaluation_plays_is_not_withdrawn(database: Database) -> None:
     applied(database, make_competition())
     with database.transaction() as session:

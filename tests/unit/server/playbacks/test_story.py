@@ -34,7 +34,7 @@ def a_record(outcome: EpisodeOutcome, *env_steps: tuple[float, float, float]) ->
     )
 
 
-def moments(record: EpisodeRecord) -> list[tuple[int, Mark]]:
+def moments(record: EpisodeRecord) -> list[tuple[int, str]]:
     return [(moment.env_step, moment.mark) for moment in tell_story(record, PEG).moments]
 
 
@@ -58,7 +58,7 @@ def test_an_episode_that_moved_a_gel_too_far_says_which_and_where_the_peg_was() 
 @pytest.mark.parametrize(("heights", "stuck"), [((2.0, 1.0, 1.0, 1.0), 2), ((2.0, 1.5, 1.0, 0.5), None)])
 def test_an_episode_is_stuck_from_where_the_peg_comes_no_nearer(heights: tuple[float, ...], stuck: int | None) -> None:
     record = a_record(EpisodeOutcome.STEPS, *((0.1, 0.1, height) for height in heights))
-    assert [step for step, mark in moments(record) if mark is Mark.STUCK] == ([] if stuck is None else [stuck])
+    assert [step for step, mark in moments(record) if mark == Mark.STUCK] == ([] if stuck is None else [stuck])
     assert tell_story(record, PEG).sentence.startswith("Failed: all 4 env steps were used up, with the peg ")
 
 

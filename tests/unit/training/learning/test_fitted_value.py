@@ -1,11 +1,9 @@
 """What critic and assessor have in common: targets of each sweep, and the losses of its epochs."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from vitac.training.learning.ensemble import Samples
-from vitac.training.learning.fitted_value import FittedValue
+from vitac.training.learning.fitted_value import FittedValue, FittingPlan
 from vitac.training.learning.network import FloatArray, TrainingDiverged, probability
 from vitac.training.learning.symmetry import Signs
 
@@ -13,14 +11,14 @@ INPUTS = 4
 STAYS = Signs(mirror=np.ones(INPUTS, dtype=np.float32), turn=np.ones(INPUTS, dtype=np.float32))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Plan:
+class Plan(FittingPlan):
     networks: int = 2
     hidden: int = 16
     sweeps: int = 3
     epochs: int = 2
     batch: int = 16
     rate: float = 5e-3
+    discount: float = 1.0
 
 
 def samples(count: int = 64, seed: int = 0) -> Samples:

@@ -11,7 +11,6 @@ from page_service import FixedData, an_application
 from PIL import Image
 from played_episodes import KEY, a_playback, a_shown_episode, real_files
 from visits import COMPLETED
-from vitac.evaluator.tracks import load_track
 from vitac.server.playbacks.files import PlaybackFile
 from vitac.server.views.contest import CompetitionTrackView, CompetitionView, StageView
 from vitac.server.views.messages import AnnouncementView
@@ -74,14 +73,6 @@ def test_ways_in_are_buttons_and_each_card_leads_to_its_board_and_rules(browser:
     assert '<a class="button plain" href="/docs/">Documentation</a>' in html
     cards = html.partition('class="cards"')[2].partition("</ul>")[0]
     assert cards.count('">Leaderboard<') == cards.count('">Rules<') == cards.count("<li>") >= 1
-
-
-def test_names_in_the_summary_of_a_track_are_shown_as_code(
-    browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    track = load_track("track_1").model_copy(update={"summary": "Needs `<torch>`."})
-    monkeypatch.setattr(home, "load_track", lambda name: track)
-    assert "<p>Needs <code>&lt;torch&gt;</code>.</p>" in browser.get("/").text
 
 
 def test_what_happened_lately_comes_first_and_links_what_is_public(data: FixedData, browser: AsgiBrowser) -> None:
@@ -180,12 +171,6 @@ def test_a_public_episode_is_played_in_place_of_ours(data: FixedData, browser: A
     assert "success at env step 3." in html
     assert "/example/playback" not in html
     assert html.count("<img") == 1, "its still is too large for the first load"
-
-
-def test_without_a_public_episode_ours_is_played(browser: AsgiBrowser) -> None:
-    html = browser.get("/").text
-    assert 'data-playback="/example/playback" data-version="1"' in html
-    assert "The picture shows another episode" not in html
 
 
 def test_the_newest_announcements_are_shown_and_linked(data: FixedData, browser: AsgiBrowser) -> None:

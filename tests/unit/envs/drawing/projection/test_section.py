@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+from polygon_area import signed_area
 from vitac.envs.drawing.projection.section import section_loops_m
 from vitac.envs.geometry.keys import KeyShape
 from vitac.envs.geometry.locks import lock_surface
 from vitac.envs.geometry.pegs import PegShape, hole_surface, peg_surface
-from vitac.envs.geometry.polygon import signed_area
 from vitac.envs.scene.perspective import Plane
 
 HALF_WAY_UP = Plane(normal=(0.0, 0.0, 1.0), offset_m=10e-3)

@@ -42,21 +42,6 @@ def test_a_made_playback_is_played_with_the_still_for_those_who_cannot(data: Fix
     assert "Make the playback" not in html
 
 
-def test_a_playback_with_cameras_says_so(data: FixedData, visitor: AsgiBrowser) -> None:
-    path = show(data, PlaybackState.MADE)
-    place = next(iter(data.episodes))
-    data.episodes[place] = a_shown_episode(a_playback(has_cameras=True))
-    assert "data-cameras" in visitor.get(path).text
-
-
-def test_without_a_still_the_page_says_what_the_worker_lacks(data: FixedData, visitor: AsgiBrowser) -> None:
-    path = show(data, PlaybackState.MADE)
-    data.episodes[next(iter(data.episodes))] = a_shown_episode(a_playback(has_still=False))
-    html = visitor.get(path).text
-    assert "could not draw a still picture" in html
-    assert "<img" not in html.partition('class="player"')[2]
-
-
 def test_an_episode_of_maniskill_is_a_film_that_plays_only_when_it_is_asked_for(
     data: FixedData, visitor: AsgiBrowser
 ) -> None:
@@ -236,9 +221,3 @@ def test_files_are_kept_by_the_browser_under_their_key_only(data: FixedData, vis
 @pytest.mark.parametrize("file", ["cameras", "other", "..%2F..%2Fkey"])
 def test_a_file_that_is_not_there_is_not_found(data: FixedData, visitor: AsgiBrowser, file: str) -> None:
     assert visitor.get(f"{show(data, PlaybackState.MADE)}/playback/{file}").status_code == 404
-
-
-def test_every_finished_episode_of_a_submission_is_a_link(data: FixedData, visitor: AsgiBrowser) -> None:
-    html = visitor.get(f"/submissions/{COMPLETED.id}").text
-    assert html.count(f'<a href="/submissions/{COMPLETED.id}/episodes/{TASK}/') == 270 + 4  # one of each outcome
-    assert f'<a href="/submissions/{COMPLETED.id}/episodes/{TASK}/270">' in html

@@ -3,7 +3,7 @@ from typing import Any
 
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import DIVERGENCE, LOCK, TASK, a_log, a_submission, an_action_match, an_id
+from page_fixtures import DIVERGENCE, LOCK, TASK, a_log, an_action_match, an_id
 from page_service import FixedData
 from visits import BOTH, COMPLETED, FAILED, QUEUED, RUNNING, form_token, page_of, sign_in
 from vitac.envs.tasks.definition import Family
@@ -54,12 +54,6 @@ def test_a_row_changes_with_what_it_shows(data: FixedData, browser: AsgiBrowser)
         place = next(place for place, found in enumerate(data.found) if found.id == RUNNING.id)
         data.found[place] = RUNNING.model_copy(update={"evaluation": evaluation.model_copy(update=changed)})
         assert shown in browser.get("/submissions").text
-
-
-def test_no_submission_yet_tells_how_to_make_one(data: FixedData, browser: AsgiBrowser) -> None:
-    data.found.clear()
-    sign_in(browser, "Gelbots")
-    assert "vitac submit FOLDER" in browser.get("/submissions").text
 
 
 def test_older_submissions_are_linked(data: FixedData, browser: AsgiBrowser) -> None:
@@ -204,14 +198,6 @@ def test_a_submission_of_two_tasks_shows_each_with_rank_and_hash(browser: AsgiBr
     assert 'aria-label="Key4: ' in html
 
 
-def test_a_running_submission_of_two_tasks_shows_the_progress_of_each(data: FixedData, browser: AsgiBrowser) -> None:
-    data.found.append(a_submission("Gelbots", EvaluationState.RUNNING, name="two", tasks=(TASK, LOCK), done=300))
-    sign_in(browser, "Gelbots")
-    html = browser.get(f"/submissions/{data.found[-1].id}").text
-    for shown in ("300 of 430", "270 of 270", "30 of 160"):
-        assert shown in html
-
-
 def test_a_submission_of_a_removed_track_shows_the_score_that_is_kept(data: FixedData, browser: AsgiBrowser) -> None:
     data.found = [kept.model_copy(update={"track": "chess", "public": True}) for kept in (BOTH, FAILED)]
     for name, is_own in (("Bears", False), ("Gelbots", True)):
@@ -302,13 +288,6 @@ def test_a_submission_that_no_running_worker_can_play_says_what_is_missing(
     assert "No worker is running" not in html
 
 
-def test_reused_episodes_are_counted(data: FixedData, browser: AsgiBrowser) -> None:
-    stored = a_submission("Gelbots", EvaluationState.RUNNING, name="stored", done=137, reused=120)
-    data.found.append(stored)
-    sign_in(browser, "Gelbots")
-    assert "120 episodes are reused" in browser.get(f"/submissions/{stored.id}").text
-
-
 def test_cancel_needs_the_sessions_form_token(data: FixedData, browser: AsgiBrowser) -> None:
     sign_in(browser, "Gelbots")
     path = f"/submissions/{RUNNING.id}/cancel"
@@ -337,13 +316,6 @@ def test_events_of_a_finished_evaluation_are_one_view_and_the_end(browser: AsgiB
 
 def test_events_need_a_session_and_do_not_come_back_without(browser: AsgiBrowser) -> None:
     assert browser.get(f"/submissions/{COMPLETED.id}/events").status_code == 204
-
-
-def test_verified_log_says_what_that_proves(data: FixedData, browser: AsgiBrowser) -> None:
-    html = page_of(data, browser, VERIFIED)
-    for shown in ("Verified:", "all states are equal", "not that a policy chose them", "has no evaluated model yet"):
-        assert shown in html
-    assert "Isolation" not in html
 
 
 def test_models_that_give_the_actions_of_a_log_are_named(data: FixedData, browser: AsgiBrowser) -> None:
