@@ -148,7 +148,7 @@ def _check_braking(settings: dict[int, float], limits: Limits) -> Iterator[Probl
 def _check_gripper(described: Gripper) -> Iterator[Problem]:
     with gripper.Gripper(described.port, unit=described.unit) as opened:
         opened.check_fault(opened.status())
-    yield from ()
+    yield from ()  # a generator, as the other checks; a fault is raised
 
 
 def _check_calibration(serial_number: str, calibration: Calibration) -> Iterator[Problem]:

@@ -62,6 +62,10 @@ class ForceTorqueSensor:
         rows = re.findall(r"\(([^)]*)\)", self._ask("DCPM=?"))
         return [[float(value) for value in row.split(",")] for row in rows]
 
+    def zero(self) -> None:
+        """Take the present forces and torques for zero, before `start` and with nothing held."""
+        self._ask("ADJZF=1;1;1;1;1;1")
+
     def start(self, rate_hz: int) -> None:
         """Set the rate and start the stream of frames, also where another program has left one running."""
         self.stop()

@@ -42,6 +42,7 @@ class ForceTorqueTwin:
     decoupling: Matrix = field(default_factory=_identity)
     faults: set[ForceTorqueFault] = field(default_factory=set)
     sent: int = 0
+    _zero: Values = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     _rate_hz: float = 100.0
     _streams: bool = False
     _over: Event = field(default_factory=Event)
@@ -106,6 +107,9 @@ class ForceTorqueTwin:
         elif line == "AT+DCPM=?":
             rows = ";".join("(" + ",".join(f"{value:.6f}" for value in row) + ")" for row in self.decoupling)
             answer = f"DCPM={rows}$OK"
+        elif line == "AT+ADJZF=1;1;1;1;1;1":
+            self._zero = self.wrench()
+            answer = "ADJZF=1;1;1;1;1;1$OK"
         elif found := re.fullmatch(r"AT\+(SGDM=.*)", line):
             answer = f"{found[1]}$OK"
         else:
@@ -115,7 +119,7 @@ class ForceTorqueTwin:
     def _send(self, connection: socket.socket) -> None:
         if ForceTorqueFault.FROZEN in self.faults:
             return
-        values = struct.pack("<6f", *self.wrench())
+        values = struct.pack("<6f", *(value - zero for value, zero in zip(self.wrench(), self._zero, strict=True)))
         is_damaged = ForceTorqueFault.DAMAGED in self.faults and self.sent % 2
         total = (sum(values) + bool(is_damaged)) & 0xFF
         self.sent += 1

@@ -35,6 +35,13 @@ def test_frames_are_forces_and_torques(sensor: ForceTorqueSensor) -> None:
     assert sensor.damaged_bytes == 0
 
 
+def test_zero_is_the_force_at_which_it_was_set(sensor: ForceTorqueSensor, twin: ForceTorqueTwin) -> None:
+    sensor.zero()
+    twin.wrench = lambda: (2.5, -2.25, 40.0, 0.125, 0.25, 0.0)
+    sensor.start(rate_hz=1000)
+    assert read(sensor, 2)[1] == Wrench(1.0, 0.0, 0.0, 0.0, 0.0, 0.5)
+
+
 def test_damaged_frames_are_skipped_and_counted(sensor: ForceTorqueSensor, twin: ForceTorqueTwin) -> None:
     twin.faults.add(ForceTorqueFault.DAMAGED)
     sensor.start(rate_hz=1000)
