@@ -62,16 +62,6 @@ def test_every_page_is_looked_at_for_barriers(site: SiteUnderTest, monkeypatch: 
     assert unchecked(["/new/one?of=many"]) == []
 
 
-def test_the_scene_in_the_rules_stands_in_line_with_the_text(browser: Browser, site: SiteUnderTest) -> None:
-    page = browser.new_page(viewport=PHONE)  # type: ignore[arg-type]
-    page.goto(f"{site.address}/tracks/track_1/rules")
-    left_px = page.get_by_role("heading", level=1).evaluate("heading => heading.getBoundingClientRect().left")
-    picture = page.locator("figure.scene img").evaluate("image => image.getBoundingClientRect().toJSON()")
-    assert picture["left"] == left_px
-    assert picture["width"] == pytest.approx(PHONE["width"] - 2 * left_px, abs=1)
-    page.close()
-
-
 @pytest.mark.parametrize(("scheme", "size"), LOOKS, ids=["light desk", "dark phone"])
 def test_operations_are_accessible_fit_and_need_no_javascript(
     browser: Browser, site: SiteUnderTest, scheme: str, size: dict[str, int]
@@ -99,19 +89,6 @@ def test_an_empty_site_is_accessible(page: Page, site: SiteUnderTest) -> None:
     for path in ("/", "/submissions"):
         site.open(page, path)
         assert violations(page) == []
-
-
-def test_dark_and_light_are_different(browser: Browser, site: SiteUnderTest) -> None:
-    colours = []
-    for scheme in ("light", "dark"):
-        context = browser.new_context(color_scheme=scheme)
-        page = context.new_page()
-        site.open(page, "/tracks/track_1")
-        colours.append(page.evaluate("getComputedStyle(document.body).backgroundColor"))
-        context.close()
-    light, dark = (sum(int(part) for part in re.findall(r"\d+", colour)[:3]) for colour in colours)
-    assert light > 3 * 200
-    assert dark < 3 * 60
 
 
 def test_a_running_evaluation_moves_on_without_a_reload_and_ends_with_its_score(
@@ -169,20 +146,6 @@ def test_everything_works_without_javascript(browser: Browser, site: SiteUnderTe
     context.close()
 
 
-def test_each_task_has_a_leaderboard_one_link_away(browser: Browser, site: SiteUnderTest) -> None:
-    context = browser.new_context(java_script_enabled=False)
-    page = context.new_page()
-    site.open(page, "/tracks/track_1")
-    boards = page.get_by_role("navigation", name="Leaderboards of this track")
-    expect(boards.get_by_role("link", name="All tasks")).to_have_attribute("aria-current", "page")
-    boards.get_by_role("link", name="Peg insertion").click()
-    expect(page.get_by_role("columnheader", name="Trapezoid")).to_be_visible()
-    expect(boards.get_by_role("link", name="Peg insertion")).to_have_attribute("aria-current", "page")
-    boards.get_by_role("link", name="All tasks").click()
-    expect(page.get_by_role("columnheader", name="Lock opening")).to_be_visible()
-    context.close()
-
-
 def test_the_keyboard_reaches_the_content_first(page: Page, site: SiteUnderTest) -> None:
     site.open(page, "/tracks/track_1")
     page.keyboard.press("Tab")
@@ -205,16 +168,6 @@ def test_scripts_of_others_are_refused_by_the_policy(page: Page, site: SiteUnder
         " script.textContent = 'window.injected = true'; document.body.append(script); }"
     )
     assert page.evaluate("window.injected") is None
-
-
-def test_a_leaderboard_row_keeps_its_table_meaning_on_a_phone(browser: Browser, site: SiteUnderTest) -> None:
-    context = browser.new_context(viewport=PHONE)  # type: ignore[arg-type]
-    page = context.new_page()
-    site.open(page, "/tracks/track_1")
-    row = page.get_by_role("row").filter(has=page.get_by_role("rowheader", name="Tactile Bears"))
-    expect(row.get_by_role("cell")).to_have_count(6)
-    expect(row).to_contain_text("241 of 270")
-    context.close()
 
 
 def test_the_session_cookie_is_out_of_reach_for_scripts(page: Page, site: SiteUnderTest) -> None:
@@ -248,22 +201,6 @@ def test_a_long_name_widens_no_board_of_two_hundred_teams(browser: Browser, site
             expect(page.get_by_role("cell", name=name[:20]).first).to_be_visible()
             assert page.evaluate("document.documentElement.scrollWidth") <= size["width"], "list of all teams"
         context.close()
-
-
-def test_a_board_of_three_runs_is_no_wider_than_what_is_above_it(page: Page, site: SiteUnderTest) -> None:
-    score = a_score((80, 74, 80), 4.92)
-    entry = an_entry(None, "Flat Gels", score, name="a dome with a policy")
-    runs = [score.model_copy(update={"task": task}) for task in ("sensor-design", "sensor-standard", "sensor-blind")]
-    board = a_leaderboard(entry.model_copy(update={"scores": runs}))
-    site.data.board = board.model_copy(update={"track": "track_3"})
-    resize(page, {"width": 1200, "height": 900})
-    site.open(page, "/tracks/track_3")
-    expect(page.locator("table.board thead th")).to_have_count(8)
-    right_px = [
-        page.locator(selector).last.evaluate("element => element.getBoundingClientRect().right")
-        for selector in ("table.board", "main nav")
-    ]
-    assert right_px[0] <= right_px[1] + 1
 
 
 def test_the_own_row_of_a_long_board_is_one_link_away(page: Page, site: SiteUnderTest) -> None:
