@@ -24,35 +24,40 @@ def graded(inner: float, outer: float, cells: int, more: int) -> FloatArray:
     return np.concatenate([-far[::-1], np.linspace(-inner, inner, cells + 1), far])
 
 
-MORE, ZR = 5, 1.3
-
-
 @dataclass(frozen=True, kw_only=True)
 class Dome:
-    """A block with a spherical face, refined where it touches.
+    """A block with a spherical face, refined where it touches over a twentieth of the ball's radius.
 
     Attributes:
-        radius_m: of the face [m].
-        touching_m: radius of the contact that it is refined for [m].
-        thickness_m: [m].
-        half_width_m: [m].
+        radius_m: of the ball [m].
         cells: across the contact.
+        outer_cells: from the contact to each side, growing.
+        growth: of cells downwards.
     """
 
     radius_m: float = 0.8
-    touching_m: float = 0.04
-    thickness_m: float = 0.2
-    half_width_m: float = 0.2
-    cells: int = 14
+    cells: int = 12
+    outer_cells: int = 8
+    growth: float = 1.25
+
+    @property
+    def touching_m(self) -> float:
+        """Radius of the contact that it is refined for [m]."""
+        return self.radius_m / 20
+
+    @property
+    def thickness_m(self) -> float:
+        """Thickness [m]; half the width is the same."""
+        return self.radius_m / 4
 
     @property
     def mesh(self) -> GelMesh:
         """Mesh, its face at the top, centred."""
-        along = graded(1.15 * self.touching_m, self.half_width_m, round(1.15 * self.cells), MORE)
+        along = graded(1.15 * self.touching_m, self.thickness_m, round(1.15 * self.cells), self.outer_cells)
         size, ratio, heights = 2 * self.touching_m / self.cells, 1.0, [0.0]
         while heights[-1] < self.thickness_m:
             heights.append(heights[-1] + size * ratio)
-            ratio = ratio * ZR if heights[-1] > 0.4 * self.touching_m else ratio
+            ratio = ratio * self.growth if heights[-1] > 0.4 * self.touching_m else ratio
         z = self.thickness_m * (1 - np.array(heights) / heights[-1])[::-1]
         grid = box_gel((0.1, 0.1, 0.1), (len(along) - 1, len(along) - 1, len(z) - 1))
         index = np.rint(10 * grid.rest_position_m * [len(along) - 1, len(along) - 1, len(z) - 1]).astype(int)

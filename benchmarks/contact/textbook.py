@@ -83,7 +83,8 @@ class Choice:
 
     def dome(self, own_radius_m: float) -> Dome:
         """Return a dome of the ball's radius."""
-        return Dome(radius_m=self.radius_m or own_radius_m, cells=16 if self.fine else 10)
+        dome = Dome(radius_m=self.radius_m or own_radius_m)
+        return replace(dome, cells=14, outer_cells=9, growth=1.2) if self.fine else dome
 
 
 def drifts(choice: Choice) -> Iterator[Check]:
@@ -172,7 +173,7 @@ def pads(choice: Choice) -> Iterator[Check]:
 
 def grips(choice: Choice) -> Iterator[Check]:
     """Yield figures of a box that two pads squeeze and shear: both sides, other steps, other meshes."""
-    cells, halved = ((8, 8, 6), (16, 16, 12)) if choice.fine else ((6, 6, 4), (12, 12, 8))
+    cells, halved = ((8, 8, 6), (16, 16, 12)) if choice.fine else ((7, 7, 5), (14, 14, 10))
     for own, own_friction in ((SOFT, 0.6), (FIRM, 0.4)):
         rubber, friction = choice.rubber(own), choice.rubs(own_friction)
         name = f"grip of {rubber.youngs_modulus_pa:g} Pa, mu {friction}"
