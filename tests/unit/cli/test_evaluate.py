@@ -1,5 +1,4 @@
 import json
-import zipfile
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -120,19 +119,6 @@ def test_log_can_be_read_again_and_is_the_same_each_time(
         reader = LogReader(stream)
         assert reader.header.team == "Touch"
         assert [record.episode for record in reader.records()] == [1, 2, 3]
-
-
-def test_zip_and_folder_give_the_same(submission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    packed = tmp_path / "mine.zip"
-    with zipfile.ZipFile(packed, "w") as archive:
-        for file in submission.iterdir():
-            archive.write(file, f"Track_1/{file.name}")
-    reports = tmp_path / "folder.json", tmp_path / "zip.json"
-    for source, report in zip((submission, packed), reports, strict=True):
-        run(capsys, source, "--episodes", "2", "--json", report)
-    folder, zipped = (EvaluationReport.model_validate_json(report.read_text()) for report in reports)
-    assert folder.submission_digest == zipped.submission_digest
-    assert folder.result_hash == zipped.result_hash
 
 
 def test_failing_policy_is_refused_with_its_verdict_and_output(

@@ -3,11 +3,9 @@ from pathlib import Path
 
 import pytest
 from evaluation_fakes import FakeEnvironment
-from evaluation_records import make_manifest, make_record
 from text_log_writer import text_log
 from vitac.cli import main as cli
 from vitac.evaluator.episodes import episode
-from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.tracks import Task
 
@@ -78,18 +76,6 @@ def test_writes_the_report(
     assert content["ipc_steps"] == 10
 
 
-def test_takes_our_own_logs(
-    asked_assets: list[Path | None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log = tmp_path / "own.jsonl"
-    with log.open("wb") as stream:
-        write_log(stream, LogHeader(manifest=make_manifest()), [make_record(3)])
-    code, out, _ = run(capsys, log, "--task", "peg-insertion")
-    assert code == 0
-    assert out.startswith("Episode 3: concave1 at 1 -3 -4\n")
-    assert "recorded success after 3 env steps" in out
-
-
 def test_assets_come_from_the_option_or_the_environment(
     recording: Path,
     asked_assets: list[Path | None],
@@ -130,14 +116,6 @@ def test_unreadable_recording_is_refused_by_line(
     code, _, err = run(capsys, recording, "--task", "peg-insertion")
     assert code == 1
     assert err.startswith("vitac: Line 2 is not JSON")
-
-
-def test_missing_file_is_refused(
-    tmp_path: Path, asked_assets: list[Path | None], capsys: pytest.CaptureFixture[str]
-) -> None:
-    code, _, err = run(capsys, tmp_path / "nothing.jsonl", "--task", "peg-insertion")
-    assert code == 2
-    assert "does not exist" in err
 
 
 @pytest.fixture

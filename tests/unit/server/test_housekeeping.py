@@ -146,21 +146,6 @@ def test_the_server_that_started_last_declares_its_evaluator_and_a_worker_never_
     old.stop()
 
 
-def test_a_worker_never_begins_evaluations_of_other_versions_again(
-    services: Services, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    done: list[str] = []
-    monkeypatch.setattr(housekeeping, "OTHERS_EVERY_S", 0.0)
-    monkeypatch.setattr(housekeeping, "prune", lambda _: None)
-    monkeypatch.setattr(housekeeping, "supersede_outdated", lambda *_: done.append("versions"))
-    monkeypatch.setattr(work, "recover", lambda *_: done.append("playbacks"))
-    keeper = Housekeeping(services, supersedes=False)
-    keeper.start()
-    eventually(lambda: done.count("playbacks") > 2)
-    keeper.stop()
-    assert set(done) == {"playbacks"}
-
-
 def leases_lost(services: Services) -> float:
     with services.database.transaction() as session:
         return totals(session).get(SeriesKey("vitac_leases_lost_total"), 0.0)

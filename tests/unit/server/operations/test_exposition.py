@@ -7,7 +7,7 @@ from uuid import uuid4
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from service_factories import make_principal, make_settings, submit
-from sqlalchemy import event, update
+from sqlalchemy import event
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Worker
 from vitac.server.db.states import WorkerState
@@ -113,18 +113,6 @@ def a_worker(pid: int) -> Worker:
         host=f"machine-{pid}", pid=pid, slots=1, state=WorkerState.READY, evaluator_version="1",
         platform_class="x86_64-linux", isolation="", disk_bytes=100, disk_free_bytes=pid,
     )  # fmt: skip
-
-
-def test_disks_are_shown_by_host_for_workers_that_run(services: Services) -> None:
-    with services.database.transaction() as session:
-        session.add_all([a_worker(3), a_worker(4)])
-    with services.database.transaction() as session:
-        session.execute(update(Worker).where(Worker.pid == 4).values(state=WorkerState.STOPPED))
-    text = Exposition(services).text()
-    free = {labels for name, labels in parsed(text) if name == "vitac_worker_disk_free_bytes"}
-    assert free == {frozenset({("host", "machine-3")})}
-    assert value(text, "vitac_worker_disk_free_bytes", host="machine-3") == 3
-    assert value(text, "vitac_worker_slots") == 1
 
 
 AT = datetime(2026, 3, 1, tzinfo=UTC)
