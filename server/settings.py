@@ -78,16 +78,18 @@ class Settings(BaseSettings):
     )
     database_owner_url: SecretStr | None = Field(
         default=None,
-        description="The same database as VITAC_DATABASE_URL for the role that owns its tables; migrates and restores.",
+        description="The same database for the role that owns its tables, who migrates and restores. Not set: "
+        "VITAC_DATABASE_URL.",
     )
     database_wait_s: PositiveFloat = Field(
         default=30.0,
-        description="At the start, how long to wait for a database that does not answer at all; one that recovers or "
-        "restarts, without limit.",
+        description="How long a starting server or worker waits for a database that does not answer; for one that "
+        "recovers or restarts, without limit.",
     )
     state_dir: Path = Field(
         default_factory=default_state_directory,
-        description="Folder of the embedded database, of stored files and of keys.",
+        description="Folder of the embedded database, of stored files and of keys; `.state` in the checkout where "
+        "there is one.",
     )
     postgres_bin_dir: Path | None = Field(
         default=None,
@@ -95,8 +97,8 @@ class Settings(BaseSettings):
     )
     preview_font: Path | None = Field(
         default=None,
-        description="Font file for names in pictures of links that are neither Latin, Greek nor Cyrillic, such as that "
-        "of Noto Sans CJK. Not set: a box stands for each such character.",
+        description="Font file for further scripts, such as Noto Sans CJK, in the previews of links. Not set: "
+        "Latin, Greek and Cyrillic.",
     )
     storage_url: str | None = Field(
         default=None,
@@ -107,58 +109,67 @@ class Settings(BaseSettings):
         description="Key that signs page sessions, equal on all servers. Not set: a file in the state directory.",
     )
 
-    host: str = "127.0.0.1"
-    port: int = Field(default=8000, ge=0, le=65535)
+    host: str = Field(default="127.0.0.1", description="Address at which the server listens.")
+    port: int = Field(default=8000, ge=0, le=65535, description="Port at which the server listens.")
     server_processes: PositiveInt = Field(
-        default=1, description="Processes that answer requests; one uses about one core. They share all limits."
+        default=1, description="Processes that answer requests; one uses about one core."
     )
-    public_url: str | None = Field(default=None, description="Address that people use, when a proxy stands in front.")
+    public_url: str | None = Field(
+        default=None,
+        description="Address that people use; all links follow it. `vitac serve` needs it where VITAC_HOST is not "
+        "of this machine alone.",
+    )
 
     trusted_proxies: str = Field(
         default="",
-        description="Addresses or networks (10.0.0.0/8), with commas, of the reverse proxies in front. The client's "
-        "address is taken from their X-Forwarded-For, which counts from nobody else.",
+        description="Addresses or networks (10.0.0.0/8) of the reverse proxies, with commas; X-Forwarded-For counts "
+        "from nobody else.",
     )
 
     metrics_token: SecretStr | None = Field(
         default=None,
         min_length=16,
-        description="Bearer token that may read /metrics. Not set: organizers' tokens only.",
+        description="Token that may read /metrics, of 16 characters or more; organizers always may.",
     )
     log_format: LogFormat = Field(
         default=LogFormat.TEXT, description="How service events are written: text, or json with one object per line."
     )
 
-    registration: Registration = Registration.OPEN
+    registration: Registration = Field(
+        default=Registration.OPEN, description="Who may register a team: open, invite, approval or closed."
+    )
     invite_code: SecretStr | None = Field(
-        default=None, min_length=8, description="What a team has to know to register, with VITAC_REGISTRATION=invite."
+        default=None,
+        min_length=8,
+        description="What a team must know to register with VITAC_REGISTRATION=invite, at least 8 characters.",
     )
     registrations_per_hour: PositiveInt = Field(
-        default=20, description="Most teams that one client address may register in an hour."
+        default=20, description="Maximum registrations from one client address in an hour."
     )
     sign_ins_per_hour: PositiveInt = Field(
         default=60,
-        description="Maximum sign-in attempts with a password from one client address in an hour; a quarter of it as "
-        "one member, or on a device that has signed in before.",
+        description="Maximum sign-in attempts with a password from one client address in an hour; a quarter of it "
+        "as one member, or on a device that has signed in before.",
     )
     client_share: PositiveFloat = Field(
         default=0.1,
-        description="Part of a server process's time that one visitor's address, or one team, may use in the long run, "
-        "after 10 s at once; 1: all of it.",
+        description="Part of a server process's time that one visitor's address, or one team, may use in the long "
+        "run, after 10 s at once; at most 48 of its requests wait. 1: all of it.",
     )
-    token_lifetime_days: PositiveInt = 365
+    token_lifetime_days: PositiveInt = Field(default=365, description="How long a new API token is valid.")
     limits: Limits = Field(
         default_factory=Limits,
-        description="On archives and policies; one by one (VITAC_LIMITS__MEMORY_BYTES) or as JSON (VITAC_LIMITS).",
+        description="Limits on archives and policies; one by one (VITAC_LIMITS__MEMORY_BYTES) or as JSON.",
     )
     quotas: Quotas = Field(
         default_factory=Quotas,
-        description="Of each team; one by one (VITAC_QUOTAS__ATTEMPTS_PER_DAY) or as JSON (VITAC_QUOTAS).",
+        description="Limits of each team; one by one (VITAC_QUOTAS__ATTEMPTS_PER_DAY) or as JSON.",
     )
     mail_url: SecretStr | None = Field(
         default=None,
-        description="Where e-mails leave: smtp://, smtps:// or smtp+starttls://USER:PASSWORD@HOST:PORT, or "
-        "file:///folder, which keeps them. Not set: none are sent.",
+        description="Server that sends e-mails: smtp://, smtps:// or smtp+starttls://USER:PASSWORD@HOST:PORT, or "
+        "file:///folder, which stores them. For your own certificate authority set SSL_CERT_FILE. Not "
+        "set: none are sent.",
     )
     mail_from: str = Field(
         default="vitac-arena@localhost",
@@ -166,66 +177,66 @@ class Settings(BaseSettings):
         description="Sender of the e-mails; only its address.",
     )
     webhooks_may_lead_inside: bool = Field(
-        default=False,
-        description="Whether webhooks may use http and hosts that are not of the internet.",
+        default=False, description="Whether webhooks may use http and hosts outside the public internet."
     )
     contacts_kept_days: PositiveInt | None = Field(
         default=None,
-        description="How long after the end of the competition the addresses of teams and members are stored. Not set: "
+        description="How long addresses of teams and members are stored after the end of the competition; not set: "
         "without limit.",
     )
     log_bytes: PositiveInt = Field(
         default=32 << 20,
-        description="Largest log that may be uploaded, packed and unpacked; a whole one has about 2 MB. "
-        "2025 text logs have 8 MiB at most.",
+        description="Largest log that may be uploaded, packed and unpacked; 2025 text logs have 8 MiB at most.",
     )
-    uploads_at_once: PositiveInt = Field(default=2, description="Uploads that one team may send at the same time.")
+    uploads_at_once: PositiveInt = Field(default=2, description="Maximum simultaneous uploads of one team.")
     upload_idle_timeout_s: PositiveFloat = Field(
-        default=30.0, description="After this time without data, an upload is given up."
+        default=30.0, description="An upload that sends nothing for this time is given up."
     )
-    unfinished_uploads: PositiveInt = Field(
-        default=4, description="Uploads in pieces that one team may have begun and not finished."
-    )
+    unfinished_uploads: PositiveInt = Field(default=4, description="Maximum unfinished resumable uploads of one team.")
     upload_kept_h: PositiveInt = Field(
-        default=24, description="After this time without a further piece, an upload in pieces is removed."
+        default=24, description="A resumable upload without a further piece for this time is removed."
     )
-    event_streams: PositiveInt = Field(default=1000, description="Event streams that a server keeps open.")
+    event_streams: PositiveInt = Field(
+        default=1000,
+        description="Maximum open event streams of a server; teams have nine tenths, teams of one address a fifth.",
+    )
 
     playbacks_at_once: PositiveInt = Field(
-        default=4,
-        description="Playbacks of episodes that one team, or all visitors together, may have waiting or being made.",
+        default=4, description="Maximum playbacks of one team that wait or are being made."
     )
     playbacks_per_hour: PositiveInt = Field(
-        default=60,
-        description="New playbacks of episodes that one team, or all visitors together, may ask for in an hour.",
+        default=60, description="Maximum new playbacks in an hour for one team, or for all visitors together."
     )
     playbacks_per_address: PositiveInt = Field(
-        default=10, description="Playbacks that visitors of one address may ask for in an hour."
+        default=10, description="Maximum playbacks in an hour for visitors from one address."
     )
     playbacks_kept_days: PositiveInt = Field(
-        default=30, description="Playbacks asked for longer ago are removed, and made again when somebody asks."
+        default=30, description="Playbacks requested longer ago are removed, and made again on request."
     )
 
     lease_s: PositiveFloat = Field(
-        default=6.0, description="After this time without a renewed lease, a shard is given to another worker."
+        default=6.0, description="A shard whose worker does not renew its lease for this time goes to another one."
     )
     lease_renewal_s: PositiveFloat = Field(
-        default=1.0, description="How often a worker renews its shard; bounds the time a cancel takes."
+        default=1.0,
+        description="How often a worker renews its lease, at most a third of the lease; bounds the time a cancel "
+        "takes.",
     )
-    sweep_interval_s: PositiveFloat = 2.0
+    sweep_interval_s: PositiveFloat = Field(default=2.0, description="Pause between two sweeps for lost shards.")
     shard_attempts: PositiveInt = Field(
-        default=3, description="How often a shard is started without any progress before the evaluation fails by name."
+        default=3, description="How often a shard is started without progress before the evaluation fails."
     )
     shard_idle_timeout_s: PositiveFloat = Field(
-        default=1800.0,
-        description="After this time without a finished episode, a shard's process is ended and tried again.",
+        default=1800.0, description="A shard's process that finishes no episode for this time is ended and tried again."
     )
-    worker_heartbeat_s: PositiveFloat = 2.0
+    worker_heartbeat_s: PositiveFloat = Field(default=2.0, description="How often a worker reports that it is alive.")
     worker_lost_after_s: PositiveFloat = Field(
-        default=15.0, description="After this time without a heartbeat, a worker counts as lost."
+        default=15.0, description="A worker without a heartbeat for this time is lost."
     )
     worker_slots: PositiveInt = Field(default=1, description="Shards that one worker process runs at the same time.")
-    finished_jobs_kept_h: PositiveInt = 24
+    finished_jobs_kept_h: PositiveInt = Field(
+        default=24, description="How long finished jobs stay in the queue's tables."
+    )
 
     @model_validator(mode="after")
     def _lease_outlives_renewal(self) -> Self:

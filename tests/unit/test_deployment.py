@@ -183,19 +183,6 @@ def test_server_listens_on_this_machine_unless_told_otherwise(services: dict[str
     assert services["server"]["ports"] == ["${VITAC_BIND:-127.0.0.1:8000}:8000"]
 
 
-def test_manual_names_every_setting_with_its_default(repository: Path) -> None:
-    manual = (repository / "docs" / "deployment.md").read_text().split("## Settings\n")[1]
-    named = set(re.findall(r"`(VITAC_[A-Z_]*[A-Z])`", manual))
-    assert named == {f"VITAC_{name.upper()}" for name in Settings.model_fields} | {"VITAC_TRACKS_DIR"}
-    numbers = {
-        name: value.default for name, value in Settings.model_fields.items() if type(value.default) in {int, float}
-    }
-    for name in numbers.keys() - {"port"}:
-        assert re.search(
-            rf"^\| `VITAC_{name.upper()}` \|.*\| {str(numbers[name]).removesuffix('.0')} \|$", manual, re.MULTILINE
-        ), name
-
-
 def test_image_context_holds_what_the_wheel_is_built_from(repository: Path) -> None:
     lines = (repository / ".dockerignore").read_text().splitlines()
     assert "*" in lines

@@ -9,14 +9,22 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from . import reference, rest
+from . import reference, rest, tables
 from .markup import Document, Section, render_document
 
 DOCS = Path(__file__).parents[2] / "docs"
 ADDRESS = "/docs/"
 INDEX = "index"
-GENERATED = re.compile(r"^```(python-reference|environments|rest)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+GENERATED = re.compile(
+    r"^```(python-reference|rest|environments|settings|outcomes|verdicts)\n(.*?)^```$", re.DOTALL | re.MULTILINE
+)
 """Blocks that stand for what the code says of itself."""
+TABLES = {
+    "environments": reference.environments,
+    "settings": tables.settings,
+    "outcomes": tables.outcomes,
+    "verdicts": tables.verdicts,
+}
 MAX_FOUND = 20
 EXCERPT = 160
 """Characters before and after the first word that was found."""
@@ -120,7 +128,7 @@ class Library:
     def _generate(self, block: str, lines: str) -> str:
         if block == "rest":
             return rest.rest_reference(self.describe_api())
-        return reference.environments() if block == "environments" else reference.modules(lines.splitlines())
+        return TABLES[block]() if block in TABLES else reference.modules(lines.splitlines())
 
     def _address(self, name: str, target: str) -> str | None:
         """Return the address of what a document links to; None for files that only the repository has."""

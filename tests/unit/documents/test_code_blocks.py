@@ -49,8 +49,9 @@ NOT_RUN = {
 """Commands by pattern, and where else they are run or why nowhere."""
 NOT_EXECUTED = {"CONTRIBUTING.md": "parts of files of ours", "docs/notices.md": "a function for other programs"}
 """Documents whose Python is compiled only."""
-LANGUAGES = {"sh", "python", "yaml", "json", "bibtex", "", "python-reference", "environments", "rest"}
-"""`bibtex` is text; the last three stand for what the code says of itself (tests/unit/web/documentation)."""
+GENERATED = {"python-reference", "rest", "environments", "settings", "outcomes", "verdicts"}
+"""Stand for what the code says of itself (tests/unit/web/documentation)."""
+LANGUAGES = {"sh", "python", "yaml", "json", "bibtex", "", *GENERATED}
 REPLACED = {
     "my_folder": "my_submission",
     "my_log.jsonl": "run.jsonl",

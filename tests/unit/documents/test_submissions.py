@@ -1,4 +1,4 @@
-"""docs/submissions.md and docs/failures.md: their tables are those of the track, the outcomes and the verdicts."""
+"""docs/submissions.md and docs/failures.md: their tables are those of the track, and explain each outcome."""
 
 import re
 from pathlib import Path
@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from vitac.evaluator.agent.protocol.action import ACTION_TYPES
-from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.submission.manifest import parse_manifest
 from vitac.evaluator.tracks import Task, load_track
@@ -49,15 +48,8 @@ def test_the_manifest_shown_is_accepted(manual: str) -> None:
     assert (manifest.track, manifest.tasks, manifest.entry_point) == ("track_1", ("peg-insertion",), "policy:Policy")
 
 
-def test_names_every_verdict_with_its_sentence(failures: str) -> None:
-    shown = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", failures.split("## When the policy fails")[1], re.MULTILINE))
-    assert shown == {str(code): code.sentence for code in VerdictCode}
-
-
-def test_names_every_outcome_with_its_sentence_and_what_it_usually_means(failures: str) -> None:
+def test_names_what_every_outcome_usually_means(failures: str) -> None:
     ends = section(failures, "How an episode ends")
-    shown = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", ends, re.MULTILINE))
-    assert shown == {str(outcome): outcome.sentence for outcome in EpisodeOutcome}
     explained = set(re.findall(r"^- \*\*(\w+)\*\*: ", ends, re.MULTILINE))
     assert set(map(str, EpisodeOutcome)) - explained == {EpisodeOutcome.SUCCESS, EpisodeOutcome.ACTIONS_ENDED}
 
