@@ -91,7 +91,7 @@ def service(n_shards: int) -> Iterator[Services]:
 
 
 def scrape_figures(services: Services) -> dict[str, float]:
-    """Return what an answer to Prometheus costs with this queue, each time read anew [ms]."""
+    """Return what an answer to Prometheus costs with this queue, each time read again [ms]."""
     exposition = Exposition(services, clock=iter(range(0, 1 << 30, 60)).__next__)  # every answer is too old to be kept
     exposition.text()
     with postgres_time(services) as postgres:
@@ -248,7 +248,7 @@ class PostgresTime:
         self._spent_s = self._total_s() - self._began_s
 
     def ms_of_one(self, count: int) -> float:
-        """Return the time for one of so many operations [ms]."""
+        """Return the time of one operation, given how many there were [ms]."""
         return round(1000 * self._spent_s / count, 3)
 
     def _total_s(self) -> float:

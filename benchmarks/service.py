@@ -4,7 +4,7 @@ Run it as `python benchmarks/service.py [--workers 1] [--slots 2] [--waits 20] [
 machine. It starts a database and workers of its own in a temporary folder, as `vitac serve` does, and waits until they
 have loaded the simulation. One worker with a slot for each processor is what `vitac demo` starts and docs/capacity.md
 advises. `cpu_s` says where the CPU time of an evaluation went, by kind of process; unlike its wall time it can be
-compared on a machine that does other work, except that `at_rest_s_per_s` goes on for as long as it takes. `slots_s`
+compared on a machine that does other work, except that `at_rest_s_per_s` covers the time that it takes. `slots_s`
 says how long the slots, all together, played no episode.
 """
 
@@ -94,7 +94,7 @@ def main() -> None:
 
 @contextmanager
 def service(n_workers: int, slots: int) -> Iterator[tuple[Services, Principal]]:
-    """Open services with a team and ready workers, each with so many slots."""
+    """Open services with a team and ready workers, each with the given number of slots."""
     folder = Path(tempfile.mkdtemp(prefix="vitac-benchmark-"))
     folder.chmod(0o711)
     with ExitStack() as stack:

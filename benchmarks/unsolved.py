@@ -77,7 +77,7 @@ class Way:
 
 
 def played(env: Any, seed: int, env_steps: int, look: Look | None = None) -> list[str]:
-    """Play an episode of at most so many env steps; return how its IPC steps ended."""
+    """Play an episode up to a number of env steps; return how its IPC steps ended."""
     random = np.random.default_rng(seed)
     _, info = env.reset(seed=seed)
     if look:

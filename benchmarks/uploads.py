@@ -2,7 +2,7 @@
 
 Run it as `python benchmarks/uploads.py [--megabytes 400] [--repeats 3] [--json FILE]`. The submission is the example
 policy with a file of random single-precision weights. A run counts from reading the packed file to the answer with the
-submission, with all checks, hashing and storing; packing the folder, as `vitac submit FOLDER` does, is told apart.
+submission, with all checks, hashing and storing; packing the folder, as `vitac submit FOLDER` does, is shown apart.
 """
 
 import argparse
@@ -28,7 +28,7 @@ EXAMPLE = Path(__file__).parents[1] / "examples" / "peg_insertion_heuristic" / "
 MAIN = "from vitac.cli.main import main; main()"
 MEGABYTE = 1_000_000
 RESET_PEAK = "5"
-"""What `/proc/PID/clear_refs` takes to begin the peak of the resident memory anew."""
+"""What to write to `/proc/PID/clear_refs` to reset the peak of the resident memory."""
 
 
 def main() -> None:

@@ -60,7 +60,7 @@ def command(
     first: Annotated[
         str, typer.Argument(help="Log, file of `vitac evaluate --json`, or id or address of a submission.")
     ],
-    second: Annotated[str, typer.Argument(help="The one to compare it with.")],
+    second: Annotated[str, typer.Argument(help="The submission to compare it with, in the same form.")],
     server: Server = None,
     token_file: TokenFile = None,
     as_json: AsJson = False,

@@ -13,7 +13,9 @@ SecretFile = Annotated[Path, typer.Argument(help="File with the secret.")]
 
 
 @app.command()
-def new(secret: Annotated[Path, typer.Argument(help="New file for the secret; keep it out of submissions.")]) -> None:
+def new(
+    secret: Annotated[Path, typer.Argument(help="New file for the secret; do not put it into a submission.")],
+) -> None:
     """Make a secret, and print the commitment to publish before its list is used."""
     from vitac.evaluator.tracks.sealed import make_commitment, new_secret
 
@@ -23,8 +25,8 @@ def new(secret: Annotated[Path, typer.Argument(help="New file for the secret; ke
 @app.command()
 def verify(
     secret: SecretFile,
-    commitment: Annotated[str, typer.Option(help="What was published before.")],
-    track: Annotated[str, typer.Option(help="Whose lists are derived.")] = "track_1",
+    commitment: Annotated[str, typer.Option(help="The commitment that was published before.")],
+    track: Annotated[str, typer.Option(help="Track whose lists are derived from the secret.")] = "track_1",
     as_json: AsJson = False,
 ) -> None:
     """Check a published secret against its commitment, and print the digests of the tasks with its lists.

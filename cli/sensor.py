@@ -54,7 +54,7 @@ class Mesher(StrEnum):
 def mesh(
     sensor: Folder,
     mesher: Annotated[
-        Mesher, typer.Option(help="Ours, as the service does, or ftetwild, which is never scored.")
+        Mesher, typer.Option(help="ours, which the service uses, or ftetwild, which is never scored.")
     ] = Mesher.OURS,
     as_json: AsJson = False,
 ) -> None:
@@ -128,13 +128,13 @@ def evaluate(
     policy: Annotated[
         Path | None,
         typer.Option(
-            help="Zip or folder of a submission whose policy acts, in place of the standard estimator.", exists=True
+            help="Zip or folder of a submission whose policy plays instead of the standard estimator.", exists=True
         ),
     ] = None,
     episodes: Episodes = None,
     workers: Workers = None,
     figures: Annotated[
-        FigureChoice, typer.Option(help="Which figures are measured: all, quick ones that take no episodes, none.")
+        FigureChoice, typer.Option(help="Figures to measure: all, quick (those that take no episodes) or none.")
     ] = FigureChoice.ALL,
     json: Annotated[
         Path | None, typer.Option(help="Write scores, digests, sensing gain and figures to this file.")

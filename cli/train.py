@@ -32,7 +32,7 @@ Processes = Annotated[int, typer.Option(min=1, help="Processes that play episode
 
 @app.command()
 def run(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json: AsJson = False) -> None:
-    """Train a policy, or continue its training; Ctrl-C keeps what is done.
+    """Train a policy, or continue its training; Ctrl-C loses at most the current round.
 
     Weights that are learned use one thread, so that their bits do not depend on the number of cores.
     """
@@ -69,7 +69,7 @@ def export(
     folder: Annotated[Path, typer.Argument(help="Folder of a finished run.", exists=True, file_okay=False)],
     submission: Annotated[Path, typer.Option("--to", help="New folder for the submission.")],
 ) -> None:
-    """Make a submission of the best round."""
+    """Export the best round as a submission."""
     from vitac.training.export import export as exported
     from vitac.training.run import Folder, best, read_results
 
@@ -80,7 +80,7 @@ def export(
 
 @app.command()
 def search(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json: AsJson = False) -> None:
-    """Search parameters of a policy for locks by the results of its episodes, or continue; the best is a submission."""
+    """Search the parameters of a policy for locks, or continue a search; the best becomes a submission."""
     _one_thread()
     from vitac.training.run import Folder, format_rate
     from vitac.training.search.method import Search, best
@@ -103,12 +103,14 @@ def search(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json
 def reference(
     task: Annotated[str, typer.Argument(help="peg-insertion or lock-opening.")],
     out: Annotated[
-        Path, typer.Option("--out", help="Folder for checkpoints, log and submission; one that is there is continued.")
+        Path, typer.Option("--out", help="Folder for checkpoints, log and submission; an existing one is continued.")
     ],
-    env_steps: Annotated[int | None, typer.Option(min=1, help="In place of the published number.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the training.")] = 0,
+    env_steps: Annotated[
+        int | None, typer.Option(min=1, help="Number of env steps; default: the published one.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the training.")] = 0,
 ) -> None:
-    """Train as the challenge did, or continue: PointNet and TD3 as published; needs the extra `training`."""
+    """Train as the challenge did, with PointNet and TD3, or continue; needs the extra `training`."""
     _one_thread()
     from vitac.training.reference.td3 import train_reference
 

@@ -78,7 +78,7 @@ def export(session: Session, settings: Settings, by: Principal, team: Team) -> T
 
 
 def erase(session: Session, by: Principal, team: Team) -> None:
-    """Remove a team's name, people, texts and uploads for good; its submissions' names, scores and records stay.
+    """Remove a team's name, members, texts and uploads permanently; its submissions' names, scores and records stay.
 
     The uploads themselves are removed by the next housekeeping. Doing it again changes nothing.
 

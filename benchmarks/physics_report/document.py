@@ -11,7 +11,7 @@ DOCUMENT = REPOSITORY / "benchmarks" / "physics.md"
 
 
 def keep(figures: Figures) -> None:
-    """Put these figures in the place of those of the same names, and make all tables anew."""
+    """Replace the figures of the same names, and write all tables again."""
     kept: Figures = json.loads(FIGURES.read_text()) | figures
     document = fill_tables(DOCUMENT.read_text(), kept)
     FIGURES.write_text(json.dumps(kept, indent=1) + "\n")

@@ -24,7 +24,7 @@ class DocumentError(ValueError):
 
 
 def fill_tables(document: str, figures: Figures) -> str:
-    """Return the document with every marked table made anew."""
+    """Return the document with every marked table replaced."""
     marked = [match[1] for match in _MARKED.findall(document)]
     if sorted(marked) != sorted(TABLES):
         raise DocumentError(f"Expected one mark for each of {sorted(TABLES)}, found {sorted(marked)}.")

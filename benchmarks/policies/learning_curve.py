@@ -17,7 +17,7 @@ Row = Mapping[str, str]
 Recipe = Mapping[str, Any]
 
 LINES = 20
-"""About so many lines have the curve."""
+"""Approximate number of lines of the curve."""
 STEPS, CPU_S = "time/total_timesteps", "time/cpu_s"
 REWARD, SUCCESS, EVALUATED = "rollout/ep_rew_mean", "rollout/success_rate", "eval/success_rate"
 HEAD = """# Learning curve of the challenge's own method

@@ -1,4 +1,4 @@
-"""Measures what the noise of the markers takes: how well offsets can be told, and how many pegs go in, without it.
+"""Measures what the noise of the markers takes: how well offsets can be estimated, and how many pegs go in, without it.
 
 PYTHONPATH=benchmarks python benchmarks/policies/marker_noise.py [--episodes 1200] [--starts 300] [--json FILE]
 
@@ -28,7 +28,7 @@ from vitac.training.submission.policy import belief_inputs
 
 NOISES_PX = (MarkerSettings().noise_px, 0.0)
 LEAST_EPISODES = 30
-"""With fewer episodes at an env step, its error is not told."""
+"""With fewer episodes at an env step, its error is not printed."""
 
 
 def main() -> None:

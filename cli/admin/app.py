@@ -32,7 +32,7 @@ app.add_typer(receipt.app, name="receipt", help="Receipts of final results: key,
 app.add_typer(
     rejudge.app,
     name="rejudge",
-    help="New evaluations beside the results that count: start, list, show, apply, discard.",
+    help="Evaluate again, and decide whether the new results count: start, list, show, apply, discard.",
 )
 app.add_typer(track.app, name="track", help="Track files of your own: check.")
 app.add_typer(

@@ -25,7 +25,7 @@ AppealNumber = Annotated[int, typer.Argument(min=1, max=2_147_483_647, help="Num
 @list_records(app, "id", "state", "team", "submission_name", "task", "episode", "opened_at", none="No appeal.")
 def list_appeals(
     session: Session,
-    open_only: Annotated[bool, typer.Option("--open", help="Only those that are not decided.")] = False,
+    open_only: Annotated[bool, typer.Option("--open", help="Only appeals that are not decided.")] = False,
 ) -> list[AppealView]:
     """List the appeals of all teams, newest first."""
     return visible(session, CONSOLE, open_only=open_only)
@@ -82,9 +82,9 @@ def rule(
     session: Session,
     appeal: AppealNumber,
     text: Annotated[str, typer.Argument(help="The ruling, as plain text for the team.")],
-    upheld: Annotated[bool, typer.Option("--uphold/--reject", help="Whether the team is right.")],
+    upheld: Annotated[bool, typer.Option("--uphold/--reject", help="Decide for the team; without it, against it.")],
 ) -> dict[str, object]:
-    """Decide an appeal; no result changes by it, `vitac admin submission requeue` evaluates again."""
+    """Decide an appeal. No result changes; `vitac admin submission requeue` evaluates again."""
     found = rule_on(session, CONSOLE, appeal, text, upheld=upheld)
     session.flush()
     return appeal_view(found, CONSOLE).model_dump(exclude={"replays"})

@@ -31,7 +31,7 @@ def back_up(
 
 
 def restore(
-    file: Annotated[Path, typer.Argument(help="A file of `vitac admin backup`.", exists=True, dir_okay=False)],
+    file: Annotated[Path, typer.Argument(help="File that `vitac admin backup` wrote.", exists=True, dir_okay=False)],
     yes: Yes = False,
     dry_run: DryRun = False,
     as_json: AsJson = False,

@@ -21,7 +21,7 @@ ShownT = TypeVar("ShownT")
 Yes = Annotated[bool, typer.Option("--yes", help="Do not ask.")]
 """The option of a command whose change cannot be undone."""
 
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Only say what would change.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Print what would change, and change nothing.")]
 """The option of every command that changes something."""
 
 Base = Annotated[

@@ -17,7 +17,7 @@ from .contest.contest import ContestName
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
-Judge = Annotated[str, typer.Option(help="Who judges.")]
+Judge = Annotated[str, typer.Option(help="Name of the judge.")]
 
 
 @app.command()
@@ -59,11 +59,11 @@ def mark(
 def conflict(
     team: Annotated[str, typer.Argument(help="Name or id of the team.")],
     judge: Judge,
-    reason: Annotated[str, typer.Option(help="In words.")],
+    reason: Annotated[str, typer.Option(help="Why there is a conflict, in words.")],
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Note a conflict of interest: the judge's marks of that team are removed, and no new ones are accepted."""
+    """Record a conflict of interest: removes the judge's marks of that team and accepts no new ones."""
     with change_transaction(dry_run=dry_run) as session:
         declare_conflict(session, CONSOLE, team, reason, judge=judge)
         known = is_judge(session, judge)
@@ -85,7 +85,7 @@ def show(
         print_json([team.model_dump() for team in found])
         return
     columns = ("team", "submission", "success", "judges", "mark", "spread", "figures", "total", "conflicts")
-    print_table(columns, [_row(team) for team in found], none="Nobody is on the board.")
+    print_table(columns, [_row(team) for team in found], none="The board is empty.")
 
 
 def _warn_of_stranger(judge: str, *, known: bool) -> None:

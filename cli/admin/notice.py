@@ -21,7 +21,7 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 )
 def list_notices(
     session: Session,
-    unsent: Annotated[bool, typer.Option("--unsent", help="Only those that wait or were given up.")] = False,
+    unsent: Annotated[bool, typer.Option("--unsent", help="Only notices that wait or were given up.")] = False,
     limit: Annotated[int, typer.Option(min=1, max=10_000, help="Maximum number of rows.")] = 50,
 ) -> list[NoticeView]:
     """List notices, newest first."""

@@ -26,11 +26,13 @@ def key(as_json: AsJson = False) -> None:
 
 @app.command()
 def export(
-    track: Annotated[str, typer.Argument(help="Whose board.")],
+    track: Annotated[str, typer.Argument(help="Track of the board.")],
     file: Annotated[Path, typer.Argument(help="New file (zip).")],
     task: Annotated[str | None, typer.Option(help="The board of this task; by default that of all tasks.")] = None,
     stage: Annotated[str | None, typer.Option(help="Name of the stage; by default the one that opened last.")] = None,
-    kind: Annotated[Literal["model", "log"], typer.Option(help="Of the board; log only with a task.")] = "model",
+    kind: Annotated[
+        Literal["model", "log"], typer.Option(help="Kind of submission on the board; log only with --task.")
+    ] = "model",
     contest: ContestName = None,
     as_json: AsJson = False,
 ) -> None:

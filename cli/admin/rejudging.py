@@ -26,8 +26,8 @@ COLUMNS = ("team", "submission", "state", "success", "new success", "steps", "ne
 
 @app.command()
 def start(
-    track: Annotated[str, typer.Option(help="Of the submissions.")],
-    reason: Annotated[str, typer.Option(help="Why, for the audit log.")],
+    track: Annotated[str, typer.Option(help="Track of the submissions.")],
+    reason: Annotated[str, typer.Option(help="Why they are evaluated again, for the audit log.")],
     stage: Annotated[str | None, typer.Option(help="Name of the stage; by default the one that opened last.")] = None,
     submission: Annotated[
         list[UUID] | None, typer.Option(help="Only this submission; may be repeated. Default: all models of the stage.")
@@ -36,7 +36,7 @@ def start(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Evaluate submissions again with the present evaluator; nobody but organizers sees it, no result changes."""
+    """Evaluate submissions again with the present evaluator. Only organizers see it, and no result changes."""
     with change_transaction(dry_run=dry_run) as session:
         found = Contest.find(session, contest, track=track).shown_stage(track, stage)
         made = rejudging.start(session, CONSOLE, found, submissions=submission or (), reason=reason)
@@ -65,7 +65,7 @@ def show(rejudgement: RejudgementId, as_json: AsJson = False) -> None:
 
 @app.command()
 def apply(rejudgement: RejudgementId, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
-    """Make the new results those of their submissions; the present ones leave the boards."""
+    """Replace the present results by the new ones."""
     change_as_shown(
         lambda session: rejudging.apply(session, CONSOLE, rejudgement),
         lambda found: _print(found, as_json=as_json),
@@ -77,7 +77,7 @@ def apply(rejudgement: RejudgementId, yes: Yes = False, dry_run: DryRun = False,
 
 @change(app, question="Discard the new results?", done="discarded {rejudgement}")
 def discard(session: Session, rejudgement: RejudgementId) -> dict[str, object]:
-    """Leave all present results as they are."""
+    """Discard the new results."""
     rejudging.discard(session, CONSOLE, rejudgement)
     return {"id": rejudgement, "discarded": True}
 

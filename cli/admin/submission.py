@@ -26,11 +26,11 @@ COLUMNS = ("submission", "team", "name", "track", "state", "episodes", "success"
 
 @app.command("list")
 def list_submissions(
-    team: Annotated[str | None, typer.Option(help="Only this team's (name or id).")] = None,
-    track: Annotated[str | None, typer.Option(help="Only this track's.")] = None,
+    team: Annotated[str | None, typer.Option(help="Only submissions of this team (name or id).")] = None,
+    track: Annotated[str | None, typer.Option(help="Only submissions to this track.")] = None,
     state: Annotated[str | None, typer.Option(help="queued, running, completed, failed or cancelled.")] = None,
     limit: Annotated[int, typer.Option(min=1, max=1000, help="Maximum number of rows.")] = 50,
-    before: Annotated[UUID | None, typer.Option(help="Only those older than this submission.")] = None,
+    before: Annotated[UUID | None, typer.Option(help="Only submissions older than this one.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """List submissions, newest first."""
@@ -69,7 +69,8 @@ def copies(
     """List submissions that act nearly as an earlier one of another team, on one list of a task, the newest first.
 
     Near: episodes in which no action of the first eight env steps, or no motion commanded until then, differs by more
-    than 0.02. Half of the episodes or more are needed to be listed. You decide: nothing but a log leaves a board.
+    than 0.02. Listed are those with half of their episodes or more. Only logs are unranked automatically; you decide
+    about models.
     """
     with open_service(load_settings()) as services:
         with services.database.reading() as session:
@@ -101,7 +102,7 @@ def cancel(session: Session, submission: SubmissionId) -> SubmissionView:
 def disqualify(
     session: Session,
     submission: SubmissionId,
-    reason: Annotated[str, typer.Option(help="In one line, for the team to read.")],
+    reason: Annotated[str, typer.Option(help="Why, in one line; the team sees it.")],
 ) -> SubmissionView:
     """Remove one submission from all boards; its team takes part as before. `reinstate` undoes it."""
     disqualification.disqualify(session, CONSOLE, submission, reason)

@@ -30,7 +30,7 @@ def add(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Add a team and print its API token, which is shown only now."""
+    """Add a team and print its API token, which is shown only once."""
     with change_transaction(dry_run=dry_run) as session:
         team, issued = register(session, load_settings(), CONSOLE, NewTeam(name=name, contact=contact))
         shown = teams.organizer_team_view(session, team).model_dump() | ({"id": None} if dry_run else {})
@@ -45,7 +45,7 @@ def add(
 
 @app.command("list")
 def list_teams(
-    waiting: Annotated[bool, typer.Option("--waiting", help="Only those that wait to be accepted.")] = False,
+    waiting: Annotated[bool, typer.Option("--waiting", help="Only teams that wait to be accepted.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """List all teams."""
@@ -85,7 +85,7 @@ def accept(session: Session, team: TeamName) -> OrganizerTeamView:
 
 @change(app)
 def refuse(
-    session: Session, team: TeamName, reason: Annotated[str, typer.Option(help="Sent to the team.")]
+    session: Session, team: TeamName, reason: Annotated[str, typer.Option(help="Why; it is sent to the team.")]
 ) -> OrganizerTeamView:
     """Refuse a team that waits to be accepted."""
     found = teams.find(session, team)
@@ -140,7 +140,7 @@ def data(team: TeamName, as_json: AsJson = False) -> None:
 
 @change(app, question="Remove {team} with all that it uploaded permanently?")
 def delete(session: Session, team: TeamName) -> OrganizerTeamView:
-    """Remove a team's name, people, texts and uploads permanently; its scores stay."""
+    """Remove a team's name, members, texts and uploads permanently; its scores stay."""
     found = teams.find(session, team)
     erase(session, CONSOLE, found)
     return teams.organizer_team_view(session, found)
@@ -152,7 +152,7 @@ def merge(
     team: Annotated[str, typer.Argument(help="Name or id of the team that ends.")],
     into: Annotated[str, typer.Argument(help="Name or id of the team that gets its submissions and members.")],
 ) -> OrganizerTeamView:
-    """Merge two teams: submissions and members are joined, and what both used of quotas is added up."""
+    """Merge two teams: join their submissions and members, and add up what they used of quotas."""
     found = teams.find(session, into)
     merging.merge(session, CONSOLE, teams.find(session, team), found)
     return teams.organizer_team_view(session, found)

@@ -37,7 +37,7 @@ def add(
     contest: Annotated[
         str | None, typer.Option("--contest", help="With --organizer: the only competition that the token is for.")
     ] = None,
-    label: Annotated[str | None, typer.Option(help="What the token is for; of a judge's: the judge's name.")] = None,
+    label: Annotated[str | None, typer.Option(help="What the token is for; for a judge, the judge's name.")] = None,
     days: Annotated[
         int | None, typer.Option(min=1, help="Days until it expires; default: VITAC_TOKEN_LIFETIME_DAYS.")
     ] = None,

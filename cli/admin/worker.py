@@ -32,7 +32,7 @@ def list_workers(session: Session) -> list[dict[str, object]]:
 
 @show(app, "show")
 def show_worker(session: Session, worker: WorkerId) -> dict[str, object]:
-    """Show a worker and what it says about itself."""
+    """Show a worker: its state, versions and shards."""
     return _shown(workers.view_worker(session, load_settings(), worker))
 
 

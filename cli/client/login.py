@@ -17,9 +17,11 @@ from .whoami import format_owner
 
 def command(
     server: Server = None,
-    token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: it is asked for.")] = None,
+    token_file: Annotated[
+        Path | None, typer.Option(help="File with the API token; by default a prompt asks for it.")
+    ] = None,
 ) -> None:
-    """Check a token, read from a prompt or standard input, and keep it for the other commands."""
+    """Check a token, read from a prompt or standard input, and store it for the other commands."""
     client = make_client(server, None, with_token=False)
     if token_file is not None:
         token = read_token(token_file)

@@ -24,7 +24,7 @@ def list_questions(server: Server = None, token_file: TokenFile = None, as_json:
 def ask(
     text: Annotated[str, typer.Argument(help="The question, as plain text.")],
     public: Annotated[
-        bool, typer.Option("--public/--private", help="Whether everybody may see it, without the team's name.")
+        bool, typer.Option("--public/--private", help="Let everybody see the question, without the team's name.")
     ] = False,
     server: Server = None,
     token_file: TokenFile = None,

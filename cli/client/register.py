@@ -24,7 +24,7 @@ def command(
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Register a team, print its token, which is shown only now, and keep it for the other commands."""
+    """Register a team, print its token, which is shown only once, and store it for the other commands."""
     client = make_client(server, None, with_token=False)
     if credentials.find_stored_token(client.server) is not None:
         raise LoggedIn(f"You are logged in at {client.server}; `vitac whoami` shows as whom, `vitac logout` ends it.")

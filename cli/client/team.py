@@ -54,11 +54,11 @@ def invite(server: Server = None, token_file: TokenFile = None, as_json: AsJson 
 def join(
     code: Annotated[str, typer.Argument(help="Code of the captain's invitation.")],
     name: Annotated[str, typer.Argument(help="Your name, for the team and the organizers.")],
-    email: Annotated[str | None, typer.Option(help="Where you get notices.")] = None,
+    email: Annotated[str | None, typer.Option(help="Your e-mail address for notices.")] = None,
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Join a team, print your token, which is shown only now, and keep it for the other commands."""
+    """Join a team, print your token, which is shown only once, and store it for the other commands."""
     client = make_client(server, None, with_token=False)
     answer = client.call("POST", "/api/v1/teams/join", {"code": code, "name": name, "email": email})
     secret = answer["token"]["secret"]
@@ -89,7 +89,7 @@ def captain(member: MemberName, server: Server = None, token_file: TokenFile = N
 @app.command()
 def email(
     member: MemberName,
-    address: Annotated[str | None, typer.Argument(help="Where to send notices; none: nowhere.")] = None,
+    address: Annotated[str | None, typer.Argument(help="E-mail address; leave it out to get no e-mails.")] = None,
     server: Server = None,
     token_file: TokenFile = None,
 ) -> None:
@@ -104,7 +104,7 @@ def email(
 @app.command("confirm-email")
 def confirm_email(
     member: MemberName,
-    code: Annotated[str, typer.Argument(help="Of the e-mail that asks to confirm the address.")],
+    code: Annotated[str, typer.Argument(help="Code from the e-mail that asks to confirm the address.")],
     server: Server = None,
     token_file: TokenFile = None,
 ) -> None:

@@ -40,7 +40,7 @@ def add(
 
 @app.command()
 def remove(
-    webhook: Annotated[UUID, typer.Argument(help="Its id, as `vitac team webhook list` prints it.")],
+    webhook: Annotated[UUID, typer.Argument(help="Id of the webhook, as `vitac team webhook list` prints it.")],
     server: Server = None,
     token_file: TokenFile = None,
 ) -> None:

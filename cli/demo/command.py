@@ -52,7 +52,7 @@ def command(
     exit_after: Annotated[bool, typer.Option("--exit", help="Stop the service after the leaderboard.")] = False,
     again: Annotated[bool, typer.Option("--again", help="Run all episodes, including stored ones.")] = False,
     port: Annotated[
-        int | None, typer.Option(min=0, max=65535, help="Port; another free one is used if it is taken.")
+        int | None, typer.Option(min=0, max=65535, help="Port; if it is taken, a free one is used.")
     ] = None,
     submission: Annotated[Path, typer.Option(help="Submission to evaluate.")] = EXAMPLE,
 ) -> None:

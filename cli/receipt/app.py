@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 Key = Annotated[
-    str | None, typer.Option(help="Public key of the service, as its page /receipts shows it; keep a copy of it.")
+    str | None, typer.Option(help="Public key of the service, as its page /receipts shows it; store a copy.")
 ]
 
 
@@ -69,11 +69,11 @@ def verify(
 
 @app.command()
 def audit(
-    export: Annotated[Path, typer.Argument(help="File of `vitac admin receipt export`.")],
+    export: Annotated[Path, typer.Argument(help="File that `vitac admin receipt export` wrote.")],
     episodes: Annotated[int, typer.Option(min=0, help="Number of episodes to run again, chosen at random.")] = 10,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, help="Chooses the episodes; drawn and printed without it, so nobody foresees it."),
+        typer.Option(min=0, help="Seed that chooses the episodes; by default a random one, which is printed."),
     ] = None,
     key: Key = None,
     receipt: Annotated[

@@ -14,7 +14,7 @@ from .web_server import bind
 
 
 def command(
-    host: Annotated[str | None, typer.Option(help="Address to listen at; default: VITAC_HOST or 127.0.0.1.")] = None,
+    host: Annotated[str | None, typer.Option(help="Address to listen on; default: VITAC_HOST or 127.0.0.1.")] = None,
     port: Annotated[
         int | None, typer.Option(min=0, max=65535, help="Port, 0 for any free one; default: VITAC_PORT or 8000.")
     ] = None,

@@ -27,7 +27,7 @@ def command(
         typer.Option(parser=parse_duration_s, metavar="TIME", help="Take no more work after this time, and end: 4h."),
     ] = None,
     parent: Annotated[
-        int | None, typer.Option("--end-with", hidden=True, help="Process id of the parent to end with.")
+        int | None, typer.Option("--end-with", hidden=True, help="End when the process with this id ends.")
     ] = None,
 ) -> None:
     """Run a worker until Ctrl-C. Run any number, on any machine that reaches database and storage.

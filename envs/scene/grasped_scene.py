@@ -157,7 +157,7 @@ class GraspedScene:
         return self._gripper.pose
 
     def move_to(self, goal: GripperPose, *, ipc_steps: int) -> None:
-        """Drive the gels to a pose in equal IPC steps; stops for good at the first that does not converge."""
+        """Drive the gels to a pose in equal IPC steps; stops at the first that does not converge."""
         start = self._gripper.pose
         for part in range(1, ipc_steps + 1):
             if not self.solved:

@@ -24,7 +24,7 @@ from .stages import Stage
 def seal(session: Session, by: Principal, stage: Stage, secret: bytes | None = None) -> SealedList:
     """Give a stage a sealed list; one that it has stays, and one that was withdrawn is its list again.
 
-    A commitment that everybody could read holds for good, so nobody draws secrets until one pleases.
+    A commitment that everybody could read never changes, so nobody can draw secrets until one suits them.
 
     Args:
         session: of the transaction.
@@ -123,7 +123,7 @@ def _withdraw(session: Session, by: Principal, stage: Stage, found: SealedList) 
 
 
 def reveal(session: Session, by: Principal, stage: Stage) -> SealedList:
-    """Publish the secret of a stage's list, for good; doing it again changes nothing. The caller says when it is time.
+    """Publish the secret of a stage's list, which cannot be undone; the caller says when it is time.
 
     Raises:
         ServiceError: not an organizer, there is no such list, or an evaluation of it has not ended.

@@ -106,7 +106,7 @@ class Changes:
                 async with await connecting as connection:
                     await connection.execute(f"LISTEN {CHANNEL}")
                     for watched in self._watched.values():
-                        watched.change()  # what happened meanwhile was told to nobody
+                        watched.change()  # nobody was notified of what happened meanwhile
                     async for notification in connection.notifies():
                         self._note(notification.payload)
             except psycopg.Error as error:

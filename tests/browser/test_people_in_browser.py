@@ -174,7 +174,7 @@ def test_pages_that_are_shown_once_have_no_barrier(page: Page, service: CliServi
         expect(answer).to_be_visible()
         assert violations(page) == [], given
     page.goto(f"{service.address}/team")
-    page.get_by_role("button", name="New token in place of mine").click()
+    page.get_by_role("button", name="Replace my token").click()
     expect(page.get_by_label("Token")).to_be_visible()
     assert violations(page) == [], "token"
     page.context.clear_cookies()

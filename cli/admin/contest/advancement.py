@@ -23,7 +23,7 @@ TeamNames = Annotated[list[str] | None, typer.Option(help="Name or id of a team;
 
 @app.command()
 def propose(track: TrackName, stage: StageName, contest: ContestName = None, as_json: AsJson = False) -> None:
-    """Show who advances to a stage by its rule, and which teams chance may have put on their side of the border."""
+    """Show who advances to a stage by its rule, and which teams are so near the border that chance may decide."""
     with transaction() as session:
         found = propose_teams(session, CONSOLE, Contest.find(session, contest, track=track).stage(track, stage))
     if as_json:
@@ -62,7 +62,7 @@ def confirm(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Let the proposed teams, more of them or fewer, take part in a stage."""
+    """Confirm the teams that take part in a stage: those proposed, with --add and --without."""
 
     def change(session: "Session") -> list[str]:
         found = Contest.find(session, contest, track=track).stage(track, stage)

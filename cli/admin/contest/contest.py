@@ -66,7 +66,7 @@ def apply(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show what a competition's file changes, and make it the competition of its name, beside others."""
+    """Show what a competition's file changes, ask, and apply it; other competitions stay as they are."""
     definition, without_question = read_competition(file), yes and not dry_run
 
     def change(session: "Session") -> "tuple[list[Change], list[Concern], str]":

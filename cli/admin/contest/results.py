@@ -44,7 +44,7 @@ def unfreeze(session: Session, contest: ContestName = None) -> dict[str, object]
 
 @app.command()
 def winners(contest: ContestName = None, as_json: AsJson = False) -> None:
-    """List who wins what: final, or by today's boards of the last stages."""
+    """List the winners: the final ones, or those by the present boards of the last stages."""
     with transaction() as session:
         found = all_winners(session, contest)
         left = prizes_without_winner(session, found, contest)
@@ -93,7 +93,7 @@ def finalize(
 )
 def reopen(
     session: Session,
-    reason: Annotated[str, typer.Option(help="Why, for everybody to read.")],
+    reason: Annotated[str, typer.Option(help="Why it is reopened; everybody sees it.")],
     contest: ContestName = None,
 ) -> dict[str, object]:
     """Reopen a final competition, for instance after an appeal; `finalize` ends it again."""

@@ -25,7 +25,7 @@ def check(
 ) -> None:
     """Check a track's file without a service, and measure what an evaluation on it costs; exit code 0 if it is good.
 
-    A few episodes are played: every shape once, and the largest offsets. What a policy computes comes on top.
+    A few episodes are played: every shape once, and the largest offsets. The policy's own computation is not included.
     """
     with compiling_shown():
         found = check_track(file)

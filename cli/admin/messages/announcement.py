@@ -37,6 +37,6 @@ def withdraw(
     session: Session,
     announcement: Annotated[int, typer.Argument(min=1, max=2_147_483_647, help="Number of the announcement.")],
 ) -> dict[str, object]:
-    """Show an announcement to nobody from now on."""
+    """Withdraw an announcement: nobody sees it any longer."""
     announcements.withdraw(session, CONSOLE, announcement)
     return {"id": announcement, "withdrawn": True}

@@ -18,7 +18,7 @@ QuestionNumber = Annotated[int, typer.Argument(min=1, max=2_147_483_647, help="N
 @list_records(app, "id", "team", "asked_at", "public", "answered_at", "text", none="No question.")
 def list_questions(
     session: Session,
-    open_only: Annotated[bool, typer.Option("--open", help="Only those without an answer.")] = False,
+    open_only: Annotated[bool, typer.Option("--open", help="Only questions without an answer.")] = False,
 ) -> list[QuestionView]:
     """List the questions of all teams, newest first."""
     return questions.visible(session, CONSOLE, open_only=open_only)
@@ -29,7 +29,7 @@ def answer(
     session: Session,
     question: QuestionNumber,
     text: Annotated[str, typer.Argument(help="The answer, as plain text.")],
-    public: Annotated[bool, typer.Option("--public/--private", help="Whether everybody sees both.")] = False,
+    public: Annotated[bool, typer.Option("--public/--private", help="Let everybody see question and answer.")] = False,
 ) -> QuestionView:
     """Answer a question, or replace its answer."""
     return questions.question_view(questions.answer(session, CONSOLE, question, text, public=public), CONSOLE)

@@ -39,7 +39,7 @@ def judged_track(service: CliService) -> dict[str, str]:
 def test_judges_give_marks_on_their_page_and_organizers_see_the_spread(service: CliService) -> None:
     judge, organizer = visitor_of_role(service, Role.JUDGE), visitor_of_role(service, Role.ORGANIZER)
     team, anybody = team_visitor(service), visitor(service)
-    assert "No track is judged." in judge.get("/judging").text
+    assert "No track has judges." in judge.get("/judging").text
     ids = judged_track(service)
     shown = judge.get("/judging").text
     for what in ("A &lt;new&gt; structure", "&lt;Ants&gt;", f"/submissions/{ids['Bees']}", 'name="mark-clarity"'):

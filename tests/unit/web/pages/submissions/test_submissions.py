@@ -231,7 +231,7 @@ def test_a_result_without_a_control_group_is_shown_as_isolated_more_weakly(
     sign_in(browser, "Gelbots")
     page = browser.get(f"/submissions/{COMPLETED.id}").text
     assert ("Weaker than usual" in page) is is_told
-    assert "Where process ids repeat, that of an episode does not tell how many there were before." in page
+    assert "Where process ids repeat, that of an episode does not show how many there were before." in page
     data.found = [COMPLETED.model_copy(update={"evaluation": evaluation.model_copy(update={"isolation": []})})]
     assert "Where process ids repeat" not in browser.get(f"/submissions/{COMPLETED.id}").text
 
