@@ -61,7 +61,7 @@ def sources_hash(package: str) -> str:
 
 
 PLATFORM_CLASSES = frozenset({"aarch64-linux", "x86_64-linux"})
-"""Those that logs may come from whose states differ from ours: the sandbox, and so an evaluation, needs Linux."""
+"""Platform classes of logs whose states may differ from ours: the sandbox, and so an evaluation, needs Linux."""
 
 
 def platform_class() -> str:

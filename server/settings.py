@@ -35,7 +35,7 @@ class Registration(StrEnum):
 
 
 MAIL_SCHEMES = ("smtp", "smtps", "smtp+starttls", "file")
-"""Of `mail_url`."""
+"""Schemes that `mail_url` may have."""
 
 
 class LogFormat(StrEnum):

@@ -44,7 +44,7 @@ from .views.teams import AuditEntryView
 
 REMOVED = "(removed with its team)"
 _ACTIONS = ("team.", "member.")
-"""Whose audit lines members get; judges' conflicts of interest, for example, are about their team but not for it."""
+"""Actions whose audit lines members get; conflicts of interest of judges, for example, are not for the team."""
 _CAPTAINS_ACTIONS = ("webhook.",)
 
 

@@ -13,7 +13,7 @@ from typing import Any, Self
 Scalars = Mapping[str, float]
 
 FOLDER = "tensorboard"
-"""Of the charts, in the folder of a run."""
+"""Name of the folder of charts, in the folder of a run."""
 
 
 class Charts:

@@ -15,7 +15,7 @@ from .run import Folder, RoundResult
 from .submission import policy
 
 LARGEST_BYTES = 2_000_000
-"""Of the weights."""
+"""Largest file of weights."""
 
 _SUBMISSION = f"""track: track_1
 tasks: [{TASK}]

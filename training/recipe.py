@@ -23,17 +23,17 @@ class Recipe(StrictModel):
     task: Literal["peg-insertion"]
     """What is learned."""
     seed: Annotated[int, Field(ge=0, le=10_000)]
-    """Of the streams of starts and of all that is drawn while learning."""
+    """Seed of the streams of starts and of all that is drawn while learning."""
     random_episodes: Count = 1500
-    """Of the actor with random motions."""
+    """Episodes of the actor with random motions."""
     guided_episodes: Count = 1500
-    """Of the actor that knows where the hole is; only the critic learns from them."""
+    """Episodes of the actor that knows where the hole is; only the critic learns from them."""
     rounds: Annotated[int, Field(ge=1, le=100)] = 4
     """How often critic and student are learned."""
     student_episodes: Count = 1000
-    """Of the student, after each round but the last."""
+    """Episodes of the student after each round but the last."""
     critic_episodes: Count = 300
-    """Of the critic, after each round but the last; only the critic learns from them."""
+    """Episodes of the critic after each round but the last; only the critic learns from them."""
     noise: Annotated[float, Field(ge=0.0, le=1.0)] = 0.3
     """Largest spread of the noise on the actions of student and critic."""
     chosen_by: Count = 100

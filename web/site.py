@@ -39,13 +39,13 @@ Page = Callable[[Request], Awaitable[Response]]
 ResultT = TypeVar("ResultT")
 HTML = "text/html"
 PAGE_TIMEOUT_S = 20.0
-"""After which a page says that the database does not answer; its statements are ended before."""
+"""Time after which a page says that the database does not answer; its statements end before."""
 FRONT_KEPT_S = 5.0
 """The front page is asked for most, and reads the boards of all tracks. What all pages say is read as seldom."""
 MAX_PLOTS = 256
-"""Those of an evaluation or a board have up to 200 kB."""
+"""Number of cached plots; those of an evaluation or a board have up to 200 kB."""
 MAX_MAPS = 128
-"""That of a task has up to 200 kB."""
+"""Number of cached maps; that of a task has up to 200 kB."""
 
 
 @dataclass(frozen=True, kw_only=True)

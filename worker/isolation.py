@@ -9,7 +9,7 @@ from vitac.evaluator.agent.self_test import run as run_probes
 from vitac.evaluator.package_sets import package_differences, shown_sets
 
 SLOW_PROBES = frozenset({"memory of many processes capped", "CPU time capped", "wall time capped"})
-"""They wait for a limit and take seconds each: `vitac doctor` tries them, a worker's start does not."""
+"""Probes that wait for a limit and take seconds each: `vitac doctor` runs them, a worker's start does not."""
 
 RunProbes = Callable[[tuple[Probe, ...]], Iterable[Outcome]]
 Describe = Callable[[], SandboxDescription]

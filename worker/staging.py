@@ -37,7 +37,7 @@ class SubmissionStage:
         self._limits = limits
         self._lock = threading.Lock()
         self._staged: dict[str, _Staged] = {}
-        """By name, the one used most recently last."""
+        """Staged submissions by name, the most recently used last."""
         self._numbers = count()
         remove_leftovers(scratch_dir)
         self._exits = ExitStack()

@@ -39,7 +39,7 @@ def last_server() -> str | None:
 
 
 def keep(server: str, token: str) -> None:
-    """Keep a token, and take its service as the one meant where none is named."""
+    """Store a token, and make its service the default."""
     stored = _load()
     stored["tokens"][server] = token
     _store({"server": server, "tokens": stored["tokens"]})

@@ -1,4 +1,4 @@
-"""How every numerical kernel is compiled, and where its machine code is kept."""
+"""How every numerical kernel is compiled, and where its machine code is stored."""
 
 from .kernels import allocating_kernel, kernel, large_kernel
 

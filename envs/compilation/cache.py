@@ -41,7 +41,7 @@ class _KernelCacheFiles(CompileResultCacheImpl):
 
 
 class KernelCache(FunctionCache):
-    """Keeps the machine code of one kernel, for all argument types and CPUs that it was compiled for.
+    """Stores the machine code of one kernel, for all argument types and CPUs that it was compiled for.
 
     Numba writes every file under another name and renames it. A file that cannot be read back is compiled again.
     """
@@ -49,7 +49,7 @@ class KernelCache(FunctionCache):
     _impl_class = _KernelCacheFiles
 
     def holds(self, signature: Any, target_context: Any) -> bool:
-        """Return whether machine code was kept for these argument types and this CPU."""
+        """Return whether machine code is stored for these argument types and this CPU."""
         try:
             key = self._index_key(signature, target_context.codegen())
             return key in self._cache_file._load_index()

@@ -1,4 +1,4 @@
-"""An episode kept for drawing: what stands where after every env step, or after every IPC step. Made by `record`."""
+"""An episode recorded for drawing: positions after every env step, or after every IPC step. Made by `record`."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ TRUE_OFFSET = "gt_offset_mm_deg"
 
 
 class Pace(StrEnum):
-    """How often a moment is kept."""
+    """How often a moment is recorded."""
 
     ENV_STEP = "env-step"  # after the reset and after each env step
     IPC_STEP = "ipc-step"  # also after each IPC step within an env step

@@ -33,7 +33,7 @@ class PegShape(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class PegForm:
-    """By how much a peg and its hole differ from the challenge's.
+    """Difference of a peg and its hole from the challenge's.
 
     The profile is scaled along x, by a factor that grows linearly along y, so that the two gripped faces stay where
     they are: `width` in the middle and `width` -+ `taper` at the ends.

@@ -1,1 +1,1 @@
-"""Where compiled kernels are kept on this machine, who compiles, and how far it is; nothing here needs a compiler."""
+"""Where compiled kernels are stored on this machine, who compiles, and its progress; nothing here needs a compiler."""

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept, and when what nobody uses is removed."""
+"""Where compiled kernels are stored, and when unused ones are removed."""
 
 import os
 import shutil
@@ -52,7 +52,7 @@ def remove_unused(directory: Path) -> None:
 
 
 def cache_root() -> Path:
-    """Return the folder of all that is kept between runs: `VITAC_CACHE_DIR`, else in the user's cache folder."""
+    """Return the folder of all that is stored between runs: `VITAC_CACHE_DIR`, else in the user's cache folder."""
     if explicit := os.environ.get("VITAC_CACHE_DIR"):
         return Path(explicit)
     home_cache = os.environ.get("XDG_CACHE_HOME")

@@ -11,7 +11,7 @@ from ..tasks.settings import nearest, read_task_settings
 from .catalogue import MODES, Described, catalogue
 
 PREFIX = "ManiSkill/"
-"""Of the `env_id` in a track file; ManiSkill's own id follows."""
+"""Prefix of the `env_id` in a track file; ManiSkill's own id follows."""
 
 CPU, CUDA = "physx_cpu", "physx_cuda"
 MAX_BATCH_SIZE = 64

@@ -37,7 +37,7 @@ def has_driver() -> bool:
 
 
 class UndrawnMaterial:
-    """A material that nothing draws; it keeps what it is given."""
+    """A material that is never drawn; it only stores its values."""
 
     def __init__(self, **values: Any) -> None:
         self.__dict__.update(values)

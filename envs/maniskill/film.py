@@ -13,7 +13,7 @@ Picture = NDArray[np.uint8]
 NextAction = Callable[[Observation, dict[str, Any]], NDArray[np.float32] | None]
 
 MAX_PICTURES = 100
-"""Of an animation; in a longer episode, pictures of some env steps are left out."""
+"""Maximum pictures of an animation; in a longer episode, some env steps are left out."""
 ENV_STEP_MS, END_MS = 100, 2500
 """How long a picture of an animation is shown [ms]; an env step of most environments is 50 ms of simulated time."""
 _LINE, _MARGIN = 1.9, 0.5

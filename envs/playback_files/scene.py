@@ -25,7 +25,7 @@ SCENE_BYTES: Final = 200_000
 DISPLACEMENT_UNIT_MM: Final = 0.001
 FLOW_UNIT_PX: Final = 1.0 / 64.0
 ACTION_DECIMALS: Final = 2
-"""Of actions, which are in [-1, 1], of rewards, and of places and heights [mm]."""
+"""Decimals of actions, which are in [-1, 1], of rewards, and of positions and heights [mm]."""
 ROTATION_DECIMALS: Final = 4
 _PRESSURE_LEVELS = 255
 _EVERY = (1, 2, 4, 8)

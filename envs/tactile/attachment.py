@@ -22,7 +22,7 @@ class Fault(IntEnum):
     """Why a marker cannot be where it is drawn."""
 
     NONE = 0
-    """It can."""
+    """The marker can be attached."""
     OFF_THE_GEL = 1
     """The camera's ray through it misses the gel."""
     NOT_ON_SENSING_FACE = 2
@@ -30,7 +30,7 @@ class Fault(IntEnum):
     EDGE_ON = 3
     """The face is seen edge-on."""
     OUT_OF_PICTURE = 4
-    """It is outside the camera's picture."""
+    """The marker is outside the camera's picture."""
 
 
 class Attachment(NamedTuple):

@@ -168,4 +168,4 @@ TOUCH_QUANTITIES = (
         apply=setting("markers.delay"),
     ),
 )
-"""Of every task with two tactile sensors."""
+"""Quantities of every task with two tactile sensors."""

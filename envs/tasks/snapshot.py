@@ -1,4 +1,4 @@
-"""The state of a running episode, kept so that it can be continued from there more than once."""
+"""The state of a running episode, from which it can be continued more than once."""
 
 from copy import deepcopy
 from dataclasses import dataclass

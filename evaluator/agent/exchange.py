@@ -114,7 +114,7 @@ class Exchange:
         return PolicyFailed(verdict, printable(message), self._sandbox.output.text())
 
     def _reported_failure(self, answer: Answer) -> PolicyFailed:
-        """Believe the runtime inside only what it is there to report; it belongs to the policy."""
+        """Accept from the runtime inside only what it has to report, since the policy controls it."""
         code, message = answer.header.code, answer.header.message
         if code not in _REPORTABLE:
             return self.failure(VerdictCode.PROTOCOL_VIOLATION, f"The runtime reported the unknown verdict {code!r}.")

@@ -143,7 +143,7 @@ class SampledPicture(StrictModel):
 
     env_step: NonNegativeInt
     sha256: StateHash
-    """Over all pictures of the task at that env step, observed or not."""
+    """Hash over all pictures of the task at that env step, observed or not."""
 
 
 class ForceFigures(StrictModel):

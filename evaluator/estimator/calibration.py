@@ -17,7 +17,7 @@ SEED: Final = 20_250_131
 """First number of the seed of every calibration start; lists of evaluations have other ones."""
 STARTS: Final = 180
 ENV_STEPS: Final = 4
-"""From the last of them on all env steps share a regression."""
+"""Number of env steps with a regression of their own; later ones share the last."""
 # Motions in the calibration remove a part of the true offset between these, and go this far beside it.
 _PARTS = (0.3, 1.2)
 _BESIDE = (1.7, 1.7, 3.5)

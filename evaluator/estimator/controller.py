@@ -1,4 +1,4 @@
-"""The fixed controller: takes each regression's word for what it is worth, and moves the offset away."""
+"""The fixed controller: weighs each regression's estimate by its variance, and moves the offset away."""
 
 from collections.abc import Sequence
 from math import radians

@@ -35,7 +35,7 @@ class Evaluation:
     isolation: Isolation | None
     """How strongly the policy was isolated; None if it never loaded."""
     coefficients: Coefficients | None = None
-    """With which the standard estimator played; None where it did not play."""
+    """Coefficients of the standard estimator; None if it did not play."""
     figures: tuple[FiguresPart, ...] = ()
     """Parts of the figures of the sensor; none where they were not asked for."""
 
@@ -136,7 +136,7 @@ class _ShardPool:
         self.results: list[ShardResult] = []
         self._stored = stored
         self._coefficients: Coefficients | None = None
-        """Of a shard that is over, so that the shards after it need not learn the same."""
+        """Coefficients from a finished shard, so that later shards need not calibrate again."""
         self._processes = processes
         self._orders = deque(orders)
         self._lock = threading.Lock()

@@ -56,7 +56,7 @@ class StoredShards:
             _remove_unused(folder)
 
     def load(self, order: ShardOrder) -> FinishedShard | None:
-        """Return a finished shard; None where it was not kept, or its file is damaged or of another shard."""
+        """Return a finished shard; None where it was not stored, or its file is damaged or of another shard."""
         path = self._path(order)
         try:
             finished = FinishedShard.model_validate_json(path.read_bytes())
@@ -66,7 +66,7 @@ class StoredShards:
         return finished if finished.answers(order) else None
 
     def store(self, order: ShardOrder, records: Sequence[EpisodeRecord], result: ShardResult) -> None:
-        """Keep a shard whose episodes all have a record; without space for it nothing is kept."""
+        """Store a shard whose episodes all have a record; without disk space nothing is stored."""
         content = FinishedShard(records=tuple(records), result=result).model_dump_json().encode()
         with suppress(OSError):
             handle, name = tempfile.mkstemp(dir=self._folder, prefix=_UNFINISHED)

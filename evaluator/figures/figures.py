@@ -69,7 +69,7 @@ class FigureChoice(StrEnum):
     NONE = "none"
     """None."""
     QUICK = "quick"
-    """Those that take no episodes: sensitivity, resolution, grasp."""
+    """Figures that take no episodes: sensitivity, resolution, grasp."""
     ALL = "all"
     """Also information and robustness, which take about three times as long as both runs of the estimator."""
 

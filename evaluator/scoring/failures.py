@@ -7,7 +7,7 @@ from ..episodes.records import EpisodeRecord, FailureStage, PolicyFailure
 from ..tracks.cut import Shard
 
 FAILURES_THAT_END_A_SHARD = 3
-"""This many policy failures within one shard end the evaluation as failed: the policy is broken, not unlucky."""
+"""Number of policy failures in one shard that end the evaluation as failed: the policy is broken, not unlucky."""
 
 
 def is_broken(failures: Collection[PolicyFailure]) -> bool:

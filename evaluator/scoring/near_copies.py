@@ -19,10 +19,10 @@ TRACED_STEPS: Final = 8
 TOLERANCE: Final = 0.02
 """Difference of an action, in [-1, 1], and of the motion that was commanded until then, of which a copy stays below."""
 MAX_DELAY: Final = 2
-"""By this many env steps a copy's motion may come later, after actions that move hardly anything."""
+"""Maximum delay of a copy's motion in env steps, after actions that move hardly anything."""
 _AT_LIMIT: Final = 0.999
 _FEWEST_VALUES: Final = 2
-"""This many actions of an episode must be its own to say something."""
+"""Minimum number of actions that only this episode has, for a comparison to say something."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,9 +16,9 @@ class SensorLimits(StrictModel):
     """What every sensor has to keep to."""
 
     max_stl_bytes: Count
-    """Of gel.stl and of tet.msh."""
+    """Largest size of gel.stl and of tet.msh."""
     max_triangles: Count
-    """Of gel.stl."""
+    """Maximum number of triangles of gel.stl."""
     base_length_mm: Millimetres
     """Extent of the base along x."""
     base_width_mm: Millimetres
@@ -26,27 +26,27 @@ class SensorLimits(StrictModel):
     base_tolerance_mm: Millimetres
     """For both, and for how far the base may be from flat."""
     min_thickness_mm: Millimetres
-    """From the base to the highest point."""
+    """Distance from the base to the highest point."""
     max_thickness_mm: Millimetres
-    """From the base to the highest point."""
+    """Distance from the base to the highest point."""
     min_nodes: Count
-    """Of the mesh."""
+    """Minimum number of nodes of the mesh."""
     max_nodes: Count
-    """Of the mesh."""
+    """Maximum number of nodes of the mesh."""
     wanted_nodes: Count
     """The mesher takes the coarsest of its meshes with at least this number."""
     wanted_tip_nodes: Count
     """Nodes that the mesher puts in each part that the grasp reaches, within `max_nodes`."""
     min_quality: Annotated[float, Field(gt=0, lt=1)]
-    """Of a tetrahedron, 6 sqrt(2) V / (longest edge)^3."""
+    """Lowest quality of a tetrahedron, 6 sqrt(2) V / (longest edge)^3."""
     max_volume_error: Annotated[float, Field(gt=0, lt=1)]
-    """Of the mesh against the STL, relative."""
+    """Largest relative difference of the volumes of mesh and STL."""
     max_distance_mm: Millimetres
-    """Between the surfaces of the mesh and of the STL."""
+    """Largest distance between the surfaces of the mesh and of the STL."""
     max_markers: Count
     """Drawn in sensor.yaml."""
     min_marker_spacing_mm: Millimetres
-    """Between the middles of two markers as drawn: of closer ones the camera would see one."""
+    """Smallest distance between the middles of two drawn markers: the camera would see closer ones as one."""
 
 
 @cache

@@ -75,7 +75,7 @@ class SimulationHost:
         self._selector.register(control, selectors.EVENT_READ)
         self._loaded: set[tuple[str, str, Path | None, Path | None]] = set()
         self._calibrations: dict[tuple[str, Path], _Calibration] = {}
-        """Those at work, and those that failed: their shards calibrate for themselves, and report the error."""
+        """Running and failed calibrations; shards of a failed one calibrate for themselves, and report the error."""
 
     def load_all(self) -> None:
         """Load every task of every track, as long as no order waits."""

@@ -32,6 +32,6 @@ class ShardResult(StrictModel):
     finding: LogFinding | None = None
     """Why a log is not true; None for models and as long as the log holds."""
     coefficients: Coefficients | None = None
-    """With which the standard estimator played; None where it did not play."""
+    """Coefficients of the standard estimator; None if it did not play."""
     figures: FiguresPart | None = None
     """This shard's part of the figures of a sensor; None where they were not asked for."""

@@ -23,7 +23,7 @@ _SHINGLE: Final = 6
 _FEWEST_FLOATS: Final = 256
 """Smaller files are no weights."""
 _MOST_BYTES: Final = 64 * 2**20
-"""Of a file this much is read."""
+"""Number of bytes that are read of a file."""
 _LARGEST: Final = 1e3
 """Larger numbers are no weights."""
 _DECIMAL: Final = re.compile(rb"-?\d+\.\d+")

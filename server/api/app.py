@@ -50,7 +50,7 @@ document (RFC 9457, `application/problem+json`) with a stable `code`.
 """
 
 PASSWORDS_AT_ONCE = 2
-"""Of one address or device."""
+"""Maximum simultaneous password checks for one address or device."""
 UNLIMITED = (
     ("POST", f"{API_PREFIX}{submissions.router.prefix}"),
     ("PATCH", f"{API_PREFIX}{uploads.router.prefix}/"),

@@ -83,7 +83,7 @@ class TeamChanges(BaseModel):
 
 
 class Merge(BaseModel):
-    """With which team another one is merged."""
+    """The team into which another one is merged."""
 
     model_config = ConfigDict(extra="forbid")
     into: str = Field(pattern=ONE_LINE, max_length=200, description="Name or id of the team that remains.")

@@ -163,7 +163,7 @@ class Contest:
 
     @property
     def name(self) -> str:
-        """By which rows say that they belong to it; empty where there is none."""
+        """Name that rows of the contest hold; empty where there is no contest."""
         return self.row.name
 
     @property
@@ -193,7 +193,7 @@ class Contest:
 
     @property
     def frozen_at(self) -> datetime | None:
-        """Since when its boards show no new results; None: they do."""
+        """Time since which its boards show no new results; None if they do."""
         at = self.row.frozen_at
         return at if at is not None and at <= datetime.now(UTC) else None
 
@@ -220,7 +220,7 @@ class Contest:
 
     @property
     def stages_held_here(self) -> tuple[Stage, ...]:
-        """Those whose submissions this service takes."""
+        """Stages whose submissions this service takes."""
         return tuple(stage for stage in self.stages if stage.track_rules.taken_here)
 
     @property

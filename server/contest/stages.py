@@ -95,13 +95,13 @@ class Stage:
 
     @property
     def frozen_at(self) -> datetime | None:
-        """Since when its boards show no new results; None: they do."""
+        """Time since which its boards show no new results; None if they do."""
         at = None if self.is_practice else self.competition.frozen_at
         return at if at is not None and at <= datetime.now(UTC) else None
 
     @property
     def final_since(self) -> datetime | None:
-        """Since when its results are final; None: they are not."""
+        """Time since which its results are final; None if they are not."""
         return None if self.is_practice else self.competition.finalized_at
 
     @property
@@ -160,7 +160,7 @@ class Stage:
 
     @property
     def commitment(self) -> str | None:
-        """By which list a new evaluation is played; None: the public one."""
+        """Commitment of the list that new evaluations play; None for the public list."""
         found = self.sealed_list
         return found.commitment if found else None
 

@@ -24,7 +24,7 @@ INSUFFICIENT_RESOURCES = "53"
 
 QUERY_CANCELED = "57014"
 ENCODING = {"client_encoding": "utf8"}
-"""Of connections: without it the driver gives bytes instead of text where the database has no encoding."""
+"""Setting of all connections: without it the driver gives bytes instead of text where the database has no encoding."""
 
 LET_GO = (
     "SET idle_in_transaction_session_timeout = '10min'",

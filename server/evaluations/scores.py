@@ -17,7 +17,7 @@ from ..tracks import known_track
 from ..views.scores import PlayedScoreView, PracticeScoreView, ShapeScoreView, TaskScoreView
 
 Records = Mapping[str, Collection[EpisodeRecord]]
-"""Those of an evaluation on one list, by task."""
+"""Records of an evaluation on one list, by task."""
 
 
 def store_scores(

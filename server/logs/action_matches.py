@@ -31,7 +31,7 @@ MAX_MODELS = 20
 ActionsByEpisode = dict[int, ActionSequence]
 
 _matches: Cache[tuple[UUID, UUID], ActionMatchView] = Cache(at_most=2000)
-"""By the evaluations of log and model. They do not change: a completed evaluation has all its episodes."""
+"""Matches by the evaluations of log and model. They never change: a completed evaluation has all its episodes."""
 
 
 def action_matches(session: Session, by: Principal, submission_id: UUID) -> list[ActionMatchView]:

@@ -26,9 +26,9 @@ CODE_PREFIX = "vitac-join-"
 EMAIL_CODE_PREFIX = "vitac-mail-"
 INVITATION_LIFETIME = timedelta(days=7)
 FRESH_FOR = timedelta(minutes=15)
-"""After signing in, a password may be changed without the old one for this time."""
+"""Time after a sign-in in which a password may be changed without the old one."""
 MAX_MEMBERS = 50
-"""Of a team, together with its open invitations."""
+"""Maximum members of a team, together with its open invitations."""
 WRONG_PASSWORD = "No member of that name and team has this password."  # noqa: S105 - a sentence
 
 

@@ -19,11 +19,11 @@ from ..principals import Principal
 from ..views.notices import NoticeView
 
 MAX_MAILS_A_DAY = 200
-"""To the members of one team."""
+"""Maximum e-mails a day to the members of one team."""
 MAX_MAILS_A_DAY_TO_ONE = 100
-"""To one address, of all teams together."""
+"""Maximum e-mails a day to one address, of all teams together."""
 MAX_CONFIRMATIONS = 3
-"""To one address within 30 days, of all teams together: it may be somebody else's, who did not ask for mails."""
+"""Maximum codes to one address within 30 days, of all teams together: it may belong to somebody else."""
 
 
 def announce(session: Session, kind: NoticeKind, team_id: UUID, subject: str, facts: Mapping[str, Any]) -> None:

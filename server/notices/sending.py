@@ -26,7 +26,7 @@ ResultT = TypeVar("ResultT")
 
 MAX_ATTEMPTS = 8
 FIRST_PAUSE = timedelta(seconds=30)
-"""After the first try; each further pause is three times as long, together about 18 hours."""
+"""Pause after the first attempt; each further pause is three times as long, together about 18 hours."""
 CLAIMED = timedelta(minutes=2)
 """How long a notice belongs to the process that has begun to send it; longer than any sending takes."""
 KEPT = timedelta(days=30)

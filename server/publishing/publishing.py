@@ -32,7 +32,7 @@ _COLUMNS = (
 )
 _MORE = ("mean_steps", "submission", "submitted_at", "list_kind", "result_hash", "evaluator_version")
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""With one of these in front a spreadsheet runs a cell as a formula; a team's name may begin like that."""
+"""A spreadsheet runs a cell that begins with one of these as a formula, and a team's name may begin so."""
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{{ title }}</title>
 <style>

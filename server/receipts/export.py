@@ -57,11 +57,11 @@ class ExportedTeam(StrictModel):
     name: str
     evaluations: tuple[UUID, ...]
     former_names: tuple[str, ...] = ()
-    """That it, or a team that was merged into it, had before, as the service says."""
+    """Earlier names of the team, or of one that was merged into it, as the service says."""
     off_boards: str | None = None
     """Why it is on no board; null: it is."""
     disqualified: tuple[UUID, ...] = ()
-    """Those of its evaluations that are on no board because their submission was disqualified."""
+    """Its evaluations that are on no board because their submission was disqualified."""
     is_removed: bool = False
     """Whether its data were deleted, with all names that it had."""
 
@@ -75,26 +75,26 @@ class ExportDescription(StrictModel):
     ranking: tuple[Literal["success_rate", "mean_steps", "submitted_at"], ...]
     """What entries are compared by, one after the other."""
     secret: Sha256 | None
-    """Of the stage's sealed list, once published; null for a public list, and before."""
+    """Secret of the stage's sealed list, once published; null for a public list, and before."""
     commitment: Sha256 | None
-    """Of the stage's sealed list; null for a public list."""
+    """Commitment of the stage's sealed list; null for a public list."""
     contest: str
     """Name of the board's competition; empty outside of one."""
     board: LeaderboardView
     kind: SubmissionKind
-    """Of the submissions on the board."""
+    """Kind of the submissions on the board."""
     receipts: NonNegativeInt
     """How many there are in the chain, as the service says."""
     last: Sha256 | None
     """Digest of the last one."""
     teams: tuple[ExportedTeam, ...]
-    """With results of the stage."""
+    """Teams with results in the stage."""
     set_aside: tuple[UUID, ...]
     """Evaluations whose results a rejudgement took off the boards, as the service says."""
     copies: tuple[UUID, ...]
     """Evaluations of logs with the states of an earlier submission of another team, as the service says: unranked."""
     winners: tuple[WinningEntry, ...]
-    """Of the competition, once it is final."""
+    """Winners of the competition, once it is final."""
     judged: tuple[JudgedEntry, ...]
     """What the judges think of its judged tracks' entries, once it is final."""
 

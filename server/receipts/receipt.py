@@ -23,7 +23,7 @@ _SIGNED = b"vitac-receipt-1\n"
 """Comes before what is signed, so that no signature of something else is one of a receipt."""
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 PublicKey = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-"""Of Ed25519 (RFC 8032): 32 bytes as hexadecimal digits."""
+"""Public key of Ed25519 (RFC 8032): 32 bytes as hexadecimal digits."""
 ContentT = TypeVar("ContentT", bound="Content")
 Rate = Annotated[float, Field(ge=0, le=1)]
 
@@ -89,15 +89,15 @@ class OfSubmission(Content):
     """Name of the competition; empty outside of one."""
     track: Word
     stage: str
-    """Of the competition; empty outside of one."""
+    """Stage of the competition; empty outside of one."""
     kind: SubmissionKind
     submitted_at: datetime
     team_sha256: Sha256
-    """Of the name that the team had then, with the salt (`team_commitment`)."""
+    """Hash of the name that the team had then, with the salt (`team_commitment`)."""
 
     @property
     def board(self) -> str:
-        """On which board the result may be, as the chain names it."""
+        """The board on which the result may be, as the chain names it."""
         return board_name(self.contest, self.track, self.stage, self.kind)
 
     def is_of_team(self, name: str) -> bool:
@@ -122,7 +122,7 @@ class Result(OfSubmission):
     evaluator_hash: Sha256
     platform_class: Word
     commitment: Sha256 | None
-    """Of the sealed list that was played; null: the public list of this evaluator version."""
+    """Commitment of the sealed list that was played; null for the public list of this evaluator version."""
     tasks: tuple[TaskResult, ...] = Field(min_length=1)
     combined: CombinedResult | None
     """Null for a log, and where no task counts."""

@@ -33,7 +33,7 @@ RECENTLY = timedelta(hours=12)
 
 
 RETRIES: "RetryConfig" = {"max_retries": 5, "retry_timeout": timedelta(seconds=20)}
-"""Of requests to a bucket that fails; by default an upload would hang for three minutes."""
+"""Retries of failed requests to a bucket; by default an upload would hang for three minutes."""
 
 
 class StoredFileLost(ServiceError):

@@ -10,7 +10,7 @@ from sqlalchemy.exc import DBAPIError
 from ..errors import storage_full
 
 NEEDED_BYTES = 1 << 20
-"""With less than this a disk counts as full: nothing of use can be done on it."""
+"""Free space below which a disk counts as full."""
 
 RESERVED_BYTES = 4 << 30
 RESERVED_SHARE = 0.05

@@ -19,7 +19,7 @@ from ..principals import Principal
 from ..visibility import changeable, visible
 
 MACHINE_FAILURES = 3
-"""After this number of evaluations that machines ended in 24 hours, only organizers start another of a submission."""
+"""Evaluations of a submission that machines may end in 24 hours; after that only organizers start another."""
 
 
 def cancel(session: Session, by: Principal, submission_id: UUID) -> None:

@@ -33,7 +33,7 @@ from ..views.workers import WorkersView
 PlacesOf = Callable[[Stage], PlacesOfBoards]
 
 WorkersOf = Callable[[str, str, tuple[str, ...]], WorkersView]
-"""By evaluator version, track and tasks."""
+"""Finds workers by evaluator version, track and tasks."""
 
 
 def submission_views(

@@ -28,7 +28,7 @@ CHANNEL = "vitac_submissions"
 PAUSE_S = 0.5
 """Changes that follow each other within this time are looked at together."""
 LOOK_AGAIN_S = 15.0
-"""After this time without a change a submission is looked at all the same: its place in the queue moves, too."""
+"""Time after which a submission is read without a change of its own: its place in the queue moves, too."""
 RECONNECT_PAUSE_S = 1.0
 _KEEPALIVES: dict[str, Any] = {
     "keepalives_idle": 10,

@@ -1,4 +1,4 @@
-"""Under which names teams are shown: their own, or until the end of an anonymous competition ones that tell nothing."""
+"""Names under which teams are shown: their own, or random ones until the end of an anonymous competition."""
 
 from dataclasses import dataclass
 from typing import Self

@@ -20,7 +20,7 @@ NAME_LENGTH = 64
 CONTACT_LENGTH = 254
 REASON_LENGTH = 200
 _REGISTRATION_LOCK = 0x7E414D5
-"""Of two registrations at once the second sees the name of the first."""
+"""Advisory lock: of two simultaneous registrations the second sees the name of the first."""
 
 
 def register(

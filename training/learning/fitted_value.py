@@ -22,15 +22,15 @@ class FittingPlan(StrictModel):
     hidden: Count
     """Units of both layers."""
     sweeps: Count
-    """Of targets, each time."""
+    """Sweeps of targets each time."""
     epochs: Count
-    """Over all samples, in each sweep."""
+    """Passes over all samples in each sweep."""
     batch: Count
     """Samples of a gradient step."""
     rate: PositiveFloat
-    """Of learning."""
+    """Learning rate."""
     discount: Annotated[float, Field(gt=0.0, le=1.0)]
-    """Of an env step, so that sooner is better."""
+    """Discount of an env step, so that sooner is better."""
 
 
 class FittedValue:

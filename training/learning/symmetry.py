@@ -20,7 +20,7 @@ _TURN_ACTION = np.array([-1, -1, 1], dtype=np.float32)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Signs:
-    """By what the numbers of an input are multiplied.
+    """Signs by which the numbers of an input are multiplied.
 
     Attributes:
         mirror: in a mirror with normal x, shape [i].

@@ -31,13 +31,13 @@ from .policy import ACTIONS, FEATURES, FloatArray, Opening
 from .recipe import SearchRecipe
 
 LONGEST_ENV_STEPS = 9
-"""After which an episode of the search counts as not solved; a good one takes five."""
+"""Number of env steps after which an episode of the search counts as not solved; a good one takes five."""
 ENV_STEP_COST = 0.05
-"""Of an env step, where success is worth 1."""
+"""Cost of an env step, where success is worth 1."""
 FIRST_PULL, FIRST_LIFT = 0.5, 1.0
 """Actions around which the first candidates are drawn: a key comes out and up."""
 FIRST_SPREAD = 0.5
-"""Of each weight in the first generation."""
+"""Spread of each weight in the first generation."""
 LEAST_SPREAD = 0.05
 """So that candidates differ to the end."""
 _GENERATION_NUMBERS = 100_000

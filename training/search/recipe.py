@@ -15,7 +15,7 @@ class SearchRecipe(StrictModel):
     task: Literal["lock-opening"]
     """What is learned."""
     seed: Annotated[int, Field(ge=0, le=10_000)]
-    """Of the streams of starts and of all that is drawn."""
+    """Seed of the streams of starts and of all that is drawn."""
     generations: Annotated[int, Field(ge=1, le=1000)] = 12
     """How often candidates are drawn."""
     candidates: Count = 32
@@ -23,7 +23,7 @@ class SearchRecipe(StrictModel):
     kept: Count = 8
     """The best of them, around which the next ones are drawn."""
     episodes: Count = 8
-    """That each candidate plays, from the same starts as the others."""
+    """Episodes that each candidate plays, from the same starts as the others."""
     chosen_by: Count = 100
     """Held-out episodes by which the best generation is chosen."""
 

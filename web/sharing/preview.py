@@ -15,7 +15,7 @@ from vitac.server.errors import SettingsError
 from vitac.server.views.submissions import EpisodeView, SubmissionView
 
 WIDTH, HEIGHT = 1200, 630
-"""Of the picture [px], as sites that show links expect it."""
+"""Size of the picture [px] that sites which show links expect."""
 MARGIN = 64
 PAPER, INK, QUIET, LINE = "#fcfcfb", "#15191c", "#545e66", "#dde1e2"
 ACCENT, BAND, BAD = "#0a6a66", "#b9dedb", "#b0401c"

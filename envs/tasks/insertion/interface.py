@@ -50,7 +50,7 @@ INSERTION_QUANTITIES = (
         apply=setting("clearance_mm"),
     ),
 )
-"""Of every task that inserts a peg."""
+"""Quantities of every task that inserts a peg."""
 
 
 def horizontal_actions(*, xy_mm: float, theta_deg: float) -> tuple[ActionComponent, ActionComponent, ActionComponent]:

@@ -22,7 +22,7 @@ TRAINING_RANGES = {
     "lock_friction": (0.0, 1.0),
     "indentation_mm": (0.5, 1.25),
 }
-"""Of the published training (challenge-facts 3)."""
+"""Ranges of the published training (challenge-facts 3)."""
 
 
 @dataclass(frozen=True, kw_only=True)

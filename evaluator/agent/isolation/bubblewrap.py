@@ -53,7 +53,7 @@ _NAMESPACES: Final = (
 
 
 class UserIsolation(StrEnum):
-    """Whose rights the policy runs with."""
+    """The user whose rights the policy has."""
 
     ROOT = "root"
     """Started by root, dropped to a real uid of its own, no user namespace."""

@@ -71,7 +71,7 @@ class Sandbox:
 
     @property
     def user_isolation(self) -> UserIsolation:
-        """Whose rights the policy has."""
+        """The user whose rights the policy has."""
         return bubblewrap.current_user_isolation()
 
     @property

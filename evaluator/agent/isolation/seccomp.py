@@ -49,7 +49,7 @@ ALLOWED: Final = tuple(" ".join((_MEMORY, _FILES, _WAITING, _SOCKETS, _PROCESSES
 """Calls that may be made with any arguments."""
 
 _TIMES_OF_FILES: Final = ("futimesat", "utime", "utimensat", "utimes")
-"""They are answered with success and do nothing: the device nodes, the output and the channel are the same in every
+"""These calls succeed and do nothing: the device nodes, the output and the channel are the same in every
 episode (the nodes even the host's), and whoever may write to a file may set its times."""
 _NEW_NAMESPACE_FLAGS: Final = 0x7E020080
 """CLONE_NEWTIME, NEWNS, NEWCGROUP, NEWUTS, NEWIPC, NEWUSER, NEWPID, NEWNET."""

@@ -19,7 +19,7 @@ from ..addresses import board_address, competition_address, read_contest_name
 from ..forms import act
 
 N_SAID = 3
-"""Of the newest announcements on the page; all of them have a page of their own."""
+"""Number of the newest announcements on the page; all of them have a page of their own."""
 
 
 @dataclass(frozen=True, kw_only=True)

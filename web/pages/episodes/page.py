@@ -31,7 +31,7 @@ from ...site import Viewer, get_principal, get_site, get_viewer, open_to_all, pa
 from ..addresses import as_id
 
 FOLDERS = ("episodes", "practice")
-"""Of episodes below a submission's page: of its result, and on the public list that is played beside a sealed one."""
+"""Addresses of episodes below a submission's page: of its result, and of the public list played beside a sealed one."""
 PLAYER = "playback.js"
 ONE_YEAR_S = 365 * 24 * 3600
 _PICTURES = {PlaybackFile.STILL: "image/png", PlaybackFile.FILM: "image/webp"}
