@@ -70,7 +70,7 @@ def require_base(what: str, *, base: str | None, revision: str, difference: Call
     raise ServiceError(
         ProblemCode.CHANGED_MEANWHILE,
         f"This change was made against {made_against}, but {what} is at revision {revision or 'none'}. {difference()} "
-        f"Nothing was changed. Take that over, and repeat with {repeat}.",
+        f"Nothing was changed. Include that change, and repeat with {repeat}.",
         revision=revision,
     )
 

@@ -33,7 +33,7 @@ _UNITS: Mapping[Quota, str] = MappingProxyType(
         Quota.ATTEMPTS_PER_DAY: "evaluations a day (UTC), however they end",
         Quota.QUEUED_AT_ONCE: "evaluations that wait or run",
         Quota.STORED_MIB: "MiB of stored uploads",
-        Quota.TOKENS: "tokens that are good",
+        Quota.TOKENS: "valid tokens",
         Quota.EVENT_STREAMS: "event streams at the same time",
     }
 )
@@ -118,7 +118,7 @@ def exceeded(team: str, quota: Quota, limit: int) -> ServiceError:
     opening = f"at {opens_at:%F %H:%M} UTC" if opens_at is not None else _OPENING[quota]
     return ServiceError(
         ProblemCode.QUOTA_EXCEEDED,
-        f"{team} may have {limit} {_UNITS[quota]} and has used all of quota {quota.value}. It opens again {opening}.",
+        f"{team} may have {limit} {_UNITS[quota]} and has used up quota {quota.value}. There is room again {opening}.",
         quota=quota.value,
         limit=limit,
         **times,

@@ -61,7 +61,7 @@ class Quotas(BaseModel):
     stored_mib: Limit = Field(
         default=8192, description="Stored uploads [MiB] and those being sent; cancelled ones are removed after a day."
     )
-    tokens: Limit = Field(default=20, description="Tokens that are good.")
+    tokens: Limit = Field(default=20, description="Valid tokens.")
     event_streams: Limit = Field(default=20, description="Open event streams, of API and pages together.")
 
 

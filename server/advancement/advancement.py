@@ -94,7 +94,7 @@ def confirm(
             f"the list of teams confirmed for {stage}",
             base=base,
             revision=_compute_revision(previous),
-            difference=lambda: f"Yours would add {_names(new)} and take away {_names(leaving)}.",
+            difference=lambda: f"Yours would add {_names(new)} and remove {_names(leaving)}.",
         )
     _refuse_loss(session, stage, previous.keys() - chosen.keys())
     session.execute(delete(Qualification).where(stage.qualifications))

@@ -37,7 +37,9 @@ async def get_health() -> HealthView:
     return HealthView(status=OK, version=version("vitac-arena"))
 
 
-@router.get("/ready", responses={503: {"model": ReadyView, "description": "A part does not work; it says which."}})
+@router.get(
+    "/ready", responses={503: {"model": ReadyView, "description": "A part does not work; the answer says which."}}
+)
 async def get_ready(services: ServicesOf, response: Response) -> ReadyView:
     """Return whether database, schema and file store work. Workers are listed but do not make the server unready."""
     (database, migrations, workers), storage = await asyncio.gather(

@@ -160,5 +160,5 @@ def refusal_of_failure(request: Request, error: Exception) -> ServiceError | Non
 
 def _answer_bug(request: Request, error: Exception) -> JSONResponse:
     logger.error("request_failed", path=request.url.path, method=request.method, exc_info=error)
-    detail = "The server made a mistake; it was logged. Try again later or tell the organizers when it happened."
+    detail = "The server failed; the error was logged. Try again later or tell the organizers when it happened."
     return problem(request, ServiceError(ProblemCode.INTERNAL_ERROR, detail))

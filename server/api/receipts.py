@@ -22,7 +22,7 @@ def get_chain(
     services: ServicesOf,
     *,
     contest: str | None = None,
-    after: Annotated[int, Query(ge=0, le=2**53, description="`next_after` of the page before.")] = 0,
+    after: Annotated[int, Query(ge=0, le=2**53, description="`next_after` from the previous page.")] = 0,
     limit: Annotated[int, Query(ge=1, le=PAGE_LINKS)] = PAGE_LINKS,
 ) -> ChainView:
     """Return the public key that signs receipts, and the chain that they make, or a competition's links of it."""

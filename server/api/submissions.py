@@ -73,11 +73,14 @@ async def post_submission(
     contest: Annotated[
         str | None, Query(description="Name of the competition; needed where several take submissions to the track.")
     ] = None,
-    kind: Annotated[SubmissionKind, Query(description="What the body is.")] = SubmissionKind.MODEL,
-    team: Annotated[str | None, Query(description="For organizers: whose submission this is.")] = None,
+    kind: Annotated[SubmissionKind, Query(description="Kind of submission in the body.")] = SubmissionKind.MODEL,
+    team: Annotated[str | None, Query(description="For organizers: the team that submits.")] = None,
     file_name: Annotated[
         str | None,
-        Query(max_length=255, description="One in the challenge's form must agree with team, track and stage."),
+        Query(
+            max_length=255,
+            description="Name of the file; one in the challenge's form must agree with team, track and stage.",
+        ),
     ] = None,
     again: Annotated[bool, Query(description="Run all episodes again, including stored ones.")] = False,
 ) -> SubmissionView:
@@ -115,11 +118,11 @@ def list_submissions(
     services: ServicesOf,
     principal: PrincipalOf,
     *,
-    contest: Annotated[str | None, Query(description="Those to a competition, by its name.")] = None,
+    contest: Annotated[str | None, Query(description="Only submissions to the competition of this name.")] = None,
     track: str | None = None,
     state: EvaluationState | None = None,
     team: Annotated[str | None, Query(description="For organizers.")] = None,
-    before: Annotated[UUID | None, Query(description="`next_before` of the page before.")] = None,
+    before: Annotated[UUID | None, Query(description="`next_before` from the previous page.")] = None,
     limit: Annotated[int, Query(ge=1, le=100)] = 50,
 ) -> SubmissionListView:
     """Return the team's submissions, newest first; all teams' for an organizer."""
@@ -152,7 +155,9 @@ def get_episodes(
     services: ServicesOf,
     principal: ReaderOf,
     submission_id: UUID,
-    practice: Annotated[bool, Query(description="Of the public list that was played beside a sealed one.")] = False,
+    practice: Annotated[
+        bool, Query(description="Episodes of the public list that was played beside a sealed one.")
+    ] = False,
 ) -> Sequence[EpisodeView]:
     """Return how each finished episode ended, also of a public submission; none while the list is sealed."""
     with services.database.reading() as session:
@@ -166,7 +171,7 @@ def get_output(
     submission_id: UUID,
     *,
     task: Annotated[str | None, Query(description="One of the submission's tasks; the first by default.")] = None,
-    after: Annotated[int, Query(ge=0, le=MAX_NUMBER, description="`next_after` of the page before.")] = 0,
+    after: Annotated[int, Query(ge=0, le=MAX_NUMBER, description="`next_after` from the previous page.")] = 0,
     limit: Annotated[int, Query(ge=1, le=100)] = output.PAGE_EPISODES,
 ) -> OutputView:
     """Return the end of what the policy printed in each episode, and why it failed in some.
@@ -187,7 +192,7 @@ def get_sensor(services: ServicesOf, principal: PrincipalOf, submission_id: UUID
 @router.get(
     "/{submission_id}/document",
     response_class=Response,
-    responses={200: {"content": {"application/octet-stream": {}}, "description": "The file as it was brought."}},
+    responses={200: {"content": {"application/octet-stream": {}}, "description": "The file as it was uploaded."}},
 )
 def get_document(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> Response:
     """Return the design document, to be saved and never shown: nobody has looked at what is in it."""
@@ -212,7 +217,9 @@ def get_log(
     services: ServicesOf,
     principal: PrincipalOf,
     submission_id: UUID,
-    task: Annotated[str | None, Query(description="Needed where the submission plays several.")] = None,
+    task: Annotated[
+        str | None, Query(description="Name of the task; needed where the submission plays several.")
+    ] = None,
 ) -> Response:
     """Return what was played, as `vitac evaluate --log` writes it: enough to play it again without the policy."""
     with services.database.transaction() as session:

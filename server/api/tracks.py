@@ -17,11 +17,11 @@ MAX_PAGE_ENTRIES = 500
 
 router = APIRouter(tags=["tracks"], responses=RESPONSES)
 
-Stage = Annotated[str | None, Query(description="Of the competition; the one that opened last without it.")]
-After = Annotated[int, Query(ge=0, le=MAX_NUMBER, description="`next_after` of the page before.")]
+Stage = Annotated[str | None, Query(description="Name of the stage; by default the one that opened last.")]
+After = Annotated[int, Query(ge=0, le=MAX_NUMBER, description="`next_after` from the previous page.")]
 Limit = Annotated[int, Query(ge=1, le=MAX_PAGE_ENTRIES, description="Number of entries.")]
 UNCHANGED: dict[int | str, dict[str, Any]] = {
-    304: {"description": "As the `If-None-Match` of the request says, the client has this revision."}
+    304: {"description": "The client has this revision already (`If-None-Match`)."}
 }
 
 
@@ -52,7 +52,7 @@ def get_leaderboard(
     track: str,
     *,
     contest: str | None = None,
-    task: Annotated[str | None, Query(description="Rank by this task alone; all tasks together without it.")] = None,
+    task: Annotated[str | None, Query(description="Rank by this task alone; by default by all tasks together.")] = None,
     stage: Stage = None,
     after: After = 0,
     limit: Limit = PAGE_ENTRIES,

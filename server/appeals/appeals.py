@@ -280,7 +280,7 @@ def _require_time(session: Session, evaluation: Evaluation) -> None:
     if final is not None:
         raise ServiceError(
             ProblemCode.APPEAL_TOO_LATE,
-            f"The results are final since {final:%F %T} UTC, and appeals ended with that; you may ask a question.",
+            f"The results have been final since {final:%F %T} UTC, which ended appeals; you may ask a question.",
         )
     if days is None:
         raise ServiceError(ProblemCode.APPEAL_TOO_LATE, "This service takes no appeals; ask the organizers a question.")

@@ -338,7 +338,7 @@ class Contest:
         if self.row.finalized_at is not None:
             raise ServiceError(
                 ProblemCode.COMPETITION_FINAL,
-                f"{self.definition.title} is final since {self.row.finalized_at:%F %T} UTC.",
+                f"{self.definition.title} has been final since {self.row.finalized_at:%F %T} UTC.",
             )
 
     def _make_stage(

@@ -75,7 +75,7 @@ def check_track(path: Path) -> CheckedTrack:
 
 def _problems(track: Track, path: Path) -> Iterator[str]:
     if track.name != path.stem:
-        yield f"name is {track.name!r}, expected {path.stem!r}, as the file is called."
+        yield f"name is {track.name!r}, expected {path.stem!r}, the name of the file."
     others = [load_track(name) for name in list_tracks()]
     same = next((other for other in others if other.name == track.name), None)
     if same is not None and same != track:

@@ -63,7 +63,7 @@ class Quota(StrEnum):
     SCORED_RUNS_PER_DAY = "scored_runs_per_day"  # evaluations of a day that end, or may still end, with a score
     ATTEMPTS_PER_DAY = "attempts_per_day"  # evaluations of a day, however they end
     QUEUED_AT_ONCE = "queued_at_once"  # evaluations that wait or run
-    TOKENS = "tokens"  # tokens that are good
+    TOKENS = "tokens"  # valid tokens
     EVENT_STREAMS = "event_streams"  # open event streams, of API and pages together
     STORED_MIB = "stored_mib"  # stored uploads, and those being sent
 

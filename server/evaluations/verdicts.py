@@ -25,7 +25,7 @@ _SENTENCES = {
         "Submit it again; if it fails again or is refused, ask the organizers."
     ),
     ServiceVerdict.DIVERGED: (
-        "The log's actions do not lead where it says; it is not ranked. `vitac log verify` shows the same locally."
+        "The log's actions lead to other states than it says; it is not ranked. `vitac log verify` shows it locally."
     ),
     ServiceVerdict.OTHER_PICTURE: (
         "The log's states are right, but a camera picture that it names is not the one seen there; it is not ranked. "

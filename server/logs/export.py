@@ -33,7 +33,7 @@ def export_log(session: Session, by: Principal, submission_id: UUID, task: str |
     require_episodes(by, evaluation)
     if not submission.kind.form.has_own_log:
         raise ServiceError(
-            ProblemCode.NO_LOG, "What our physics makes of a 2025 text log is no evaluation; there is no log of it."
+            ProblemCode.NO_LOG, "The re-simulation of a 2025 text log is not an evaluation, so it has no log."
         )
     if evaluation.state is not EvaluationState.COMPLETED:
         raise ServiceError(

@@ -51,7 +51,7 @@ def checked(address: str, *, inside_allowed: bool) -> SplitResult:
     if parts.scheme not in schemes or not parts.hostname or port == 0:
         raise _invalid(address, f"expected {' or '.join(schemes)}://HOST/...")
     if parts.username is not None or parts.password is not None or parts.fragment:
-        raise _invalid(address, "expected no user, password or fragment")
+        raise _invalid(address, "expected an address without user, password and fragment")
     return parts
 
 
@@ -64,7 +64,7 @@ def resolved(host: str, port: int, *, inside_allowed: bool) -> SocketAddress:
     found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     for *_, where in found:
         if not inside_allowed and not is_public(str(where[0])):
-            raise PermissionError(f"{host} leads to {where[0]}, which is no address of the internet")
+            raise PermissionError(f"{host} leads to {where[0]}, which is not an address of the public internet")
     family, _, _, _, where = found[0]
     return family, tuple(where)
 

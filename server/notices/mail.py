@@ -18,12 +18,12 @@ TIMEOUT_S = 20.0
 SUBJECT_LENGTH = 150
 _SENTENCES = {
     NoticeKind.ACCEPTED: "Submission {name} to {track_title} was accepted and waits for its evaluation.",
-    NoticeKind.FINISHED: "Submission {name} to {track_title} is evaluated.",
+    NoticeKind.FINISHED: "Submission {name} to {track_title} has been evaluated.",
     NoticeKind.FAILED: "The evaluation of submission {name} to {track_title} has ended without a score ({verdict}).",
     NoticeKind.PROMOTED: "{team} takes part in stage {stage_title} of {track_title}.",
     NoticeKind.DEADLINE: "Stage {stage_title} of {track_title} closes at {closes}.",
     NoticeKind.CONFIRMATION: "Please confirm your address for notices.\n\nEnter this code on your team's page, or with "
-    "`vitac team confirm-email`: {code}\n\nIf you know nothing of this, do nothing: no notices are sent then.",
+    "`vitac team confirm-email`: {code}\n\nIf you did not expect this, ignore it: no notices will be sent.",
     NoticeKind.ANNOUNCEMENT: "{title}\n\n{text}",
 }
 
@@ -41,7 +41,8 @@ def make_message(notice: Notice, settings: Settings) -> EmailMessage:
     made["Auto-Submitted"] = "auto-generated"
     link = f"\n\n{settings.public_url.rstrip('/')}{notice.facts['page']}" if settings.public_url else ""
     stop = (
-        "You get this because your team named this address. Take it away on the team's page, or mute this kind there."
+        "You get this because your team entered this address. "
+        "Remove it, or mute this kind of notice, on the team's page."
     )
     made.set_content(f"{text}{link}\n\n-- \n{stop}\n")
     return made

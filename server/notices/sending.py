@@ -150,7 +150,7 @@ def claim(
     with database.transaction() as session:
         # A notice whose last try was not noted, because its sender was killed, is given up here.
         while (found := _first_due(session, now, channels, apart_from)) and found.attempts >= MAX_ATTEMPTS:
-            _give_up(found, now, found.problem or "The server ended while it was sending this.")
+            _give_up(found, now, found.problem or "The server stopped while it was sending this.")
         if found is None:
             return None
         found.attempts += 1

@@ -78,7 +78,7 @@ class _Families:
 def server_families(disk: Disk) -> Iterator[Metric]:
     """Yield what holds of this server's machine only."""
     yield _gauge("vitac_server_disk_bytes", "Size of the disk with the state directory.", disk.total_bytes)
-    yield _gauge("vitac_server_disk_free_bytes", "Free on the disk with the state directory.", disk.free_bytes)
+    yield _gauge("vitac_server_disk_free_bytes", "Free space on the disk with the state directory.", disk.free_bytes)
 
 
 def state_families(state: OperationsView) -> Iterator[Metric]:
@@ -117,7 +117,7 @@ def worker_families(state: OperationsView) -> Iterator[Metric]:
     yield _gauges("vitac_workers", "Worker processes of the last hour.", "state", counts)
     yield _gauge("vitac_worker_slots", "Shards that all ready workers can run at once.", slots)
     yield _gauges("vitac_worker_disk_bytes", "Size of a worker machine's disk.", "host", total)
-    yield _gauges("vitac_worker_disk_free_bytes", "Free on a worker machine's disk.", "host", free)
+    yield _gauges("vitac_worker_disk_free_bytes", "Free space on a worker machine's disk.", "host", free)
 
 
 def total_families(counted: Mapping[SeriesKey, float]) -> Iterator[Metric]:

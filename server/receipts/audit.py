@@ -335,7 +335,7 @@ def _wrong_records(track: Track, header: LogHeader, records: Sequence[EpisodeRec
     task = track.tasks[signed.task]
     impossible = explain_impossible(known_without_running(track, task), task, header, records)
     if impossible:
-        return f"the records are of no such evaluation. {impossible.message}"
+        return f"the records are not those of such an evaluation. {impossible.message}"
     if result_hash(header.manifest, records) != signed.result_hash:
         return "the records have another result hash than the receipt."
     earned = score(records)

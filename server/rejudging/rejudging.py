@@ -149,7 +149,8 @@ def apply(
         )
     if shown is not None and shown != compute_revision(rows):
         raise ServiceError(
-            ProblemCode.RESULTS_OUTDATED, "Something has changed since you looked, so nothing was applied. Look again."
+            ProblemCode.RESULTS_OUTDATED,
+            "Something has changed since you looked, so nothing was applied. Check it and try again.",
         )
     now = datetime.now(UTC)
     # By id: an evaluation of another rejudgement is locked in the same order.

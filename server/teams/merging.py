@@ -44,7 +44,9 @@ def merge(session: Session, by: Principal, team: Team, into: Team) -> None:
         session.scalars(select(Team).where(Team.id.in_([team.id, into.id])).order_by(Team.id).with_for_update())
     )
     if len(found) < 2:
-        raise ServiceError(ProblemCode.UNKNOWN_TEAM, "One of the teams was merged with another one. Look again.")
+        raise ServiceError(
+            ProblemCode.UNKNOWN_TEAM, "One of the teams was merged with another one. Check it and try again."
+        )
     for one in found:
         session.refresh(one)
         teams.require_taking_part(one)

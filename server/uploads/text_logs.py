@@ -83,7 +83,7 @@ def _require_whole(log: TextLog, script: Script, task: Task) -> None:
         line = log.episodes[found.episode - 1].line if found.episode and found.episode <= len(log.episodes) else None
         raise impossible(found, line)
     if not log.has_totals:
-        raise rejected("The log ends without its totals; it was cut off.", TRUNCATED, None)
+        raise rejected("The log ends before its totals; it was cut off.", TRUNCATED, None)
 
 
 def _compute_digest(received: ReceivedFile, limit_bytes: int) -> str:

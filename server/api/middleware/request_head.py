@@ -31,7 +31,7 @@ def _refusal(scope: Scope) -> ServiceError | None:
     query: bytes = scope["query_string"]
     if {b"content-length", b"transfer-encoding"} <= names:
         return ServiceError(
-            ProblemCode.LENGTH_INVALID, "Content-Length and Transfer-Encoding are both there; send one of them."
+            ProblemCode.LENGTH_INVALID, "The request has both Content-Length and Transfer-Encoding; send one of them."
         )
     if "\0" in scope["path"] or b"%00" in query or b"\0" in query:
         return ServiceError(ProblemCode.INVALID_REQUEST, "Path or query holds a NUL character; leave it out.")

@@ -217,12 +217,12 @@ class Shares:
 
     def _refusal(self, key: str, client: Client) -> ServiceError | None:
         if client.requests >= WAITING:
-            return _too_many(f"{client.requests} of your requests are waiting, no more are possible", 2)
+            return _too_many(f"{client.requests} of your requests are waiting, which is the maximum", 2)
         client.use(0.0, time.monotonic(), self._share)
         if self._share >= 1.0 or _is_privileged(key) or client.used_s <= BURST_S:
             return None
         wait_s = max(1, round((client.used_s - BURST_S) / self._share))
-        return _too_many("Your requests have used the time of this server that is for one client", wait_s)
+        return _too_many("Your requests have used the share of this server's time that one client may have", wait_s)
 
     def _choose_key(self, scope: Scope) -> str:
         """Return for whom a request counts; credentials that have not been found good count for the address."""

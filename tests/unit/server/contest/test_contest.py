@@ -86,7 +86,7 @@ def test_a_final_competition_is_refused_by_its_title_and_end() -> None:
     assert contest.hides_names
     contest.row.finalized_at = ENDED
     assert not contest.hides_names
-    with pytest.raises(ServiceError, match=r"^Cup of Gels is final since 2026-09-01 12:30:00 UTC\.") as refusal:
+    with pytest.raises(ServiceError, match=r"^Cup of Gels has been final since 2026-09-01 12:30:00 UTC\.") as refusal:
         contest.require_not_final()
     assert refusal.value.code is ProblemCode.COMPETITION_FINAL
 

@@ -391,7 +391,7 @@ def test_a_notice_whose_last_try_was_not_noted_is_given_up_and_the_next_is_sent(
     with database.transaction() as session:
         given_up = session.get_one(Notice, killed_id)
         assert (given_up.given_up_at is not None, given_up.sent_at) == (True, None)
-        assert given_up.problem == "The server ended while it was sending this."
+        assert given_up.problem == "The server stopped while it was sending this."
         outbox.retry(session, CONSOLE, killed_id)
     assert send_one(database, settings)
 

@@ -253,7 +253,7 @@ def test_appeals_end_with_the_competition(played: Database) -> None:
         ants = teams.find(session, "Ants")
         by = Principal(role=Role.TEAM, team_id=ants.id, team_name="Ants")
         submission = session.scalars(select(Submission).where(Submission.team_id == ants.id)).one()
-        with pytest.raises(ServiceError, match="appeals ended with that"):
+        with pytest.raises(ServiceError, match="which ended appeals"):
             appeals.open_appeal(session, by, submission.id, "Mine, too.")
 
 

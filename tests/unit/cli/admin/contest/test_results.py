@@ -44,7 +44,7 @@ def test_the_end_comes_with_consent_and_once(played: CliService) -> None:
     assert [winner["team"] for winner in json.loads(done.stdout)] == ["Ants"]
     again = played.run("admin", "results", "finalize", "--yes")
     assert isinstance(again.exception, ServiceError)
-    assert "is final since" in str(again.exception)
+    assert "has been final since" in str(again.exception)
 
 
 def test_a_final_result_is_decided_again_without_a_team_that_was_disqualified(
