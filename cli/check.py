@@ -77,15 +77,15 @@ def check(submission: Path) -> Findings:
             findings.refused.append(str(error))
             return findings
         has_sensor = load_track(manifest.track).has_sensor
-        if has_sensor and not _is_sensor_kept(folder, findings):
+        if has_sensor and not _check_sensor(folder, findings):
             return findings
         for task in manifest.tasks:
             _check_task(folder, manifest, task, findings, sensor=folder if has_sensor else None)
     return findings
 
 
-def _is_sensor_kept(staged: Path, findings: Findings) -> bool:
-    """Make the sensor as the service does at the upload, and return whether it keeps to every rule."""
+def _check_sensor(staged: Path, findings: Findings) -> bool:
+    """Make the sensor as the service does at the upload, and return whether it follows every rule."""
     from vitac.evaluator.sensors.manifest import SensorRejected
     from vitac.evaluator.sensors.package import design_document
     from vitac.evaluator.submission.sensor import make_sensor
@@ -96,7 +96,7 @@ def _is_sensor_kept(staged: Path, findings: Findings) -> bool:
     except SensorRejected as error:
         findings.refused.append(str(error))
         return False
-    findings.passed.append(f"the sensor keeps to every rule: {made.facts.nodes} nodes, digest {made.digest}")
+    findings.passed.append(f"the sensor follows every rule: {made.facts.nodes} nodes, digest {made.digest}")
     findings.passed.append(f"the design document is included: {document.path.name}")
     return True
 

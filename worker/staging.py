@@ -51,14 +51,16 @@ class SubmissionStage:
             ServiceError: the stored file cannot be read.
             ArchiveRejected: it breaks a rule, although the upload checked it.
         """
-        with self._kept(f"{kind}-{archive_sha256}", lambda folder: self._fetch(kind, archive_sha256, folder)) as path:
+        with self._stage_once(
+            f"{kind}-{archive_sha256}", lambda folder: self._fetch(kind, archive_sha256, folder)
+        ) as path:
             yield path
 
     @contextmanager
-    def _kept(self, name: str, fetch: Callable[[Path], Path]) -> Iterator[Path]:
-        """Return what `fetch` has put into a folder of this name, once for all who want it at the same time."""
+    def _stage_once(self, name: str, fetch: Callable[[Path], Path]) -> Iterator[Path]:
+        """Yield what `fetch` puts into a folder of this name; simultaneous users share one."""
         with self._lock:
-            # A place of its own each time: a process that was kept must not fit what is unpacked again.
+            # A new folder each time: a process that still runs must not match what is unpacked again.
             staged = self._staged.get(name) or _Staged(folder=self._folder / f"{name}-{next(self._numbers)}")
             self._staged[name] = staged
             staged.users += 1
@@ -85,7 +87,7 @@ class SubmissionStage:
         Raises:
             ServiceError: it cannot be read.
         """
-        with self._kept(f"file-{sha256}", lambda folder: self._fetch_file(sha256, folder)) as path:
+        with self._stage_once(f"file-{sha256}", lambda folder: self._fetch_file(sha256, folder)) as path:
             yield path
 
     def close(self) -> None:

@@ -47,7 +47,7 @@ def invite(server: Server = None, token_file: TokenFile = None, as_json: AsJson 
         print_json(made)
         return
     print_pairs({"code": made["code"], "until": made["expires_at"]})
-    print("\nThe code is shown only now, and is valid for one person: `vitac team join CODE NAME`.")
+    print("\nThe code is shown only once, and is valid for one person: `vitac team join CODE NAME`.")
 
 
 @app.command()

@@ -35,7 +35,7 @@ def add(
         print_json(made)
         return
     print_pairs({name: made[name] for name in ("id", "address", "secret")})
-    print("\nThe secret is shown only now; the receiver checks each notice with it.")
+    print("\nThe secret is shown only once; the receiver checks each notice with it.")
 
 
 @app.command()

@@ -201,7 +201,7 @@ def _print(found: Audit, key: str | None, seed: int) -> None:
     for unchecked in found.unchecked:
         print(f"not checked: {unchecked}")
     if key is None:
-        print("not checked: whose key it is. Compare it with the one that you noted, or give it as --key.")
+        print("not checked: who owns the key. Compare it with the one that you noted, or give it as --key.")
 
 
 def _progress(sampled: SampledEpisode) -> None:

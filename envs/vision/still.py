@@ -84,14 +84,14 @@ def _cut_open(vertices_m: FloatArray, triangles: IndexArray, plane: Plane) -> tu
     points: list[FloatArray] = []
     kept: list[tuple[int, int, int]] = []
     for triangle in triangles.tolist():
-        outline = _kept_outline(vertices_m[triangle], heights_m[triangle])
+        outline = _clip_triangle(vertices_m[triangle], heights_m[triangle])
         kept += [(len(points), len(points) + k, len(points) + k + 1) for k in range(1, len(outline) - 1)]
         points += outline
     return np.array(points), np.array(kept)
 
 
-def _kept_outline(corners_m: FloatArray, heights_m: FloatArray) -> list[FloatArray]:
-    """Return the corners of what is left of a triangle on the negative side (Sutherland and Hodgman 1974)."""
+def _clip_triangle(corners_m: FloatArray, heights_m: FloatArray) -> list[FloatArray]:
+    """Return the corners of the part of a triangle on the negative side (Sutherland and Hodgman 1974)."""
     outline = []
     for k in range(3):
         here, there = heights_m[k], heights_m[(k + 1) % 3]

@@ -20,24 +20,24 @@ ResultT = TypeVar("ResultT")
 logger = structlog.get_logger(__name__)
 
 INSUFFICIENT_RESOURCES = "53"
-"""Class of the SQL states that say so."""
+"""Class of SQL states of a database without resources."""
 
 QUERY_CANCELED = "57014"
 ENCODING = {"client_encoding": "utf8"}
 """Setting of all connections: without it the driver gives bytes instead of text where the database has no encoding."""
 
-LET_GO = (
+LIMITS = (
     "SET idle_in_transaction_session_timeout = '10min'",
     "SET tcp_keepalives_idle = 10",
     "SET tcp_keepalives_interval = 5",
     "SET tcp_keepalives_count = 3",
 )
-"""When the database takes the locks from who has gone: a machine without power is noticed after 25 s instead of two
-hours, a process that stands still after a while that is longer than storing a file takes."""
+"""After these times the database releases the locks of a client that is gone: 25 s for a machine without power (two
+hours by default), and longer than storing a file takes for a process that hangs."""
 
 TRUSTED_FOR_S = 30.0
-"""A connection that was used within this time is not asked whether it works, unless the database has said something on
-it meanwhile: it says so when it closes it, and all that stands between the two forgets connections later than this."""
+"""A connection that was used within this time is not tested before use, unless it has data to read: the database says
+when it closes a connection, and nothing between the two forgets connections sooner than this."""
 
 RETRY_PAUSES_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 
@@ -70,7 +70,7 @@ class Database:
             connect_args={"connect_timeout": 15, "application_name": "vitac", **ENCODING},
         )
         limits = [] if statement_timeout_s is None else [f"SET statement_timeout = {round(1000 * statement_timeout_s)}"]
-        event.listen(self.engine, "connect", partial(_let_go_when_gone, limits))
+        event.listen(self.engine, "connect", partial(_limit_connection, limits))
         event.listen(self.engine, "checkin", _note_use)
         event.listen(self.engine, "checkout", _replace_if_dead)
         self._sessions = sessionmaker(self.engine, expire_on_commit=False)
@@ -129,9 +129,9 @@ class Database:
         self.engine.dispose()
 
 
-def _let_go_when_gone(limits: Sequence[str], connection: DBAPIConnection, _: object) -> None:
+def _limit_connection(limits: Sequence[str], connection: DBAPIConnection, _: object) -> None:
     cursor = connection.cursor()
-    cursor.execute("; ".join((*LET_GO, *limits)))
+    cursor.execute("; ".join((*LIMITS, *limits)))
     cursor.close()
     connection.commit()
 

@@ -71,7 +71,7 @@ async def read_file_form(request: Request) -> FileForm:
                     break
     except TimeoutError:
         raise HTTPException(
-            408, f"The form's fields were not there after {FIELDS_TIMEOUT_S:g} s.", {"Connection": "close"}
+            408, f"The form's fields did not arrive within {FIELDS_TIMEOUT_S:g} s.", {"Connection": "close"}
         ) from None
     except ClientDisconnect as error:
         raise HTTPException(400, "The connection was closed before the form's file arrived.") from error

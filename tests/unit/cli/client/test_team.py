@@ -40,7 +40,7 @@ def test_webhooks_are_listed_added_and_removed(service: CliService) -> None:
     assert "https" in str(inside.exception)
     address = "https://team.example.org/hook"
     printed = service.run("team", "webhook", "add", address).stdout
-    assert "shown only now" in printed
+    assert "shown only once" in printed
     made = json.loads(service.run("team", "webhook", "add", address, "--json").stdout)
     assert len(made["secret"]) == 64
     listed = json.loads(service.run("team", "webhook", "list", "--json").stdout)

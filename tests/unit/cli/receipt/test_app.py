@@ -90,7 +90,7 @@ def test_boards_are_exported_and_audited(
     wrong = service.run("receipt", "audit", files[TASK], "--episodes", "0")
     assert wrong.exit_code == 1
     assert "WRONG: Team A, peg-insertion: the records are of no such evaluation" in wrong.stdout
-    assert "not checked: whose key it is" in wrong.stdout
+    assert "not checked: who owns the key" in wrong.stdout
     told = json.loads(service.run("receipt", "audit", files[TASK], "--episodes", "0", "--json").stdout)
     assert (told["links"], told["entries"], len(told["findings"])) == (2, 1, 1)
     other = json.loads(service.run("receipt", "audit", files[TASK], "--episodes", "0", "--json").stdout)

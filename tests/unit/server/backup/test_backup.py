@@ -191,7 +191,7 @@ def test_backup_is_made_where_the_file_system_has_no_hard_links(
 def test_a_dump_may_take_longer_than_a_transaction_may_stand_still(
     service: Service, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(engine, "LET_GO", ("SET idle_in_transaction_session_timeout = '1s'",))
+    monkeypatch.setattr(engine, "LIMITS", ("SET idle_in_transaction_session_timeout = '1s'",))
     dump = tools.dump
 
     def dump_slowly(*arguments: Any, **options: Any) -> None:

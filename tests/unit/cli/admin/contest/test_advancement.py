@@ -58,7 +58,7 @@ def test_the_second_of_two_who_confirm_from_the_same_list_is_refused_with_the_di
         refused = played.run(*arguments, *made_from)
         assert isinstance(refused.exception, ServiceError)
         assert refused.exception.code is ProblemCode.CHANGED_MEANWHILE
-        assert "Yours would add nobody and take away Bees" in str(refused.exception)
+        assert "Yours would add nobody and remove Bees" in str(refused.exception)
     assert confirmed(played) == ["Ants", "Bees"]
     assert played.run(*arguments, "--add", "Bees").exit_code == 0, "it changes nothing"
 

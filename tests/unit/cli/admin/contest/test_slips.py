@@ -116,7 +116,7 @@ def test_a_contest_whose_organizer_slips_at_every_step_is_right_at_its_end(servi
     assert json.loads(service.run(*confirm, "--json").stdout)["teams"] == ["Bees", "Cats"]
     assert service.run("admin", "submission", "reinstate", str(early["Ants"]), "--yes").exit_code == 0
     error = refused(service.run(*confirm), ProblemCode.CHANGED_MEANWHILE)
-    assert "add Ants and take away Cats" in str(error)
+    assert "add Ants and remove Cats" in str(error)
     assert service.run(*confirm, "--base", str(error.extras["revision"])).exit_code == 0
 
     # The final is played, its secret published, and its file would open it again.
