@@ -16,7 +16,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 ADDRESS = "/docs/"
 INDEX = "index"
 GENERATED = re.compile(
-    r"^```(python-reference|rest|environments|settings|outcomes|verdicts)\n(.*?)^```$", re.DOTALL | re.MULTILINE
+    r"^```(python-reference|rest|task|environments|settings|outcomes|verdicts)\n(.*?)^```$", re.DOTALL | re.MULTILINE
 )
 """Blocks that stand for what the code says of itself."""
 TABLES = {
@@ -128,6 +128,8 @@ class Library:
     def _generate(self, block: str, lines: str) -> str:
         if block == "rest":
             return rest.rest_reference(self.describe_api())
+        if block == "task":
+            return tables.task(lines.strip())
         return TABLES[block]() if block in TABLES else reference.modules(lines.splitlines())
 
     def _address(self, name: str, target: str) -> str | None:

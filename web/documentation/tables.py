@@ -1,4 +1,4 @@
-"""Writes tables of settings, outcomes and verdicts, as Markdown, from the code that they describe."""
+"""Writes tables of tasks, settings, outcomes and verdicts, as Markdown, from the code that they describe."""
 
 from collections.abc import Iterable
 from enum import Enum
@@ -6,6 +6,7 @@ from enum import Enum
 from pydantic.fields import FieldInfo
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.evaluator.tracks import find_task
 from vitac.server.settings import Settings
 
 
@@ -14,6 +15,15 @@ def settings() -> str:
     fields = Settings.model_fields.items()
     rows = ((f"VITAC_{name.upper()}", field.description or "", _default(field)) for name, field in fields)
     return _table(("variable", "meaning", "default"), rows)
+
+
+def task(name: str) -> str:
+    """Return the observations and the actions of a task."""
+    _, found = find_task(name)
+    seen = ((row.name, f"{tuple(row.shape)} {row.dtype}", row.unit, row.meaning) for row in found.observables)
+    done = ((row.name, f"{row.scale:g} {row.unit}", row.meaning) for row in found.actions)
+    observations = _table(("observation", "shape, type", "unit", "meaning"), seen)
+    return f"{observations}\n{_table(('action', 'at 1', 'meaning'), done)}"
 
 
 def outcomes() -> str:
@@ -35,6 +45,6 @@ def _default(field: FieldInfo) -> str:
 
 
 def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
-    lines = [" | ".join(head), "|".join(["---"] * len(head))]
+    lines = [" | ".join(head), " | ".join(["---"] * len(head))]
     lines += [" | ".join((f"`{name}`", *cells)) for name, *cells in rows]
     return "".join(f"| {line} |\n" for line in lines)

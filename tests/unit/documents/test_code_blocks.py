@@ -49,7 +49,7 @@ NOT_RUN = {
 """Commands by pattern, and where else they are run or why nowhere."""
 NOT_EXECUTED = {"CONTRIBUTING.md": "parts of files of ours", "docs/notices.md": "a function for other programs"}
 """Documents whose Python is compiled only."""
-GENERATED = {"python-reference", "rest", "environments", "settings", "outcomes", "verdicts"}
+GENERATED = {"python-reference", "rest", "task", "environments", "settings", "outcomes", "verdicts"}
 """Stand for what the code says of itself (tests/unit/web/documentation)."""
 LANGUAGES = {"sh", "python", "yaml", "json", "bibtex", "", *GENERATED}
 REPLACED = {

@@ -33,6 +33,7 @@ def lines(table: str) -> list[str]:
     ("document", "cells"),
     [
         ("deployment", ["VITAC_WORKER_SLOTS"]),
+        ("submissions", ["relative_motion", "object_point_cloud", "(480, 640, 3) uint8", "4 degree"]),
         ("failures", [*VerdictCode, *EpisodeOutcome, VerdictCode.SHARD_TIME.sentence.partition(";")[0]]),
     ],
 )
