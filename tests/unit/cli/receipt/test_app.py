@@ -89,7 +89,7 @@ def test_boards_are_exported_and_audited(
     assert empty.stdout.index("findings") < empty.stdout.index("Nothing was verified")
     wrong = service.run("receipt", "audit", files[TASK], "--episodes", "0")
     assert wrong.exit_code == 1
-    assert "WRONG: Team A, peg-insertion: the records are of no such evaluation" in wrong.stdout
+    assert "WRONG: Team A, peg-insertion: the records are not those of such an evaluation" in wrong.stdout
     assert "not checked: who owns the key" in wrong.stdout
     told = json.loads(service.run("receipt", "audit", files[TASK], "--episodes", "0", "--json").stdout)
     assert (told["links"], told["entries"], len(told["findings"])) == (2, 1, 1)

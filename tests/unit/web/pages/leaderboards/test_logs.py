@@ -53,7 +53,7 @@ def test_a_search_looks_through_all_boards(many: FixedData, browser: AsgiBrowser
         assert 'class="pages"' not in found
     nobody = browser.get("/tracks/track_1/logs?q=<b>").text
     assert "Showing teams with “<bdi>&lt;b&gt;</bdi>” in their name." in nobody
-    assert nobody.count("of such a team") == 2
+    assert nobody.count("from such a team") == 2
     assert len(many.logs.text_logs) == 61
 
 
