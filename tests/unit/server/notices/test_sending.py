@@ -173,7 +173,7 @@ def test_a_submission_is_told_from_acceptance_to_its_end_and_each_only_once(data
     ]
     subjects = sorted(str(sent["Subject"]) for sent in mails)
     assert subjects == [
-        "ViTac Arena: Submission zero to Tactile manipulation is evaluated.",
+        "ViTac Arena: Submission zero to Tactile manipulation has been evaluated.",
         "ViTac Arena: Submission zero to Tactile manipulation was accepted and waits for its evaluation.",
         f"ViTac Arena: Submission zero to {TRACK} was accepted and waits for its evaluation.",
     ]
@@ -284,7 +284,7 @@ def test_a_notice_that_cannot_be_sent_is_given_up_and_sent_again_by_an_organizer
     with database.transaction() as session:
         found = {notice.channel: notice for notice in outbox.newest(session)}
         assert "VITAC_MAIL_URL is not set" in str(found[NoticeChannel.MAIL].problem)
-        assert "no address of the internet" in str(found[NoticeChannel.WEBHOOK].problem)
+        assert "not an address of the public internet" in str(found[NoticeChannel.WEBHOOK].problem)
         assert all(notice.given_up_at for notice in found.values())
         with refused(ProblemCode.FORBIDDEN):
             outbox.retry(session, team, found[NoticeChannel.MAIL].id)
