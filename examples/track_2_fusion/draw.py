@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent / "Track_2"))
 from outline_fit import edge_ends, outline_edges
 from picture import Picture
 from policy import Policy
-from solids import base_at, peg_at
+from solids import place_base, place_peg
 
 KEYS = ("relative_motion", "rgb_picture", "depth_picture", "marker_flow")
 RIM_OFFSET = 9.5  # mm: offset z at which the peg's lower end is as high as the rim
@@ -41,8 +41,8 @@ def draw_start(axes, start):
     x, y, theta, z = policy.starts[0]
     axes.imshow(observation["rgb_picture"], extent=(0, 640, 480, 0))
     for borders, solids, colour in (
-        (picture.base_outline(), base_at(y, z), "orange"),
-        (picture.peg_outline(), peg_at(policy.shape, x, theta), "lime"),
+        (picture.base_outline(), place_base(y, z), "orange"),
+        (picture.peg_outline(), place_peg(policy.shape, x, theta), "lime"),
     ):
         axes.plot(*borders.T, ".", color=colour, markersize=3)
         axes.plot(*edge_ends(solids, outline_edges(solids)).T, color="black", linewidth=0.8)

@@ -29,7 +29,10 @@ def list_choices(
     """
     submission = readable(session, by, submission_id)
     episode = find_episode(session, by, submission_id, task, number)
-    return (*_same_start(session, by, submission, episode), *_of_submission(session, by, submission, episode))
+    return (
+        *_same_start(session, by, submission, episode),
+        *_choose_within_submission(session, by, submission, episode),
+    )
 
 
 def _same_start(session: Session, by: Principal, own: Submission, episode: EpisodeResult) -> list[EpisodeChoiceView]:
@@ -60,7 +63,9 @@ def _same_start(session: Session, by: Principal, own: Submission, episode: Episo
     return choices
 
 
-def _of_submission(session: Session, by: Principal, own: Submission, episode: EpisodeResult) -> list[EpisodeChoiceView]:
+def _choose_within_submission(
+    session: Session, by: Principal, own: Submission, episode: EpisodeResult
+) -> list[EpisodeChoiceView]:
     """Return the next episode of the same shape that was solved, and the next that was not."""
     choices = []
     for is_solved in (True, False):

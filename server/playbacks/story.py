@@ -111,16 +111,18 @@ def _sentence(outcome: EpisodeOutcome, course: _Course) -> str:
         return (
             f"Failed at env step {len(course.infos)}: the {_SIDES[side]} gel’s surface had moved by "
             f"{course.motions_mm[-1, side]:.2f} mm (limit {1e3 * LARGEST_SURFACE_DIFF_M:g} mm), "
-            f"{_state_of(course)}."
+            f"{_describe_position(course)}."
         )
     if outcome is EpisodeOutcome.ERROR:
-        return f"Failed at env step {len(course.infos)}: gripper or {held} left its range, {_state_of(course)}."
+        return (
+            f"Failed at env step {len(course.infos)}: gripper or {held} left its range, {_describe_position(course)}."
+        )
     if outcome is EpisodeOutcome.STEPS:
-        return f"Failed: all {steps} were used up, {_state_of(course)}."
+        return f"Failed: all {steps} were used up, {_describe_position(course)}."
     return outcome.sentence
 
 
-def _state_of(course: _Course) -> str:
+def _describe_position(course: _Course) -> str:
     """Return where the held part was at the end, as the end of a sentence."""
     missing = course.missing_mm[-1]
     goal = f"{missing:.1f} mm short of its goal" if missing > 0 else "its height reached"

@@ -9,7 +9,7 @@ Needs only NumPy.
 import numpy as np
 from outline_fit import fit_outline, misfit
 from picture import Picture
-from solids import HOLES, base_at, peg_at
+from solids import HOLES, place_base, place_peg
 
 HOVER = 0.6  # mm above the rim while travelling
 BLIND = 0.3  # mm above the rim: below, the rim begins to hide the peg's lower end
@@ -55,22 +55,22 @@ class Policy:
         outline = picture.peg_outline()
         if not self.starts:
             self.shape = picture.peg_shape()
-            fits = [fit_outline(outline, self.peg_at, (0.0, angle), rounds=4) for angle in ANGLES]
-            x, theta = min(fits, key=lambda fit: misfit(outline, self.peg_at(*fit)))
+            fits = [fit_outline(outline, self.place_peg, (0.0, angle), rounds=4) for angle in ANGLES]
+            x, theta = min(fits, key=lambda fit: misfit(outline, self.place_peg(*fit)))
             y, z = picture.rough_base_place()
             rounds = 4
         else:
             x, y, theta, z = self.place(motion)
             rounds = 1
-        x, theta = fit_outline(outline, self.peg_at, (x, theta), rounds)
-        y, z = fit_outline(picture.base_outline(), base_at, (y, z), rounds)
+        x, theta = fit_outline(outline, self.place_peg, (x, theta), rounds)
+        y, z = fit_outline(picture.base_outline(), place_base, (y, z), rounds)
         start = np.array([x, y, theta, z]) - motion
         if (np.abs(start - MIDDLE) < FARTHEST).all():
             self.starts.append(start)
 
-    def peg_at(self, x, theta):
+    def place_peg(self, x, theta):
         """Return the seen peg's corners."""
-        return peg_at(self.shape, x, theta)
+        return place_peg(self.shape, x, theta)
 
     def way(self, place):
         """Return the way [mm] to the hole, or to the next point of the search around it."""

@@ -41,13 +41,13 @@ BASE = [
 BASE_MIDDLE_Y = 22.5
 
 
-def peg_at(shape, x, theta):
+def place_peg(shape, x, theta):
     """Return the peg at x [mm] and turned by theta [degrees]: a list with one solid."""
     angle = np.radians(theta)
     turned = np.array([[np.cos(angle), np.sin(angle), 0.0], [-np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
     return [PEGS[shape] @ turned + [x, 0.0, 0.0]]
 
 
-def base_at(y, z):
+def place_base(y, z):
     """Return the base's solids, seen from a peg whose lower end is at y in its frame, and z above the rim [mm]."""
     return [corners - [0.0, y, z] for corners in BASE]

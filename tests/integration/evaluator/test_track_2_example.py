@@ -62,8 +62,8 @@ def test_finds_a_hole_by_touch_that_lies_elsewhere(
 def test_travels_higher_where_the_rim_is_higher_than_it_looked(
     example: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seen_at = example.policy.base_at
-    monkeypatch.setattr(example.policy, "base_at", lambda y, z: seen_at(y, z - 1.0))
+    seen_at = example.policy.place_base
+    monkeypatch.setattr(example.policy, "place_base", lambda y, z: seen_at(y, z - 1.0))
     policy = example.policy.Policy()
     assert played(policy, CUBOID)[0] == "success"
     assert policy.hover > 0.6

@@ -160,7 +160,7 @@ def test_outline_of_the_wrong_angle_fits_worse(example: SimpleNamespace) -> None
     start = CUBOID
     outline = example.picture.Picture(*seen(start)[:2]).peg_outline()
     misfits = [
-        example.outline_fit.misfit(outline, example.solids.peg_at("cuboid", start[0], start[2] + off))
+        example.outline_fit.misfit(outline, example.solids.place_peg("cuboid", start[0], start[2] + off))
         for off in (0.0, 2.0, 6.0)
     ]
     assert misfits == sorted(misfits)
