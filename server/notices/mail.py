@@ -18,7 +18,7 @@ TIMEOUT_S = 20.0
 SUBJECT_LENGTH = 150
 _SENTENCES = {
     NoticeKind.ACCEPTED: "Submission {name} to {track_title} was accepted and waits for its evaluation.",
-    NoticeKind.FINISHED: "Submission {name} to {track_title} has been evaluated.",
+    NoticeKind.FINISHED: "Submission {name} to {track_title} has a score.",
     NoticeKind.FAILED: "The evaluation of submission {name} to {track_title} has ended without a score ({verdict}).",
     NoticeKind.PROMOTED: "{team} takes part in stage {stage_title} of {track_title}.",
     NoticeKind.DEADLINE: "Stage {stage_title} of {track_title} closes at {closes}.",

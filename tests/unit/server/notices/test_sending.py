@@ -173,7 +173,7 @@ def test_a_submission_is_told_from_acceptance_to_its_end_and_each_only_once(data
     ]
     subjects = sorted(str(sent["Subject"]) for sent in mails)
     assert subjects == [
-        "ViTac Arena: Submission zero to Tactile manipulation has been evaluated.",
+        "ViTac Arena: Submission zero to Tactile manipulation has a score.",
         "ViTac Arena: Submission zero to Tactile manipulation was accepted and waits for its evaluation.",
         f"ViTac Arena: Submission zero to {TRACK} was accepted and waits for its evaluation.",
     ]
