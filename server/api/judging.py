@@ -58,10 +58,10 @@ def get_judged(
     principal: PrincipalOf,
     track: str,
     *,
-    contest: Annotated[str | None, Query(description="Name of the stage; by default the one that opened last.")] = None,
-    stage: Annotated[
+    contest: Annotated[
         str | None, Query(description="Name of the competition; by default the one that opened last.")
     ] = None,
+    stage: Annotated[str | None, Query(description="Name of the stage; by default the one that opened last.")] = None,
 ) -> list[JudgedTeamView]:
     """Return each team's marks with their spread, its figures and its total, best first (organizers only)."""
     with services.database.transaction() as session:

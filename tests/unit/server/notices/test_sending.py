@@ -179,7 +179,7 @@ def test_a_submission_is_told_from_acceptance_to_its_end_and_each_only_once(data
     ]
     assert {str(sent["To"]) for sent in mails} == {"ann@example.org"}
     assert len({sent["Message-ID"] for sent in mails}) == 3
-    text = next(sent.get_body().get_content() for sent in mails if "evaluated" in str(sent["Subject"]))  # type: ignore[union-attr]
+    text = next(sent.get_body().get_content() for sent in mails if "a score" in str(sent["Subject"]))  # type: ignore[union-attr]
     assert f"https://arena.example.org/submissions/{submission.id}" in text
     with database.transaction() as session:
         outbox.announce(session, NoticeKind.ACCEPTED, submission.team_id, "other:1", FACTS)
