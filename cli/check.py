@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .terminal.ignored import note_ignored_folders
 from .terminal.output import AsJson, print_json
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Check a submission before its upload: archive rules, submission.yaml, two episodes of each task."""
+    note_ignored_folders(submission)
     findings = check(submission)
     if as_json:
         print_json({"ok": not findings.refused, **asdict(findings)})

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .terminal.ignored import note_ignored_folders
 from .terminal.options import Episodes, Workers
 
 if TYPE_CHECKING:
@@ -65,6 +66,7 @@ def command(
     outputs = _Outputs(json=json, log=log, printed=output, team=team)
     outputs.check()
     request.check(submission)
+    note_ignored_folders(submission)
     with staged(submission) as folder:
         manifest = load_manifest(folder)
         digest = submission_digest(submission)

@@ -95,7 +95,8 @@ def verify(
         content["missing_episodes"] = missing
         print_json(content | {"score": earned.model_dump(mode="json") if earned else None})
     else:
-        print(f"{verification.verdict}: {verification.reason}")
+        part = f"{len(records)} of {len(task.episodes)} episodes " if verification.score and missing else ""
+        print(f"{part}{verification.verdict}: {verification.reason}")
         if verification.divergence:
             print(verification.divergence.model_dump_json(indent=1))
         if verification.score:

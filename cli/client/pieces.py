@@ -5,6 +5,7 @@ digest of its content, so a command that was killed continues when it is started
 """
 
 import base64
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -20,8 +21,6 @@ PROTOCOL = {"Tus-Resumable": "1.0.0"}
 CHUNK_BYTES = 1 << 18
 PAUSES_S = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0, 15.0, 15.0)
 """Waits after failures with no byte of progress between them; after the last one the upload is given up."""
-FIRST_PAUSES = 3
-"""Number of these waits where nobody has answered yet: the address is probably wrong."""
 TRANSIENT = frozenset(
     {"database_unavailable", "not_found", "service_stopping", "storage_unavailable", "too_many_requests"}
     | {"upload_conflict", "upload_incomplete", "upload_truncated"}
@@ -61,9 +60,9 @@ class PieceSender:
 
         Raises:
             RequestRefused: the service refuses it.
-            ServiceUnreachable: nobody answered at the start, or there was no progress for about a minute.
+            ServiceUnreachable: there was no progress for about a minute, at the start too.
         """
-        failures, furthest, is_begun = 0, -1, False
+        failures, furthest = 0, -1
         place: str | None = None  # path of the upload since the service answered that it has one
         sent: str | None = None  # path of an upload all bytes of which have arrived
         while True:
@@ -71,16 +70,17 @@ class PieceSender:
                 if sent is None:
                     place = None
                     place, offset = self._begin()
-                    is_begun = True
                     if offset > furthest:
                         failures, furthest = 0, offset
                     self._send_rest(place, offset)
                     sent = place
                 # Asked again after a lost answer, the service returns the submission that it has made.
                 return dict(self.send("POST", f"{sent}/submission", timeout_s=CHECKING_TIMEOUT_S).json())
-            except ServiceUnreachable:
-                if failures == (len(PAUSES_S) if is_begun else FIRST_PAUSES):
+            except ServiceUnreachable as error:
+                if failures == len(PAUSES_S):
                     raise
+                if failures == 0:
+                    print(f"{error} Trying again for about a minute.", file=sys.stderr)
             except RequestRefused as error:
                 if not _is_transient(error, has_upload=place is not None) or failures == len(PAUSES_S):
                     raise

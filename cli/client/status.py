@@ -18,7 +18,10 @@ class EvaluationEndedWithoutScore(VitacError):
 
 def command(
     submission: Annotated[
-        str | None, typer.Argument(help="Id of a submission; the newest are listed if omitted.")
+        str | None,
+        typer.Argument(
+            help="Id of a submission; without it the newest are listed, or with --watch the newest is meant."
+        ),
     ] = None,
     watch: Annotated[bool, typer.Option("--watch", help="Wait until the evaluation ends.")] = False,
     server: Server = None,
@@ -30,11 +33,11 @@ def command(
     With --watch the exit code is 0 for a completed evaluation and 1 for one that failed or was cancelled.
     """
     client = make_client(server, token_file)
-    if submission is None:
-        if watch:
-            raise typer.BadParameter("--watch needs the id of a submission.")
-        show_list(client.submissions(), as_json=as_json)
+    newest = client.submissions() if submission is None else []
+    if submission is None and (not watch or not newest):
+        show_list(newest, as_json=as_json)
         return
+    submission = submission or str(newest[0]["id"])
     if watch:
         show_when_ended(client, submission, as_json=as_json)
     elif as_json:

@@ -10,8 +10,10 @@ import typer
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..terminal.existing import existing
+from ..terminal.ignored import note_ignored_folders
 from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, print_json
+from .follow import has_ended
 from .http import Client, Json, make_client
 from .packing import pack
 from .progress import missing_tasks, nobody
@@ -49,6 +51,7 @@ def command(
     client = make_client(server, token_file)
     kind = kind or find_kind(submission)
     track = track or _find_track(submission, kind)
+    note_ignored_folders(submission)
     with packed(submission) as archive, upload_bar(archive.stat().st_size, shown=not as_json) as on_position:
         answer = client.upload(
             archive,
@@ -125,6 +128,8 @@ def describe(client: Client, answer: Json) -> None:
     print(f"state       {evaluation['state']}" + (f", number {position} in the queue" if position else ""))
     if waits := nobody(answer):
         print(f"waits       {waits}")
+    if has_ended(answer):
+        print("again       this content was evaluated before; nothing was started (--again runs it)")
     print(f"tasks       {', '.join(answer['tasks'])}")
     if missing := missing_tasks(answer):
         print(f"not played  {missing}")

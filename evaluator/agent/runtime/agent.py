@@ -200,7 +200,12 @@ def list_available(error: BaseException, submission: str, module_name: str) -> s
     if isinstance(error, FileNotFoundError) or error.name == module_name.partition(".")[0]:
         return hint + "."
     sys.path[:] = [place for place in sys.path if place != submission]  # a file there may have the name of Python's own
-    return f"{hint}. Installed packages: {', '.join(installed_packages())}."
+    import difflib  # late, as below, and only with Python's own folders on the path
+
+    packages = [each.partition(" ")[0] for each in installed_packages()]
+    near = difflib.get_close_matches(error.name or "", packages, NAMES_SHOWN)
+    like = f", like it {', '.join(near)}" if near else ""
+    return f"{hint}. None of the {len(packages)} installed packages has it{like}; `vitac sandbox` lists them."
 
 
 def list_classes(module: Any) -> str:

@@ -54,7 +54,7 @@ def test_a_zip_and_its_folder_have_the_same_digest(tmp_path: Path, capsys: pytes
     [
         ("submission__yaml", MANIFEST.replace("entry_point", "entrypoint"), "did you mean 'entry_point'"),
         ("policy__py", "import nothing_of_that_name", "import_error"),
-        ("policy__py", "import torch", "Installed packages: "),
+        ("policy__py", "import torch", "installed packages has it"),
         ("policy__py", "open('weights.npy')", "Files in the submission: policy.py"),
         ("submission__yaml", MANIFEST.replace("policy:Policy", "polcy:Policy"), "Files in the submission: policy.py"),
         ("policy__py", "class Policy:\n    def reset(self, task): 1 / 0", "crashed"),

@@ -14,7 +14,7 @@ from service_client import MANIFEST, POLICY, Service, running_service, serving
 from sqlalchemy import func, select
 from vitac.cli.client import pieces
 from vitac.cli.client.http import Client
-from vitac.cli.client.pieces import CHUNK_BYTES, FIRST_PAUSES, MISPLACED, PAUSES_S, PieceSender
+from vitac.cli.client.pieces import CHUNK_BYTES, MISPLACED, PAUSES_S, PieceSender
 from vitac.cli.client.refusals import RequestRefused, ServiceUnreachable
 from vitac.server.api.app import create_app
 from vitac.server.db.engine import Database
@@ -201,14 +201,17 @@ def test_gives_up_after_so_many_failures_without_progress(tmp_path: Path) -> Non
     assert len(pauses) == len(PAUSES_S)
 
 
-def test_gives_up_soon_where_nobody_has_answered(tmp_path: Path) -> None:
+def test_a_service_that_is_down_at_the_start_is_waited_for_as_after_a_cut(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     def answer(_: str) -> httpx.Response:
-        raise ServiceUnreachable("no")
+        raise ServiceUnreachable("Nobody answers.")
 
     pauses: list[float] = []
     with pytest.raises(ServiceUnreachable):
         sender_to(answer, tmp_path, pauses).run()
-    assert len(pauses) == FIRST_PAUSES < len(PAUSES_S)
+    assert len(pauses) == len(PAUSES_S)
+    assert capsys.readouterr().err == "Nobody answers. Trying again for about a minute.\n"
 
 
 def test_progress_starts_the_count_of_failures_anew(tmp_path: Path) -> None:

@@ -39,6 +39,13 @@ def test_lists_the_newest_or_says_how_to_begin(service: CliService, tmp_path: Pa
     assert [item["id"] for item in json.loads(service.run("status", "--json").stdout)] == [submission_id]
 
 
+def test_without_an_id_the_newest_is_watched(service: CliService, tmp_path: Path) -> None:
+    assert "vitac submit FOLDER" in service.run("status", "--watch").stdout
+    submission_id = submitted(service, tmp_path)
+    play(service, submission_id)
+    assert json.loads(service.run("status", "--watch", "--json").stdout)["id"] == submission_id
+
+
 def test_says_that_no_worker_takes_the_submission_and_why(service: CliService, tmp_path: Path) -> None:
     waits = "waits\\s+no worker is running"
     submission_id = submitted(service, tmp_path)
@@ -89,10 +96,6 @@ def test_watching_one_that_is_cancelled_is_refused(service: CliService, tmp_path
     watched = service.run("status", submission_id, "--watch", "--json")
     assert str(watched.exception) == "The evaluation cancelled."
     assert json.loads(watched.stdout)["evaluation"]["state"] == "cancelled"
-
-
-def test_watch_needs_an_id(service: CliService) -> None:
-    assert service.run("status", "--watch").exit_code == 2
 
 
 def test_a_foreign_or_missing_id_is_refused(service: CliService) -> None:

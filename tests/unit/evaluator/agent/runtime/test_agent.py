@@ -1,9 +1,9 @@
 """What the runtime says to a team, on its functions alone; tests/integration/sandbox runs it in the sandbox."""
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -48,11 +48,11 @@ def test_many_files_are_counted(tmp_path: Path) -> None:
     assert text.endswith("18.npy, 19.npy and 5 more.")
 
 
-def test_missing_package_lists_what_is_installed(submission: str) -> None:
-    text = hint(ModuleNotFoundError("No module named 'torch'", name="torch"), submission)
-    assert text.startswith(f"{FILES}. Installed packages: ")
-    assert f", numpy {version('numpy')}, " in text
-    assert "vitac" not in text.removeprefix(FILES)
+def test_missing_package_is_said_in_one_sentence_with_those_of_a_like_name(submission: str) -> None:
+    text = hint(ModuleNotFoundError("No module named 'nunpy'", name="nunpy"), submission)
+    said = r"\. None of the \d+ installed packages has it, like it .*numpy.*; `vitac sandbox` lists them\."
+    assert re.fullmatch(re.escape(FILES) + said, text)
+    assert len(text.removeprefix(FILES)) < 200
 
 
 LOADED_ALONE = """
@@ -74,7 +74,7 @@ def test_packages_are_listed_though_a_file_has_the_name_of_a_module_of_pythons_o
     command = [sys.executable, "-I", "-B", "-c", LOADED_ALONE, str(agent.__file__), submission]
     shown = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     assert "No module named 'torhc'. Files in the submission: email.py, models/weights.npz, policy.py." in shown
-    assert "Installed packages: " in shown
+    assert "installed packages has it" in shown
 
 
 @pytest.mark.parametrize("error", [RuntimeError(), ImportError(), PermissionError(), SystemExit()])
