@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from vitac.evaluator.episodes.records import EpisodeRecord
     from vitac.evaluator.evaluation.local import Evaluation
+    from vitac.evaluator.scoring.forces import ForceSummary
     from vitac.evaluator.scoring.score import Rate
     from vitac.evaluator.submission.manifest import SubmissionManifest
     from vitac.evaluator.tracks import Track
@@ -224,9 +225,26 @@ def _print_summary(evaluation: "Evaluation", manifest: "SubmissionManifest") -> 
         print(f"mean env steps of the successes: {'none' if score.mean_steps is None else f'{score.mean_steps:.2f}'}")
         outcomes = [(outcome, count, outcome.sentence) for outcome, count in score.outcomes.items()]
         print_table(("outcome", "episodes", "meaning"), outcomes, none="")
+        if score.forces:
+            _print_forces(score.forces)
         _print_failures(evaluation.records)
         print("seconds: " + ", ".join(f"{name} {seconds:.1f}" for name, seconds in _seconds(evaluation).items()))
         print(f"result hash {evaluation.result_hash}")
+
+
+def _print_forces(forces: "ForceSummary") -> None:
+    from .terminal.output import print_table
+
+    rows = [
+        (name, f"{found.peak_n:.1f}", f"{found.p95_n:.1f}", f"{found.impulse_n_s:.1f}")
+        for name, found in (("the held part", forces.part), ("a gel", forces.gel))
+    ]
+    print_table(("force on, medians", "peak [N]", "95th percentile [N]", "impulse [N s]"), rows, none="")
+    print(
+        f"above {forces.over_force_n:g} N on the held part: {forces.over_force_events} times, in "
+        f"{forces.over_force_episodes} of {forces.episodes} episodes; largest stretch of a gel: "
+        f"{forces.largest_stretch:.2f} (median)"
+    )
 
 
 def _print_failures(records: "Sequence[EpisodeRecord]") -> None:

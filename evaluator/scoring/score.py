@@ -9,6 +9,7 @@ from pydantic import Field, NonNegativeInt, PositiveInt
 
 from ..episodes.records import EpisodeOutcome, EpisodeRecord
 from ..strict_model import StrictModel
+from .forces import ForceSummary, summarize_forces
 
 NORMAL_QUANTILE = NormalDist().inv_cdf(0.975)
 """For the two ends of a 95 % interval."""
@@ -31,11 +32,12 @@ class Rate(StrictModel):
 
 
 class Score(Rate):
-    """The score of a set of finished episodes. `mean_steps` is None without a success."""
+    """The score of finished episodes. `mean_steps` is None without a success, `forces` without a record of any."""
 
     mean_steps: float | None
     by_shape: dict[str, Rate]
     outcomes: dict[EpisodeOutcome, NonNegativeInt]
+    forces: ForceSummary | None = None
 
 
 def wilson_interval(successes: int, episodes: int) -> Interval:
@@ -87,6 +89,7 @@ def score(records: Collection[EpisodeRecord]) -> Score:
         mean_steps=fmean(steps) if steps else None,
         by_shape={shape: _compute_rate(record for record in records if record.shape == shape) for shape in shapes},
         outcomes=dict(sorted(Counter(record.outcome for record in records).items())),
+        forces=summarize_forces(record.forces for record in records),
     )
 
 

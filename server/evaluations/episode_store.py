@@ -181,6 +181,7 @@ def row_values(lease: Lease, record: EpisodeRecord) -> dict[str, Any]:
         "success": record.success,
         "env_steps": record.env_steps,
         "record": stored,
+        "forces": stored.get("forces"),
         "record_digest": digest_of_stored(stored),
         "states_digest": states_digest(record),
         "half_way_state": half_way_state(record),

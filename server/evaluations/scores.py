@@ -160,7 +160,8 @@ def bounds(interval: Interval) -> tuple[float, float]:
 
 
 def _select_score(row: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: row[key] for key in Score.model_fields}
+    """Return what a stored row has of a score; one from before forces were recorded has none."""
+    return {key: row[key] for key in Score.model_fields if key in row}
 
 
 def _board_result(
@@ -202,6 +203,7 @@ def _score_view(task: str, score: Score, result_hash: str) -> TaskScoreView:
         mean_steps=score.mean_steps,
         shapes=[_shape_view(shape, rate) for shape, rate in sorted(score.by_shape.items())],
         outcomes={outcome.value: count for outcome, count in score.outcomes.items()},
+        forces=score.forces,
         result_hash=result_hash,
     )
 

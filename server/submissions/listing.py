@@ -113,6 +113,7 @@ def _read_episodes(session: Session, key: EpisodeKey) -> Sequence[EpisodeView]:
             EpisodeResult.outcome,
             EpisodeResult.success,
             EpisodeResult.env_steps,
+            EpisodeResult.forces,
             _drawn(key.track),
         )
         .where(*key.conditions())
@@ -126,9 +127,10 @@ def _read_episodes(session: Session, key: EpisodeKey) -> Sequence[EpisodeView]:
             outcome=outcome,
             success=success,
             env_steps=env_steps,
+            forces=forces,
             draws=draws or {},
         )
-        for task, episode, shape, outcome, success, env_steps, draws in rows
+        for task, episode, shape, outcome, success, env_steps, forces, draws in rows
     )
 
 

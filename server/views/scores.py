@@ -1,6 +1,7 @@
 """Scores of tasks as they are shown."""
 
 from pydantic import Field
+from vitac.evaluator.scoring.forces import ForceSummary
 
 from .base import View
 
@@ -26,6 +27,9 @@ class TaskScoreView(View):
     mean_steps: float | None = Field(description="Mean env steps of the successful episodes; null without a success.")
     shapes: list[ShapeScoreView]
     outcomes: dict[str, int] = Field(description="How many episodes ended in which way.")
+    forces: ForceSummary | None = Field(
+        default=None, description="Contact forces, medians over the episodes; null where none are recorded."
+    )
     result_hash: str = Field(description="The hash that `vitac evaluate` prints for the same evaluation.")
 
 

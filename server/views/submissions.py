@@ -4,6 +4,7 @@ from datetime import datetime
 from uuid import UUID
 
 from pydantic import Field
+from vitac.evaluator.episodes.records import ContactForces
 from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.scoring.gain import SensingGain
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -75,6 +76,7 @@ class EpisodeView(View):
     outcome: str
     success: bool
     env_steps: int
+    forces: ContactForces | None = Field(default=None, description="Contact forces, where they are recorded.")
     draws: dict[str, float] = Field(
         default={}, description="Quantities that were drawn for it, where the task has any."
     )

@@ -203,6 +203,7 @@ class EpisodeResult(Base):
     """One finished episode. The unique key makes every repeat of the same work write the same row.
 
     `output` is the end of what the policy printed (`accounts.visibility` says who may see it), no part of the record.
+    `forces` are those of the record.
     """
 
     __tablename__ = "episode_results"
@@ -237,6 +238,7 @@ class EpisodeResult(Base):
     success: Mapped[bool]
     env_steps: Mapped[int]
     record: Mapped[dict[str, Any]]
+    forces: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     record_digest: Mapped[str] = mapped_column(String(64))
     states_digest: Mapped[str] = mapped_column(String(64))
     half_way_state: Mapped[str] = mapped_column(String(64))

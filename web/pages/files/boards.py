@@ -11,7 +11,7 @@ from .formats import csv_file
 
 BOARD_COLUMNS = (
     "rank", "team", "submission", "success_rate", "interval_low", "interval_high", "mean_env_steps", "successes",
-    "episodes", "submitted_at", "evaluator_version", "result_hash",
+    "episodes", "submitted_at", "evaluator_version", "result_hash", "peak_force_n",
 )  # fmt: skip
 LOG_COLUMNS = ("task", *BOARD_COLUMNS, "verification", "copy_of_team", "copied_episodes")
 TEXT_LOG_COLUMNS = (
@@ -91,7 +91,15 @@ def _ranked(entry: LeaderboardEntryView | LogEntryView) -> tuple[object, ...]:
         entry.submitted_at.isoformat(),
         entry.evaluator_version,
         entry.result_hash,
+        _peak_force_n(entry),
     )
+
+
+def _peak_force_n(entry: LeaderboardEntryView | LogEntryView) -> float | None:
+    """Return the median peak of the force on the held part; of several tasks there is none."""
+    scores = entry.scores if isinstance(entry, LeaderboardEntryView) else []
+    forces = scores[0].forces if len(scores) == 1 else None
+    return forces.part.peak_n if forces else None
 
 
 def _name(asked: AskedBoard, what: str) -> str:

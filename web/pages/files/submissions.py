@@ -6,6 +6,7 @@ from uuid import UUID
 
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
+from vitac.evaluator.episodes.records import ContactForces
 from vitac.evaluator.tracks import load_track
 from vitac.server.principals import Principal
 from vitac.server.submissions.listing import list_submissions
@@ -20,7 +21,13 @@ from .formats import Format, attached, csv_text, table_file
 Rows = Iterable[tuple[object, ...]]
 SCORE_COLUMNS = (
     "task", "shape", "episodes", "successes", "success_rate", "interval_low", "interval_high", "mean_env_steps",
+    "peak_force_n",
 )  # fmt: skip
+FORCE_COLUMNS = (
+    "peak_force_n", "p95_force_n", "impulse_n_s", "peak_gel_force_n", "p95_gel_force_n", "gel_impulse_n_s",
+    "over_force_events", "largest_stretch", "high_stretch",
+)  # fmt: skip
+"""Of the held part, of the more loaded gel, and of the episode."""
 LIST_COLUMNS = (
     "id", "submission", "team", "kind", "track", "stage", "task", "state", "verdict", "episodes_done",
     "episodes_total", "success_rate", "mean_env_steps", "submitted_at", "digest",
@@ -66,14 +73,25 @@ def _episodes(detail: SubmissionDetail) -> Rows:
     }
     for end in detail.episodes:
         start = starts.get((end.task, end.episode), "")
-        yield end.task, end.episode, end.shape, start, end.outcome, end.success, end.env_steps
+        yield end.task, end.episode, end.shape, start, end.outcome, end.success, end.env_steps, *_forces(end.forces)
+
+
+def _forces(forces: ContactForces | None) -> tuple[object, ...]:
+    if forces is None:
+        return (None,) * len(FORCE_COLUMNS)
+    part, gels = forces.part, forces.gels
+    return (
+        *(part.peak_n, part.p95_n, part.impulse_n_s),
+        *(max(gel.peak_n for gel in gels), max(gel.p95_n for gel in gels), max(gel.impulse_n_s for gel in gels)),
+        *(forces.over_force_events, forces.largest_stretch, forces.high_stretch),
+    )
 
 
 def _scores(detail: SubmissionDetail) -> Rows:
     for score in detail.submission.evaluation.scores:
-        yield score.task, None, *_rate(score), score.mean_steps
+        yield score.task, None, *_rate(score), score.mean_steps, score.forces and score.forces.part.peak_n
         for shape in score.shapes:
-            yield score.task, shape.shape, *_rate(shape), None
+            yield score.task, shape.shape, *_rate(shape), None, None
 
 
 def _rate(score: TaskScoreView | ShapeScoreView) -> tuple[object, ...]:
@@ -89,7 +107,7 @@ def _history(detail: SubmissionDetail) -> Rows:
 TABLES = (
     Table(
         name="episodes",
-        columns=("task", "episode", "shape", "start", "outcome", "success", "env_steps"),
+        columns=("task", "episode", "shape", "start", "outcome", "success", "env_steps", *FORCE_COLUMNS),
         rows=_episodes,
     ),
     Table(

@@ -1,6 +1,6 @@
 """The leaderboard of a track: of all tasks, or of one."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 from uuid import UUID
@@ -24,18 +24,20 @@ from .tabs import known_track, read_surroundings
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """A column of a leaderboard: the rate in one task, or in one shape of it."""
+    """A column of a leaderboard: the rate in one task, or in one shape of it, or the force in one."""
 
     title: str
     task: str
     shape: str | None = None
+    is_force: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """An entry's cell in a column; no rate if it lacks the task."""
+    """An entry's cell in a column; no rate if it lacks the task. A text stands in place of a rate."""
 
     rate: float | None = None
+    text: str | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -54,7 +56,7 @@ async def leaderboard(request: Request) -> Response:
 
     values = await site.read(read)
     board: LeaderboardView = values["board"]
-    shown_columns = columns(track, task)
+    shown_columns = (*columns(track, task), *_force_columns(track, task, values["shown"].entries))
     counted = list(track.tasks.values()) if task is None else [track.tasks[task]]
     return page(
         request,
@@ -82,6 +84,14 @@ def columns(track: Track, task: str | None) -> tuple[Column, ...]:
     )
 
 
+def _force_columns(track: Track, task: str | None, entries: Sequence[LeaderboardEntryView]) -> tuple[Column, ...]:
+    """Return the column of the force on the held part, on the board of one task where an entry has recorded any."""
+    recorded = any(score.forces for entry in entries for score in entry.scores)
+    if _is_combined(track, task) or not recorded:
+        return ()
+    return (Column(title="Peak force, median", task=task or next(iter(track.tasks)), is_force=True),)
+
+
 def _is_combined(track: Track, task: str | None) -> bool:
     return task is None and len(track.tasks) > 1
 
@@ -90,6 +100,8 @@ def _cell(column: Column, entry: LeaderboardEntryView) -> Cell:
     score = next((score for score in entry.scores if score.task == column.task), None)
     if score is None:
         return Cell(notes=("not submitted",))
+    if column.is_force:
+        return Cell(text=f"{score.forces.part.peak_n:.1f} N" if score.forces else "–")
     if column.shape is None:
         notes = (f"{score.successes} of {score.episodes}",)
         return Cell(

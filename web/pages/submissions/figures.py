@@ -14,6 +14,7 @@ from ...plots.dates import DatedRate, rates_by_date
 from ...plots.draws import success_by_draw
 from ...plots.episodes import count_outcomes, offset_maps, steps_histogram, success_by_shape
 from ...plots.figure import Figure
+from ...plots.forces import peak_forces
 from ...site import Site
 
 
@@ -68,8 +69,13 @@ def _draw_task(found: SubmissionView, score: TaskScoreView, title: str, episodes
         maps=offset_maps(found.track, score.task, {end.episode: end for end in ends}) if known else (),
         outcomes=count_outcomes(ends),
         draws=success_by_draw(found.track, score.task, ends),
-        figures=(success_by_shape(score), *([steps_histogram(score.task, ends)] if ends else [])),
+        figures=(success_by_shape(score), *_figures_of_episodes(score.task, ends)),
     )
+
+
+def _figures_of_episodes(task: str, ends: Sequence[EpisodeView]) -> list[Figure]:
+    forces = peak_forces(task, ends)
+    return [*([steps_histogram(task, ends)] if ends else []), *([forces] if forces else [])]
 
 
 def _histories(found: SubmissionView, titles: dict[str, str], past: Sequence[PastResultView]) -> list[Figure]:

@@ -8,7 +8,9 @@ from cubes_track import FILE
 from markupsafe import escape
 from page_fixtures import LOCK, NOW, TASK, a_leaderboard, a_score, an_entry, an_id
 from page_service import FixedData, a_site, an_application
+from recorded_forces import some_forces
 from visits import sign_in
+from vitac.evaluator.scoring.forces import summarize_forces
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import list_tracks, load_track
 from vitac.server.tracks import sort_challenge_first
@@ -49,6 +51,19 @@ def test_a_task_has_a_leaderboard_of_its_own_with_rates_by_shape(data: FixedData
     assert "Key1" not in html
     assert f'href="/tracks/track_1?task={TASK}" aria-current="page"' in html
     assert browser.get("/tracks/track_1?task=nothing").status_code == 404
+
+
+def test_the_board_of_a_task_shows_the_median_peak_force_where_it_is_recorded(
+    data: FixedData, browser: AsgiBrowser
+) -> None:
+    forced = BEARS_PEG.model_copy(update={"forces": summarize_forces([some_forces(24.5)])})
+    rows = an_entry(1, "Bears", forced, task=TASK), an_entry(2, "Gelbots", GELBOTS_PEG, task=TASK)
+    data.task_boards[TASK] = a_leaderboard(*rows, task=TASK)
+    html = browser.get(f"/tracks/track_1?task={TASK}").text
+    assert "Peak force, median" in html
+    assert "</span> 24.5 N" in html
+    data.task_boards[TASK] = a_leaderboard(rows[1], task=TASK)
+    assert "Peak force, median" not in browser.get(f"/tracks/track_1?task={TASK}").text
 
 
 def test_entry_of_another_evaluator_version_has_no_rank(data: FixedData, browser: AsgiBrowser) -> None:
