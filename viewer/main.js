@@ -45,11 +45,12 @@ class Player {
   }
 
   /** `largest` are the upper ends of the colour scales, which all players of a page share. */
-  show(time, { quantity, isCutOpen, isXray, view }, largest) {
+  show(time, { quantity, isCutOpen, isXray, hasForces, view }, largest) {
     const step = this.episode.stepAt(time);
     const ended = Math.min(time, this.episode.lastStep);
     if (isCutOpen !== (this.shown.isCutOpen ?? true)) this.stage?.cutOpen(isCutOpen);
     if (isXray !== (this.shown.isXray ?? false)) this.stage?.xray(isXray);
+    if (hasForces !== (this.shown.hasForces ?? true)) this.stage?.showForces(hasForces);
     if (view !== (this.shown.view ?? "task")) this.stage?.lookFrom(view);
     this.stage?.show(ended, quantity, largest[quantity]);
     this.sections.show(this.episode.around(ended));
@@ -59,7 +60,7 @@ class Player {
       this.cameras?.show(step);
     }
     if (this.legend && quantity !== this.shown.quantity) this.#showLegend(quantity, largest);
-    this.shown = { step, quantity, isCutOpen, isXray, view };
+    this.shown = { step, quantity, isCutOpen, isXray, hasForces, view };
   }
 
   /** Shows the held part of another episode in this scene, too, if it is the same part. */
@@ -103,8 +104,17 @@ class Player {
   #legend() {
     const canvas = element("canvas", { class: "scale", "aria-hidden": "true" });
     const text = element("span");
-    this.section.querySelector(".legend").append(text, canvas);
+    this.section.querySelector(".legend").append(text, canvas, ...this.#legendOfForces());
     return { canvas, text };
+  }
+
+  #legendOfForces() {
+    const scale = this.stage.forces.scale;
+    if (!scale) return [];
+    const { held_name: held, fixed_name: fixed } = this.episode.header;
+    const arrow = (kind, text) => element("span", {}, element("span", { class: `arrow ${kind}`, "aria-hidden": "true" }, "➜"), ` ${text}`);
+    const length = `${scale.force} N are ${scale.length.toPrecision(2)} mm long`;
+    return [arrow("fixed", `Force of the ${fixed} on the ${held}`), arrow("gel", `of a gel on it; ${length}`)];
   }
 
   #showLegend(quantity, largest) {

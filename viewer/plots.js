@@ -32,7 +32,7 @@ export class Plots {
     return BOX.left + (BOX.right - BOX.left) * (step / Math.max(1, this.episode.lastStep));
   }
 
-  #plot({ title, lines, first, goal, isLimit }) {
+  #plot({ title, lines, first, times, goal, isLimit }) {
     const kind = (at) => `line-${at % COLOURS}${at < COLOURS ? "" : " again"}`;
     const values = lines.flatMap((line) => line.values).concat([0], goal === undefined ? [] : [goal]);
     const [low, high] = [Math.min(...values), Math.max(...values)];
@@ -56,7 +56,7 @@ export class Plots {
     if (goal !== undefined) svg.append(drawn("line", { class: isLimit ? "limit" : "goal", x1: BOX.left, x2: BOX.right, y1: y(goal), y2: y(goal) }));
     for (const step of this.marked) svg.append(drawn("line", { class: "moment", x1: this.#x(step), x2: this.#x(step), y1: BOX.top, y2: BOX.bottom }));
     lines.forEach((line, at) => {
-      const points = line.values.map((value, index) => `${this.#x(first + index).toFixed(1)},${y(value).toFixed(1)}`);
+      const points = line.values.map((value, index) => `${this.#x(times?.[index] ?? first + index).toFixed(1)},${y(value).toFixed(1)}`);
       svg.append(drawn("polyline", { class: kind(at), points: points.join(" ") }));
       if (points.length === 1) {
         const [cx, cy] = points[0].split(",");
@@ -68,13 +68,18 @@ export class Plots {
   }
 }
 
-/** What is plotted; `first` is the env step of a line's first value. */
-function allSeries({ header, arrays }) {
+/** What is plotted; `first` is the env step of a line's first value, or `times` has one for each. */
+function allSeries({ header, arrays, times }) {
   const series = [
     { title: "Action", first: 1, lines: columns(arrays.action_values, header.actions.map((action) => action.name)) },
     { title: "Reward", first: 1, lines: [{ name: "reward", values: Array.from(arrays.rewards.values) }] },
     { title: "Surface motion [mm]", first: 0, lines: columns(arrays.surface_motions_mm, ["left", "right"]), goal: header.surface_limit_mm, isLimit: true },
   ];
+  if (arrays.forces_n) {
+    const lines = columns(arrays.forces_n, [header.held_name, "left gel", "right gel"]);
+    const goal = header.force_limit_n ?? undefined;
+    series.push({ title: "Contact force [N]", times, lines, goal, isLimit: true });
+  }
   if (arrays.heights_mm) {
     const names = Array.from({ length: arrays.heights_mm.shape[1] }, (_, at) => `${at + 1}`);
     const lines = columns(arrays.heights_mm, names);
@@ -92,6 +97,8 @@ function columns({ values, shape }, names) {
 
 function table({ header, arrays, lastStep }) {
   const heading = ["Env step", ...header.actions.map((action) => action.name), "Reward", "Left [mm]", "Right [mm]"];
+  const forces = arrays.forces_n && largestForces(arrays);
+  if (forces) heading.push("Largest force [N]");
   const actions = columns(arrays.action_values, header.actions.map((action) => action.name));
   const motions = columns(arrays.surface_motions_mm, ["left", "right"]);
   const rows = Array.from({ length: lastStep }, (_, at) =>
@@ -102,6 +109,7 @@ function table({ header, arrays, lastStep }) {
       ...actions.map((action) => element("td", {}, short(action.values[at]))),
       element("td", {}, short(arrays.rewards.values[at])),
       ...motions.map((motion) => element("td", {}, short(motion.values[at + 1]))),
+      ...(forces ? [element("td", {}, short(forces[at + 1]))] : []),
     ),
   );
   const head = element("thead", {}, element("tr", {}, ...heading.map((text) => element("th", { scope: "col" }, text))));
@@ -115,6 +123,15 @@ function table({ header, arrays, lastStep }) {
       element("table", {}, head, element("tbody", {}, ...rows)),
     ),
   );
+}
+
+/** The largest force on the held part in each env step, the reset first. */
+function largestForces({ moment_env_steps: steps, forces_n: forces }) {
+  const found = [];
+  steps.values.forEach((step, moment) => {
+    found[step] = Math.max(found[step] ?? 0, forces.values[forces.shape[1] * moment]);
+  });
+  return found;
 }
 
 function short(value) {

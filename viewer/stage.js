@@ -17,6 +17,7 @@ import {
   Vector3,
 } from "three";
 
+import { Forces } from "./forces.js";
 import { GelSurface } from "./gel_surface.js";
 import { Palm, sensorBody } from "./gripper.js";
 import { Studio } from "./studio.js";
@@ -49,6 +50,7 @@ export class Stage extends View {
     const { cut } = episode.header; // what is on the positive side of the plane is taken away
     this.planes = cut ? [new Plane(new Vector3(...cut.normal).negate(), cut.offset_mm)] : [];
     this.held = this.#held();
+    this.forces = new Forces(this.scene, episode);
     this.fixed = this.#fixed();
     this.fixed.cut(this.planes);
     this.path = this.#path();
@@ -68,8 +70,14 @@ export class Stage extends View {
     });
     this.palm.show(...this.gels.map((gel) => gel.mesh.matrix));
     applyPose(this.held.mesh, this.episode.heldPose(place, this.pose));
+    this.forces.show(place);
     if (this.ghost) this.#showGhost(time);
     this.path?.geometry.setDrawRange(0, this.path.perMoment * (place.before + place.fraction));
+    this.draw();
+  }
+
+  showForces(areShown) {
+    this.forces.group.visible = areShown;
     this.draw();
   }
 

@@ -19,7 +19,7 @@ export class Transport {
     play.addEventListener("click", () => this.toggle());
     back.addEventListener("click", () => this.moveTo(Math.ceil(this.time - 1e-6) - 1));
     forward.addEventListener("click", () => this.moveTo(Math.floor(this.time + 1e-6) + 1));
-    for (const name of ["quantity", "view", "cut", "xray"]) form.elements[name].addEventListener("change", () => this.#show());
+    for (const name of ["quantity", "view", "cut", "xray", "forces"]) form.elements[name].addEventListener("change", () => this.#show());
     form.addEventListener("submit", (event) => event.preventDefault());
     document.addEventListener("keydown", (event) => this.#byKey(event));
     form.hidden = false;
@@ -65,13 +65,14 @@ export class Transport {
   }
 
   #show() {
-    const { time, quantity, view, cut, xray } = this.form.elements;
+    const { time, quantity, view, cut, xray, forces } = this.form.elements;
     if (!this.isPlaying || Math.abs(this.time - time.value) * PLACES >= this.length) time.value = this.time;
     const text = `${this.time.toFixed(1)} of ${this.length}`;
     if (text !== this.output.textContent) {
       this.output.textContent = text;
       time.setAttribute("aria-valuetext", `env step ${text}`);
     }
-    this.draw(this.time, { quantity: quantity.value, view: view.value, isCutOpen: cut.checked, isXray: xray.checked });
+    const layers = { isCutOpen: cut.checked, isXray: xray.checked, hasForces: forces.checked };
+    this.draw(this.time, { quantity: quantity.value, view: view.value, ...layers });
   }
 }

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..fem.contact.forces import PairForces
 from ..fem.model.mesh import GelMesh, SurfaceMesh
 from ..scene.grasped_scene import GraspedScene, PhysicsSettings
 from ..scene.gripper import SensorPose
@@ -43,6 +44,8 @@ class Moment:
         held_m: vertices of the held part in the world [m], shape [v, 3].
         marker_flow: what the policy was given [pixel], shape [2, 2, 128, 2].
         info: of the last reset or env step that has ended.
+        contact_forces_n: on the held part, the left and the right gel [N], shape [3, 3].
+        pair_forces: of single contacts.
         sight: what the camera rig saw then; None where there is none.
         belief_error: what the policy believed of the offset at its last look, less what was true then [mm, deg]; None
             where it has not said.
@@ -54,6 +57,8 @@ class Moment:
     held_m: FloatArray
     marker_flow: NDArray[np.float32]
     info: Mapping[str, Any]
+    contact_forces_n: FloatArray
+    pair_forces: PairForces
     sight: Sight | None = None
     belief_error: FloatArray | None = None
 
@@ -177,6 +182,8 @@ def _moment(scene: GraspedScene, env_step: int, observation: Observation, info: 
         held_m=scene.held_vertices_m(np.arange(len(scene.held.mesh.vertices_m))),
         marker_flow=observation["marker_flow"],
         info=info,
+        contact_forces_n=scene.contact_forces_n(),
+        pair_forces=scene.pair_forces(),
         sight=sight,
     )
 

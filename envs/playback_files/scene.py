@@ -16,6 +16,7 @@ from ..scene.perspective import Perspective
 from ..tactile.markers import SensingSurface
 from ..tasks.ending import LARGEST_SURFACE_DIFF_M
 from ..tasks.registry import task_definitions
+from .arrows import make_arrows
 from .container import Changes, PlaybackTooLarge, pack, whole_numbers
 
 FloatArray = NDArray[np.float64]
@@ -25,7 +26,7 @@ SCENE_BYTES: Final = 200_000
 DISPLACEMENT_UNIT_MM: Final = 0.001
 FLOW_UNIT_PX: Final = 1.0 / 64.0
 ACTION_DECIMALS: Final = 2
-"""Decimals of actions, which are in [-1, 1], of rewards, and of positions and heights [mm]."""
+"""Decimals of actions, which are in [-1, 1], of rewards, of positions and heights [mm], and of forces [N]."""
 ROTATION_DECIMALS: Final = 4
 _PRESSURE_LEVELS = 255
 _EVERY = (1, 2, 4, 8)
@@ -73,6 +74,7 @@ def _packed(playback: Playback, moments: list[Moment]) -> bytes:
         "flow_unit_px": FLOW_UNIT_PX,
         "pressure_unit_kpa": 1e-3 * pressure_unit_pa,
         "surface_limit_mm": 1e3 * LARGEST_SURFACE_DIFF_M,
+        "force_limit_n": ends[-1].info.get("force_limit_n"),
         **_described(perspective),
     }
     arrays: dict[str, NDArray[Any] | Changes] = {
@@ -98,6 +100,10 @@ def _packed(playback: Playback, moments: list[Moment]) -> bytes:
         "rewards": _rounded(playback.rewards),
         "surface_motions_mm": np.array([1e3 * moment.info["surface_diff_m"] for moment in ends], dtype=np.float32),
     }
+    arrows = [make_arrows(moment.pair_forces) for moment in moments]
+    arrays["arrow_places_mm"] = _rounded(np.array([1e3 * places_m for places_m, _ in arrows]))
+    arrays["arrow_forces_n"] = _rounded(np.array([forces_n for _, forces_n in arrows]))
+    arrays["forces_n"] = _rounded(np.array([np.linalg.norm(moment.contact_forces_n, axis=1) for moment in moments]))
     if perspective is not None:
         heights = [perspective.progress.heights_mm(moment.info) for moment in ends]
         arrays["heights_mm"] = _rounded(np.array(heights))

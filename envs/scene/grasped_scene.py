@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ..fem.contact.forces import PairForces
 from ..fem.model.bodies import GelBody, RigidBody
 from ..fem.model.mesh import SurfaceMesh
 from ..fem.model.settings import AnyContactSettings, ContactSettings, SolverSettings
@@ -227,6 +228,10 @@ class GraspedScene:
         """
         gels = np.array(self._last_report.gel_forces_n) if self._last_report else np.zeros((SENSOR_COUNT, 3))
         return np.concatenate([gels.sum(axis=0, keepdims=True), gels])
+
+    def pair_forces(self) -> PairForces:
+        """Return the forces of the last IPC step's contacts; bodies 0 and 1 are the gels, 2 and 3 held and fixed part."""
+        return self._scene.contact_forces()
 
     def take_reports(self) -> tuple[StepReport, ...]:
         """Return the report of the IPC steps since the last call."""

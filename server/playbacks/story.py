@@ -52,7 +52,7 @@ def tell_story(record: EpisodeRecord, env_id: str) -> Story:
     except NotDrawable:
         return ending
     course = _Course(perspective, record.infos)
-    return Story(sentence=_sentence(record.outcome, course), moments=_moments(record.outcome, course))
+    return Story(sentence=_sentence(record, course), moments=_moments(record.outcome, course))
 
 
 class _Course:
@@ -100,13 +100,20 @@ class _Course:
         return last if len(self.missing_mm) - last >= 2 and self.missing_mm[-1] > 0 else None
 
 
-def _sentence(outcome: EpisodeOutcome, course: _Course) -> str:
+def _sentence(record: EpisodeRecord, course: _Course) -> str:
+    outcome, peak_n = record.outcome, record.forces.part.peak_n if record.forces else None
     held, steps = course.perspective.held_name, counted_env_steps(len(course.infos))
     side = int(course.motions_mm[-1].argmax())
     if outcome is EpisodeOutcome.SUCCESS:
         largest = course.motions_mm.max()
         touch = f"the {held} touched at env step {course.touched}; " if course.touched else ""
-        return f"Solved in {steps}: {touch}no gel’s surface moved by more than {largest:.2f} mm."
+        force = "" if peak_n is None else f"; the largest force on the {held} was {peak_n:.1f} N"
+        return f"Solved in {steps}: {touch}no gel’s surface moved by more than {largest:.2f} mm{force}."
+    if outcome is EpisodeOutcome.FORCE and record.forces:
+        return (
+            f"Failed at env step {len(course.infos)}: the force on the {held} reached {peak_n:.1f} N "
+            f"(limit {record.forces.over_force_n:g} N), {_state_of(course)}."
+        )
     if outcome is EpisodeOutcome.TACTILE:
         return (
             f"Failed at env step {len(course.infos)}: the {_SIDES[side]} gel’s surface had moved by "

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..contact.forces import PairForces, no_forces, pair_forces
 from ..contact.memory import ContactMemory, empty_memory, sorted_memory
 from ..contact.overlap import find_overlap
 from ..elastic.stretch import measure_stretches
@@ -171,6 +172,7 @@ class Scene:
         self._workspace = new_workspace(self._model.system, len(self._x))
         self._velocity = np.zeros_like(self._x)
         self._memory = empty_memory()
+        self._last_start: tuple[FloatArray, ContactMemory] | None = None
         self._refuse_overlap()
 
     def step(self, *, driven_targets_m: Sequence[FloatArray]) -> StepReport:
@@ -181,6 +183,7 @@ class Scene:
         start, time_step_s = self._x.copy(), self._model.parameters.time_step_s
         x_hat, target = start + time_step_s * self._velocity, self._target(driven_targets_m)
         attempt = _Attempt(start=start, memory=self._memory, x_hat=x_hat, target=target, held=np.zeros_like(start))
+        self._last_start = start, self._memory
         status, parts = self._solve(attempt)
         self._velocity = (self._x - start) / time_step_s
         if self._model.parameters.remembers_slip:
@@ -208,6 +211,13 @@ class Scene:
             time_step_s=time_step_s,
         )
 
+    def contact_forces(self) -> PairForces:
+        """Return the forces of all contacts at the end of the last IPC step, bodies numbered from the first gel on."""
+        if self._last_start is None:
+            return no_forces()
+        start, memory = self._last_start
+        return pair_forces(self._model, self._x, start, memory)
+
     def gel_positions_m(self, index: int) -> FloatArray:
         """Return the world positions of a gel's nodes [m], shape [n, 3] (a copy)."""
         return self._x[self._layout.gel_slices[index]].copy()
@@ -226,7 +236,7 @@ class Scene:
         """Go back to a state of this scene."""
         self._x[:] = state.positions_m
         self._velocity = state.velocities_m_s.copy()
-        self._memory = state.memory
+        self._memory, self._last_start = state.memory, None
 
     def state_bytes(self) -> bytes:
         """Return the state as little-endian float64 and int64, for hashing; without memory as if there were none."""

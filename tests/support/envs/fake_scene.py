@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from vitac.envs.fem.contact.forces import PairForces, no_forces
 from vitac.envs.fem.model.bodies import GelBody, RigidBody
 from vitac.envs.fem.scene.scene import StepReport, StepStatus
 
@@ -41,6 +42,9 @@ class FakeScene:
         for index, (gel, targets) in enumerate(zip(self.gels, driven_targets_m, strict=True)):
             self.placed[index] = rigid_fit(gel.mesh.rest_position_m[gel.mesh.driven_nodes], targets)
         return report(self._pending.pop(0) if self._pending else StepStatus.CONVERGED, self.part_force_n)
+
+    def contact_forces(self) -> PairForces:
+        return no_forces()
 
     def gel_positions_m(self, index: int) -> np.ndarray:
         mesh, (rotation, centre) = self.gels[index].mesh, self.placed[index]

@@ -120,3 +120,11 @@ def test_nobody_reads_exact_actions_out_of_the_file(peg_playback: Playback, peg_
     np.testing.assert_allclose(places_mm, places_mm.round(2), atol=1e-5)
     rotations = peg_file.arrays["sensor_poses"][..., :9].astype(float)
     np.testing.assert_allclose(rotations, rotations.round(4), atol=1e-6)
+
+
+def test_arrows_on_the_held_part_add_up_to_its_forces(peg_playback: Playback, peg_file: Unpacked) -> None:
+    forces_n, arrows_n = peg_file.arrays["forces_n"], peg_file.arrays["arrow_forces_n"]
+    assert len(forces_n) == len(arrows_n) == len(peg_playback.moments)
+    np.testing.assert_allclose(np.linalg.norm(arrows_n[:, :2].sum(axis=1), axis=1), forces_n[:, 0], atol=0.05)
+    assert forces_n[:, 0].max() > 1 < arrows_n[:, 2:].max()
+    assert peg_file.header["force_limit_n"] is None
