@@ -230,7 +230,7 @@ class GraspedScene:
         return np.concatenate([gels.sum(axis=0, keepdims=True), gels])
 
     def pair_forces(self) -> PairForces:
-        """Return the forces of the last IPC step's contacts; bodies 0 and 1 are the gels, 2 and 3 held and fixed part."""
+        """Return the forces of contacts in the last IPC step: bodies 0 and 1 are the gels, then held and fixed part."""
         return self._scene.contact_forces()
 
     def take_reports(self) -> tuple[StepReport, ...]:

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from recorded_forces import some_forces
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
 from vitac.server.playbacks.story import Mark, tell_story
 
@@ -66,3 +67,13 @@ def test_a_task_that_cannot_be_drawn_says_how_the_episode_ended() -> None:
     record = a_record(EpisodeOutcome.STEPS, (0.0, 0.0, 0.0))
     story = tell_story(record, "PickCube-v1")
     assert (story.sentence, story.moments) == (EpisodeOutcome.STEPS.sentence, ())
+
+
+def test_a_record_with_forces_says_the_largest_and_what_the_limit_was() -> None:
+    steps = (0.1, 0.1, 2.0), (0.1, 0.1, -0.4)
+    solved = a_record(EpisodeOutcome.SUCCESS, *steps).model_copy(update={"forces": some_forces(12.34)})
+    assert tell_story(solved, PEG).sentence.endswith("0.10 mm; the largest force on the peg was 12.3 N.")
+    failed = a_record(EpisodeOutcome.FORCE, *steps[:1]).model_copy(update={"forces": some_forces(55.0)})
+    assert tell_story(failed, PEG).sentence.startswith(
+        "Failed at env step 1: the force on the peg reached 55.0 N (limit 40 N), with the peg 2.3 mm short"
+    )
