@@ -94,7 +94,7 @@ def test_an_episode_is_seen_in_3d_with_what_was_measured(
     expect(page.locator("img.still")).to_have_count(0)
     assert len(colours(scene)) > 8
     expect(page.get_by_role("img", name="marker flow")).to_have_count(2)
-    expect(page.get_by_role("img", name="over the env steps")).to_have_count(4)
+    expect(page.get_by_role("img", name="over the env steps")).to_have_count(5)
     expect(page.get_by_role("img", name="camera")).to_have_count(2 if task == FUSION else 0)
     expect(page.locator("polyline.again")).to_have_count(2 if task == LOCK else 0)  # of eight teeth, six have colours
     names = ("left sensor", "right sensor", "from above", "section")
@@ -241,7 +241,7 @@ def test_a_browser_without_webgl_shows_the_still_and_the_plots(site: SiteUnderTe
     expect(page.get_by_text("This browser shows no WebGL")).to_be_visible()
     expect(page.locator("img.still")).to_be_visible()
     expect(page.locator("canvas.scene")).to_be_hidden()
-    expect(page.get_by_role("img", name="over the env steps")).to_have_count(4)
+    expect(page.get_by_role("img", name="over the env steps")).to_have_count(5)
     parts = [page.locator(part).bounding_box() for part in (".stage", ".moments", ".panels", ".plots")]
     for above, below in pairwise(part for part in parts if part):
         assert 0 <= below["y"] - above["y"] - above["height"] < 40, "no gap where the scale of colours would stand"
