@@ -112,7 +112,7 @@ def _sentence(record: EpisodeRecord, course: _Course) -> str:
     if outcome is EpisodeOutcome.FORCE and record.forces:
         return (
             f"Failed at env step {len(course.infos)}: the force on the {held} reached {peak_n:.1f} N "
-            f"(limit {record.forces.over_force_n:g} N), {_state_of(course)}."
+            f"(limit {record.forces.over_force_n:g} N), {_describe_position(course)}."
         )
     if outcome is EpisodeOutcome.TACTILE:
         return (
