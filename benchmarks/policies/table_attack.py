@@ -13,7 +13,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from runpy import run_path
@@ -25,7 +25,7 @@ import numpy as np
 import vitac.envs  # noqa: F401 - registers the environment
 from numpy.typing import NDArray
 from vitac.evaluator.episodes.episode import make_environment
-from vitac.evaluator.scoring.near_copies import compare_traces, make_trace
+from vitac.evaluator.scoring.near_copies import Trace, compare_traces, make_trace
 from vitac.evaluator.tracks import Episode, Task, load_track
 from vitac.evaluator.tracks.sealed import sealed_track
 
@@ -47,10 +47,11 @@ Act = Callable[[Mapping[str, Any]], Actions]
 
 @dataclass(frozen=True, kw_only=True)
 class Played:
-    """An episode: its first observation, its actions, and whether it was solved."""
+    """An episode: its first observation, its actions, the infos of its env steps, and whether it was solved."""
 
     first: NDArray[np.float32]
     actions: Actions
+    infos: list[dict[str, Any]]
     success: bool
 
 
@@ -94,7 +95,7 @@ def main() -> None:
     figures: dict[str, Any] = {} if arguments.attack_only else {"honest": compare_all(honest)}
     source = honest["trained"]
     rng = np.random.default_rng(0)
-    rows = [Played(first=row.first, actions=changed(row.actions, CHANGE, rng), success=row.success) for row in source]
+    rows = [replace(row, actions=changed(row.actions, CHANGE, rng)) for row in source]
     improved = improve(public, public.episodes[episodes], rows, arguments.search, rng)
     begins = {
         "source": dict(policies(public, 0))["trained"],
@@ -169,12 +170,13 @@ def play(task: Task, episodes: Sequence[Episode], begin: Callable[[], Act]) -> l
 def play_one(env: Any, episode: Episode, act: Act) -> Played:
     """Return one episode."""
     observation, _ = env.reset(options=episode.options)
-    first, actions, ended, info = observation["marker_flow"].ravel(), [], False, {}
+    first, actions, infos, ended = observation["marker_flow"].ravel(), [], [], False
     while not ended:
         actions.append(np.asarray(act(observation), np.float32))
         observation, _, terminated, truncated, info = env.step(actions[-1])
+        infos.append(info)
         ended = terminated or truncated
-    return Played(first=first, actions=np.stack(actions), success=bool(info["is_success"]))
+    return Played(first=first, actions=np.stack(actions), infos=infos, success=bool(infos[-1]["is_success"]))
 
 
 def changed(actions: Actions, by: float, rng: np.random.Generator) -> Actions:
@@ -213,8 +215,12 @@ def to_the_hole(offset: Sequence[float], rng: np.random.Generator) -> Act:
 
 def likeness(earlier: Sequence[Played], later: Sequence[Played]) -> Any:
     """Return how alike two policies are on the same episodes."""
-    traces = (make_trace([row.actions for row in rows], 3) for rows in (earlier, later))
-    return compare_traces(*traces)
+    return compare_traces(*(trace_of(rows) for rows in (earlier, later)))
+
+
+def trace_of(rows: Sequence[Played]) -> Trace:
+    """Return what played episodes are compared by."""
+    return make_trace([row.actions for row in rows], rows[0].actions.shape[1], [row.infos for row in rows])
 
 
 def compare_all(honest: Mapping[str, Sequence[Played]]) -> dict[str, Any]:

@@ -44,7 +44,9 @@ app.add_typer(
 app.add_typer(quota.app, name="quota", help="Quotas of teams: list, set.")
 app.add_typer(token.app, name="token", help="API tokens: add, list, revoke.")
 app.add_typer(
-    submission.app, name="submission", help="Submissions: list, show, copies, requeue, cancel, disqualify, reinstate."
+    submission.app,
+    name="submission",
+    help="Submissions: list, show, copies, clear, withdraw-clearance, requeue, cancel, disqualify, reinstate.",
 )
 app.add_typer(evaluation.app, name="evaluation", help="Evaluations: list, show, requeue, cancel.")
 app.add_typer(worker.app, name="worker", help="Workers: list, show, cordon, uncordon, drain.")

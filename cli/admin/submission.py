@@ -5,15 +5,15 @@ from uuid import UUID
 
 import typer
 from sqlalchemy.orm import Session
+from vitac.server.evaluations.archive_copies import compare_archives, list_archive_copies
 from vitac.server.evaluations.near_copies import list_near_copies
 from vitac.server.principals import CONSOLE
-from vitac.server.submissions import disqualification, listing, runs
-from vitac.server.submissions.archives import compare_archives
-from vitac.server.views.evaluations import NearCopyView
+from vitac.server.submissions import clearance, disqualification, listing, runs
+from vitac.server.views.evaluations import ArchiveCopyView, NearCopyView
 from vitac.server.views.submissions import SubmissionView
 
 from ..client.status import show as show_status
-from ..service.database import load_settings, open_service, transaction
+from ..service.database import load_settings, transaction
 from ..terminal.output import AsJson, moment, percent, print_json, print_table
 from .state import known_state
 from .verbs import change
@@ -62,26 +62,32 @@ def show(
 
 
 @app.command()
-def copies(
-    archives: Annotated[bool, typer.Option(help="Also compare the archives of models: code and weights.")] = False,
-    as_json: AsJson = False,
-) -> None:
-    """List submissions that act nearly as an earlier one of another team, on one list of a task, the newest first.
+def copies(as_json: AsJson = False) -> None:
+    """List submissions that go nearly as an earlier one of another team, and models with an archive alike to one.
 
     Near: episodes in which no action of the first eight env steps, or no motion commanded until then, differs by more
-    than 0.02. Listed are those with half of their episodes or more. Only logs are unranked automatically; you decide
-    about models.
+    than 0.02, or the states on the way by more than 0.1 mm. With half of the episodes or more a submission is listed,
+    and not ranked until you clear it. An archive is listed with weights that correlate by 0.98 or, without weights,
+    80 % of common code; that alone takes it off no board.
     """
-    with open_service(load_settings()) as services:
-        with services.database.reading() as session:
-            found = list_near_copies(session, CONSOLE)
-        if archives:
-            found = compare_archives(services, CONSOLE, found)
+    with transaction() as session:
+        near = compare_archives(session, CONSOLE, list_near_copies(session, CONSOLE))
+        archives = list_archive_copies(session, CONSOLE)
     if as_json:
-        print_json([one.model_dump(mode="json") for one in found])
+        print_json(
+            {"near": [one.model_dump(mode="json") for one in near]}
+            | {"archives": [one.model_dump(mode="json") for one in archives]}
+        )
         return
     columns = ["submission", "team", "like", "of team", "task", "list", "near", "difference", "code", "weights"]
-    print_table(columns, [_copy(one) for one in found], none="No submission acts nearly as another team's.")
+    print_table(columns, [_copy(one) for one in near], none="No submission goes nearly as another team's.")
+    if archives:
+        print("\nArchives that are alike:")
+        print_table(
+            ["submission", "team", "like", "of team", "track", "code", "weights"],
+            [_archive(one) for one in archives],
+            none="",
+        )
 
 
 @change(app, question="Evaluate submission {submission} again?", done="queued {submission} again")
@@ -116,6 +122,24 @@ def reinstate(session: Session, submission: SubmissionId) -> SubmissionView:
     return listing.get(session, load_settings(), CONSOLE, submission)
 
 
+@change(app, question="Rank submission {submission} although it was found to be a copy?", done="cleared {submission}")
+def clear(
+    session: Session,
+    submission: SubmissionId,
+    reason: Annotated[str, typer.Option(help="In one line, for the team to read.")],
+) -> SubmissionView:
+    """Put a submission that was found to be a copy back on the boards. `withdraw-clearance` undoes it."""
+    clearance.clear(session, CONSOLE, submission, reason)
+    return listing.get(session, load_settings(), CONSOLE, submission)
+
+
+@change(app, question="Let submission {submission} be a copy again?", done="withdrew the clearance of {submission}")
+def withdraw_clearance(session: Session, submission: SubmissionId) -> SubmissionView:
+    """Let what was found of a cleared submission count again."""
+    clearance.withdraw(session, CONSOLE, submission)
+    return listing.get(session, load_settings(), CONSOLE, submission)
+
+
 def _copy(found: "NearCopyView") -> list[object]:
     return [
         found.submission_id,
@@ -126,6 +150,18 @@ def _copy(found: "NearCopyView") -> list[object]:
         "sealed" if found.sealed else "public",
         f"{found.near} of {found.episodes}",
         f"{found.difference:.5f}",
+        percent(found.code),
+        percent(found.weights),
+    ]
+
+
+def _archive(found: "ArchiveCopyView") -> list[object]:
+    return [
+        found.submission_id,
+        found.team,
+        found.earlier_submission_id,
+        found.earlier_team,
+        found.track,
         percent(found.code),
         percent(found.weights),
     ]

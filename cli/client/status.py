@@ -96,6 +96,7 @@ def show(found: Json) -> None:
         "track": found["track"] if found["stage"] is None else f"{found['track']}, {found['stage']}",
         "state": evaluation["state"],
         **({"disqualified": found["disqualified_for"]} if found.get("disqualified_for") else {}),
+        **({"rank": found["unranked"]} if found.get("unranked") else {}),
         "queue": evaluation["queue_position"],
         "episodes": f"{done['episodes_done']} of {done['episodes_total']}, {done['episodes_reused']} reused",
     }

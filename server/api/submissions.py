@@ -23,7 +23,7 @@ from ..logs.export import export_log
 from ..principals import Principal
 from ..services import Services
 from ..sharing import public_pages
-from ..submissions import disqualification, listing, output, runs, sensors, upload
+from ..submissions import clearance, disqualification, listing, output, runs, sensors, upload
 from ..submissions.watch import Changes, watch
 from ..teams.teams import REASON_LENGTH
 from ..views.logs import ActionMatchView
@@ -50,6 +50,13 @@ class Publicity(BaseModel):
 
 class Disqualification(BaseModel):
     """Why a submission is on no board."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: str = Field(max_length=REASON_LENGTH, description="In one line, for the team.")
+
+
+class Clearance(BaseModel):
+    """Why a submission is ranked although it was found to be a copy."""
 
     model_config = ConfigDict(extra="forbid")
     reason: str = Field(max_length=REASON_LENGTH, description="In one line, for the team.")
@@ -252,6 +259,26 @@ def put_disqualification(
 def delete_disqualification(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
     """Put a disqualified submission back on the boards (organizers only)."""
     return _show_changed(services, principal, submission_id, disqualification.reinstate)
+
+
+@router.put("/{submission_id}/clearance")
+def put_clearance(
+    services: ServicesOf, principal: PrincipalOf, submission_id: UUID, wanted: Clearance
+) -> SubmissionView:
+    """Rank a submission that was found to be a copy (organizers only)."""
+    with services.database.transaction() as session:
+        clearance.clear(session, principal, submission_id, wanted.reason)
+    with services.database.transaction() as session:
+        return listing.get(session, services.settings, principal, submission_id)
+
+
+@router.delete("/{submission_id}/clearance")
+def delete_clearance(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
+    """Let what was found of a cleared submission count again (organizers only)."""
+    with services.database.transaction() as session:
+        clearance.withdraw(session, principal, submission_id)
+    with services.database.transaction() as session:
+        return listing.get(session, services.settings, principal, submission_id)
 
 
 @router.post("/{submission_id}/requeue", status_code=HTTPStatus.ACCEPTED)

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, exists, func, or_, select
+from sqlalchemy import ColumnElement, and_, exists, func, or_, select
 from sqlalchemy.orm import Session, selectinload
 
 from ..contest.contest import Contest
 from ..contest.definition import StageRules
 from ..contest.stages import Stage
-from ..db.models import EpisodeDifference, Evaluation, LogCopy, NearCopy, Qualification, Submission
+from ..db.models import ArchiveCopy, EpisodeDifference, Evaluation, LogCopy, NearCopy, Qualification, Submission
 from ..evaluations.readiness import count_running
 from ..evaluations.verdicts import ServiceVerdict
 from ..principals import Principal
@@ -68,8 +68,13 @@ def troubles(session: Session, by: Principal) -> list[Trouble]:
     """
     by.require_organizer(by.contest)
     differs = exists().where(EpisodeDifference.evaluation_id == Evaluation.id)
-    copied = or_(
-        exists().where(LogCopy.evaluation_id == Evaluation.id), exists().where(NearCopy.evaluation_id == Evaluation.id)
+    copied = and_(
+        Submission.copy_cleared_at.is_(None),
+        or_(
+            exists().where(LogCopy.evaluation_id == Evaluation.id),
+            exists().where(NearCopy.evaluation_id == Evaluation.id),
+            exists().where(ArchiveCopy.submission_id == Submission.id),
+        ),
     )
     failed = Evaluation.verdict_code == ServiceVerdict.MACHINE_FAILED.value
     rows = session.execute(
@@ -132,7 +137,7 @@ def _words(*, by_machines: bool, differing: bool, copy: bool) -> str:
         for words, holds in (
             ("the machines failed", by_machines),
             ("an episode gave another result when it was run again", differing),
-            ("the states, or nearly the actions, of another team's earlier submission", copy),
+            ("the states, nearly the actions, or the archive of another team's earlier submission", copy),
         )
         if holds
     ]

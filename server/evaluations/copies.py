@@ -12,17 +12,17 @@ from functools import cache, partial
 from typing import Any
 from uuid import UUID
 
-from sqlalchemy import ScalarSelect, Select, case, delete, func, or_, over, select, tuple_, update
+from sqlalchemy import ColumnElement, ScalarSelect, Select, case, delete, func, or_, over, select, tuple_, update
 from sqlalchemy.dialects.postgresql import insert
-from sqlalchemy.orm import Session, aliased
+from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..db.among import among_parameter
-from ..db.models import BoardResult, EpisodeResult, Evaluation, LogCopy, Submission, Team
+from ..db.models import ALL_TASKS, BoardResult, EpisodeResult, Evaluation, LogCopy, NearCopy, Submission, Team
 from ..db.states import EvaluationState
 from ..teams.shown_names import ShownNames
-from ..views.logs import LogCopyView
+from ..views.evaluations import CopyView
 from .episode_store import EpisodeKey
 
 
@@ -55,7 +55,7 @@ def flag_copies(session: Session, evaluation: Evaluation) -> None:
     _compare(session, evaluation)
     for own in _flagged_before_ours_was_known(session, evaluation.submission):
         session.execute(delete(LogCopy).where(LogCopy.evaluation_id == own.id))
-        session.execute(update(BoardResult).where(BoardResult.evaluation_id == own.id).values(is_copy=False))
+        mark_copy(session, own)
         _compare(session, own)
 
 
@@ -109,27 +109,88 @@ def _beginnings(session: Session, episodes: Collection[int]) -> dict[int, bytes]
     return {episode: (found[: (len(found) + 1) // 2] + 0.0).tobytes() for episode, found in actions.items()}
 
 
-def find_copies(session: Session, evaluations: Collection[UUID], names: ShownNames) -> dict[UUID, LogCopyView]:
-    """Return what was found of these evaluations, with the teams under the names that are shown."""
+def mark_copy(session: Session, evaluation: Evaluation) -> None:
+    """Take a copy off its boards; put back what is none, or what an organizer has cleared.
+
+    A log is a copy with half of its episodes or more; a model in the tasks in which it goes nearly as another one.
+    """
+    boards = set() if evaluation.submission.copy_cleared_at is not None else _boards_of_copy(session, evaluation)
+    session.execute(
+        update(BoardResult)
+        .where(BoardResult.evaluation_id == evaluation.id)
+        .values(is_copy=BoardResult.board.in_(boards))
+    )
+
+
+def _boards_of_copy(session: Session, evaluation: Evaluation) -> set[str]:
+    """Return the boards on which an evaluation is a copy."""
+    equal = session.scalar(select(LogCopy.episodes).where(LogCopy.evaluation_id == evaluation.id)) or 0
+    near = set(session.scalars(select(NearCopy.task).where(NearCopy.evaluation_id == evaluation.id)))
+    if equal and 2 * equal >= sum(score["episodes"] for score in evaluation.scores or []):
+        near |= set(evaluation.submission.tasks)
+    return near | {ALL_TASKS} if near else near
+
+
+def find_copies(session: Session, evaluations: Collection[UUID], names: ShownNames) -> dict[UUID, CopyView]:
+    """Return what was found of these evaluations, with the teams under the names that are shown.
+
+    Equal states of a log say more than near ones; of several near ones the one with most episodes is shown.
+    """
     if not evaluations:
         return {}
-    rows = session.execute(_copies_with_teams(), {"evaluations": list(evaluations)})
-    return {
-        evaluation_id: LogCopyView(team=names.show_name(team), episodes=episodes, ranked=not is_copy)
-        for evaluation_id, team, episodes, is_copy in rows
+    asked = {"evaluations": list(evaluations)}
+    found = {
+        near.evaluation_id: CopyView(
+            team=names.show_name(team),
+            episodes=near.near,
+            of=near.episodes,
+            task=near.task,
+            sealed=bool(near.commitment),
+            ranked=not is_copy,
+            cleared_for=cleared_for,
+        )
+        for near, team, is_copy, cleared_for in session.execute(_near_copies_with_teams(), asked)
+    }
+    return found | {
+        evaluation_id: CopyView(
+            team=names.show_name(team), episodes=episodes, ranked=not is_copy, cleared_for=cleared_for
+        )
+        for evaluation_id, team, episodes, is_copy, cleared_for in session.execute(_copies_with_teams(), asked)
     }
 
 
 @cache
-def _copies_with_teams() -> Select[UUID, Team, int, bool]:
-    """Return the query of what was found of `evaluations`, put together once: each page with a log asks it."""
+def _copies_with_teams() -> Select[UUID, Team, int, bool, str | None]:
+    """Return the query of the logs with equal states among `evaluations`, put together once: most pages ask it."""
+    own, earlier = aliased(Submission), aliased(Submission)
     return (
-        select(LogCopy.evaluation_id, Team, LogCopy.episodes, BoardResult.is_copy)
-        .join(Submission, Submission.id == LogCopy.earlier_submission_id)
-        .join(Team, Team.id == Submission.team_id)
-        .join(BoardResult, BoardResult.evaluation_id == LogCopy.evaluation_id)
+        select(LogCopy.evaluation_id, Team, LogCopy.episodes, _is_copy(LogCopy.evaluation_id), own.copy_cleared_for)
+        .join(earlier, earlier.id == LogCopy.earlier_submission_id)
+        .join(Team, Team.id == earlier.team_id)
+        .join(Evaluation, Evaluation.id == LogCopy.evaluation_id)
+        .join(own, own.id == Evaluation.submission_id)
         .where(among_parameter(LogCopy.evaluation_id, "evaluations"))
     )
+
+
+@cache
+def _near_copies_with_teams() -> Select[NearCopy, Team, bool, str | None]:
+    """Return the query of the near copies among `evaluations`, that with most episodes last."""
+    own, earlier = aliased(Submission), aliased(Submission)
+    return (
+        select(NearCopy, Team, _is_copy(NearCopy.evaluation_id), own.copy_cleared_for)
+        .join(earlier, earlier.id == NearCopy.earlier_submission_id)
+        .join(Team, Team.id == earlier.team_id)
+        .join(Evaluation, Evaluation.id == NearCopy.evaluation_id)
+        .join(own, own.id == Evaluation.submission_id)
+        .where(among_parameter(NearCopy.evaluation_id, "evaluations"))
+        .order_by(NearCopy.near, NearCopy.earlier_submission_id, NearCopy.task, NearCopy.commitment)
+    )
+
+
+def _is_copy(evaluation_id: ColumnElement[UUID] | InstrumentedAttribute[UUID]) -> ScalarSelect[bool]:
+    marked = select(func.bool_or(BoardResult.is_copy)).where(BoardResult.evaluation_id == evaluation_id)
+    return select(func.coalesce(marked.scalar_subquery(), False)).scalar_subquery()
 
 
 def count_copied_episodes() -> ScalarSelect[int]:
@@ -214,11 +275,6 @@ def _completed(session: Session, submission_id: UUID) -> Collection[Evaluation]:
     ).all()
 
 
-def flag_log(session: Session, evaluation: Evaluation, earlier: UUID, episodes: int) -> None:
-    """Flag an evaluation of a log as having some episodes of an earlier submission."""
-    _flag(session, [evaluation], earlier, episodes)
-
-
 def _flag(session: Session, evaluations: Collection[Evaluation], earlier: UUID, episodes: int) -> None:
     for evaluation in evaluations:
         new = insert(LogCopy).values(evaluation_id=evaluation.id, earlier_submission_id=earlier, episodes=episodes)
@@ -229,5 +285,4 @@ def _flag(session: Session, evaluations: Collection[Evaluation], earlier: UUID, 
                 where=new.excluded.episodes > LogCopy.episodes,
             )
         )
-        if 2 * episodes >= sum(score["episodes"] for score in evaluation.scores or []):
-            session.execute(update(BoardResult).where(BoardResult.evaluation_id == evaluation.id).values(is_copy=True))
+        mark_copy(session, evaluation)

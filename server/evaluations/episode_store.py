@@ -247,6 +247,15 @@ def read_stored_records(session: Session, key: EpisodeKey, task: str) -> list[Ep
     return [EpisodeRecord.model_validate(row) for row in rows]
 
 
+def read_played_records(session: Session, evaluation: Evaluation) -> dict[str, dict[str, list[EpisodeRecord]]]:
+    """Return all stored records of an evaluation, by commitment of the list and task; the public list has none."""
+    submission = evaluation.submission
+    return {
+        key.commitment: {task: read_stored_records(session, key, task) for task in submission.tasks}
+        for key in played_keys(evaluation, submission)
+    }
+
+
 def count_stored(session: Session, key: EpisodeKey) -> int:
     """Return how many episodes of an evaluation are stored."""
     return session.scalar(select(func.count()).select_from(EpisodeResult).where(*key.conditions())) or 0

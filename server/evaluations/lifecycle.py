@@ -29,6 +29,7 @@ from ..receipts.chain import issue_for_result
 from ..settings import Settings
 from ..tracks import find_family
 from ..visibility import played_list_kind
+from .archive_copies import note_archive_copies
 from .copies import flag_copies
 from .episode_store import count_stored, missing_episodes, played_keys, read_stored_records
 from .near_copies import note_near_copies
@@ -240,8 +241,9 @@ def _conclude(session: Session, evaluation: Evaluation) -> None:
         store_practice_scores(evaluation, track, sealed=played[0], public=played[1], manifests=public)
     _complete(session, evaluation, played[0])
     if not evaluation.is_proposed:
-        for key, records in zip(keys, played, strict=True):
-            note_near_copies(session, evaluation, key.commitment, records)
+        by_list = {key.commitment: records for key, records in zip(keys, played, strict=True)}
+        note_near_copies(session, evaluation, by_list)
+        note_archive_copies(session, submission)
 
 
 def _complete(session: Session, evaluation: Evaluation, records: Records) -> None:

@@ -1,8 +1,8 @@
-"""Finds evaluations that act nearly as an earlier submission of another team; for organizers, who decide.
+"""Finds evaluations that go nearly as an earlier submission of another team; called when an evaluation is complete.
 
-Every completed evaluation leaves the first actions of its episodes, on each list that it plays, and is compared with
-those of all other teams on the same list. Of two that are alike the later one is noted; a log of that kind is not
-ranked, as one with equal states (`copies`).
+Every one leaves the first actions of its episodes and the states on their way, on each list that it plays, and is
+compared with those of all other teams on the same list. Of two that are alike the later one is noted, and not ranked in
+that task until an organizer clears it, as a log with equal states (`copies`).
 """
 
 from collections import defaultdict
@@ -12,17 +12,17 @@ from datetime import datetime
 from uuid import UUID
 
 import numpy as np
+from numpy.typing import NDArray
 from sqlalchemy import delete, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session, defer, joinedload
 from vitac.evaluator.episodes.records import EpisodeRecord
-from vitac.evaluator.scoring.near_copies import TRACED_STEPS, Likeness, Trace, compare_traces, make_trace
-from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.scoring.near_copies import Likeness, Trace, compare_traces, make_trace
 
 from ..db.models import ActionTrace, Evaluation, NearCopy, Submission
 from ..principals import Principal
 from ..views.evaluations import NearCopyView
-from .copies import flag_log
+from .copies import mark_copy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,29 +44,37 @@ class _Other:
 
 
 def note_near_copies(
-    session: Session, evaluation: Evaluation, commitment: str, played: Mapping[str, Collection[EpisodeRecord]]
+    session: Session, evaluation: Evaluation, played: Mapping[str, Mapping[str, Collection[EpisodeRecord]]]
 ) -> None:
-    """Store the actions of a completed evaluation on one list, and note what is alike of other teams.
+    """Store what a completed evaluation is compared by, and note what is alike of other teams.
 
     Args:
         session: of the transaction.
         evaluation: which was completed.
-        commitment: of the sealed list; empty for the public one.
-        played: all records there, by task.
+        played: all records by list and task; a list is the commitment of the sealed one, or empty for the public one.
     """
-    for task, records in played.items():
+    for commitment, by_task in played.items():
+        for task, records in by_task.items():
+            _note_list(session, evaluation, task, commitment, records)
+
+
+def _note_list(
+    session: Session, evaluation: Evaluation, task: str, commitment: str, records: Collection[EpisodeRecord]
+) -> None:
+    if records:
         actions = [record.actions.to_array() for record in records]
         size = max((each.shape[1] for each in actions if each.size), default=0)
         if not size:
-            continue
-        trace = make_trace(actions, size)
+            return
+        trace = make_trace(actions, size, [record.infos for record in records])
         session.add(
             ActionTrace(
                 evaluation_id=evaluation.id,
                 task=task,
                 commitment=commitment,
                 action_size=size,
-                actions=trace.tobytes(),
+                actions=trace.actions.tobytes(),
+                paths=trace.paths.tobytes(),
             )
         )
         _note(session, evaluation, task, commitment, list(_find_alike(session, evaluation, task, commitment, trace)))
@@ -97,18 +105,21 @@ def list_near_copies(session: Session, by: Principal, *, limit: int = 1000) -> l
 
 def _find_alike(session: Session, evaluation: Evaluation, task: str, commitment: str, trace: Trace) -> Iterator[_Other]:
     stored = session.execute(
-        select(ActionTrace.actions, Evaluation)
+        select(ActionTrace.actions, ActionTrace.paths, Evaluation)
         .join(Evaluation, Evaluation.id == ActionTrace.evaluation_id)
         .where(
             ActionTrace.task == task,
             ActionTrace.commitment == commitment,
-            ActionTrace.action_size == trace.shape[2],
+            ActionTrace.action_size == trace.actions.shape[2],
             Evaluation.id != evaluation.id,
         )
         .options(defer(Evaluation.log_tail), joinedload(Evaluation.submission))
     )
-    for content, other in stored:
-        theirs = np.frombuffer(content, np.float32).reshape(-1, TRACED_STEPS, trace.shape[2])
+    for actions, paths, other in stored:
+        theirs = Trace(
+            actions=np.frombuffer(actions, np.float32).reshape(-1, *trace.actions.shape[1:]),
+            paths=_read_paths(paths, trace.paths.shape[1:]),
+        )
         found = _Other(evaluation=other, earlier=compare_traces(theirs, trace), later=compare_traces(trace, theirs))
         if found.earlier.is_copy or found.later.is_copy:
             yield found
@@ -121,18 +132,20 @@ def _note(session: Session, evaluation: Evaluation, task: str, commitment: str, 
         by_team[other.evaluation.submission.team_id].append(other)
     ours = by_team.pop(evaluation.submission.team_id, [])
     own_first = min([_get_moment(evaluation.submission), *(other.moment for other in ours)])
+    own = {evaluation.id: evaluation} | {other.evaluation.id: other.evaluation for other in ours}
     for theirs in by_team.values():
         first = min(theirs, key=lambda other: other.moment)
         if first.moment < own_first:
             _add(session, evaluation, first.evaluation.submission_id, task, commitment, first.earlier)
             continue
-        own = [evaluation.id, *(other.evaluation.id for other in ours)]
         session.execute(
             delete(NearCopy).where(
                 NearCopy.evaluation_id.in_(own),
                 NearCopy.earlier_submission_id.in_([other.evaluation.submission_id for other in theirs]),
             )
         )
+        for one in own.values():
+            mark_copy(session, one)
         for other in theirs:
             _add(session, other.evaluation, own_first[1], task, commitment, other.later)
 
@@ -146,12 +159,18 @@ def _add(session: Session, later: Evaluation, earlier: UUID, task: str, commitme
         .values(evaluation_id=later.id, earlier_submission_id=earlier, task=task, commitment=commitment, **figures)
         .on_conflict_do_update(constraint="pk_near_copies", set_=figures)
     )
-    if later.submission.kind is SubmissionKind.LOG:
-        flag_log(session, later, earlier, likeness.near)
+    mark_copy(session, later)
 
 
 def _get_moment(submission: Submission) -> tuple[datetime, UUID]:
     return submission.submitted_at, submission.id
+
+
+def _read_paths(content: bytes, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Return stored paths whose states have as many numbers as ours; none of other ones."""
+    numbers = np.frombuffer(content, np.float32)
+    size = int(np.prod(shape))
+    return numbers.reshape(-1, *shape) if size and numbers.size % size == 0 else np.zeros((0, *shape), np.float32)
 
 
 def _view(found: NearCopy) -> NearCopyView:

@@ -26,8 +26,8 @@ from ..principals import VISITOR
 from ..teams import teams
 from ..teams.shown_names import ShownNames
 from ..tracks import load_known_track
+from ..views.evaluations import CopyView
 from ..views.leaderboards import LogBoardsView, LogBoardView, LogEntryView, TextLogEntryView
-from ..views.logs import LogCopyView
 from ..visibility import played_list_kind
 from .best_entries import BestEntry, Board, best_entries, takes_part
 from .changes import kept_until_change
@@ -81,7 +81,7 @@ class _Shown:
     counted: CountedResults
     boards: Mapping[str, Board]
     best: Mapping[str, list[BestEntry]]
-    copies: Mapping[UUID, LogCopyView]
+    copies: Mapping[UUID, CopyView]
     text_logs: Sequence[UUID]
     revision: str
     names: str

@@ -14,6 +14,7 @@ from vitac.evaluator.tracks import ListKind, Track
 
 from ..contest.stages import CountedResults, Stage
 from ..db.models import Evaluation, Submission
+from ..evaluations.copies import find_copies
 from ..evaluations.scores import (
     bounds,
     combine_scores,
@@ -122,7 +123,9 @@ class _Shown:
 def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView | None) -> LeaderboardView:
     task = shown.board.task
     entry_of = partial(_entry, board=shown.board, names=shown.names)
-    entries = _add_rank_ranges(made_entries(session, shown.best, last.entries if last else (), entry_of))
+    made = _add_rank_ranges(made_entries(session, shown.best, last.entries if last else (), entry_of))
+    copies = find_copies(session, [entry.evaluation_id for entry in made if entry.rank is None], shown.names)
+    entries = [entry.model_copy(update={"copy_of": copies.get(entry.evaluation_id)}) for entry in made]
     return LeaderboardView(
         track=track.name,
         title=track.title,

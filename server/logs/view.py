@@ -14,20 +14,17 @@ from ..db.models import Evaluation, Shard, Submission
 from ..db.states import EvaluationState
 from ..evaluations.verdicts import REFUTING_RESULTS
 from ..tracks import known_task
-from ..views.logs import DivergenceView, LogCopyView, LogView
+from ..views.logs import DivergenceView, LogView
 from .claims import LogClaim
 
 
-def log_view(
-    submission: Submission, evaluation: Evaluation, finding: LogFinding | None, copy: LogCopyView | None
-) -> LogView:
+def log_view(submission: Submission, evaluation: Evaluation, finding: LogFinding | None) -> LogView:
     """Return the claims and verdict of a log, by its newest evaluation and what that found against it.
 
     Args:
         submission: the log.
         evaluation: its newest one.
         finding: why it is not true.
-        copy: whose it may be.
     """
     claim = LogClaim.model_validate(submission.manifest)
     holds = submission.kind.form.is_verified and evaluation.state is EvaluationState.COMPLETED
@@ -47,7 +44,6 @@ def log_view(
         team_named=claim.team,
         submission_digest_named=claim.submission_digest,
         made_on=claim.manifest.platform_class if claim.manifest else None,
-        copy_of=copy,
         problems=list(claim.problems),
     )
 

@@ -195,10 +195,7 @@ def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]
     takes some away, and the export says which.
     """
     teams, board = teams_by_evaluation(described), described.board
-    copies = described.copies if described.kind is SubmissionKind.LOG else ()
-    if len(copies) < len(described.copies):
-        n_copies = len(described.copies)
-        yield True, f"Expected no copies on a board of kind {described.kind}, got {n_copies}: only logs can be."
+    copies = described.copies
     entries = {entry.team: entry for entry in board.entries}
     for entry in board.entries:
         team = teams.get(entry.evaluation_id)
@@ -221,7 +218,7 @@ def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]
         if receipt.result.evaluation in copies:
             if _copies_another_teams(described, receipts, receipt.result):
                 continue
-            yield False, f"{subject}; the service says that this log is a copy of an earlier one, so it is not ranked."
+            yield False, f"{subject}; the service says that this is a copy of an earlier one, so it is not ranked."
             continue
         if shown is None:
             missing = f"{subject} is of this board, but the team is not on it"

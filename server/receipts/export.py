@@ -92,7 +92,7 @@ class ExportDescription(StrictModel):
     set_aside: tuple[UUID, ...]
     """Evaluations whose results a rejudgement took off the boards, as the service says."""
     copies: tuple[UUID, ...]
-    """Evaluations of logs with the states of an earlier submission of another team, as the service says: unranked."""
+    """Evaluations that have the states, or nearly the actions, of another team's earlier ones, as the service says."""
     winners: tuple[WinningEntry, ...]
     """Winners of the competition, once it is final."""
     judged: tuple[JudgedEntry, ...]

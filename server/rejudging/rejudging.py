@@ -20,7 +20,9 @@ from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, Ev
 from ..errors import ProblemCode, ServiceError, not_found
 from ..evaluations import lifecycle
 from ..evaluations.copies import flag_copies
+from ..evaluations.episode_store import read_played_records
 from ..evaluations.history import all_runs
+from ..evaluations.near_copies import note_near_copies
 from ..evaluations.scores import add_to_boards, combined_result
 from ..leaderboards.best_entries import takes_part
 from ..notices.outbox import announce_evaluation
@@ -167,6 +169,7 @@ def apply(
         add_to_boards(evaluation, now)
         session.flush()
         flag_copies(session, evaluation)
+        note_near_copies(session, evaluation, read_played_records(session, evaluation))
     found.applied_at = now
     record(session, by, "rejudgement.apply", _subject(found), _audited(rows, "after"), before=_audited(rows, "before"))
     for evaluation in completed:  # last of all: a receipt locks out all others

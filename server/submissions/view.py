@@ -7,7 +7,6 @@ from uuid import UUID
 
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding
-from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..contest.contest import find_stage
 from ..contest.stages import Stage
@@ -26,7 +25,7 @@ from ..teams.shown_names import ShownNames
 from ..teams.teams import team_view
 from ..tracks import find_family
 from ..uploads.kinds import SERVED_KINDS
-from ..views.logs import LogCopyView
+from ..views.evaluations import CopyView
 from ..views.submissions import RankView, SubmissionView
 from ..views.workers import WorkersView
 
@@ -62,9 +61,7 @@ def submission_views(
         by=by,
         names=names,
         findings=make_finding_views(session, [found for found in newest if found.id not in rows.hidden]),
-        copies=find_copies(
-            session, [found.id for found in newest if found.submission.kind is SubmissionKind.LOG], names
-        ),
+        copies=find_copies(session, [found.id for found in newest], names),
         fleet=known_workers,
         workers=cache(partial(_workers, known_workers)),
         places=cache(partial(_places, session, by)),
@@ -87,7 +84,7 @@ class _Shown:
         names: under which teams are shown to them.
         evaluations: of their newest evaluations.
         findings: against logs, by evaluation, where single episodes are shown.
-        copies: among logs, by evaluation.
+        copies: by evaluation.
         fleet: the workers known now.
         workers: who of them can run some tasks.
         places: on the boards of a stage.
@@ -98,7 +95,7 @@ class _Shown:
     names: ShownNames
     evaluations: EvaluationRows
     findings: Mapping[UUID, LogFinding]
-    copies: Mapping[UUID, LogCopyView]
+    copies: Mapping[UUID, CopyView]
     fleet: Fleet
     workers: WorkersOf
     places: PlacesOf
@@ -108,9 +105,8 @@ class _Shown:
 def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
     newest, submission = runs[0], runs[0].submission
     log_view = SERVED_KINDS[submission.kind].log_view
-    finding, copy = shown.findings.get(newest.id), shown.copies.get(newest.id)
     ranks = _ranks(newest, shown)
-    log = log_view(submission, newest, finding, copy) if log_view else None
+    log = log_view(submission, newest, shown.findings.get(newest.id)) if log_view else None
     if log is not None and shown.names.hides(submission.team):
         log = log.model_copy(update={"team_named": None})
     shown_runs = runs if shown.by.may_see(submission.team_id, submission.contest) else runs[:1]
@@ -130,6 +126,7 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
         submitted_at=submission.submitted_at,
         public=submission.is_public,
         disqualified_for=submission.disqualified_for,
+        copy_of=shown.copies.get(newest.id),
         evaluation=evaluation_view(newest, shown.fleet.alive, shown.evaluations),
         evaluations=[summary_view(evaluation) for evaluation in shown_runs],
         workers=shown.workers(newest.evaluator_version, submission.track, tuple(submission.tasks)),
@@ -141,7 +138,9 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
 
 
 def _explain_unranked(newest: Evaluation, shown: _Shown) -> str | None:
-    submission = newest.submission
+    submission, copy = newest.submission, shown.copies.get(newest.id)
+    if copy is not None and not copy.ranked:
+        return copy.sentence
     if newest.state is not EvaluationState.COMPLETED or not submission.kind.form.runs_policy:
         return None
     counted = shown.find_stage(submission).counted_results()

@@ -37,6 +37,7 @@ class CheckedUpload:
     Attributes:
         files: what is stored beside it.
         file_name: as the client names it; None if the client did not send it.
+        archive_sketch: what a model's archive is compared by.
         sensor_folder: unpacked submission whose sensor is still to be taken in; None: there is none.
     """
 
@@ -50,4 +51,5 @@ class CheckedUpload:
     manifest: dict[str, Any]
     files: tuple[UploadedFile, ...] = ()
     file_name: str | None = None
+    archive_sketch: bytes | None = None
     sensor_folder: Path | None = None

@@ -14,14 +14,14 @@ from ..db.models import Evaluation, Submission
 from ..errors import ProblemCode
 from ..logs.view import log_view
 from ..settings import Settings
-from ..views.logs import LogCopyView, LogView
+from ..views.logs import LogView
 from .checked_upload import CheckedUpload
 from .intake import ReceivedFile
 from .logs import check_log
 from .models import check_model
 from .text_logs import check_text_log
 
-ShowLog = Callable[[Submission, Evaluation, LogFinding | None, LogCopyView | None], LogView]
+ShowLog = Callable[[Submission, Evaluation, LogFinding | None], LogView]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,7 @@
 """Checks an uploaded model: the archive's rules and the submission manifest; called by `kinds`."""
 
 from vitac.evaluator.submission.archive import unpack
+from vitac.evaluator.submission.likeness import make_sketch
 from vitac.evaluator.submission.manifest import ManifestRejected, load_unpacked_manifest
 from vitac.evaluator.submission.names import ArchiveRejected
 from vitac.evaluator.submission.sources import submission_digest
@@ -43,5 +44,6 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
         archive_sha256=received.sha256,
         archive_bytes=received.n_bytes,
         manifest=manifest.model_dump(mode="json"),
+        archive_sketch=make_sketch(folder).to_bytes(),
         sensor_folder=folder if track.has_sensor else None,
     )

@@ -69,6 +69,44 @@ class DifferingEpisodeView(View):
     seen_at: datetime
 
 
+class CopyView(View):
+    """A submission has the states, or nearly the actions or states, of an earlier submission of another team."""
+
+    team: str = Field(description="Whose the earlier one is.")
+    episodes: int = Field(description="Number of episodes that are alike.")
+    of: int | None = Field(
+        default=None, description="Of how many that say something; null: the states are exactly the same."
+    )
+    task: str | None = Field(default=None, description="In which task; null: the states are exactly the same.")
+    sealed: bool = Field(default=False, description="Whether on a sealed list; else on the public one.")
+    ranked: bool = Field(description="False with half of the episodes or more, unless it is cleared.")
+    cleared_for: str | None = Field(default=None, description="Why an organizer has cleared it; null: nobody has.")
+
+    @property
+    def sentence(self) -> str:
+        """What was found, and what follows."""
+        if self.cleared_for is not None:
+            return f"{self._found} An organizer has cleared it: {self.cleared_for}"
+        if self.ranked:
+            return f"{self._found} The earlier one stands."
+        return (
+            f"{self._found} The earlier one stands; this one keeps its score and is not ranked until an organizer has "
+            "cleared it. If it is your own work, appeal or write to the organizers."
+        )
+
+    @property
+    def _found(self) -> str:
+        if self.of is None:
+            return (
+                f"{self.episodes} episodes have exactly the states of an earlier submission of {self.team}, half-way "
+                "through or to the end."
+            )
+        return (
+            f"{self.episodes} of {self.of} episodes of {self.task} on the {'sealed' if self.sealed else 'public'} list "
+            f"go nearly as in an earlier submission of {self.team}: the same actions, commanded motion or states."
+        )
+
+
 class NearCopyView(View):
     """An evaluation that acts nearly as an earlier submission of another team, on one list; for organizers."""
 
@@ -81,12 +119,27 @@ class NearCopyView(View):
     earlier_team: str
     task: str
     sealed: bool = Field(description="Whether on a sealed list; else on the public one.")
-    near: int = Field(description="Episodes whose actions or commanded motions are within the tolerance.")
+    near: int = Field(description="Episodes whose actions, commanded motions or states are within the tolerance.")
     episodes: int = Field(description="Episodes that both have and that say something.")
     difference: float = Field(description="Median over the episodes of the largest difference of an action.")
     found_at: datetime
     code: float | None = Field(default=None, description="Share of the code of both archives that is in both.")
     weights: float | None = Field(default=None, description="Correlation of the weights in both archives.")
+
+
+class ArchiveCopyView(View):
+    """A model whose archive is alike to that of an earlier model of another team; for organizers."""
+
+    submission_id: UUID
+    submission_name: str
+    team: str
+    earlier_submission_id: UUID
+    earlier_submission_name: str
+    earlier_team: str
+    track: str
+    code: float | None = Field(description="Share of the code of both archives that is in both; null without code.")
+    weights: float | None = Field(description="Correlation of the weights in both archives; null without weights.")
+    found_at: datetime
 
 
 class PackagesView(View):

@@ -10,18 +10,21 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 
 from .base import View
-from .logs import LogCopyView
+from .evaluations import CopyView
 from .scores import PlayedScoreView, TaskScoreView
 
 
 class LeaderboardEntryView(View):
     """Best entry of one team."""
 
-    rank: int | None = Field(description="Null where another evaluator version made it, and on a board of references.")
+    rank: int | None = Field(
+        description="Null for a copy, where another evaluator version made it, and on a board of references."
+    )
     rank_range: tuple[int, int] | None = Field(
         description="First and last rank that it could have by chance, as the 95 % intervals of all entries overlap."
     )
     stale: bool = Field(description="Another evaluator version made it: it is not comparable.")
+    copy_of: CopyView | None = Field(default=None, description="Null where it is alike to no earlier one.")
     team: str
     evaluation_id: UUID
     submission_id: UUID
@@ -94,7 +97,7 @@ class LogEntryView(View):
     submission_id: UUID
     submission_name: str
     verdict: VerificationResult
-    copy_of: LogCopyView | None = Field(description="Null where no other team reached its states before.")
+    copy_of: CopyView | None = Field(description="Null where it is alike to no earlier one.")
     submitted_at: datetime
     episodes: int
     successes: int

@@ -21,14 +21,6 @@ class DivergenceView(View):
     resimulated_info: dict[str, Any] | None
 
 
-class LogCopyView(View):
-    """A log has the states of an earlier submission of another team."""
-
-    team: str = Field(description="Whose the earlier one is.")
-    episodes: int = Field(description="Number of episodes that have its states, half-way or to the end.")
-    ranked: bool = Field(description="False with half of the episodes or more.")
-
-
 class LogView(View):
     """What an uploaded log claims, and what its re-simulation says of it."""
 
@@ -44,7 +36,6 @@ class LogView(View):
     team_named: str | None
     submission_digest_named: str | None = Field(description="Digest of the model that the log says it is of.")
     made_on: str | None = Field(description="Platform class that the log says it was made on.")
-    copy_of: LogCopyView | None = Field(description="Null where no other team reached its states before.")
     problems: list[str] = Field(description="Numbers of a 2025 text log that do not follow from each other.")
 
 

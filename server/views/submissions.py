@@ -10,7 +10,7 @@ from vitac.evaluator.scoring.gain import SensingGain
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from .base import View
-from .evaluations import EvaluationSummaryView, EvaluationView
+from .evaluations import CopyView, EvaluationSummaryView, EvaluationView
 from .logs import LogView
 from .teams import TeamView
 from .workers import WorkersView
@@ -41,13 +41,14 @@ class SubmissionView(View):
     submitted_at: datetime
     public: bool = Field(description="Everybody may see its result, once its evaluation is complete.")
     disqualified_for: str | None = Field(default=None, description="Why it is on no board; null: it may be.")
+    copy_of: CopyView | None = Field(default=None, description="Null where it is alike to no earlier one.")
     evaluation: EvaluationView
     evaluations: list[EvaluationSummaryView] = Field(
         description="All runs, newest first; of another team's, the newest."
     )
     workers: WorkersView
     unranked: str | None = Field(
-        description="Why a scored model has no rank since the evaluator changed, and what brings it back; else null."
+        description="Why a scored submission has no rank, as a copy or since the evaluator changed; else null."
     )
     rank: RankView | None = Field(description="On the leaderboard of all tasks together.")
     task_ranks: dict[str, RankView] = Field(description="On the leaderboards of single tasks.")

@@ -113,6 +113,7 @@ def pages() -> APIRouter:
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
         ("/submissions/{submission_id}/cancel", submissions.cancel, "POST"),
         ("/submissions/{submission_id}/public", sharing.set_public, "POST"),
+        ("/submissions/{submission_id}/clearance", sharing.set_clearance, "POST"),
         ("/submissions/{submission_id}/preview.png", sharing.preview, "GET"),
         ("/competition", competition.competition, "GET"),
         ("/receipts", receipts.receipts, "GET"),

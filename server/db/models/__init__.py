@@ -9,6 +9,7 @@ from .competition import Competition, Qualification, Rejudgement, SealedList
 from .evaluations import (
     ALL_TASKS,
     ActionTrace,
+    ArchiveCopy,
     BoardChange,
     BoardResult,
     EpisodeDifference,
@@ -33,6 +34,7 @@ __all__ = [
     "ApiToken",
     "Appeal",
     "AppealReplay",
+    "ArchiveCopy",
     "AuditEntry",
     "Base",
     "BoardChange",

@@ -119,7 +119,8 @@ class Evaluation(Base):
 class BoardResult(Base):
     """What a completed evaluation is ranked by on one board: that of a task, or under `ALL_TASKS` that of the track.
 
-    `is_copy` is a log that is not ranked because another team reached its states before (`LogCopy`); one that
+    `is_copy` is one that is not ranked because another team had its states (`LogCopy`) or nearly its actions before
+    (`NearCopy`), unless its submission was cleared; one that
     `is_disqualified`, with its submission, is on no board. The rest repeats what the rows of its evaluation, submission
     and team say, so that one index finds the best of each team.
     """
@@ -263,9 +264,10 @@ class LogCopy(Base):
 
 
 class ActionTrace(Base):
-    """The first actions of all episodes of a task on one list, by which near copies are found.
+    """First actions, and states on the way, of all episodes of a task on one list, by which near copies are found.
 
-    `actions` are float32, as `evaluator.scoring.near_copies` has them; `commitment` is empty for the public list.
+    `actions` and `paths` are float32, as `evaluator.scoring.near_copies` has them; `commitment` is empty for the public
+    list.
     """
 
     __tablename__ = "action_traces"
@@ -275,13 +277,14 @@ class ActionTrace(Base):
     commitment: Mapped[str] = mapped_column(primary_key=True, default="")
     action_size: Mapped[int]
     actions: Mapped[bytes]
+    paths: Mapped[bytes] = mapped_column(default=b"", server_default="")
 
 
 class NearCopy(Base):
     """An evaluation that acts nearly as an earlier submission of another team, on one list of a task.
 
     Attributes:
-        near: of `episodes` those whose actions or commanded motions are within the tolerance.
+        near: of `episodes` those whose actions, commanded motions or states are within the tolerance.
         difference: median over the episodes of the largest difference of an action.
     """
 
@@ -299,6 +302,26 @@ class NearCopy(Base):
     found_at: Mapped[datetime] = mapped_column(server_default=func.now())
     evaluation: Mapped[Evaluation] = relationship()
     earlier_submission: Mapped[Submission] = relationship()
+
+
+class ArchiveCopy(Base):
+    """A model whose archive is alike to that of an earlier model of another team in its track; it stays ranked.
+
+    Attributes:
+        code: share of the code of both that is in both; NULL without code.
+        weights: correlation of the weights of both; NULL without weights that can be compared.
+    """
+
+    __tablename__ = "archive_copies"
+    submission_id: Mapped[UUID] = mapped_column(ForeignKey("submissions.id", ondelete="CASCADE"), primary_key=True)
+    earlier_submission_id: Mapped[UUID] = mapped_column(
+        ForeignKey("submissions.id", ondelete="CASCADE"), primary_key=True
+    )
+    code: Mapped[float | None] = mapped_column(Float)
+    weights: Mapped[float | None] = mapped_column(Float)
+    found_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    submission: Mapped[Submission] = relationship(foreign_keys=[submission_id])
+    earlier_submission: Mapped[Submission] = relationship(foreign_keys=[earlier_submission_id])
 
 
 class EpisodeDifference(Base):

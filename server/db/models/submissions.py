@@ -18,7 +18,8 @@ class Submission(Base):
 
     `contest` and `stage` are empty outside a competition. `merged_from` is the team that had made it, where its present
     team had the same content already when the two were merged. `is_public` says whether everybody may see its result.
-    Results of a disqualified one are on no board; `disqualified_for` says why.
+    Results of a disqualified one are on no board; `disqualified_for` says why. `copy_cleared_for` says why one that was
+    found to be a copy is ranked. `archive_sketch` is what a model's archive is compared by.
     """
 
     __tablename__ = "submissions"
@@ -38,6 +39,7 @@ class Submission(Base):
         sha256_check("archive_sha256"),
         CheckConstraint("archive_bytes > 0", name="archive_is_not_empty"),
         CheckConstraint("(disqualified_at IS NULL) = (disqualified_for IS NULL)", name="disqualified_for_a_reason"),
+        CheckConstraint("(copy_cleared_at IS NULL) = (copy_cleared_for IS NULL)", name="copy_cleared_for_a_reason"),
         Index("ix_submissions_submitted_at_id", text("submitted_at DESC"), text("id DESC")),
         Index("ix_submissions_of_team", "team_id", text("submitted_at DESC"), text("id DESC")),
     )
@@ -58,6 +60,9 @@ class Submission(Base):
     is_public: Mapped[bool] = mapped_column(default=False, server_default=false())
     disqualified_at: Mapped[datetime | None]
     disqualified_for: Mapped[str | None]
+    copy_cleared_at: Mapped[datetime | None]
+    copy_cleared_for: Mapped[str | None]
+    archive_sketch: Mapped[bytes | None] = mapped_column(deferred=True)
     team: Mapped[Team] = relationship()
 
 

@@ -1,8 +1,10 @@
 """A table of another team's actions, changed a little: worth nothing on a sealed list, and found."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from policies.table_attack import CHANGE, SECRET, TASK, Played, Table, changed, improve, likeness, play, policies, rate
+from policies.table_attack import CHANGE, SECRET, TASK, Table, changed, improve, likeness, play, policies, rate
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.sealed import sealed_track
 
@@ -16,9 +18,7 @@ def test_a_table_of_published_actions_ends_below_its_source_on_a_sealed_list_and
     source = dict(policies(public, 0))["trained"]
     published = play(public, public.episodes[EPISODES], source)
     rng = np.random.default_rng(0)
-    rows = [
-        Played(first=row.first, actions=changed(row.actions, CHANGE, rng), success=row.success) for row in published
-    ]
+    rows = [replace(row, actions=changed(row.actions, CHANGE, rng)) for row in published]
     on_sealed = rate(play(sealed, sealed.episodes[EPISODES], source))
     for table in (rows, improve(public, public.episodes[EPISODES], rows, 2.0, rng)):
         on_public = play(public, public.episodes[EPISODES], Table(table).begin)

@@ -25,6 +25,7 @@ from vitac.server.views.contest import (
     WinnerView,
 )
 from vitac.server.views.evaluations import (
+    CopyView,
     EvaluationSummaryView,
     EvaluationView,
     ProgressView,
@@ -40,7 +41,7 @@ from vitac.server.views.leaderboards import (
     PastResultView,
     TextLogEntryView,
 )
-from vitac.server.views.logs import ActionMatchView, DivergenceView, LogCopyView, LogView, MatchedEpisodeView
+from vitac.server.views.logs import ActionMatchView, DivergenceView, LogView, MatchedEpisodeView
 from vitac.server.views.operations import CountsView, OperationsView, QueueView, StorageView
 from vitac.server.views.scores import PlayedScoreView, ShapeScoreView, TaskScoreView
 from vitac.server.views.submissions import (
@@ -299,7 +300,6 @@ def a_log(
         "team_named": "Gelbots",
         "submission_digest_named": None,
         "made_on": None if text_log else "x86_64-linux",
-        "copy_of": None,
         "problems": [],
     }
     log = LogView(**(values | changes))
@@ -391,7 +391,7 @@ def a_log_entry(place: int, team: str, successes: int, verdict: VerificationResu
         submission_id=an_id(f"log of {team}"),
         submission_name="log 0a1b2c3d",
         verdict=verdict,
-        copy_of=LogCopyView(team="Gelbots", episodes=200, ranked=True) if team == "Bears" else None,
+        copy_of=CopyView(team="Gelbots", episodes=200, ranked=True) if team == "Bears" else None,
         submitted_at=NOW,
         episodes=270,
         successes=successes,

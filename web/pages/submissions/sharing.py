@@ -1,9 +1,10 @@
-"""Sharing a result: a team makes its submission public, and others get a picture and a citation."""
+"""Sharing a result: a team makes its submission public, others get a picture and a citation; clearing of copies."""
 
 import asyncio
 from dataclasses import dataclass
 from hashlib import sha256
 
+from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.tracks import load_track
@@ -11,6 +12,7 @@ from vitac.server.api.conditional import answer
 from vitac.server.db.states import EvaluationState
 from vitac.server.principals import VISITOR
 from vitac.server.sharing import public_pages
+from vitac.server.submissions import clearance
 from vitac.server.views.submissions import SubmissionView
 
 from ...sharing.citation import Citation, cite
@@ -67,6 +69,21 @@ async def set_public(request: Request) -> Response:
         lambda session: public_pages.set_public(session, viewer.principal, submission_id, public=public)
     )
     return RedirectResponse(f"/submissions/{submission_id}#sharing", status_code=303)
+
+
+async def set_clearance(request: Request) -> Response:
+    """Rank a submission that was found to be a copy, for the reason given; without one take that back."""
+    viewer, fields = await signed_in_form(request)
+    submission_id, reason = as_id(request.path_params["submission_id"]), fields.get("reason")
+
+    def change(session: Session) -> None:
+        if reason is None:
+            clearance.withdraw(session, viewer.principal, submission_id)
+        else:
+            clearance.clear(session, viewer.principal, submission_id, reason)
+
+    await get_site(request).ask(change)
+    return RedirectResponse(f"/submissions/{submission_id}", status_code=303)
 
 
 @open_to_all

@@ -27,7 +27,7 @@ from vitac.server.logs.claims import LogClaim
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import creation
 from vitac.server.teams.shown_names import ShownNames
-from vitac.server.views.logs import LogCopyView
+from vitac.server.views.evaluations import CopyView
 
 from competitions import shown_stage
 
@@ -92,7 +92,7 @@ def ending_otherwise(after: int) -> RecordOf:
     return record
 
 
-def found(database: Database, *submissions: Submission) -> list[LogCopyView | None]:
+def found(database: Database, *submissions: Submission) -> list[CopyView | None]:
     with database.transaction() as session:
         ids = [newest_evaluation(session, submission).id for submission in submissions]
         copies = find_copies(session, ids, ShownNames.read(session, CONSOLE))
@@ -116,7 +116,7 @@ def test_a_log_with_the_states_of_another_teams_submission_is_not_ranked(
     stolen = add(database, other, "stolen")
     play_all(database, first)
     play_all(database, stolen, with_negative_zeros)
-    assert found(database, first, stolen) == [None, LogCopyView(team="Team A", episodes=270, ranked=False)]
+    assert found(database, first, stolen) == [None, CopyView(team="Team A", episodes=270, ranked=False)]
     assert ranks(database) == ({"Team A": 1} if theirs is SubmissionKind.LOG else {}) | {"Team B": None}
     with database.transaction() as session:
         copied = {row.team: row.copied_episodes for row in listing.list_evaluations(session, limit=10)}
@@ -130,7 +130,7 @@ def test_the_earlier_submission_stands_even_if_it_is_evaluated_later(
     play_all(database, stolen)
     assert ranks(database) == {"Team B": 1}
     play_all(database, first)
-    assert found(database, first, stolen) == [None, LogCopyView(team="Team A", episodes=270, ranked=False)]
+    assert found(database, first, stolen) == [None, CopyView(team="Team A", episodes=270, ranked=False)]
     assert ranks(database) == {"Team A": 1, "Team B": None}
 
 
@@ -140,7 +140,7 @@ def test_the_same_file_from_two_teams_is_found_although_its_episodes_are_stored_
     first, same = add(database, principal, "one"), add(database, other, "one")
     play_all(database, first)
     play_all(database, same)
-    assert found(database, first, same) == [None, LogCopyView(team="Team A", episodes=270, ranked=False)]
+    assert found(database, first, same) == [None, CopyView(team="Team A", episodes=270, ranked=False)]
 
 
 def test_repeats_under_each_others_numbers_are_found(
@@ -155,7 +155,7 @@ def test_repeats_under_each_others_numbers_are_found(
     first, later = add(database, principal, "first"), add(database, other, "later")
     play_all(database, first)
     play_all(database, later, shifted)
-    assert found(database, later) == [LogCopyView(team="Team A", episodes=270, ranked=False)]
+    assert found(database, later) == [CopyView(team="Team A", episodes=270, ranked=False)]
 
 
 @pytest.mark.parametrize(("equal", "ranked"), [(1, True), (134, True), (135, False)])
@@ -165,7 +165,7 @@ def test_fewer_than_half_of_the_episodes_are_told_but_ranked(
     first, later = add(database, principal, "first"), add(database, other, "later")
     play_all(database, first)
     play_all(database, later, elsewhere_from(equal + 1))
-    assert found(database, later) == [LogCopyView(team="Team A", episodes=equal, ranked=ranked)]
+    assert found(database, later) == [CopyView(team="Team A", episodes=equal, ranked=ranked)]
     assert ranks(database)["Team B"] == (2 if ranked else None)
 
 
@@ -178,7 +178,7 @@ def test_a_log_that_only_ends_its_episodes_otherwise_is_a_copy_whichever_is_eval
     played = [(first, make_record), (changed, ending_otherwise(after=2))]
     for submission, record_of in played if theirs_first else reversed(played):
         play_all(database, submission, record_of)
-    assert found(database, first, changed) == [None, LogCopyView(team="Team A", episodes=270, ranked=False)]
+    assert found(database, first, changed) == [None, CopyView(team="Team A", episodes=270, ranked=False)]
     assert ranks(database) == {"Team A": 1, "Team B": None}
 
 
@@ -202,7 +202,7 @@ def test_of_a_stolen_log_episodes_count_whole_or_begun(
     model, log = add(database, principal, "model", SubmissionKind.MODEL), add(database, other, "log")
     play_all(database, model)
     play_all(database, log, mixed)
-    assert found(database, log) == [LogCopyView(team="Team A", episodes=180, ranked=False)]
+    assert found(database, log) == [CopyView(team="Team A", episodes=180, ranked=False)]
 
 
 def test_logs_that_begin_all_episodes_with_the_same_moves_are_no_copies(
@@ -223,7 +223,7 @@ def test_logs_that_begin_all_episodes_with_the_same_moves_are_no_copies(
     first, later = add(database, principal, "first"), add(database, other, "later")
     play_all(database, first, probing("A"))
     play_all(database, later, probing("B"))
-    assert found(database, first, later) == [None, LogCopyView(team="Team A", episodes=1, ranked=True)]
+    assert found(database, first, later) == [None, CopyView(team="Team A", episodes=1, ranked=True)]
     assert ranks(database) == {"Team A": 1, "Team B": 2}
 
 
@@ -235,12 +235,12 @@ def test_a_team_whose_text_log_came_first_may_upload_its_actions_as_a_log_althou
     stolen, own = add(database, other, "stolen"), add(database, principal, "own")
     for number in order:
         play_all(database, (text_log, stolen, own)[number])
-    copy = LogCopyView(team="Team A", episodes=270, ranked=False)
+    copy = CopyView(team="Team A", episodes=270, ranked=False)
     assert found(database, text_log, stolen, own) == [None, copy, None]
     assert ranks(database) == {"Team A": 1, "Team B": None}
 
 
-def test_own_logs_models_and_episodes_without_an_env_step_are_no_copies(
+def test_own_logs_and_episodes_without_an_env_step_are_no_copies_but_a_model_that_goes_as_a_log_is(
     database: Database, principal: Principal, other: Principal
 ) -> None:
     def unmoved(episode: int, *, task: str = TASK) -> EpisodeRecord:
@@ -256,7 +256,10 @@ def test_own_logs_models_and_episodes_without_an_env_step_are_no_copies(
     still = [add(database, principal, "still"), add(database, other, "still, too")]
     for submission in still:
         play_all(database, submission, unmoved)
-    assert found(database, *own, model, *still) == [None] * 5
+    assert found(database, *own, *still) == [None] * 4
+    (copy,) = found(database, model)
+    assert copy is not None
+    assert (copy.team, copy.episodes, copy.of, copy.task, copy.ranked) == ("Team A", 270, 270, TASK, False)
 
 
 def test_a_copy_is_found_by_indexes_and_comparing_again_changes_nothing(
@@ -274,5 +277,5 @@ def test_a_copy_is_found_by_indexes_and_comparing_again_changes_nothing(
         evaluation = newest_evaluation(session, session.get_one(Submission, stolen.id))
         with database_work(session) as work:
             flag_copies(session, evaluation)
-    assert work.statements <= 6
+    assert work.statements <= 7
     assert found(database, stolen) == before

@@ -1,4 +1,4 @@
-"""Models and logs that act nearly as an earlier submission of another team are noted, for organizers."""
+"""Models and logs that go nearly as an earlier submission of another team are not ranked until they are cleared."""
 
 from functools import partial
 
@@ -14,18 +14,20 @@ from service_factories import (
     play_all,
     sha256,
 )
-from submission_steps import refused
+from submission_steps import SETTINGS, refused
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
 from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.server.audit import newest_entries
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
 from vitac.server.desk.troubles import troubles
-from vitac.server.errors import ProblemCode
+from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.near_copies import list_near_copies
 from vitac.server.leaderboards.log_boards import log_boards
+from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.logs.claims import LogClaim
-from vitac.server.principals import CONSOLE, Principal
-from vitac.server.submissions import creation
+from vitac.server.principals import CONSOLE, VISITOR, Principal
+from vitac.server.submissions import clearance, creation, listing, runs
 
 from competitions import shown_stage
 
@@ -82,7 +84,7 @@ def test_the_later_of_two_that_act_alike_is_noted(
         assert (one.task, one.sealed, one.team, one.earlier_team) == (TASK, False, "Table", "Source")
         assert one.difference <= 1e-5
         assert [trouble.problem for trouble in troubles(session, CONSOLE)] == [
-            "the states, or nearly the actions, of another team's earlier submission"
+            "the states, nearly the actions, or the archive of another team's earlier submission"
         ]
     with refused(ProblemCode.FORBIDDEN), database.transaction() as session:
         list_near_copies(session, teams[0])
@@ -108,3 +110,70 @@ def test_a_log_of_nearly_the_actions_of_a_model_is_not_ranked(
     with database.transaction() as session:
         (entry,) = log_boards(session, shown_stage(session, TRACK)).view.boards[0].entries
         assert (entry.rank, entry.copy_of and entry.copy_of.episodes) == (None, 270)
+
+
+def on_board(database: Database) -> list[tuple[int | None, str]]:
+    with database.transaction() as session:
+        view = leaderboard(session, shown_stage(session, TRACK), task=TASK).view
+        return [(entry.rank, entry.submission_name) for entry in view.entries]
+
+
+def test_a_model_that_acts_nearly_as_an_earlier_one_is_not_ranked_until_an_organizer_clears_it(
+    database: Database, teams: tuple[Principal, Principal]
+) -> None:
+    source, table = submit(database, teams[0], "source"), submit(database, teams[1], "table")
+    play_all(database, source, acting(1))
+    play_all(database, table, acting(1, change=1e-5))
+    assert on_board(database) == [(1, "source"), (None, "table")]
+    with database.transaction() as session:
+        copy = leaderboard(session, shown_stage(session, TRACK), task=TASK).view.entries[1].copy_of
+        shown = listing.get(session, SETTINGS, teams[1], table.id)
+        assert copy is not None
+        assert shown.copy_of == copy
+        assert shown.evaluation.success_rate is not None
+        assert copy.sentence.startswith(
+            f"270 of 270 episodes of {TASK} on the public list go nearly as in an earlier submission of Source"
+        )
+        assert "is not ranked until an organizer has cleared it" in copy.sentence
+        for by in (teams[1], VISITOR):
+            with pytest.raises(ServiceError):
+                clearance.clear(session, by, table.id, "made apart")
+    with database.transaction() as session:
+        clearance.clear(session, CONSOLE, table.id, "made apart")
+        with refused(ProblemCode.INVALID_REQUEST):
+            clearance.clear(session, CONSOLE, table.id, "again")
+        assert newest_entries(session)[0].action == "submission.clear"
+        assert not troubles(session, CONSOLE)
+    assert sorted(on_board(database)) == [(1, "source"), (2, "table")]
+    with database.transaction() as session:
+        cleared = listing.get(session, SETTINGS, teams[1], table.id).copy_of
+        assert cleared is not None
+        assert (cleared.ranked, cleared.sentence.endswith("An organizer has cleared it: made apart")) == (True, True)
+        runs.run_again(session, CONSOLE, table.id)
+    play_all(database, table, acting(1, change=1e-5))
+    assert sorted(on_board(database)) == [(1, "source"), (2, "table")]
+    with database.transaction() as session:
+        for _ in range(2):
+            clearance.withdraw(session, CONSOLE, table.id)
+        assert [entry.action for entry in newest_entries(session, 2)].count("submission.withdraw-clearance") == 1
+    assert on_board(database) == [(1, "source"), (None, "table")]
+
+
+def test_a_team_keeps_its_place_by_what_is_no_copy(database: Database, teams: tuple[Principal, Principal]) -> None:
+    play_all(database, submit(database, teams[0], "source"), acting(1))
+    for name, records in (("own", acting(2)), ("table", acting(1, change=1e-5))):
+        play_all(database, submit(database, teams[1], name), records)
+    assert sorted(on_board(database)) == [(1, "source"), (2, "own")]
+
+
+def test_what_was_marked_is_ranked_again_once_it_is_known_to_be_the_earlier_one(
+    database: Database, teams: tuple[Principal, Principal]
+) -> None:
+    """Its team had acted so before, in a submission that was evaluated last."""
+    first, source = submit(database, teams[1], "first"), submit(database, teams[0], "source")
+    later = submit(database, teams[1], "later")
+    play_all(database, source, acting(1))
+    play_all(database, later, acting(1, change=1e-5))
+    assert on_board(database) == [(1, "source"), (None, "later")]
+    play_all(database, first, acting(1, change=1e-4))
+    assert {name: rank is not None for rank, name in on_board(database)} == {"source": False, "first": True}

@@ -267,7 +267,7 @@ def test_verified_logs_rank_apart_from_models_and_the_best_of_each_team_counts(s
     others = resimulated(
         service, a_log(theirs, "Team B"), lambda n, task: elsewhere(worse(n, task=task)), service.other_token
     )
-    assert shown(service, others, service.other_token)["log"]["copy_of"] is None
+    assert shown(service, others, service.other_token)["copy_of"] is None
     boards = service.client.get("/api/v1/leaderboards/track_1/logs").json()
     assert boards["label"] == "actions verified, policy not seen"
     peg, lock = boards["boards"]

@@ -228,7 +228,7 @@ def test_a_board_of_logs_is_audited(exported: Exported) -> None:
     found = one_episode(path)
     assert found.findings == []
     assert found.unchecked == [
-        "Drones: receipt 8; the service says that this log is a copy of an earlier one, so it is not ranked."
+        "Drones: receipt 8; the service says that this is a copy of an earlier one, so it is not ranked."
     ]
     assert (found.entries, found.logs, len(found.resimulated)) == (3, 3, 1)
     assert audit(path, episodes=1, seed=SEED + 1).findings != []
@@ -250,7 +250,7 @@ def test_a_copy_of_several_tasks_is_named_once(exported: Exported) -> None:
         ("UPDATE evaluations SET scores = jsonb_set(scores, '{0,successes}', '270')", "269 in the receipt"),
         (
             "UPDATE board_results SET is_copy = true WHERE kind = 'log'",
-            "Bees: receipt 4; the service says that this log is a copy",
+            "Bees: receipt 4; the service says that this is a copy",
         ),
         ("DELETE FROM board_results WHERE team_id = (SELECT id FROM teams WHERE name = 'Cats')", "is not on it"),
         ("DELETE FROM episode_results WHERE episode = 9", "the first missing one is 9"),

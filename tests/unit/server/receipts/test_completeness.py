@@ -181,7 +181,7 @@ def test_a_copy_is_proven_by_an_earlier_receipt_of_another_team_with_the_same_re
     partly = a_named_result(3, team="Bees", submitted_at=WHEN + timedelta(hours=2))
     other_hash = partly.tasks[0].model_copy(update={"result_hash": "e" * 64})
     partly = partly.model_copy(update={"tasks": (other_hash,)})
-    teams, told = {"Ants": [1], "Bees": [2, 3]}, "; the service says that this log is a copy of an earlier one"
+    teams, told = {"Ants": [1], "Bees": [2, 3]}, "; the service says that this is a copy of an earlier one"
 
     def unproven(*copies: int, teams: dict[str, list[int]] = teams) -> list[tuple[bool, str]]:
         receipts = chained(first, copied, partly)
@@ -197,24 +197,17 @@ def test_a_copy_is_proven_by_an_earlier_receipt_of_another_team_with_the_same_re
     assert unproven(2, teams={"Bees": [2, 3]}) != [], "a receipt that is given to no team proves nothing"
 
 
-def test_only_logs_can_be_copies() -> None:
+def test_copies_are_not_ranked_on_boards_of_either_kind() -> None:
     results = [a_named_result(1, successes=200), a_named_result(2)]
     receipts = chained(*results)
     said = (UUID(int=1),)
-    logs = exported(receipts, an_entry(results[1]), kind=SubmissionKind.LOG, copies=said)
-    assert list(check_entries(logs, by_evaluation(receipts))) == [
-        (False, "Ants: receipt 1; the service says that this log is a copy of an earlier one, so it is not ranked.")
-    ]
-    models = exported(receipts, an_entry(results[1]), copies=said)
-    assert list(check_entries(models, by_evaluation(receipts))) == [
-        (True, "Expected no copies on a board of kind model, got 1: only logs can be."),
-        (True, "Ants: receipt 1 is better than its entry on the board."),
-    ]
-    unranked = exported(receipts[1:], an_entry(results[1], rank=None), copies=(UUID(int=2),))
-    assert [sentence for is_wrong, sentence in check_entries(unranked, {}) if is_wrong] == [
-        "Expected no copies on a board of kind model, got 1: only logs can be.",
-        "Ants: its result has no rank, though it is of the board's evaluator version.",
-    ]
+    for kind in (SubmissionKind.LOG, SubmissionKind.MODEL):
+        board = exported(receipts, an_entry(results[1]), kind=kind, copies=said)
+        assert list(check_entries(board, by_evaluation(receipts))) == [
+            (False, "Ants: receipt 1; the service says that this is a copy of an earlier one, so it is not ranked.")
+        ]
+        unranked = exported(receipts[1:], an_entry(results[1], rank=None), kind=kind, copies=(UUID(int=2),))
+        assert not [sentence for is_wrong, sentence in check_entries(unranked, {}) if is_wrong]
 
 
 def test_a_result_of_another_task_is_not_missed() -> None:

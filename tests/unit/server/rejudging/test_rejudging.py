@@ -3,6 +3,7 @@ from datetime import UTC, datetime
 from typing import Any
 from uuid import UUID
 
+import numpy as np
 import pytest
 from quick_worker import record_of
 from service_factories import (
@@ -22,7 +23,7 @@ from service_factories import (
 from sqlalchemy import select, text, update
 from submission_steps import refused
 from vitac.evaluator.agent.verdicts import VerdictCode
-from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, FailureStage
+from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord, FailureStage
 from vitac.evaluator.tracks import UnknownTask
 from vitac.evaluator.version import evaluator_version
 from vitac.server.audit import newest_entries
@@ -87,7 +88,19 @@ def play_proposed(database: Database, rejudgement: UUID, **plays: RecordOf) -> N
     for team, ids in shards.items():
         with suppress(AssertionError):  # nothing to claim: an earlier shard has ended the evaluation
             for shard_id in ids:
-                play(database, shard_id, plays.get(team, of_task))
+                play(database, shard_id, acting_apart(team, plays.get(team, of_task)))
+
+
+def acting_apart(team: str, record_of: RecordOf) -> RecordOf:
+    """The same records with actions of the team's own: else all but the first would be copies."""
+
+    def own(episode: int, *, task: str) -> EpisodeRecord:
+        record = record_of(episode, task=task)
+        random = np.random.default_rng((*team.encode(), episode))
+        actions = random.uniform(-0.9, 0.9, record.actions.shape).astype(np.float32)
+        return record.model_copy(update={"actions": ActionSequence.from_array(actions)})
+
+    return own
 
 
 def compared(database: Database, rejudgement: UUID) -> dict[str, RejudgedSubmissionView]:

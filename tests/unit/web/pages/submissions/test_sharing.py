@@ -6,6 +6,8 @@ from page_fixtures import LOCK, MADE_UP_SCORES, TASK, a_leaderboard, an_entry, a
 from page_service import FixedData, an_application
 from played_episodes import a_shown_episode
 from visits import BEARS, BOTH, COMPLETED, GELBOTS, RUNNING, form_token, sign_in
+from vitac.server.submissions import clearance
+from vitac.server.views.evaluations import CopyView
 from vitac.server.views.submissions import EpisodeOutputView
 
 PAGE = f"/submissions/{COMPLETED.id}"
@@ -148,3 +150,30 @@ def test_a_team_is_told_when_others_do_not_see_its_public_page_now(
     assert "Everybody may see this page" not in html
     assert "Others do not see this page now" in html
     assert "Make it private" in html
+
+
+def test_organizers_clear_a_copy_with_a_reason_that_its_team_reads(
+    data: FixedData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = CopyView(team="Bears", episodes=88, of=90, task=TASK, ranked=False)
+    cleared = copy.model_copy(update={"ranked": True, "cleared_for": "made apart"})
+    done: list[str | None] = []
+    monkeypatch.setattr(clearance, "clear", lambda _session, _by, _id, reason: done.append(reason))
+    monkeypatch.setattr(clearance, "withdraw", lambda _session, _by, _id: done.append(None))
+    for reader, found, sentence in (
+        ("Gelbots", copy, "go nearly as in an earlier submission of Bears"),
+        ("organizers", copy, "is not ranked until an organizer has cleared it"),
+        ("organizers", cleared, "An organizer has cleared it: made apart"),
+    ):
+        data.found = [each.model_copy(update={"copy_of": found}) for each in data.found]
+        browser = AsgiBrowser(an_application(data))
+        sign_in(browser, reader)
+        html = browser.get(PAGE).text.replace("\N{NO-BREAK SPACE}", " ")
+        assert sentence in html
+        assert (f'action="{PAGE}/clearance"' in html) is (reader == "organizers")
+        if reader == "organizers":
+            given = {"reason": "made apart"} if found is copy else {}
+            assert (
+                browser.post(f"{PAGE}/clearance", data=given | {"form_token": form_token(browser)}).status_code == 303
+            )
+    assert done == ["made apart", None]

@@ -1,0 +1,67 @@
+"""Puts a submission that was found to be a copy back on the boards, or takes that back. For API, page, command."""
+
+from datetime import UTC, datetime
+from uuid import UUID
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from .. import names
+from ..audit import record
+from ..db.models import Evaluation, Submission
+from ..db.states import EvaluationState
+from ..errors import ProblemCode, ServiceError
+from ..evaluations.copies import mark_copy
+from ..principals import Principal
+from ..teams.teams import REASON_LENGTH
+from ..visibility import visible
+
+
+def clear(session: Session, by: Principal, submission_id: UUID, reason: str) -> None:
+    """Rank a submission whatever it is alike to, now and when it is evaluated again; its team reads the reason.
+
+    Raises:
+        ServiceError: not an organizer, there is no such submission, the reason cannot be shown, or it is cleared
+            already.
+    """
+    submission = _lock(session, by, submission_id)
+    shown = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH)
+    if submission.copy_cleared_at is not None:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST,
+            f"Submission {submission.id} is cleared already: {submission.copy_cleared_for}",
+        )
+    submission.copy_cleared_at, submission.copy_cleared_for = datetime.now(UTC), shown
+    _mark(session, submission)
+    record(session, by, "submission.clear", f"submission:{submission.id}", {"reason": shown}, before={"reason": None})
+
+
+def withdraw(session: Session, by: Principal, submission_id: UUID) -> None:
+    """Let what was found of a cleared submission count again; doing it again changes nothing.
+
+    Raises:
+        ServiceError: not an organizer, or there is no such submission.
+    """
+    submission = _lock(session, by, submission_id)
+    if submission.copy_cleared_at is not None:
+        before = {"reason": submission.copy_cleared_for}
+        submission.copy_cleared_at = submission.copy_cleared_for = None
+        _mark(session, submission)
+        record(
+            session, by, "submission.withdraw-clearance", f"submission:{submission.id}", {"reason": None}, before=before
+        )
+
+
+def _lock(session: Session, by: Principal, submission_id: UUID) -> Submission:
+    by.require_organizer(by.contest)
+    submission = visible(session, by, submission_id)
+    session.execute(select(Submission.id).where(Submission.id == submission.id).with_for_update(key_share=True))
+    session.refresh(submission, ["copy_cleared_at", "copy_cleared_for"])
+    return submission
+
+
+def _mark(session: Session, submission: Submission) -> None:
+    session.flush()
+    completed = Evaluation.submission_id == submission.id, Evaluation.state == EvaluationState.COMPLETED
+    for evaluation in session.scalars(select(Evaluation).where(*completed)):
+        mark_copy(session, evaluation)
