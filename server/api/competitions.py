@@ -12,8 +12,7 @@ from ..contest.view import competition_list_view, competition_view
 from ..prizes import finishing
 from ..publishing.archive import archive_view
 from ..teams.teams import REASON_LENGTH
-from ..views.archive import ArchiveView
-from ..views.contest import AdvancementView, CompetitionListView, CompetitionView
+from ..views.contest import AdvancementView, ArchiveView, CompetitionListView, CompetitionView
 from .access import PrincipalOf, ServicesOf
 from .problems import RESPONSES
 

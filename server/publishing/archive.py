@@ -7,7 +7,7 @@ from ..contest.view import competition_view
 from ..errors import ProblemCode, ServiceError
 from ..prizes.finishing import find_last_decision
 from ..receipts.chain import chain_state
-from ..views.archive import ArchiveView
+from ..views.contest import ArchiveView
 from ..views.leaderboards import LeaderboardView
 
 

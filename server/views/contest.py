@@ -8,6 +8,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 
 from .base import View
+from .leaderboards import LeaderboardView
 
 
 class ContestState(StrEnum):
@@ -198,3 +199,15 @@ class AdvancementView(View):
     running: int = Field(description="Evaluations of the stage before that have not ended.")
     confirmed: list[str] = Field(description="Teams that take part, as confirmed last.")
     revision: str = Field(description="Of the confirmed teams; a confirmation names it. Empty if there are none.")
+
+
+class ArchiveView(View):
+    """What was final at the end of a competition."""
+
+    competition: CompetitionView
+    boards: list[LeaderboardView] = Field(description="Boards of every stage, as of the end or `find_last_decision`.")
+    public_key: str = Field(description="Key that signed the receipts of the results.")
+    decided_again_at: datetime | None = Field(
+        default=None, description="When it was last decided without teams that were disqualified then; null: never."
+    )
+    citation: str = Field(description="How to cite the results, for BibTeX.")

@@ -44,9 +44,8 @@ from vitac.server.submissions import comparison, listing, output, receipts, runs
 from vitac.server.submissions.upload import AnnouncedUpload
 from vitac.server.submissions.watch import Changes
 from vitac.server.teams import teams
-from vitac.server.views.archive import ArchiveView
 from vitac.server.views.comparisons import ComparisonView
-from vitac.server.views.contest import CompetitionListView, CompetitionView, PublicRankingView, StageView
+from vitac.server.views.contest import ArchiveView, CompetitionListView, CompetitionView, PublicRankingView, StageView
 from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
 from vitac.server.views.logs import ActionMatchView
 from vitac.server.views.messages import AnnouncementView
