@@ -60,7 +60,8 @@ NOUNS = (
     Noun(name="status", module="client.status", summary="Show your submissions on a service."),
     Noun(name="publish", module="client.publish", summary="Make a submission's result public."),
     Noun(name="compare", module="compare", summary="Compare two submissions episode by episode."),
-    Noun(name="receipt", module="receipt.app", summary="Verify receipts of final results, and audit boards with them."),
+    Noun(name="receipt", module="receipt.app", summary="Verify receipts; audit the public log and boards."),
+    Noun(name="witness", module="witness", summary="Sign the log of a service, unless it was rewritten."),
     Noun(name="serve", module="service.serve", summary="Run the service: database, API and pages.", extra=_SERVER),
     Noun(name="worker", module="service.worker", summary="Run a worker that evaluates submissions.", extra="worker"),
     Noun(

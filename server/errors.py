@@ -34,6 +34,7 @@ class ProblemCode(StrEnum):
     LIST_SEALED = "list_sealed"
     LOG_IMPOSSIBLE = "log_impossible"
     LOG_REJECTED = "log_rejected"
+    LOG_REWRITTEN = "log_rewritten"
     LOG_TEAM_MISMATCH = "log_team_mismatch"
     MANIFEST_REJECTED = "manifest_rejected"
     METHOD_NOT_ALLOWED = "method_not_allowed"
@@ -43,6 +44,7 @@ class ProblemCode(StrEnum):
     NOT_FOUND = "not_found"
     NOT_QUALIFIED = "not_qualified"
     NOT_REQUEUABLE = "not_requeuable"
+    NOT_WITNESSED = "not_witnessed"
     NO_LOG = "no_log"
     QUOTA_EXCEEDED = "quota_exceeded"
     REGISTRATION_CLOSED = "registration_closed"
@@ -100,6 +102,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.LIST_SEALED: HTTPStatus.FORBIDDEN,
         ProblemCode.LOG_IMPOSSIBLE: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.LOG_REJECTED: HTTPStatus.UNPROCESSABLE_ENTITY,
+        ProblemCode.LOG_REWRITTEN: HTTPStatus.CONFLICT,
         ProblemCode.LOG_TEAM_MISMATCH: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.MANIFEST_REJECTED: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.METHOD_NOT_ALLOWED: HTTPStatus.METHOD_NOT_ALLOWED,
@@ -109,6 +112,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.NOT_FOUND: HTTPStatus.NOT_FOUND,
         ProblemCode.NOT_QUALIFIED: HTTPStatus.FORBIDDEN,
         ProblemCode.NOT_REQUEUABLE: HTTPStatus.CONFLICT,
+        ProblemCode.NOT_WITNESSED: HTTPStatus.CONFLICT,
         ProblemCode.NO_LOG: HTTPStatus.CONFLICT,
         ProblemCode.QUOTA_EXCEEDED: HTTPStatus.TOO_MANY_REQUESTS,
         ProblemCode.REGISTRATION_CLOSED: HTTPStatus.FORBIDDEN,

@@ -28,7 +28,7 @@ app.add_typer(
     results.app, name="results", help="The end of a competition: freeze, unfreeze, winners, finalize, reopen, publish."
 )
 app.add_typer(judging.app, name="judging", help="Judges' marks: rubric, mark, conflict, show.")
-app.add_typer(receipt.app, name="receipt", help="Receipts of final results: key, export.")
+app.add_typer(receipt.app, name="receipt", help="Receipts of final results: key, witnesses, export.")
 app.add_typer(
     rejudge.app,
     name="rejudge",

@@ -1,4 +1,4 @@
-"""`vitac receipt`: checks receipts of final results, and whole boards by them, without trusting a server."""
+"""`vitac receipt`: checks receipts, the public log and whole boards, without trusting a server."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from vitac.envs.errors import VitacError
 
 from ..client.http import make_client
 from ..compare import PAGES
@@ -17,8 +18,13 @@ from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, moment, percent, print_json, print_pairs
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from vitac.server.receipts.audit import Audit, SampledEpisode
-    from vitac.server.receipts.receipt import AnyReceipt, Content
+    from vitac.server.receipts.log_audit import LogAudit
+    from vitac.server.receipts.receipt import AnyReceipt
+    from vitac.server.transparency.entries import Content
+    from vitac.server.transparency.notes import Checkpoint
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -33,89 +39,190 @@ def verify(
         str, typer.Argument(help="File, or id or address of a submission, whose newest one is checked.")
     ],
     key: Key = None,
+    witness: Annotated[
+        list[str] | None,
+        typer.Option(help="Key of a witness (NAME+ID+KEY); those of the service without it. May be repeated."),
+    ] = None,
     server: Server = None,
     token_file: TokenFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Check signature and content of a receipt; the exit code is 0 if they are right.
+    """Check content, signature and proof of a receipt, and who witnessed it; the exit code is 0 if they are right.
 
     A file is checked without any service. Of a submission at a service it is also checked that the receipt is in the
-    chain that the service shows, and signed by the key that it shows.
+    log that the service shows, and signed by the key that it shows.
     """
     from vitac.server.receipts.export import read_receipt
+    from vitac.server.transparency.notes import VerifierKey
 
     if Path(receipt).is_file():
-        found = read_receipt(Path(receipt))
+        found, witnesses = read_receipt(Path(receipt)), witness or []
     else:
-        found, shown_key = _read_from_service(receipt, server, token_file)
-        key = key or shown_key
+        found, shown_key, named = _read_from_service(receipt, server, token_file)
+        key, witnesses = key or shown_key, witness or named
     found.require_valid(key)
+    witnessed = found.find_witnesses(map(VerifierKey.parse, witnesses))
     if as_json:
-        print_json({"verified": True, "key_given": key is not None, "receipt": found.model_dump(mode="json")})
+        told = {each.name: at for each, at in witnessed.items()}
+        shown = {"verified": True, "key_given": key is not None, "witnessed": told}
+        print_json(shown | {"receipt": found.model_dump(mode="json")})
         return
     print_pairs(
         {
-            "receipt": found.link.number,
-            "of": found.link.content,
+            "receipt": found.entry.number,
+            "of": found.entry.content,
             **_shown(found.content),
-            "issued": moment(found.link.issued_at),
-            "signed by": found.link.public_key,
+            "issued": moment(found.entry.issued_at),
+            "signed by": found.public_key,
+            **{f"witness {each.name}": moment(at) for each, at in witnessed.items()},
+            **({"witnessed by": f"{len(witnessed)} of {len(witnesses)}"} if witnesses else {}),
         }
     )
-    print("The receipt is whole and signed by that key.")
+    print("The receipt is whole, and in the log that is signed by that key.")
     if key is None:
         print("Compare the key with the one that the service shows on its page /receipts, or give it as --key.")
 
 
 @app.command()
 def audit(
-    export: Annotated[Path, typer.Argument(help="File that `vitac admin receipt export` wrote.")],
-    episodes: Annotated[int, typer.Option(min=0, help="Number of episodes to run again, chosen at random.")] = 10,
+    named: Annotated[
+        str,
+        typer.Argument(
+            metavar="ADDRESS|FOLDER|EXPORT",
+            help="Address of a service or folder with its /log/ files: the public log. File of `vitac admin receipt "
+            "export`: a board with its log.",
+        ),
+    ],
+    episodes: Annotated[
+        int, typer.Option(min=0, help="Of an export: number of episodes to run again, chosen at random.")
+    ] = 10,
     seed: Annotated[
         int | None,
         typer.Option(min=0, help="Seed that chooses the episodes; by default a random one, which is printed."),
     ] = None,
     key: Key = None,
     receipt: Annotated[
-        list[Path] | None, typer.Option(help="A receipt that you stored; it must be in the chain. May be repeated.")
+        list[Path] | None, typer.Option(help="A receipt that you stored; it must be in the log. May be repeated.")
     ] = None,
     noted: Annotated[
         list[str] | None,
         typer.Option(
-            help="NUMBER:DIGEST of a receipt that you noted, such as the last one on the page /receipts; it must be in "
-            "the chain. May be repeated."
+            help="File of a checkpoint that you stored, or NUMBER:ROOT of the log as you noted it from the page "
+            "/receipts; the log must continue it. May be repeated."
         ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Check a board: chain, signatures, scores against receipts, and a sample of its episodes.
+    """Check the public log and say what it leaves in doubt, or check a board against it.
 
-    The exit code is 0 only if nothing is wrong and the records of every rank agree with their receipts.
+    Of an export are checked: log, signature, scores against receipts, and a sample of its episodes. The exit code is 0
+    only if nothing is wrong, and of an export only if the records of every rank agree with their receipts.
     """
-    from vitac.server.receipts.audit import audit as audit_export
     from vitac.server.receipts.export import read_receipt
+
+    held = [read_receipt(path) for path in receipt or ()]
+    if Path(named).is_file():
+        _audit_export(Path(named), key, held, dict(map(_noted, noted or ())), episodes, seed, as_json=as_json)
+    else:
+        _audit_log(named, key, held, noted or (), as_json=as_json)
+
+
+@app.command()
+def compare(
+    earlier: Annotated[Path, typer.Argument(help="File of the checkpoint that was stored first.")],
+    later: Annotated[Path, typer.Argument(help="File of the one that was stored later, by you or by somebody else.")],
+    log: Annotated[
+        str | None,
+        typer.Option(help="Address of the service, or folder with its /log/ files; needed where the sizes differ."),
+    ] = None,
+    key: Key = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare two checkpoints of a log (curl ADDRESS/log/checkpoint): rolled back, or two views? Exit code 1 if so."""
+    from vitac.server.receipts.log_audit import compare as compare_checkpoints
+
+    from .published_log import open_log, parse_log_key
+
+    first, second = read_checkpoint(earlier), read_checkpoint(later)
+    published = open_log(log, key) if log else None
+    if key is None and published is None:
+        raise typer.BadParameter("give the log's key as --key, or the log as --log")
+    of_log = published.key if published else parse_log_key(key or "")
+    findings = list(compare_checkpoints(first, second, of_log, published))
+    is_unknown = published is None and first.size != second.size and not findings
+    if as_json:
+        print_json({"sizes": [first.size, second.size], "findings": findings, "compared": not is_unknown})
+    else:
+        for finding in findings:
+            print(f"WRONG: {finding}")
+        if is_unknown:
+            print("Not compared: their sizes differ, so the tiles are needed; give the log as --log.")
+        elif not findings:
+            print(f"The log of {second.size} entries continues that of {first.size}: nothing in it was changed.")
+    if findings or is_unknown:
+        raise typer.Exit(1)
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """Return the checkpoint in a file.
+
+    Raises:
+        VitacError: it cannot be read, or is none.
+    """
+    from vitac.server.transparency.notes import MAX_NOTE_CHARS, Checkpoint
+
+    try:
+        with path.open(encoding="utf-8", errors="replace", newline="") as file:
+            return Checkpoint.parse(file.read(MAX_NOTE_CHARS + 1))
+    except OSError as error:
+        raise VitacError(f"{path} cannot be read: {error.strerror}.") from error
+
+
+def _audit_export(
+    export: Path,
+    key: str | None,
+    held: list[AnyReceipt],
+    noted: dict[int, str],
+    episodes: int,
+    seed: int | None,
+    *,
+    as_json: bool,
+) -> None:
+    from vitac.server.receipts.audit import audit as audit_export
 
     from ..terminal.compiling import compiling_shown
 
-    held = [read_receipt(path) for path in receipt or ()]
     for each in held:
         each.require_valid(key)
     seed = secrets.randbits(63) if seed is None else seed
     with compiling_shown():
         found = audit_export(
-            export,
-            public_key=key,
-            held=held,
-            noted=dict(map(_noted, noted or ())),
-            episodes=episodes,
-            seed=seed,
-            on_episode=_progress,
+            export, public_key=key, held=held, noted=noted, episodes=episodes, seed=seed, on_episode=_progress
         )
     if as_json:
         print_json(asdict(found) | {"seed": seed})
     else:
         _print(found, key, seed)
     if not found.is_believed:
+        raise typer.Exit(1)
+
+
+def _audit_log(named: str, key: str | None, held: list[AnyReceipt], noted: Sequence[str], *, as_json: bool) -> None:
+    from vitac.server.receipts.log_audit import audit_log
+
+    from .published_log import open_log
+
+    log = open_log(named, key)
+    stored = [read_checkpoint(Path(text)) for text in noted if Path(text).is_file()]
+    roots = dict(_noted(text) for text in noted if not Path(text).is_file())
+    found = audit_log(log, held=held, checkpoints=stored, roots=roots)
+    if key is None:
+        found.doubts.insert(0, "Whose key it is: compare it with the one that you noted, or give that as --key.")
+    if as_json:
+        print_json(asdict(found))
+    else:
+        _print_log(found)
+    if found.findings:
         raise typer.Exit(1)
 
 
@@ -142,18 +249,21 @@ def _shown(content: Content) -> dict[str, object]:
 
 
 def _noted(text: str) -> tuple[int, str]:
-    """Return number and digest of a receipt that somebody noted."""
-    number, _, digest = text.partition(":")
-    if not (number.isdecimal() and re.fullmatch("[0-9a-f]{64}", digest)):
-        raise typer.BadParameter(f"expected NUMBER:DIGEST with 64 hexadecimal digits, got {text!r}")
-    return int(number), digest
+    """Return size and root of a log that somebody noted, or has as the file of a checkpoint."""
+    if Path(text).is_file():
+        checkpoint = read_checkpoint(Path(text))
+        return checkpoint.size, checkpoint.root.hex()
+    number, _, root = text.partition(":")
+    if not (number.isdecimal() and re.fullmatch("[0-9a-f]{64}", root)):
+        raise typer.BadParameter(f"expected a file, or NUMBER:ROOT with 64 hexadecimal digits, got {text!r}")
+    return int(number), root
 
 
-def _read_from_service(named: str, server: str | None, token_file: Path | None) -> tuple[AnyReceipt, str]:
+def _read_from_service(named: str, server: str | None, token_file: Path | None) -> tuple[AnyReceipt, str, list[str]]:
     """Return the receipt of a submission's newest result, else of its arrival, and the key that the service shows.
 
     Raises:
-        ReceiptRejected: it is not in the chain that the service shows.
+        ReceiptRejected: it is not in the log that the service shows.
     """
     from vitac.server.receipts.receipt import Receipt, ReceiptRejected, SubmissionReceipt
 
@@ -166,21 +276,21 @@ def _read_from_service(named: str, server: str | None, token_file: Path | None) 
     else:
         arrival = client.send("GET", f"/api/v1/submissions/{submission_id}/arrival").json()
         found = SubmissionReceipt.model_validate(arrival)
-    chain = client.send("GET", "/api/v1/receipts", params={"after": found.link.number - 1, "limit": 1}).json()
-    shown = [link["digest"] for link in chain["items"]]
-    if shown != [found.link.digest]:
+    log = client.send("GET", "/api/v1/receipts", params={"after": found.entry.number - 1, "limit": 1}).json()
+    shown = [entry["leaf_hash"] for entry in log["items"]]
+    if shown != [found.entry.leaf_hash.hex()]:
         raise ReceiptRejected(
-            f"Receipt {found.link.number} is not in the chain that the service shows: expected {found.link.digest}, "
-            f"got {', '.join(shown) or 'none'}."
+            f"Receipt {found.entry.number} is not in the log that the service shows: expected "
+            f"{found.entry.leaf_hash.hex()}, got {', '.join(shown) or 'none'}."
         )
-    return found, str(chain["public_key"])
+    return found, str(log["public_key"]), [witness["witness"] for witness in log["witnesses"]]
 
 
 def _print(found: Audit, key: str | None, seed: int) -> None:
     print_pairs(
         {
             "signed by": found.public_key,
-            "receipts in the chain": found.links,
+            "entries of the log": found.log_entries,
             "entries of the board": found.entries,
             "logs that agree": found.logs,
             "episodes run again": len(found.resimulated),
@@ -202,6 +312,29 @@ def _print(found: Audit, key: str | None, seed: int) -> None:
         print(f"not checked: {unchecked}")
     if key is None:
         print("not checked: who owns the key. Compare it with the one that you noted, or give it as --key.")
+
+
+def _print_log(found: LogAudit) -> None:
+    print_pairs(
+        {
+            "signed by": found.key,
+            "entries": found.size,
+            "root": found.root,
+            **{f"  {kind}": count for kind, count in found.entries.items()},
+            **{f"witness {name}": f"signed the first {size} entries" for name, size in found.witnesses.items()},
+            "findings": len(found.findings),
+            "unusual": len(found.unusual),
+        }
+    )
+    for finding in found.findings:
+        print(f"WRONG: {finding}")
+    for unusual in found.unusual:
+        print(f"unusual: {unusual}")
+    print("The log is not to be believed." if found.findings else "Nothing in the log was changed, removed or moved.")
+    if found.doubts:
+        print("What you may still doubt:")
+    for doubt in found.doubts:
+        print(f"  - {doubt}")
 
 
 def _progress(sampled: SampledEpisode) -> None:

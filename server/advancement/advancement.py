@@ -22,6 +22,8 @@ from ..leaderboards.standings import leaderboard
 from ..notices.outbox import announce, stage_facts
 from ..principals import Principal
 from ..teams import teams
+from ..transparency.entries import TeamsAdvanced
+from ..transparency.log import append
 from ..views.contest import AdvancementView, ProposedTeamView
 from ..views.leaderboards import LeaderboardEntryView
 
@@ -113,7 +115,26 @@ def confirm(
         "at_border": [team.team for team in proposal.teams if team.at_border],
     }
     record(session, by, "stage.qualify", stage.subject, after, before={"teams": sorted(previous.values())})
+    if chosen.keys() != previous.keys():
+        _log(session, stage, before, chosen.values())
     return sorted(chosen.values())
+
+
+def _log(session: Session, stage: Stage, before: Stage, chosen: Collection[str]) -> None:
+    """Add to the log who takes part, by what the board before shows of them: names of teams may be hidden."""
+    entries = leaderboard(session, before, live=True).view.entries
+    submissions = tuple(entry.submission_id for entry in entries if entry.team in chosen)
+    append(
+        session,
+        lambda at: TeamsAdvanced(
+            issued_at=at,
+            contest=stage.contest,
+            track=stage.track,
+            stage=stage.name,
+            teams=len(chosen),
+            submissions=submissions,
+        ),
+    )
 
 
 def qualified_revision(session: Session, stage: Stage) -> str:

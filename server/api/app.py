@@ -30,6 +30,7 @@ from . import (
     receipts,
     submissions,
     teams,
+    tiles,
     tracks,
 )
 from . import rejudging as rejudgements
@@ -132,7 +133,7 @@ def _hourly(folder: Path, limit: int) -> WindowLimiter:
 
 def _add_routes(app: FastAPI) -> None:
     app.router.routes.extend(_routes())
-    for router in (health.router, metrics.router):
+    for router in (health.router, metrics.router, tiles.router):
         app.include_router(router)
 
 

@@ -1,4 +1,4 @@
-"""Routes of receipts: the chain, for everybody, and the receipts of a submission."""
+"""Routes of receipts: the log, for everybody, and the receipts of a submission."""
 
 from typing import Annotated
 from uuid import UUID
@@ -7,27 +7,27 @@ from fastapi import APIRouter, Query
 
 from ..receipts.receipt import Receipt, SubmissionReceipt
 from ..submissions import receipts
-from ..views.receipts import ChainView
+from ..views.receipts import LogView
 from .access import PrincipalOf, ServicesOf
 from .problems import RESPONSES
 
 router = APIRouter(tags=["receipts"], responses=RESPONSES)
 
-PAGE_LINKS = 1000
+PAGE_ENTRIES = 1000
 
 
 @router.get("/competitions/{contest}/receipts")
 @router.get("/receipts")
-def get_chain(
+def get_log(
     services: ServicesOf,
     *,
     contest: str | None = None,
     after: Annotated[int, Query(ge=0, le=2**53, description="`next_after` from the previous page.")] = 0,
-    limit: Annotated[int, Query(ge=1, le=PAGE_LINKS)] = PAGE_LINKS,
-) -> ChainView:
-    """Return the public key that signs receipts, and the chain that they make, or a competition's links of it."""
+    limit: Annotated[int, Query(ge=1, le=PAGE_ENTRIES)] = PAGE_ENTRIES,
+) -> LogView:
+    """Return the public key that signs the log of receipts, and its entries, or those of a competition."""
     with services.database.transaction() as session:
-        return receipts.chain_view(session, after=after, limit=limit, contest=contest)
+        return receipts.log_view(session, after=after, limit=limit, contest=contest)
 
 
 @router.get("/submissions/{submission_id}/receipts")

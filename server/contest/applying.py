@@ -14,6 +14,8 @@ from ..confirmations import Concern, compute_revision, require_base, require_con
 from ..db.models import Competition, Submission
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
+from ..transparency.entries import CompetitionApplied
+from ..transparency.log import append
 from .contest import Contest
 from .definition import CompetitionDefinition
 from .sealing import refuse_reopening, seal, withdraw, withdraw_unplayed
@@ -111,6 +113,8 @@ def apply(
     session.flush()
     if before != after:
         record(session, by, "competition.apply", Contest.read(session, definition.name).subject, after, before=before)
+        shown = {key: value for key, value in after.items() if key != "contact"}
+        append(session, lambda at: CompetitionApplied(issued_at=at, contest=definition.name, definition=shown))
     for stage in Contest.read(session, definition.name).stages:
         change = seal if stage.plays_sealed_list else withdraw
         change(session, by, stage)

@@ -12,6 +12,8 @@ from vitac.evaluator.strict_model import DocumentRejected, StrictModel, Word, re
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, Track, list_tracks, load_track
 
+from ..transparency.notes import OF_WITNESS, NoteRejected, VerifierKey
+
 Instant = Annotated[AwareDatetime, AfterValidator(lambda when: when.astimezone(UTC))]
 """A moment with its time zone, stored in UTC."""
 
@@ -88,6 +90,11 @@ class StageRules(StrictModel):
         default=False, description="Everybody may see the results of its submissions, unless their team says otherwise."
     )
     qualified: Advancement | None = Field(default=None, description="Only teams that advance by this rule.")
+    witnesses: NonNegativeInt = Field(
+        default=0,
+        description="How many of the competition's witnesses must have signed all entries of the stage in the log "
+        "of receipts before the competition can be made final.",
+    )
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
@@ -223,7 +230,28 @@ class CompetitionDefinition(StrictModel):
     anonymous: bool = Field(
         default=False, description="Teams see each other under random names until the competition is final."
     )
+    witnesses: tuple[str, ...] = Field(
+        default=(), max_length=50, description="Verifier keys (NAME+ID+KEY) of those who sign the log of receipts."
+    )
     tracks: dict[Word, TrackRules] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _has_witnesses_enough(self) -> Self:
+        _refuse_twice(list(self.witnesses), "witness key")
+        try:
+            others = [key for key in self.witnesses if VerifierKey.parse(key).kind != OF_WITNESS]
+        except NoteRejected as error:
+            raise ValueError(f"witnesses: {error}") from error
+        if others:
+            raise ValueError(f"witnesses: expected keys of witnesses, got that of a log, {others[0]}")
+        for name, track in self.tracks.items():
+            for stage in track.stages:
+                if stage.witnesses > len(self.witnesses):
+                    raise ValueError(
+                        f"stage {stage.name} of {name} demands {stage.witnesses} witnesses, expected at most the "
+                        f"{len(self.witnesses)} that the competition names"
+                    )
+        return self
 
     @property
     def public_rankings(self) -> Mapping[str, str]:

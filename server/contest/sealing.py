@@ -5,6 +5,7 @@ The commitment is public from the start. The secret is read by workers, which pl
 
 import secrets
 from datetime import UTC, datetime
+from typing import Literal
 
 from sqlalchemy import exists, func, select
 from sqlalchemy.orm import Session
@@ -16,6 +17,8 @@ from ..db.models import Evaluation, SealedList
 from ..db.states import ACTIVE_EVALUATION_STATES
 from ..errors import ProblemCode, ServiceError, not_found
 from ..principals import Principal
+from ..transparency.entries import SealedListChanged
+from ..transparency.log import append
 from .contest import Contest
 from .definition import CompetitionDefinition
 from .stages import Stage
@@ -49,6 +52,7 @@ def seal(session: Session, by: Principal, stage: Stage, secret: bytes | None = N
         before = {"withdrawn_at": found.withdrawn_at.isoformat()}
         found.withdrawn_at = None
         record(session, by, "list.seal", stage.subject, {"commitment": found.commitment}, before=before)
+        _log_change(session, found, "sealed")
     return found
 
 
@@ -107,6 +111,7 @@ def _make_list(session: Session, by: Principal, stage: Stage, secret: bytes) -> 
     session.add(made)
     session.flush()
     record(session, by, "list.seal", stage.subject, {"commitment": made.commitment})
+    _log_change(session, made, "sealed")
     return made
 
 
@@ -120,6 +125,7 @@ def _withdraw(session: Session, by: Principal, stage: Stage, found: SealedList) 
     session.flush()
     before = {"commitment": found.commitment}
     record(session, by, "list.withdraw", stage.subject, {"commitment": None}, before=before)
+    _log_change(session, found, "withdrawn")
 
 
 def reveal(session: Session, by: Principal, stage: Stage) -> SealedList:
@@ -144,7 +150,24 @@ def reveal(session: Session, by: Principal, stage: Stage) -> SealedList:
     if found.revealed_at is None:
         found.revealed_at = datetime.now(UTC)
         record(session, by, "list.reveal", stage.subject, {"commitment": found.commitment})
+        _log_change(session, found, "published")
     return found
+
+
+def _log_change(session: Session, of: SealedList, change: Literal["sealed", "withdrawn", "published"]) -> None:
+    """Add it to the log, with the secret only where that is published."""
+    append(
+        session,
+        lambda at: SealedListChanged(
+            issued_at=at,
+            contest=of.contest,
+            track=of.track,
+            stage=of.stage,
+            change=change,
+            commitment=of.commitment,
+            secret=of.secret if change == "published" else None,
+        ),
+    )
 
 
 def sealed_lists(session: Session, contest: Contest) -> list[SealedList]:

@@ -1,7 +1,7 @@
 """What the service's role may do with tables that another role owns; called where the schema is migrated.
 
 An owner can lift every trigger of its tables, and a superuser all triggers at once. The role of the service can do
-neither: it adds lines to the audit log and to the chain of receipts, and cannot change or remove them.
+neither: it adds lines to the audit log and to the log of receipts, and cannot change or remove them.
 """
 
 from psycopg import sql
@@ -9,7 +9,7 @@ from psycopg.conninfo import conninfo_to_dict
 from sqlalchemy import Connection, text
 from vitac.envs.errors import VitacError
 
-APPEND_ONLY = ("audit_log", "receipts")
+APPEND_ONLY = ("audit_log", "receipts", "tree_nodes", "cosignatures")
 
 
 class NotTheOwner(VitacError):

@@ -25,7 +25,7 @@ from ..notices.outbox import announce_evaluation
 from ..queue.jobs import enqueue_shards, queue_name, withdraw_jobs
 from ..queue.leases import Lease, end_shard, hand_back, lock_held
 from ..queue.turns import next_turn
-from ..receipts.chain import issue_for_result
+from ..receipts.issuing import issue_for_result
 from ..settings import Settings
 from ..tracks import find_family
 from ..visibility import played_list_kind

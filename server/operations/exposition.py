@@ -17,8 +17,10 @@ from ..db.states import WorkerState
 from ..metrics.instruments import Instruments
 from ..metrics.totals import SeriesKey, list_samples, totals
 from ..queue.workers import Disk, measure_disk
+from ..receipts.witnesses import witness_views
 from ..services import Services
 from ..views.operations import OperationsView
+from ..views.receipts import WitnessView
 from .state import operations
 
 KEPT_S = 5.0
@@ -54,12 +56,14 @@ class Exposition:
             with self._services.database.transaction() as session:
                 counted = totals(session)
                 state = operations(session, self._services.settings, counted)
+                witnesses = witness_views(session)
         except DBAPIError:
             return [_gauge("vitac_database_up", "Whether the database answers.", 0), *server_families(disk)]
         return [
             _gauge("vitac_database_up", "Whether the database answers.", 1),
             *server_families(disk),
             *state_families(state),
+            *witness_families(witnesses),
             *total_families(counted),
         ]
 
@@ -120,6 +124,15 @@ def worker_families(state: OperationsView) -> Iterator[Metric]:
     yield _gauges("vitac_worker_disk_free_bytes", "Free space on a worker machine's disk.", "host", free)
 
 
+def witness_families(witnesses: Iterable[WitnessView]) -> Iterator[Metric]:
+    """Yield how far the witnesses of the competitions are behind the log."""
+    views = {view.witness.split("+")[0]: view for view in witnesses}
+    entries = {name: float(view.behind) for name, view in views.items()}
+    ages = {name: view.behind_s for name, view in views.items()}
+    yield _gauges("vitac_witness_behind_entries", "Entries of the log that it has not signed.", "witness", entries)
+    yield _gauges("vitac_witness_behind_seconds", "Age of the oldest of these entries.", "witness", ages)
+
+
 def total_families(counted: Mapping[SeriesKey, float]) -> Iterator[Metric]:
     """Yield the totals in the families of the instruments, with zeros where nothing was counted yet."""
     instruments = Instruments()
@@ -144,7 +157,7 @@ def _gauge(name: str, meaning: str, value: float) -> Metric:
     return GaugeMetricFamily(name, meaning, value=value)
 
 
-def _gauges(name: str, meaning: str, label: str, values: Mapping[str, int]) -> Metric:
+def _gauges(name: str, meaning: str, label: str, values: Mapping[str, float]) -> Metric:
     family = GaugeMetricFamily(name, meaning, labels=[label])
     for label_value, value in values.items():
         family.add_metric([label_value], value)

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from functools import partial
 
 from sqlalchemy.orm import Session
 
@@ -19,10 +20,13 @@ from ..evaluations.readiness import require_current, require_scored
 from ..judging.judging import judged, ranked_by_total
 from ..leaderboards.standings import leaderboard
 from ..principals import CONSOLE, Principal
-from ..receipts.chain import issue, new_salt
+from ..receipts.boards import make_final_board
+from ..receipts.issuing import new_salt
 from ..receipts.receipt import End, JudgedEntry, WinningEntry
+from ..receipts.witnesses import require_witnessed
 from ..teams.teams import REASON_LENGTH
 from ..tracks import known_track
+from ..transparency.log import append
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
 from .unsettled import unsettled
 
@@ -76,11 +80,12 @@ def finalize(
 
     Raises:
         ServiceError: not an organizer, there is no competition or it is final already, a stage or an evaluation is not
-            over, a board has results of another evaluator version, a judged track has an entry without a total, or
-            something is neither settled nor confirmed.
+            over, a stage lacks witnesses, a board has results of another evaluator version, a judged track has an entry
+            without a total, or something is neither settled nor confirmed.
     """
     contest, now = Contest.lock_to_change(session, by, name), at or datetime.now(UTC)
     _require_over(session, contest, now)
+    require_witnessed(session, contest)
     found = _winners_now(session, contest)
     require_confirmed(unsettled(contest, now), confirmed)
     end_with_competition(session, by, contest)
@@ -219,6 +224,8 @@ def _store(session: Session, contest: Contest, found: Sequence[Winner]) -> None:
 def _issue_receipt(session: Session, contest: Contest, *, reason: str | None = None) -> None:
     """Sign winners and marks, so that nobody changes them later, or the reopening with its reason."""
     finalized_at, judged_now = contest.row.finalized_at, judged_entries(session, contest)
+    for board in map(LeaderboardView.model_validate, contest.row.boards or ()):
+        append(session, partial(make_final_board, contest.definition.name, board))
 
     def make(issued_at: datetime) -> End:
         return End(
@@ -231,7 +238,7 @@ def _issue_receipt(session: Session, contest: Contest, *, reason: str | None = N
             judged=judged_now,
         )
 
-    issue(session, make)
+    append(session, make)
 
 
 def _find_winners(session: Session, stage: Stage, currency: str) -> list[Winner]:

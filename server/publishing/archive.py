@@ -6,7 +6,7 @@ from ..contest.contest import Contest
 from ..contest.view import competition_view
 from ..errors import ProblemCode, ServiceError
 from ..prizes.finishing import find_last_decision
-from ..receipts.chain import chain_state
+from ..transparency.log import ensure_key
 from ..views.contest import ArchiveView
 from ..views.leaderboards import LeaderboardView
 
@@ -23,11 +23,10 @@ def archive_view(session: Session, name: str | None = None) -> ArchiveView:
             ProblemCode.NOT_FOUND,
             f"{found.title} is still running; its archive appears here once the organizers have made it final.",
         )
-    state = chain_state(session)
     return ArchiveView(
         competition=found,
         boards=[LeaderboardView.model_validate(board) for board in contest.row.boards or []],
-        public_key=state.public_key,
+        public_key=ensure_key(session).public_key,
         decided_again_at=find_last_decision(session, contest),
         citation=_citation(found.name, found.title, found.finalized_at.year, found.website),
     )

@@ -24,11 +24,10 @@ from ..evaluations.episode_store import EpisodeKey, read_stored_records
 from ..evaluations.provenance import read_provenance
 from ..leaderboards.standings import leaderboard
 from ..prizes.finishing import judged_entries, winning_entries
-from ..receipts.chain import chain_state, links, receipts_of_board, receipts_of_ends
 from ..receipts.export import (
-    CHAIN_NAME,
     DESCRIPTION_NAME,
     ENDS_NAME,
+    LOG_NAME,
     RECEIPTS_NAME,
     SUBMISSIONS_NAME,
     ExportDescription,
@@ -36,6 +35,7 @@ from ..receipts.export import (
     sensor_name,
     track_name,
 )
+from ..receipts.issuing import entries, receipts_of_board, receipts_of_ends
 from ..receipts.receipt import Receipt, SubmissionReceipt
 from ..rejudging.rejudging import set_aside
 from ..storage.blobs import BlobStore
@@ -43,6 +43,7 @@ from ..storage.new_file import new_file
 from ..submissions.figures import coefficients_digest
 from ..submissions.files import find_file
 from ..tracks import load_known_track
+from ..transparency.log import log_state
 from ..visibility import is_sealed
 from .exported_teams import read_teams
 from .publishing import ResultsNotWritten
@@ -77,7 +78,7 @@ def export_receipts(
     """
     _require_board(stage.track, task, kind)
     board = leaderboard(session, stage, task=task, kind=kind, live=True).view
-    sealed, state = stage.sealed_list, chain_state(session)
+    sealed, state = stage.sealed_list, log_state(session)
     of_board, contest = receipts_of_board(session, stage, kind), Contest.read(session, stage.contest)
     receipts = [receipt for receipt in of_board if isinstance(receipt, Receipt)]
     results = [receipt.result.evaluation for receipt in receipts]
@@ -90,8 +91,7 @@ def export_receipts(
         contest=stage.contest,
         board=board,
         kind=kind,
-        receipts=state.receipts,
-        last=state.last,
+        checkpoint=state.checkpoint,
         teams=read_teams(session, results),
         set_aside=set_aside(session, results),
         copies=_copies(session, results),
@@ -102,7 +102,7 @@ def export_receipts(
     try:
         with new_file(path) as unfinished, zipfile.ZipFile(unfinished, "x", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr(DESCRIPTION_NAME, description.model_dump_json(indent=1))
-            archive.writestr(CHAIN_NAME, _lines(links(session)))
+            archive.writestr(LOG_NAME, _lines(entries(session)))
             archive.writestr(
                 SUBMISSIONS_NAME, _lines(receipt for receipt in of_board if isinstance(receipt, SubmissionReceipt))
             )

@@ -1,1 +1,1 @@
-"""Receipts of final results: their form, the chain that they make, and the audit of it without a server."""
+"""Receipts of final results: their form, their place in the public log, and its audit without a server."""

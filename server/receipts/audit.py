@@ -1,7 +1,7 @@
 """Checks a board against its receipts and the records behind it, from an export alone: nothing asks a server.
 
-Called by `vitac receipt audit`. Whoever has the database could make a whole new chain with its key. The
-receipts that teams keep (`held`) tell of that: they are not in the new one.
+Called by `vitac receipt audit`. Whoever has the database could make a whole new log with its key. The
+receipts that teams store (`held`) show that: they are not in the new one.
 """
 
 import os
@@ -30,12 +30,15 @@ from vitac.evaluator.tracks.registry import TRACKS_FOLDER_VARIABLE
 from vitac.evaluator.tracks.sealed import load_played_track, make_commitment
 from vitac.evaluator.tracks.versions import find_version
 
+from ..transparency.entries import LogEntry
+from ..transparency.merkle import make_tree
 from ..views.leaderboards import LeaderboardEntryView
 from .completeness import (
     check_arrivals,
     check_end,
     check_entries,
     check_head,
+    check_held,
     check_noted,
     check_opened,
     check_order,
@@ -50,7 +53,6 @@ from .completeness import (
 from .export import ExportDescription, ExportReader
 from .receipt import (
     AnyReceipt,
-    Link,
     Receipt,
     ReceiptRejected,
     Result,
@@ -77,7 +79,7 @@ class Audit:
 
     Attributes:
         public_key: that signed the receipts.
-        links: of the chain.
+        log_entries: of the log.
         entries: of the board.
         logs: whose records agree with the receipts.
         resimulated: episodes that were run again.
@@ -88,7 +90,7 @@ class Audit:
     """
 
     public_key: str
-    links: int = 0
+    log_entries: int = 0
     entries: int = 0
     logs: int = 0
     resimulated: list[SampledEpisode] = field(default_factory=list)
@@ -124,13 +126,13 @@ def audit(
     seed: int = 0,
     on_episode: Callable[[SampledEpisode], None] = lambda _: None,
 ) -> Audit:
-    """Check an export: chain, signatures, board, records, and some episodes through the physics.
+    """Check an export: log, signature, board, records, and some episodes through the physics.
 
     Args:
         path: the export.
         public_key: of the service [hex], from elsewhere; None: that of the export.
-        held: receipts that were stored elsewhere and must be in the chain.
-        noted: digests of links by their number, noted elsewhere, such as that of the last one on a past day.
+        held: receipts that were stored elsewhere and must be in the log.
+        noted: roots of the log by the number of its entries, noted elsewhere, such as on a past day.
         episodes: how many are run again.
         seed: chooses them.
         on_episode: called after each of these.
@@ -143,22 +145,20 @@ def audit(
         found = Audit(public_key=described.public_key)
         if public_key is not None and described.public_key != public_key:
             found.findings.append(f"Expected the key {public_key}, got {described.public_key}.")
-        chain = _check_chain(reader.links(), described.public_key, found)
+        listed = _read_entries(reader.entries(), found)
+        tree, logged = make_tree([entry.leaf_hash for entry in listed]), {entry.number: entry for entry in listed}
+        found.findings += check_head(described, tree)
         for receipt in held:
-            if chain.get(receipt.link.number) != receipt.link:
-                found.findings.append(
-                    f"Receipt {receipt.link.number}, which was stored elsewhere, is not in the chain."
-                )
-        for number, digest in noted.items():
-            found.findings += check_noted(chain, number, digest)
-        found.findings += check_head(described, chain)
-        found.findings += check_order(chain.values())
-        arrivals = {one.submission.submission: one for one in _signed(reader.submissions(), chain, found)}
-        receipts = {receipt.result.evaluation: receipt for receipt in _signed(reader.receipts(), chain, found)}
-        all_ends = _signed(reader.ends(), chain, found)
+            found.findings += check_held(tree, logged, receipt)
+        for size, root in noted.items():
+            found.findings += check_noted(tree, size, root)
+        found.findings += check_order(listed)
+        arrivals = {one.submission.submission: one for one in _signed(reader.submissions(), logged, found)}
+        receipts = {receipt.result.evaluation: receipt for receipt in _signed(reader.receipts(), logged, found)}
+        all_ends = _signed(reader.ends(), logged, found)
         ends = [receipt for receipt in all_ends if receipt.end.contest == described.contest]
         _check_board(described, receipts, found)
-        found.findings += check_opened(described, chain, [*arrivals.values(), *receipts.values(), *all_ends])
+        found.findings += check_opened(described, logged, [*arrivals.values(), *receipts.values(), *all_ends])
         found.findings += check_secret(described, [receipt.result for receipt in receipts.values()])
         found.findings += check_end(described, ends)
         for is_wrong, sentence in check_winners(described, receipts.values()):
@@ -171,41 +171,30 @@ def audit(
         return found
 
 
-def _check_chain(links: Iterator[Link], public_key: str, found: Audit) -> Mapping[int, Link]:
-    """Return the links by number; report gaps, wrong order, other keys and wrong signatures."""
-    by_number: dict[int, Link] = {}
-    number, previous = 0, None
-    for link in links:
-        number += 1
-        if link.number != number:
-            found.findings.append(f"Expected receipt {number} in the chain, got {link.number}.")
-        elif link.previous != previous:
-            found.findings.append(f"Receipt {link.number} does not follow the one before it.")
-        if link.public_key != public_key:
-            found.findings.append(f"Receipt {link.number} is signed by another key, {link.public_key}.")
-        try:
-            link.require_signature()
-        except ReceiptRejected as error:
-            found.findings.append(str(error))
-        by_number[link.number] = link
-        number, previous = link.number, link.digest
-    found.links = len(by_number)
-    return by_number
+def _read_entries(entries: Iterator[LogEntry], found: Audit) -> list[LogEntry]:
+    """Return the entries of the log; report gaps and wrong order."""
+    listed = list(entries)
+    for number, entry in enumerate(listed, start=1):
+        if entry.number != number:
+            found.findings.append(f"Expected entry {number} of the log, got {entry.number}.")
+            break
+    found.log_entries = len(listed)
+    return listed
 
 
-def _signed(receipts: Iterator[ReceiptT], chain: Mapping[int, Link], found: Audit) -> list[ReceiptT]:
-    """Return the receipts that are whole and in the chain; report the others."""
+def _signed(receipts: Iterator[ReceiptT], logged: Mapping[int, LogEntry], found: Audit) -> list[ReceiptT]:
+    """Return the receipts that are whole and in the log; report the others."""
     good: list[ReceiptT] = []
     for receipt in receipts:
         try:
-            receipt.require_valid()
+            receipt.require_content()
         except ReceiptRejected as error:
             found.findings.append(str(error))
             continue
-        if chain.get(receipt.link.number) == receipt.link:
+        if logged.get(receipt.entry.number) == receipt.entry:
             good.append(receipt)
         else:
-            found.findings.append(f"Receipt {receipt.link.number} is not in the chain.")
+            found.findings.append(f"Receipt {receipt.entry.number} is not in the log.")
     return good
 
 

@@ -10,13 +10,14 @@ from uuid import UUID
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks.sealed import make_commitment
 
+from ..transparency.entries import EntryKind, LogEntry
+from ..transparency.merkle import Tree
+from ..transparency.notes import Checkpoint, NoteRejected, make_log_key
 from ..views.leaderboards import LeaderboardEntryView
 from .export import ExportDescription, ExportedTeam
 from .receipt import (
     CombinedResult,
     EndReceipt,
-    Link,
-    LinkContent,
     Receipt,
     Result,
     SignedContent,
@@ -31,42 +32,55 @@ _USUAL_WAIT: Final = timedelta(days=2)
 """First results of a submission that take longer are noted: the submission may have been made up afterwards."""
 
 
-def check_head(described: ExportDescription, chain: Mapping[int, Link]) -> Iterator[str]:
-    """Yield a finding where the chain is not as long as the export says, or ends with another link."""
-    last = chain[max(chain)].digest if chain else None
-    if described.receipts is not None and (described.receipts, described.last) != (len(chain), last):
+def check_head(described: ExportDescription, tree: Tree) -> Iterator[str]:
+    """Yield a finding where the entries are not those that the export's checkpoint signs."""
+    try:
+        checkpoint = Checkpoint.parse(described.checkpoint)
+        checkpoint.require_signature(make_log_key(bytes.fromhex(described.public_key)))
+    except NoteRejected as error:
+        yield str(error)
+        return
+    if (checkpoint.size, checkpoint.root) != (tree.size, tree.root()):
         yield (
-            f"Expected {described.receipts} receipts in the chain, the last one {described.last}, got {len(chain)}, "
-            f"the last one {last}."
+            f"Expected {checkpoint.size} entries in the log with the root {checkpoint.root.hex()}, got {tree.size} "
+            f"with {tree.root().hex()}."
         )
 
 
-def check_noted(chain: Mapping[int, Link], number: int, digest: str) -> Iterator[str]:
-    """Yield a finding where the chain no longer has the link of that number and digest, which somebody noted."""
-    link = chain.get(number)
-    if link is None or link.digest != digest:
-        found = f"digest {link.digest}" if link else "none: the chain ends before"
-        yield f"Expected receipt {number} with the noted digest {digest}, got {found}."
+def check_noted(tree: Tree, size: int, root: str) -> Iterator[str]:
+    """Yield a finding where the log no longer begins with the entries of a root, which somebody noted."""
+    if size > tree.size:
+        yield f"Expected at least {size} entries with the noted root {root}, got {tree.size}: the log ends before."
+    elif (found := tree.root(size).hex()) != root:
+        yield f"Expected the noted root {root} over the first {size} entries, got {found}: the log was rewritten."
+
+
+def check_held(tree: Tree, entries: Mapping[int, LogEntry], receipt: SignedContent[Any]) -> Iterator[str]:
+    """Yield a finding where a receipt that somebody stored elsewhere is not in the log, or proofs of it differ."""
+    if entries.get(receipt.entry.number) != receipt.entry:
+        yield f"Receipt {receipt.entry.number}, which was stored elsewhere, is not in the log."
+    for proof in receipt.parsed_proofs():
+        yield from check_noted(tree, proof.checkpoint.size, proof.checkpoint.root.hex())
 
 
 def check_opened(
-    described: ExportDescription, chain: Mapping[int, Link], receipts: Iterable[SignedContent[Any]]
+    described: ExportDescription, entries: Mapping[int, LogEntry], receipts: Iterable[SignedContent[Any]]
 ) -> Iterator[str]:
-    """Yield a finding for each link of the board's stage, and of an end, without its receipt in the export."""
+    """Yield a finding for each entry of the board's stage, and of an end, without its receipt in the export."""
     stage = board_name(described.contest, described.board.track, described.board.stage or "", described.kind)
-    opened = {receipt.link.number for receipt in receipts}
-    for number, link in chain.items():
-        if (link.board == stage or link.content is LinkContent.END) and number not in opened:
+    opened = {receipt.entry.number for receipt in receipts}
+    for number, entry in entries.items():
+        if (entry.board == stage or entry.content is EntryKind.END) and number not in opened:
             yield f"Receipt {number} is of this board, but the export does not hold it."
 
 
-def check_order(chain: Iterable[Link]) -> Iterator[str]:
-    """Yield a finding for each link that was issued before the one that it follows."""
-    for before, link in pairwise(chain):
-        if link.issued_at < before.issued_at:
+def check_order(entries: Iterable[LogEntry]) -> Iterator[str]:
+    """Yield a finding for each entry that was issued before the one that it follows."""
+    for before, entry in pairwise(entries):
+        if entry.issued_at < before.issued_at:
             yield (
-                f"Receipt {link.number} was issued at {_moment(link.issued_at)}, before receipt {before.number}, which "
-                f"it follows, at {_moment(before.issued_at)}."
+                f"Receipt {entry.number} was issued at {_moment(entry.issued_at)}, before receipt {before.number}, "
+                f"which it follows, at {_moment(before.issued_at)}."
             )
 
 
@@ -77,7 +91,7 @@ def check_arrivals(arrivals: Iterable[SubmissionReceipt]) -> Iterator[str]:
         late = arrival.issued_at - arrival.submitted_at
         if not timedelta() <= late <= _ARRIVAL:
             yield (
-                f"Receipt {receipt.link.number} of submission {arrival.submission} was issued at "
+                f"Receipt {receipt.entry.number} of submission {arrival.submission} was issued at "
                 f"{_moment(arrival.issued_at)}, but the submission is said to have arrived at "
                 f"{_moment(arrival.submitted_at)}."
             )
@@ -86,23 +100,23 @@ def check_arrivals(arrivals: Iterable[SubmissionReceipt]) -> Iterator[str]:
 def check_submissions(
     arrivals: Mapping[UUID, SubmissionReceipt], receipts: Iterable[Receipt]
 ) -> Iterator[tuple[bool, str]]:
-    """Yield whether it is wrong, and what, for each result that does not follow from a submission in the chain."""
+    """Yield whether it is wrong, and what, for each result that does not follow from a submission in the log."""
     seen: set[UUID] = set()
     for receipt in receipts:
-        result, number = receipt.result, receipt.link.number
+        result, number = receipt.result, receipt.entry.number
         is_first = result.submission not in seen
         seen.add(result.submission)
         arrival = arrivals.get(result.submission)
         if arrival is None:
             yield True, f"Receipt {number} is of submission {result.submission}, whose arrival has no receipt."
             continue
-        if arrival.link.number > number:
-            yield True, f"Receipt {number} is of a submission that arrived later, with receipt {arrival.link.number}."
+        if arrival.entry.number > number:
+            yield True, f"Receipt {number} is of a submission that arrived later, with receipt {arrival.entry.number}."
         for name in ("submission_digest", "contest", "track", "stage", "kind", "submitted_at"):
             expected, got = getattr(arrival.submission, name), getattr(result, name)
             if got != expected:
                 what = name.replace("_", " ")
-                yield True, f"Receipt {number}: {what} is {got}, in receipt {arrival.link.number} it is {expected}."
+                yield True, f"Receipt {number}: {what} is {got}, in receipt {arrival.entry.number} it is {expected}."
         waited = result.issued_at - result.submitted_at
         if is_first and waited > _USUAL_WAIT:
             yield False, f"Receipt {number}: its result was issued {waited.days} days after the submission; ask why."
@@ -127,7 +141,7 @@ def check_end(described: ExportDescription, ends: Sequence[EndReceipt]) -> Itera
         ("judges' marks", described.judged, end.judged if end else ()),
     ):
         if got != signed:
-            where = f"receipt {ends[-1].link.number}" if ends else "the chain, which has no end of the competition"
+            where = f"receipt {ends[-1].entry.number}" if ends else "the log, which has no end of the competition"
             yield f"The {what} of the export are not those of {where}."
 
 
@@ -135,7 +149,7 @@ def check_repeated_end(ends: Sequence[EndReceipt]) -> Iterator[str]:
     """Yield each time that an end was signed again: only the last one counts, and the holder of the key can sign it."""
     for receipt in ends[1:]:
         reason = f": {receipt.end.reason}" if receipt.end.reason else ""
-        yield f"Receipt {receipt.link.number}: the end of {receipt.end.contest} was signed again{reason}; ask why."
+        yield f"Receipt {receipt.entry.number}: the end of {receipt.end.contest} was signed again{reason}; ask why."
 
 
 def check_winners(described: ExportDescription, receipts: Iterable[Receipt]) -> Iterator[tuple[bool, str]]:
@@ -174,7 +188,7 @@ def check_teams(described: ExportDescription, receipts: Mapping[UUID, Receipt]) 
     """Yield whether it is wrong, and what, for each result that is not clearly of the team that it is shown for."""
     teams = teams_by_evaluation(described)
     for evaluation, receipt in receipts.items():
-        team, number = teams.get(evaluation), receipt.link.number
+        team, number = teams.get(evaluation), receipt.entry.number
         if team is None:
             yield True, f"Receipt {number} is of a result that the export gives to no team."
         elif receipt.result.is_of_team(team.name):
@@ -208,7 +222,7 @@ def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]
         team, ranked_by = teams.get(receipt.result.evaluation), reached(board.task, receipt.result)
         if team is None or ranked_by is None or receipt.result.evaluator_version != board.evaluator_version:
             continue
-        shown, subject = entries.get(team.name), f"{team.name}: receipt {receipt.link.number}"
+        shown, subject = entries.get(team.name), f"{team.name}: receipt {receipt.entry.number}"
         if team.off_boards:
             yield False, f"{subject}; the service leaves the team out: {team.off_boards}."
             continue

@@ -1,48 +1,47 @@
-"""A board with its receipts, the chain and the records behind it in one zip, to be audited anywhere.
+"""A board with its receipts, the log and the records behind it in one zip, to be audited anywhere.
 
-`export.json` says whose it is and holds the board, `chain.jsonl` all links, `submissions.jsonl` and `receipts.jsonl`
-the receipts of all submissions to the board's stage and of their results, also of those that are not on it,
-`ends.jsonl` those of the competition's end, `logs/EVALUATION/TASK.jsonl` what was played for entries of the board, as
-`vitac evaluate --log` writes it, `sensors/EVALUATION.json` the sensor that it was played with, where that is a team's
-own, and `tracks/TRACK.yaml` the file of a track that does not come with the evaluator.
+`export.json` says whose it is and holds the board, `log.jsonl` all entries of the log, `submissions.jsonl` and
+`receipts.jsonl` the receipts of all submissions to the board's stage and of their results, also of those that are not
+on it, `ends.jsonl` those of the competition's end, `logs/EVALUATION/TASK.jsonl` what was played for entries of the
+board, as `vitac evaluate --log` writes it, `sensors/EVALUATION.json` the sensor that it was played with, where that is
+a team's own, and `tracks/TRACK.yaml` the file of a track that does not come with the evaluator.
 """
 
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import BinaryIO, Final, Literal, TypeVar, cast
 from uuid import UUID
 
-from pydantic import BaseModel, Field, NonNegativeInt, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 from vitac.envs.errors import VitacError
 from vitac.evaluator.logs.packing import MAX_UNPACKED_BYTES
 from vitac.evaluator.sensors.made import MAX_BYTES as MAX_SENSOR_BYTES
 from vitac.evaluator.strict_model import StrictModel, explain
 from vitac.evaluator.submission_kinds import SubmissionKind
 
+from ..transparency.entries import LogEntry, Sha256
 from ..views.leaderboards import LeaderboardView
 from .receipt import (
+    MODELS,
     AnyReceipt,
     EndReceipt,
     JudgedEntry,
-    Link,
-    LinkContent,
     PublicKey,
     Receipt,
-    Sha256,
     SubmissionReceipt,
     WinningEntry,
 )
 
 DESCRIPTION_NAME: Final = "export.json"
-CHAIN_NAME: Final = "chain.jsonl"
+LOG_NAME: Final = "log.jsonl"
 SUBMISSIONS_NAME: Final = "submissions.jsonl"
 RECEIPTS_NAME: Final = "receipts.jsonl"
 ENDS_NAME: Final = "ends.jsonl"
 
-FORMAT: Final = "vitac-receipts-1"
+FORMAT: Final = "vitac-receipts-2"
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
@@ -69,7 +68,7 @@ class ExportedTeam(StrictModel):
 class ExportDescription(StrictModel):
     """What an export holds."""
 
-    format: Literal["vitac-receipts-1"] = FORMAT
+    format: Literal["vitac-receipts-2"] = FORMAT
     made_at: datetime
     public_key: PublicKey
     ranking: tuple[Literal["success_rate", "mean_steps", "submitted_at"], ...]
@@ -83,10 +82,8 @@ class ExportDescription(StrictModel):
     board: LeaderboardView
     kind: SubmissionKind
     """Kind of the submissions on the board."""
-    receipts: NonNegativeInt
-    """How many there are in the chain, as the service says."""
-    last: Sha256 | None
-    """Digest of the last one."""
+    checkpoint: str
+    """Of the whole log, as the service and its witnesses signed it."""
     teams: tuple[ExportedTeam, ...]
     """Teams with results in the stage."""
     set_aside: tuple[UUID, ...]
@@ -102,7 +99,7 @@ class ExportDescription(StrictModel):
 class _ReceiptFile(BaseModel):
     """What every receipt says, whatever it is of."""
 
-    link: Link
+    entry: LogEntry
 
 
 class _Format(BaseModel):
@@ -156,9 +153,9 @@ class ExportReader:
         except (OSError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
             raise ExportRejected(f"{path} cannot be read as an export of receipts: {error}.") from error
 
-    def links(self) -> Iterator[Link]:
-        """Yield the chain in the order of the file."""
-        return self._lines(Link, CHAIN_NAME)
+    def entries(self) -> Iterator[LogEntry]:
+        """Yield the entries of the log in the order of the file."""
+        return self._lines(LogEntry, LOG_NAME)
 
     def submissions(self) -> Iterator[SubmissionReceipt]:
         """Yield the receipts of submissions."""
@@ -225,13 +222,10 @@ def read_receipt(path: Path) -> AnyReceipt:
             content = file.read(1 << 20)
     except OSError as error:
         raise ExportRejected(f"{path} cannot be read: {error.strerror}.") from error
-    named = _parsed(_ReceiptFile, content, str(path)).link.content
-    models: Mapping[LinkContent, type[AnyReceipt]] = {
-        LinkContent.SUBMISSION: SubmissionReceipt,
-        LinkContent.RESULT: Receipt,
-        LinkContent.END: EndReceipt,
-    }
-    return _parsed(models[named], content, str(path))
+    named = _parsed(_ReceiptFile, content, str(path)).entry.content
+    if named not in MODELS:
+        raise ExportRejected(f"{path}: expected a receipt of one of {', '.join(MODELS)}, got {named}.")
+    return _parsed(MODELS[named], content, str(path))
 
 
 def _parsed(model: type[ModelT], content: bytes, origin: str) -> ModelT:

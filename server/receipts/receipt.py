@@ -1,30 +1,29 @@
 """What a receipt says and how it is signed; read by servers, workers and whoever checks one without a server.
 
-There is one for a submission when it arrives, one for each final result, and one for the end of a competition. They
-make a chain: the link of each names the digest of the link before. A link shows nothing of its content but a salted
-hash, so that all links are public while results of sealed lists and frozen boards are not.
+There is one for a submission when it arrives, one for each final result, and one for the end of a competition. Each
+is an entry of the log (`server.transparency`), whose checkpoints are signed.
 """
 
 import hashlib
-from datetime import datetime
-from enum import StrEnum
-from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from types import MappingProxyType
+from typing import Annotated, Generic, Literal, TypeVar
 from uuid import UUID
 
-from cryptography.exceptions import InvalidSignature
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from pydantic import Field, NonNegativeInt, PositiveInt
 from vitac.envs.errors import VitacError
 from vitac.evaluator.episodes.records import canonical_json
 from vitac.evaluator.strict_model import StrictModel, Word
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-_SIGNED = b"vitac-receipt-1\n"
-"""Comes before what is signed, so that no signature of something else is one of a receipt."""
-Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+from ..transparency.entries import Content, EntryKind, LogEntry, Sha256
+from ..transparency.merkle import ProofRejected
+from ..transparency.notes import MAX_NOTE_CHARS, InclusionProof, NoteRejected, VerifierKey, make_log_key
+
 PublicKey = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 """Public key of Ed25519 (RFC 8032): 32 bytes as hexadecimal digits."""
-ContentT = TypeVar("ContentT", bound="Content")
+ContentT = TypeVar("ContentT", bound=Content)
 Rate = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -50,37 +49,16 @@ class CombinedResult(StrictModel):
     mean_steps: float | None
 
 
-class LinkContent(StrEnum):
-    """What a link of the chain stands for."""
+class SaltedContent(Content):
+    """What a receipt says; in the log is only its salted hash."""
 
-    SUBMISSION = "submission"
-    """A submission that has arrived."""
-    RESULT = "result"
-    """The final result of an evaluation."""
-    END = "end"
-    """The end of a competition: its winners."""
-
-
-class Content(StrictModel):
-    """What a receipt says."""
-
-    stands_for: ClassVar[LinkContent]
+    is_public = False
 
     salt: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
-    """Random, so that nobody finds the content by trying which one has the hash in the chain."""
-    issued_at: datetime
-
-    def digest(self) -> str:
-        """Return the SHA-256 [hex] by which the chain names this content."""
-        return hashlib.sha256(canonical_json(self.model_dump(mode="json"))).hexdigest()
-
-    @property
-    def board(self) -> str:
-        """Where it belongs, as the chain names it."""
-        raise NotImplementedError
+    """Random, so that nobody finds the content by trying which one has the hash in the log."""
 
 
-class OfSubmission(Content):
+class OfSubmission(SaltedContent):
     """What the receipts of a submission and of its results have in common."""
 
     submission: UUID
@@ -97,7 +75,7 @@ class OfSubmission(Content):
 
     @property
     def board(self) -> str:
-        """The board on which the result may be, as the chain names it."""
+        """The board on which the result may be, as the log names it."""
         return board_name(self.contest, self.track, self.stage, self.kind)
 
     def is_of_team(self, name: str) -> bool:
@@ -108,13 +86,13 @@ class OfSubmission(Content):
 class Arrival(OfSubmission):
     """A submission that has arrived, before anybody knows its result."""
 
-    stands_for = LinkContent.SUBMISSION
+    stands_for = EntryKind.SUBMISSION
 
 
 class Result(OfSubmission):
     """The final result of one evaluation."""
 
-    stands_for = LinkContent.RESULT
+    stands_for = EntryKind.RESULT
 
     evaluation: UUID
     run: PositiveInt
@@ -152,10 +130,10 @@ class JudgedEntry(StrictModel):
     total: float | None
 
 
-class End(Content):
+class End(SaltedContent):
     """The end of a competition; signed again where its winners are decided again, or it is reopened."""
 
-    stands_for = LinkContent.END
+    stands_for = EntryKind.END
 
     contest: str
     """Name of the competition."""
@@ -168,7 +146,7 @@ class End(Content):
 
     @property
     def board(self) -> str:
-        """Which competition it ends, as the chain names it."""
+        """Which competition it ends, as the log names it."""
         return end_name(self.contest)
 
 
@@ -178,66 +156,53 @@ def team_commitment(salt: str, name: str) -> str:
 
 
 def end_name(contest: str) -> str:
-    """Return how the chain names the end of a competition."""
+    """Return how the log names the end of a competition."""
     return f"end of {contest}"
 
 
 def board_name(contest: str, track: str, stage: str, kind: SubmissionKind) -> str:
-    """Return how the chain names the boards of a stage: those of all tasks together and of each one."""
+    """Return how the log names the boards of a stage: those of all tasks together and of each one."""
     return f"{contest}/{track}/{stage}/{kind}"
 
 
-class Link(StrictModel):
-    """One link of the chain; `previous` is the digest of the one before, null for the first."""
-
-    number: PositiveInt
-    previous: Sha256 | None
-    content: LinkContent
-    content_sha256: Sha256
-    board: Annotated[str, Field(max_length=300)]
-    """Competition, track, stage and kind (`board_name`), so that nothing of a board can be left out of an export."""
-    issued_at: datetime
-    """Never before that of the link before."""
-    public_key: PublicKey
-    signature: Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")]
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 [hex] over all but the signature."""
-        return hashlib.sha256(self.signed_bytes()).hexdigest()
-
-    def require_signature(self) -> None:
-        """Refuse a link that the holder of its key has not signed.
-
-        Raises:
-            ReceiptRejected: the signature is another one.
-        """
-        try:
-            key = Ed25519PublicKey.from_public_bytes(bytes.fromhex(self.public_key))
-            key.verify(bytes.fromhex(self.signature), self.signed_bytes())
-        except (InvalidSignature, ValueError) as error:
-            raise ReceiptRejected(
-                f"Receipt {self.number} is not signed by {self.public_key}: something in it was changed."
-            ) from error
-
-    def signed_bytes(self) -> bytes:
-        """Return what the signature covers."""
-        return _SIGNED + canonical_json(self.model_dump(mode="json", exclude={"signature"}))
-
-
 class SignedContent(StrictModel, Generic[ContentT]):
-    """A link of the chain with the content that it stands for."""
+    """An entry of the log with the content that it stands for, and proofs that it is in the log.
 
-    format: Literal["vitac-receipt-1"] = "vitac-receipt-1"
-    link: Link
+    An export holds the whole log instead of proofs.
+    """
+
+    format: Literal["vitac-receipt-2"] = "vitac-receipt-2"
+    entry: LogEntry
+    public_key: PublicKey
+    proofs: tuple[Annotated[str, Field(max_length=2 * MAX_NOTE_CHARS)], ...] = ()
+    """As https://c2sp.org/tlog-proof: by the newest checkpoint, and by those that witnesses signed."""
 
     @property
     def content(self) -> ContentT:
         """What was signed."""
         raise NotImplementedError
 
+    def require_content(self) -> None:
+        """Refuse a content that is not the one of the entry.
+
+        Raises:
+            ReceiptRejected: it says what differs.
+        """
+        number, expected = self.entry.number, self.content.entry(self.entry.number)
+        if expected.content_sha256 != self.entry.content_sha256:
+            raise ReceiptRejected(
+                f"The {self.entry.content} of receipt {number} was changed: expected SHA-256 "
+                f"{self.entry.content_sha256}, got {expected.content_sha256}."
+            )
+        for name in ("content", "board", "issued_at", "statement"):
+            if getattr(expected, name) != getattr(self.entry, name):
+                raise ReceiptRejected(
+                    f"Receipt {number} has another {name} than its entry: expected {getattr(expected, name)}, got "
+                    f"{getattr(self.entry, name)}."
+                )
+
     def require_valid(self, public_key: str | None = None) -> None:
-        """Refuse a receipt that is not whole, or not of that key.
+        """Refuse a receipt that is not whole, not of that key, or not in the log by all of its proofs.
 
         Args:
             public_key: of the service [hex]; None: whichever the receipt names.
@@ -245,24 +210,44 @@ class SignedContent(StrictModel, Generic[ContentT]):
         Raises:
             ReceiptRejected: it says what differs.
         """
-        found = _link_content(self.content)
-        if found["content_sha256"] != self.link.content_sha256:
+        self.require_content()
+        if public_key is not None and self.public_key != public_key:
             raise ReceiptRejected(
-                f"The {self.link.content} of receipt {self.link.number} was changed: expected SHA-256 "
-                f"{self.link.content_sha256}, got {found['content_sha256']}."
+                f"Receipt {self.entry.number} is of another service: expected the key {public_key}, got "
+                f"{self.public_key}."
             )
-        for name, value in found.items():
-            if value != getattr(self.link, name):
+        if not self.proofs:
+            raise ReceiptRejected(f"Receipt {self.entry.number} has no proof that it is in the log.")
+        for proof in self.parsed_proofs():
+            try:
+                proof.require_valid(self.entry.leaf_hash, make_log_key(bytes.fromhex(self.public_key)))
+            except (NoteRejected, ProofRejected) as error:
                 raise ReceiptRejected(
-                    f"Receipt {self.link.number} has another {name} than its link: expected {value}, got "
-                    f"{getattr(self.link, name)}."
+                    f"Receipt {self.entry.number} is not in the log of {self.public_key} by its proof. {error}"
+                ) from error
+            if proof.index != self.entry.number - 1:
+                raise ReceiptRejected(f"Receipt {self.entry.number} has the proof of another entry, {proof.index + 1}.")
+
+    def parsed_proofs(self) -> list[InclusionProof]:
+        """Return the proofs.
+
+        Raises:
+            ReceiptRejected: one of them does not have the form.
+        """
+        try:
+            return list(map(InclusionProof.parse, self.proofs))
+        except NoteRejected as error:
+            raise ReceiptRejected(f"Receipt {self.entry.number}: {error}") from error
+
+    def find_witnesses(self, keys: Iterable[VerifierKey]) -> dict[VerifierKey, datetime]:
+        """Return which of some witnesses have signed a log that holds it, and when first."""
+        found: dict[VerifierKey, datetime] = {}
+        for proof in self.parsed_proofs():
+            for key, signed_at in proof.checkpoint.find_witnesses(keys):
+                found[key] = min(
+                    datetime.fromtimestamp(signed_at, UTC), found.get(key, datetime.max.replace(tzinfo=UTC))
                 )
-        if public_key is not None and self.link.public_key != public_key:
-            raise ReceiptRejected(
-                f"Receipt {self.link.number} is of another service: expected the key {public_key}, got "
-                f"{self.link.public_key}."
-            )
-        self.link.require_signature()
+        return found
 
 
 class SubmissionReceipt(SignedContent[Arrival]):
@@ -301,42 +286,7 @@ class EndReceipt(SignedContent[End]):
 AnyReceipt = SubmissionReceipt | Receipt | EndReceipt
 
 
-def parse_receipt(link: Link, content: str) -> AnyReceipt:
-    """Return the receipt of a link and its content as JSON text."""
-    match link.content:
-        case LinkContent.SUBMISSION:
-            return SubmissionReceipt(link=link, submission=Arrival.model_validate_json(content))
-        case LinkContent.RESULT:
-            return Receipt(link=link, result=Result.model_validate_json(content))
-        case LinkContent.END:
-            return EndReceipt(link=link, end=End.model_validate_json(content))
-
-
-def sign(private_key: bytes, *, number: int, previous: str | None, content: Content) -> Link:
-    """Return the link of a content.
-
-    Args:
-        private_key: 32 bytes.
-        number: of the receipt, from 1.
-        previous: digest of the link before; None for the first.
-        content: what it says.
-    """
-    key = Ed25519PrivateKey.from_private_bytes(private_key)
-    unsigned = Link(
-        number=number,
-        previous=previous,
-        public_key=key.public_key().public_bytes_raw().hex(),
-        signature="0" * 128,
-        **_link_content(content),
-    )
-    return unsigned.model_copy(update={"signature": key.sign(unsigned.signed_bytes()).hex()})
-
-
-def _link_content(content: Content) -> dict[str, Any]:
-    """Return what a link says of its content."""
-    return {
-        "content": content.stands_for,
-        "content_sha256": content.digest(),
-        "board": content.board,
-        "issued_at": content.issued_at,
-    }
+MODELS: Mapping[EntryKind, type[AnyReceipt]] = MappingProxyType(
+    {EntryKind.SUBMISSION: SubmissionReceipt, EntryKind.RESULT: Receipt, EntryKind.END: EndReceipt}
+)
+"""Of the entries whose content is not in the log."""

@@ -27,8 +27,10 @@ from ..evaluations.scores import add_to_boards, combined_result
 from ..leaderboards.best_entries import takes_part
 from ..notices.outbox import announce_evaluation
 from ..principals import Principal
-from ..receipts.chain import issue_for_result
+from ..receipts.issuing import issue_for_result
 from ..tracks import load_known_track
+from ..transparency.entries import RejudgementApplied
+from ..transparency.log import append
 from ..views.rejudging import RejudgedSubmissionView
 from .comparison import comparison, compute_revision, find_newest_evaluations
 
@@ -172,7 +174,19 @@ def apply(
         note_near_copies(session, evaluation, read_played_records(session, evaluation))
     found.applied_at = now
     record(session, by, "rejudgement.apply", _subject(found), _audited(rows, "after"), before=_audited(rows, "before"))
-    for evaluation in completed:  # last of all: a receipt locks out all others
+    append(  # last of all, with the receipts: an entry of the log locks out all others
+        session,
+        lambda at: RejudgementApplied(
+            issued_at=at,
+            contest=stage.contest,
+            track=stage.track,
+            stage=stage.name,
+            rejudgement=found.id,
+            replaced=len(completed),
+            withdrawn=len(replacing) - len(completed),
+        ),
+    )
+    for evaluation in completed:
         issue_for_result(session, evaluation, combined_result(evaluation))
     return rows
 

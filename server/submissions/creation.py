@@ -16,7 +16,7 @@ from ..evaluations import lifecycle
 from ..notices.outbox import announce_evaluation
 from ..principals import Principal
 from ..quotas import charge, check, check_stage
-from ..receipts.chain import issue_for_submission
+from ..receipts.issuing import issue_for_submission
 from ..settings import Quotas
 from ..teams import teams
 from ..uploads.checked_upload import CheckedUpload

@@ -1,5 +1,6 @@
-"""Receipts of a submission and of its results as its team reads them, and the chain for everybody."""
+"""Receipts of a submission and of its results as its team reads them, and the log for everybody."""
 
+from dataclasses import asdict
 from uuid import UUID
 
 from sqlalchemy.orm import Session
@@ -7,9 +8,11 @@ from sqlalchemy.orm import Session
 from ..contest.contest import Contest
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
-from ..receipts import chain
+from ..receipts import issuing
 from ..receipts.receipt import Receipt, SubmissionReceipt
-from ..views.receipts import ChainView, LinkView
+from ..receipts.witnesses import witness_views
+from ..transparency.log import log_state
+from ..views.receipts import LogEntryView, LogView
 from ..visibility import visible
 
 
@@ -19,7 +22,7 @@ def receipts(session: Session, by: Principal, submission_id: UUID) -> list[Recei
     Raises:
         ServiceError: there is no such submission.
     """
-    return list(chain.receipts_of_submission(session, visible(session, by, submission_id).id))
+    return list(issuing.receipts_of_submission(session, visible(session, by, submission_id).id))
 
 
 def receipt_of_arrival(session: Session, by: Principal, submission_id: UUID) -> SubmissionReceipt:
@@ -28,7 +31,7 @@ def receipt_of_arrival(session: Session, by: Principal, submission_id: UUID) -> 
     Raises:
         ServiceError: there is no such submission, or it got none.
     """
-    found = chain.receipt_of_arrival(session, visible(session, by, submission_id).id)
+    found = issuing.receipt_of_arrival(session, visible(session, by, submission_id).id)
     if found is None:
         raise ServiceError(ProblemCode.NOT_FOUND, f"Submission {submission_id} has no receipt of its arrival.")
     return found
@@ -46,27 +49,25 @@ def newest_receipt(session: Session, by: Principal, submission_id: UUID) -> Rece
     return found[-1]
 
 
-def chain_view(session: Session, *, after: int, limit: int, contest: str | None = None) -> ChainView:
-    """Return a page of the chain, which anybody may read: its links tell no result.
+def log_view(session: Session, *, after: int, limit: int, contest: str | None = None) -> LogView:
+    """Return a page of the log, which anybody may read: its entries show no result.
 
     Args:
         session: of the transaction.
-        after: number of the last link of the page before.
-        limit: maximum number of links.
-        contest: name of the competition whose links are listed; None: all links.
+        after: number of the last entry of the page before.
+        limit: maximum number of entries.
+        contest: name of the competition whose entries are listed; None: all entries.
 
     Raises:
         ServiceError: there is no such competition.
     """
     name = None if contest is None else Contest.find(session, contest).name
-    state = chain.chain_state(session)
-    found = chain.links(session, after=after, limit=limit + 1, contest=name)
-    items = [LinkView(**link.model_dump(), digest=link.digest) for link in found[:limit]]
+    found = issuing.entries(session, after=after, limit=limit + 1, contest=name)
+    items = [LogEntryView(**entry.model_dump(), leaf_hash=entry.leaf_hash.hex()) for entry in found[:limit]]
     is_end = not items or len(found) <= limit
-    return ChainView(
-        public_key=state.public_key,
-        receipts=state.receipts,
-        last=state.last,
+    return LogView(
+        **asdict(log_state(session)),
+        witnesses=witness_views(session),
         items=items,
         next_after=None if is_end else items[-1].number,
     )

@@ -1,31 +1,46 @@
-"""The chain of receipts as everybody sees it."""
+"""The log of receipts as everybody sees it."""
 
 from datetime import datetime
+from typing import Any
 
 from pydantic import Field
 
 from .base import View
 
 
-class LinkView(View):
-    """One link of the chain; it shows nothing of the content that it stands for."""
+class LogEntryView(View):
+    """One entry of the log; of submissions, results and ends it shows nothing but a hash."""
 
-    number: int
-    previous: str | None = Field(description="Digest of the link before; null for the first.")
-    content: str = Field(description="What it stands for: submission, result or end.")
-    content_sha256: str = Field(description="Salted SHA-256 of the content.")
-    issued_at: datetime = Field(description="Never before that of the link before.")
-    public_key: str
-    signature: str = Field(description="Ed25519, by that key.")
-    digest: str = Field(description="SHA-256 of all but the signature.")
+    number: int = Field(description="From 1; the index in the tree is one less.")
+    content: str = Field(
+        description="What it stands for: submission, result, end, competition, sealed_list, advancement, rejudgement "
+        "or board."
+    )
+    content_sha256: str = Field(description="SHA-256 of the content, salted where the statement is null.")
+    issued_at: datetime = Field(description="Never before that of the entry before.")
     board: str = Field(description="Competition, track, stage and kind of the submission.")
+    statement: dict[str, Any] | None = Field(description="The content, where everybody may read it.")
+    leaf_hash: str = Field(description="RFC 6962 hash of the entry's bytes, as in the tiles of /log/.")
 
 
-class ChainView(View):
-    """A page of the chain, or of the links of one competition, from the beginning."""
+class WitnessView(View):
+    """A witness of a competition, and how far it has come."""
+
+    witness: str = Field(description="Its verifier key: NAME+ID+KEY.")
+    size: int = Field(description="Number of entries of the longest log that it has signed; 0 before the first.")
+    behind: int = Field(description="Number of entries that it has not signed.")
+    behind_s: float = Field(description="Age of the oldest entry that it has not signed; 0 where there is none.")
+    signed_at: datetime | None = Field(description="When it signed last, as it says; null before.")
+
+
+class LogView(View):
+    """A page of the log, or of the entries of one competition, from the beginning."""
 
     public_key: str = Field(description="Ed25519 key of this service (32 bytes, hexadecimal); keep a copy of it.")
-    receipts: int = Field(description="Length of the whole chain.")
-    last: str | None = Field(description="Digest of the last link of the whole chain; null without one.")
-    items: list[LinkView]
+    verifier_key: str = Field(description="The same key as NAME+ID+KEY, for tools that read signed notes.")
+    receipts: int = Field(description="Length of the whole log.")
+    root: str = Field(description="RFC 6962 root hash of the whole log.")
+    checkpoint: str = Field(description="Signed by the service and by witnesses; the same as /log/checkpoint.")
+    witnesses: list[WitnessView] = Field(description="Of all competitions of this service.")
+    items: list[LogEntryView]
     next_after: int | None = Field(description="Give this as `after` for the next page; null on the last one.")

@@ -1,4 +1,4 @@
-"""The page of the chain of receipts, for everybody, and the receipt of a submission as a file."""
+"""The page of the log of receipts, for everybody, and the receipt of a submission as a file."""
 
 from starlette.requests import Request
 from starlette.responses import Response
@@ -9,7 +9,7 @@ from .addresses import as_id, read_contest_name
 
 
 async def receipts(request: Request) -> Response:
-    """Show the public key, how long the chain is, its end, and how to check a receipt."""
+    """Show the public key, how long the log is, who witnesses it, and how to check a receipt."""
     contest = read_contest_name(request)
     return page(
         request,
@@ -17,8 +17,8 @@ async def receipts(request: Request) -> Response:
         viewer=await get_viewer(request),
         section="/receipts",
         contest=contest,
-        chain=await get_site(request).ask(
-            lambda session: of_submissions.chain_view(session, after=0, limit=0, contest=contest)
+        log=await get_site(request).ask(
+            lambda session: of_submissions.log_view(session, after=0, limit=0, contest=contest)
         ),
     )
 
@@ -30,7 +30,7 @@ async def receipt_file(request: Request) -> Response:
     found = await get_site(request).ask(
         lambda session: of_submissions.newest_receipt(session, viewer.principal, submission_id)
     )
-    name = f"receipt-{found.link.number}.json"
+    name = f"receipt-{found.entry.number}.json"
     return Response(
         found.model_dump_json(indent=1),
         media_type="application/json",

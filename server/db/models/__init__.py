@@ -24,7 +24,7 @@ from .notices import Notice, Webhook
 from .operations import DeclaredEvaluator, MetricTotal, Worker
 from .people import Announcement, Appeal, AppealReplay, Question
 from .playbacks import Playback
-from .receipts import ReceiptKey, ReceiptRow
+from .receipts import Cosignature, ReceiptKey, ReceiptRow, TreeNode
 from .submissions import PartialUpload, Submission, SubmissionFile, UploadPart
 
 __all__ = [
@@ -40,6 +40,7 @@ __all__ = [
     "BoardChange",
     "BoardResult",
     "Competition",
+    "Cosignature",
     "DeclaredEvaluator",
     "EpisodeDifference",
     "EpisodeResult",
@@ -65,6 +66,7 @@ __all__ = [
     "SubmissionFile",
     "Team",
     "TeamQuota",
+    "TreeNode",
     "UploadPart",
     "Webhook",
     "Worker",

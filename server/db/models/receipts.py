@@ -1,12 +1,12 @@
-"""Receipts of submissions and final results, a chain to which rows are only added, and the key that signs them."""
+"""The log of receipts, to which rows are only added, what witnesses sign of it, and the key that signs it."""
 
 from datetime import datetime
 from uuid import UUID
 
-from sqlalchemy import BigInteger, CheckConstraint, ForeignKey, String, func, text
+from sqlalchemy import BigInteger, CheckConstraint, ForeignKey, LargeBinary, SmallInteger, String, func, text
 from sqlalchemy.orm import Mapped, mapped_column
 
-from .base import Base, sha256_check
+from .base import Base
 
 
 class ReceiptKey(Base):
@@ -24,13 +24,13 @@ class ReceiptKey(Base):
 
 
 class ReceiptRow(Base):
-    """A receipt (`server.receipts.receipt`); triggers refuse to change one, to take one away and to leave a gap.
+    """A receipt and its entry of the log; triggers refuse to change one, to take one away and to leave a gap.
 
     Attributes:
-        digest: of its link.
-        previous: digest of the link before; NULL for the first.
-        stands_for: `LinkContent`: a submission that arrived, a result, or the end of a competition.
-        content: what it says, as JSON text.
+        stands_for: `EntryKind`.
+        entry: the bytes of the entry, as everybody reads them.
+        leaf_hash: of these bytes, in the tree.
+        content: what the receipt says, as JSON text.
         submission_id: of the submission that arrived; NULL otherwise.
         evaluation_id: of the evaluation whose result it is; NULL otherwise.
         board: on which the result may be.
@@ -39,23 +39,41 @@ class ReceiptRow(Base):
     __tablename__ = "receipts"
     __table_args__ = (
         CheckConstraint("number >= 1", name="counts_from_one"),
-        CheckConstraint("(number = 1) = (previous IS NULL)", name="only_the_first_has_none_before"),
-        CheckConstraint("stands_for IN ('submission', 'result', 'end')", name="stands_for_something_known"),
         CheckConstraint("(stands_for = 'submission') = (submission_id IS NOT NULL)", name="arrival_has_submission"),
         CheckConstraint("(stands_for = 'result') = (evaluation_id IS NOT NULL)", name="result_has_evaluation"),
-        sha256_check("digest"),
+        CheckConstraint("octet_length(leaf_hash) = 32", name="leaf_hash_is_sha256"),
     )
     number: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
     submission_id: Mapped[UUID | None] = mapped_column(ForeignKey("submissions.id", ondelete="RESTRICT"), unique=True)
     evaluation_id: Mapped[UUID | None] = mapped_column(ForeignKey("evaluations.id", ondelete="RESTRICT"), unique=True)
-    previous: Mapped[str | None] = mapped_column(
-        String(64), ForeignKey("receipts.digest", ondelete="RESTRICT"), unique=True
-    )
-    digest: Mapped[str] = mapped_column(String(64), unique=True)
     stands_for: Mapped[str]
     content: Mapped[str]
-    content_sha256: Mapped[str] = mapped_column(String(64))
-    issued_at: Mapped[datetime]
-    public_key: Mapped[str] = mapped_column(String(64))
-    signature: Mapped[str] = mapped_column(String(128))
     board: Mapped[str] = mapped_column(index=True)
+    entry: Mapped[str]
+    leaf_hash: Mapped[bytes] = mapped_column(LargeBinary)
+
+
+class TreeNode(Base):
+    """The hash over a complete tile of the log's tree, in a tile of the level above (`server.transparency.merkle`)."""
+
+    __tablename__ = "tree_nodes"
+    level: Mapped[int] = mapped_column(SmallInteger, primary_key=True, autoincrement=False)
+    number: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
+    hash: Mapped[bytes] = mapped_column(LargeBinary)
+
+
+class Cosignature(Base):
+    """What a witness signed of a checkpoint.
+
+    Attributes:
+        witness: its verifier key.
+        size: of the checkpoint.
+        signature: time and Ed25519 signature, as in a line of a note.
+        signed_at: as the witness says.
+    """
+
+    __tablename__ = "cosignatures"
+    witness: Mapped[str] = mapped_column(primary_key=True)
+    size: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
+    signature: Mapped[bytes] = mapped_column(LargeBinary)
+    signed_at: Mapped[datetime]

@@ -13,6 +13,7 @@ from vitac.server.db.models import (
     Appeal,
     AppealReplay,
     Base,
+    Cosignature,
     DeclaredEvaluator,
     EpisodeDifference,
     EpisodeResult,
@@ -33,6 +34,7 @@ from vitac.server.db.models import (
     SubmissionFile,
     Team,
     TeamQuota,
+    TreeNode,
     UploadPart,
     Webhook,
     Worker,
@@ -65,6 +67,8 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
         [
             ActionTrace(evaluation_id=evaluation.id, task="gone", action_size=3, actions=b"\0\x7f\xff\\n"),
             Announcement(title="News", text=TEXT),
+            Cosignature(witness="ants+0+0", size=1, signature=b"\0\x7f\xff\\n", signed_at=now),
+            TreeNode(level=1, number=9, hash=b"\0\x7f\xff\\n"),
             AppealReplay(
                 appeal_id=appeal.id, task=episode.task, episode=1, policy_sha256="1" * 64, corrected=True,
                 outcome="success", env_steps=3, same_states=False, old_outcome="steps", old_env_steps=4,

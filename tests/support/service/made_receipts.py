@@ -4,6 +4,7 @@ from datetime import UTC, datetime
 from typing import Any
 from uuid import UUID
 
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.receipts.receipt import (
     Arrival,
@@ -12,11 +13,14 @@ from vitac.server.receipts.receipt import (
     Result,
     SubmissionReceipt,
     TaskResult,
-    sign,
     team_commitment,
 )
+from vitac.server.transparency.entries import Content
+from vitac.server.transparency.merkle import hash_leaf, make_tree
+from vitac.server.transparency.notes import InclusionProof, sign_checkpoint
 
 KEY = bytes(range(32))
+PUBLIC_KEY = Ed25519PrivateKey.from_private_bytes(KEY).public_key().public_bytes_raw().hex()
 WHEN = datetime(2031, 2, 1, 12, 30, 15, 250_000, tzinfo=UTC)
 
 
@@ -56,17 +60,26 @@ def a_result(number: int = 1, **changes: Any) -> Result:
 
 
 def a_receipt(**changes: Any) -> Receipt:
-    """The first receipt of a chain."""
-    return receipt_for(a_result(**changes), number=1, previous=None)
+    """The only receipt of a log."""
+    return receipt_for(a_result(**changes), number=1)
 
 
-def receipt_for(result: Result, *, number: int, previous: str | None) -> Receipt:
-    """The receipt of a result."""
-    return Receipt(link=sign(KEY, number=number, previous=previous, content=result), result=result)
+def receipt_for(result: Result, *, number: int) -> Receipt:
+    """The receipt of a result, in a log whose other entries are of nothing."""
+    return Receipt(entry=result.entry(number), public_key=PUBLIC_KEY, proofs=prove(result, number), result=result)
 
 
-def arrival_of(result: Result, *, number: int, previous: str | None, **changes: object) -> SubmissionReceipt:
+def arrival_of(result: Result, *, number: int, **changes: object) -> SubmissionReceipt:
     """The receipt of the submission that a result is of."""
     values = {name: getattr(result, name) for name in Arrival.model_fields}
     arrival = Arrival(**(values | {"issued_at": result.submitted_at} | changes))
-    return SubmissionReceipt(link=sign(KEY, number=number, previous=previous, content=arrival), submission=arrival)
+    entry = arrival.entry(number)
+    return SubmissionReceipt(entry=entry, public_key=PUBLIC_KEY, proofs=prove(arrival, number), submission=arrival)
+
+
+def prove(content: Content, number: int) -> tuple[str]:
+    """The proof that it is the last entry of a log of so many."""
+    tree = make_tree([hash_leaf(b"")] * (number - 1) + [content.entry(number).leaf_hash])
+    checkpoint = sign_checkpoint(KEY, size=number, root=tree.root())
+    proof = InclusionProof(index=number - 1, hashes=tuple(tree.prove_inclusion(number - 1)), checkpoint=checkpoint)
+    return (str(proof),)

@@ -44,6 +44,7 @@ from vitac.server.submissions import comparison, listing, output, receipts, runs
 from vitac.server.submissions.upload import AnnouncedUpload
 from vitac.server.submissions.watch import Changes
 from vitac.server.teams import teams
+from vitac.server.transparency.notes import make_log_key
 from vitac.server.views.comparisons import ComparisonView
 from vitac.server.views.contest import ArchiveView, CompetitionListView, CompetitionView, PublicRankingView, StageView
 from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
@@ -51,7 +52,7 @@ from vitac.server.views.logs import ActionMatchView
 from vitac.server.views.messages import AnnouncementView
 from vitac.server.views.operations import OperationsView
 from vitac.server.views.playbacks import PlaybackView, PublicEpisodeView, ShownEpisodeView
-from vitac.server.views.receipts import ChainView
+from vitac.server.views.receipts import LogView, WitnessView
 from vitac.server.views.submissions import (
     DocumentView,
     EpisodeOutputView,
@@ -161,7 +162,7 @@ class FixedData(FixedPlaybacks):
         return ArchiveView(
             competition=self.competition(),
             boards=[self.board],
-            public_key=a_receipt().link.public_key,
+            public_key=a_receipt().public_key,
             decided_again_at=self.decided_again_at,
             citation="@misc{cup}",
         )
@@ -217,10 +218,18 @@ class FixedData(FixedPlaybacks):
         later = [item for item in self.printed if item.task == (task or tasks[0]) and item.episode > after]
         return OutputView(items=later[:2], next_after=later[1].episode if len(later) > 2 else None)
 
-    def chain(self, **_: int) -> ChainView:
+    def log(self, **_: int) -> LogView:
         receipt = a_receipt()
-        return ChainView(
-            public_key=receipt.link.public_key, receipts=1, last=receipt.link.digest, items=[], next_after=None
+        (proof,) = receipt.parsed_proofs()
+        return LogView(
+            public_key=receipt.public_key,
+            verifier_key=str(make_log_key(bytes.fromhex(receipt.public_key))),
+            receipts=1,
+            root=proof.checkpoint.root.hex(),
+            checkpoint=str(proof.checkpoint),
+            witnesses=[WitnessView(witness="ants.example+1+2", size=0, behind=1, behind_s=60.0, signed_at=None)],
+            items=[],
+            next_after=None,
         )
 
     def receipt(self, by: Principal, submission_id: UUID) -> Receipt:
@@ -328,7 +337,7 @@ for _module, _name, _data_of in (
     (listing, "list_submissions", lambda data: data.submissions),
     (comparison, "compare_results", lambda data: data.compare),
     (output, "episode_outputs", lambda data: data.output),
-    (receipts, "chain_view", lambda data: data.chain),
+    (receipts, "log_view", lambda data: data.log),
     (receipts, "newest_receipt", lambda data: data.receipt),
     (asking, "find_episode", lambda data: data.find_episode),
     (asking, "shown_episode", lambda data: data.shown_episode),

@@ -64,6 +64,7 @@ READS = {
     "quota list",
     "receipt export",
     "receipt key",
+    "receipt witnesses",
     "rejudge list",
     "rejudge show",
     "results publish",

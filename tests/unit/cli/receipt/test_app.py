@@ -15,6 +15,8 @@ from vitac.server.publishing.exported_teams import read_teams
 from vitac.server.receipts.export import ExportedTeam
 from vitac.server.teams import teams
 
+from competitions import make_competition, open_now, put_in_place
+
 
 @pytest.fixture
 def played(service: CliService) -> tuple[CliService, str]:
@@ -92,7 +94,7 @@ def test_boards_are_exported_and_audited(
     assert "WRONG: Team A, peg-insertion: the records are not those of such an evaluation" in wrong.stdout
     assert "not checked: who owns the key" in wrong.stdout
     told = json.loads(service.run("receipt", "audit", files[TASK], "--episodes", "0", "--json").stdout)
-    assert (told["links"], told["entries"], len(told["findings"])) == (2, 1, 1)
+    assert (told["log_entries"], told["entries"], len(told["findings"])) == (2, 1, 1)
     other = json.loads(service.run("receipt", "audit", files[TASK], "--episodes", "0", "--json").stdout)
     assert other["seed"] != told["seed"], "nobody foresees which episodes are run again"
     given = service.run("receipt", "audit", files[TASK], "--episodes", "0", "--seed", "7", "--json").stdout
@@ -104,3 +106,44 @@ def test_boards_are_exported_and_audited(
         service.run("admin", "receipt", "export", TRACK, files[TASK] + ".logs", "--kind", "log")
     )
     assert "Name a new file" in refusal(service.run("admin", "receipt", "export", TRACK, files[TASK]))
+
+
+def test_the_public_log_is_witnessed_audited_and_compared(
+    played: tuple[CliService, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service, submission_id = played
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    key = service.run("witness", "key", "--name", "ants.example/v").stdout.strip()
+    assert "give it as --name" not in refusal(service.run("witness", "run", service.address, "--once")), "not named yet"
+    with service.database.transaction() as session:
+        put_in_place(session, open_now(make_competition(witnesses=[key])))
+    shown = service.run("witness", "run", service.address, "--once").stdout
+    assert shown.splitlines()[1].startswith("signed 2 entries, root ")
+    stored, receipt = tmp_path / "checkpoint", tmp_path / "receipt.json"
+    stored.write_text(next((tmp_path / "vitac" / "witness").glob("*.checkpoint")).read_text())
+    told = json.loads(service.run("receipt", "verify", submission_id, "--json").stdout)
+    assert list(told["witnessed"]) == ["ants.example/v"]
+    receipt.write_text(json.dumps(told["receipt"]))
+    verified = service.run("receipt", "verify", str(receipt), "--witness", key).stdout
+    assert "1 of 1" in next(line for line in verified.splitlines() if line.startswith("witnessed by"))
+    given = ("--receipt", str(receipt), "--noted", str(stored))
+    audited = service.run("receipt", "audit", service.address, *given)
+    assert audited.exit_code == 0, audited.stdout
+    assert "Nothing in the log was changed, removed or moved." in audited.stdout
+    assert "  - Whose key it is" in audited.stdout
+    listed = json.loads(service.run("admin", "receipt", "witnesses", "--json").stdout)
+    assert [(one["witness"], one["size"]) for one in listed] == [(key, 2)]
+    log_key = json.loads(service.run("admin", "receipt", "key", "--json").stdout)["verifier_key"]
+    same = service.run("receipt", "compare", str(stored), str(stored), "--key", log_key)
+    assert (same.exit_code, "nothing in it was changed" in same.stdout) == (0, True)
+    with service.database.transaction() as session:
+        submit(session, make_principal(session, "Bees"), "more")
+    later = tmp_path / "later"
+    later.write_text(json.loads(service.run("admin", "receipt", "key", "--json").stdout)["checkpoint"])
+    untold = service.run("receipt", "compare", str(stored), str(later), "--key", log_key)
+    assert (untold.exit_code, "give the log as --log" in untold.stdout) == (1, True)
+    assert service.run("receipt", "compare", str(stored), str(later), "--log", service.address).exit_code == 0
+    back = service.run("receipt", "compare", str(later), str(stored), "--log", service.address)
+    assert (back.exit_code, "rolled back" in back.stdout) == (1, True)
+    wrong = service.run("receipt", "audit", service.address, "--noted", f"1:{'0' * 64}", "--json")
+    assert (wrong.exit_code, len(json.loads(wrong.stdout)["findings"])) == (1, 1)

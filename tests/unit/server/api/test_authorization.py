@@ -67,6 +67,12 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", "/health"): EVERYBODY,
     ("get", "/ready"): EVERYBODY,
     ("get", "/metrics"): frozenset({Who.ORGANIZER}),
+    ("get", "/log/checkpoint"): EVERYBODY,
+    ("get", "/log/key"): EVERYBODY,
+    ("get", "/log/witnessed.json"): EVERYBODY,
+    ("get", "/log/tile/entries/{name}"): EVERYBODY,
+    ("get", "/log/tile/{level}/{name}"): EVERYBODY,
+    ("post", "/log/cosignatures"): EVERYBODY,
     ("get", "/api/v1/tracks"): EVERYBODY,
     ("get", "/api/v1/tracks/{track}"): EVERYBODY,
     ("get", "/api/v1/tracks/{track}/file"): EVERYBODY,
@@ -194,6 +200,8 @@ class Setting:
             "track": "track_1",
             "contest": "cup",
             "stage": "stage2",
+            "level": "0",
+            "name": "000.p/1",
         }
         if path.endswith("/advancement"):
             ids["track"] = "track_2"

@@ -25,7 +25,7 @@ from vitac.server.messages import announcements
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.prizes.finishing import finalize, winners
 from vitac.server.quotas import stage_uses
-from vitac.server.receipts.chain import receipts_of_board
+from vitac.server.receipts.issuing import receipts_of_board
 from vitac.server.rejudging import rejudging
 from vitac.server.settings import Settings
 from vitac.server.submissions import creation, listing
@@ -83,7 +83,7 @@ def test_each_contest_has_its_own_boards_quotas_and_sealed_lists(both: Database)
         }
         assert [receipt.content.submission for receipt in signed[MAIN]] == [made[MAIN].id]
         assert [receipt.content.submission for receipt in signed[CLASS]] == [made[CLASS].id, other.id]
-        assert signed[MAIN][0].link.board != signed[CLASS][0].link.board
+        assert signed[MAIN][0].entry.board != signed[CLASS][0].entry.board
 
 
 def test_a_track_shows_the_contest_that_opened_last(both: Database) -> None:

@@ -22,7 +22,7 @@ from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.prizes.finishing import Winner, concerns_at_end, finalize, reopen, winners, winning_entries
 from vitac.server.publishing.publishing import result_files
-from vitac.server.receipts.chain import receipts_of_ends
+from vitac.server.receipts.issuing import receipts_of_ends
 from vitac.server.submissions import creation, listing
 from vitac.server.teams import teams
 

@@ -6,18 +6,18 @@ from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
+from uuid import UUID
 
 import pytest
 from audited_boards import complete, environment_of, played_again, sampled
 from databases import fresh_database
-from made_receipts import KEY
+from made_receipts import KEY, PUBLIC_KEY
 from obstore.store import MemoryStore
 from service_factories import TASK, TRACK, forget_boards, make_principal, make_record, submit
 from sqlalchemy import Executable, func, select, text, update
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.episode import Environment
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
-from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks.sealed import make_commitment
 from vitac.server import team_data
 from vitac.server.db.engine import Database
@@ -28,13 +28,15 @@ from vitac.server.evaluations.scores import combined_result
 from vitac.server.principals import CONSOLE
 from vitac.server.publishing.exporting import export_receipts
 from vitac.server.publishing.publishing import ResultsNotWritten
-from vitac.server.receipts import chain
+from vitac.server.receipts import issuing
 from vitac.server.receipts.audit import Audit, audit
-from vitac.server.receipts.export import CHAIN_NAME, DESCRIPTION_NAME, ExportRejected, read_receipt
-from vitac.server.receipts.receipt import Content, sign
+from vitac.server.receipts.export import DESCRIPTION_NAME, LOG_NAME, ExportRejected, read_receipt
 from vitac.server.rejudging import rejudging
 from vitac.server.storage.blobs import BlobStore
 from vitac.server.teams import merging, teams
+from vitac.server.transparency import log
+from vitac.server.transparency.entries import Content
+from vitac.server.transparency.merkle import ProofRejected
 
 from competitions import shown_stage
 
@@ -102,11 +104,11 @@ def test_an_untouched_board_is_found_right_and_a_sampled_episode_gives_the_same_
     database: Database, tmp_path: Path
 ) -> None:
     with database.transaction() as session:
-        key = chain.chain_state(session).public_key
+        key = log.log_state(session).public_key
     found = audited(database, tmp_path, episodes=1, seed=SEED, public_key=key)
     assert found.findings == []
     assert found.unchecked == []
-    assert (found.links, found.entries, found.logs, found.is_believed) == (6, 3, 3, True)
+    assert (found.log_entries, found.entries, found.logs, found.is_believed) == (6, 3, 3, True)
     assert [sample.episode for sample in found.resimulated] == [sampled(SEED, len(TEAMS))[1]]
     other_key = audit(tmp_path / "board.zip", episodes=0, public_key="1" * 64).findings
     assert other_key == [f"Expected the key {'1' * 64}, got {key}."], "said once, however long the chain is"
@@ -133,6 +135,10 @@ SCORES = """
 """
 
 
+BACKDATED = """
+    UPDATE receipts SET entry = regexp_replace(entry, 'issued_at":"[^"]*"', 'issued_at":"2020-01-01T00:00:00Z"')
+    WHERE number = 4
+"""
 SWAPPED_NAMES = """
     UPDATE teams SET name = CASE name WHEN 'Ants' THEN 'Bees' ELSE 'Ants' END WHERE name IN ('Ants', 'Bees')
 """
@@ -152,7 +158,6 @@ REMOVED_SUBMISSION = REMOVED_WINNER.replace("board_results", "submissions")
         (["UPDATE submissions SET submitted_at = '2020-01-01Z' WHERE name = 'zero'"], "submission time"),
         ([RECORD], "Bees, peg-insertion: the records have another result hash than the receipt"),
         (["DELETE FROM episode_results WHERE episode = 9"], "the first missing one is 9"),
-        (["DELETE FROM receipts WHERE number = 2"], "Expected receipt 2 in the chain, got 3"),
         (["DELETE FROM receipts WHERE number = 6"], "Cats: there is no receipt"),
         (["UPDATE receipts SET content = replace(content, '260', '261')"], "The result of receipt 6 was changed"),
         (
@@ -161,20 +166,24 @@ REMOVED_SUBMISSION = REMOVED_WINNER.replace("board_results", "submissions")
                 "UPDATE receipts SET number = 2 WHERE number = 3",
                 "UPDATE receipts SET number = 3 WHERE number = 9",
             ],
-            "is not signed by",
+            "Expected entry 2 of the log, got 3",
         ),
-        (["UPDATE receipts SET previous = repeat('0', 64) WHERE number = 3"], "does not follow the one before it"),
-        (["UPDATE receipts SET signature = repeat('0', 128) WHERE number = 2"], "Receipt 2 is not signed"),
+        (
+            ["UPDATE receipts SET leaf_hash = sha256('') WHERE number = 3"],
+            "Expected 6 entries in the log with the root",
+        ),
         ([SWAPPED_NAMES], "Ants: receipt 4 was issued to another team"),
         ([SWAPPED_SUBMISSIONS, SWAPPED_RESULTS], "Bees: receipt 2 was issued to another team"),
         ([REMOVED_WINNER], "Ants: receipt 2 is of this board, but the team is not on it"),
         ([REMOVED_WINNER, "UPDATE submissions SET stage = 'other'"], "is not on it"),
         ([REMOVED_WINNER, REMOVED_SUBMISSION], "Receipt 2 is of a result that the export gives to no team"),
-        (["UPDATE receipts SET board = 'track_2//model' WHERE number = 1"], "Receipt 1 is not signed by"),
-        (["UPDATE receipt_key SET public_key = repeat('1', 64)"], "is signed by another key"),
-        (["DELETE FROM receipts WHERE number = 1"], "Expected receipt 1 in the chain, got 2"),
-        (["UPDATE receipts SET issued_at = '2020-01-01Z' WHERE number = 4"], "Receipt 4 is not signed by"),
-        (["UPDATE receipts SET issued_at = '2020-01-01Z' WHERE number = 4"], "before receipt 3, which it follows"),
+        (
+            ["UPDATE receipts SET entry = replace(entry, '_1//', '_2//') WHERE number = 1"],
+            "another board than its entry",
+        ),
+        (["UPDATE receipt_key SET public_key = repeat('1', 64)"], "The checkpoint is of another log"),
+        ([BACKDATED], "Receipt 4 has another issued_at than its entry"),
+        ([BACKDATED], "before receipt 3, which it follows"),
         (
             ["UPDATE receipts SET content = replace(content, '\"model\"', '\"log\"') WHERE number = 1"],
             "The submission of receipt 1 was changed",
@@ -188,11 +197,15 @@ def test_a_tampered_database_is_found(
     assert any(finding in each for each in findings), findings
 
 
-def test_a_removed_last_receipt_is_found_by_its_digest_that_was_noted(database: Database, tmp_path: Path) -> None:
+def test_a_log_with_a_gap_has_no_checkpoint(database: Database, tmp_path: Path) -> None:
+    with pytest.raises(ProofRejected, match="Tile 0 of level 0: expected 6 hashes, got 5"):
+        audited(database, tmp_path, text("DELETE FROM receipts WHERE number = 2"))
+
+
+def test_a_removed_last_receipt_is_found_by_a_root_that_was_noted(database: Database, tmp_path: Path) -> None:
     with database.transaction() as session:
-        state = chain.chain_state(session)
-    assert state.last is not None
-    noted = {state.receipts: state.last}
+        state = log.log_state(session)
+    noted = {state.receipts: state.root}
     assert audited(database, tmp_path, noted=noted).findings == []
     (tmp_path / "board.zip").unlink()
     removed = [
@@ -202,11 +215,11 @@ def test_a_removed_last_receipt_is_found_by_its_digest_that_was_noted(database: 
     found = audited(database, tmp_path, *map(text, removed))
     assert found.findings == [], "in itself what is left is right"
     told = audit(tmp_path / "board.zip", episodes=0, noted=noted).findings
-    assert told == [f"Expected receipt 6 with the noted digest {state.last}, got none: the chain ends before."]
+    assert told == [f"Expected at least 6 entries with the noted root {state.root}, got 4: the log ends before."]
     other = audit(tmp_path / "board.zip", episodes=0, noted={2: "0" * 64}).findings
-    assert "with the noted digest 000" in other[0]
-    shortened = changed(tmp_path, CHAIN_NAME, lambda content: b"".join(content.splitlines(keepends=True)[:-1]))
-    assert "Expected 4 receipts in the chain" in audit(shortened, episodes=0).findings[0]
+    assert "Expected the noted root 000" in other[0]
+    shortened = changed(tmp_path, LOG_NAME, lambda content: b"".join(content.splitlines(keepends=True)[:-1]))
+    assert "Expected 4 entries in the log with the root" in audit(shortened, episodes=0).findings[0]
 
 
 def test_what_organizers_did_with_teams_is_told_and_is_no_finding(database: Database, tmp_path: Path) -> None:
@@ -272,8 +285,8 @@ def test_exports_of_another_format_are_refused_by_name(database: Database, tmp_p
     def written(content: object) -> Path:
         return changed(tmp_path, DESCRIPTION_NAME, lambda _: json.dumps(content).encode())
 
-    newer = described | {"format": "vitac-receipts-2", "witnesses": 3}
-    with pytest.raises(ExportRejected, match=r"got the format 'vitac-receipts-2'.*release that wrote it"):
+    newer = described | {"format": "vitac-receipts-3", "witnesses": 3}
+    with pytest.raises(ExportRejected, match=r"got the format 'vitac-receipts-3'.*release that wrote it"):
         audit(written(newer))
     for damaged in (described | {"format": 4}, [described], {"made_at": "now"}, described | {"format": "x" * 10_000}):
         with pytest.raises(ExportRejected, match=r"^export\.json: ") as refused:
@@ -281,27 +294,30 @@ def test_exports_of_another_format_are_refused_by_name(database: Database, tmp_p
         assert len(str(refused.value)) < 400
 
 
-def test_a_whole_new_chain_is_found_by_its_key_and_by_a_receipt_that_was_kept(
+def test_a_whole_new_log_is_found_by_its_key_and_by_a_receipt_that_was_stored(
     database: Database, tmp_path: Path
 ) -> None:
     with database.transaction() as session:
-        key = chain.chain_state(session).public_key
-        kept = tmp_path / "kept.json"
-        old = chain.receipts_of_board(session, shown_stage(session, TRACK), SubmissionKind.MODEL)
-        kept.write_text(old[1].model_dump_json())
-    previous: str | None = None
-    statements: list[Executable] = []
-    for number, receipt in enumerate(old, start=1):
-        link = sign(KEY, number=number, previous=previous, content=receipt.content)
-        previous = link.digest
-        changes = {"previous": link.previous, "public_key": link.public_key, "signature": link.signature}
-        changes["digest"] = link.digest
-        statements.append(update(ReceiptRow).where(ReceiptRow.number == number).values(changes))
-    statements.append(update(ReceiptKey).values(public_key=link.public_key))
-    assert audited(database, tmp_path, *statements).findings == [], "in itself the new chain is right"
+        key, stored = log.log_state(session).public_key, tmp_path / "stored.json"
+        (old,) = issuing.receipts_of_submission(session, submission_of(session, "Ants"))
+        stored.write_text(old.model_dump_json())
+    other = old.result.model_copy(update={"evaluator_hash": "ee" * 32})
+    entry = other.entry(2)
+    rewritten = {"entry": entry.leaf().decode(), "leaf_hash": entry.leaf_hash, "content": other.model_dump_json()}
+    statements = [
+        update(ReceiptRow).where(ReceiptRow.number == 2).values(rewritten),
+        update(ReceiptKey).values(private_key=KEY.hex(), public_key=PUBLIC_KEY),
+    ]
+    assert audited(database, tmp_path, *statements).findings == [], "in itself the new log is right"
     assert "Expected the key" in audit(tmp_path / "board.zip", episodes=0, public_key=key).findings[0]
-    told = audit(tmp_path / "board.zip", episodes=0, held=[read_receipt(kept)]).findings
-    assert told == ["Receipt 2, which was stored elsewhere, is not in the chain."]
+    told = audit(tmp_path / "board.zip", episodes=0, held=[read_receipt(stored)]).findings
+    assert told[0] == "Receipt 2, which was stored elsewhere, is not in the log."
+    assert "the log was rewritten" in told[1]
+
+
+def submission_of(session: Session, team: str) -> UUID:
+    """The submission of a team."""
+    return session.scalars(select(Submission.id).join(Team).where(Team.name == team)).one()
 
 
 def test_what_is_no_export_is_refused(tmp_path: Path) -> None:
@@ -333,15 +349,15 @@ def added_later(issued_earlier: timedelta) -> Callable[[Session], None]:
         session.expire_all()
         submission = session.scalars(select(Submission).join(Team).where(Team.name == "Cats")).one()
         evaluation = newest_evaluation(session, submission)
-        real = chain.issue
+        real = log.append
 
         def issue(session: Session, make: Callable[[datetime], Content], **of: Any) -> None:
             real(session, lambda at: make(at - issued_earlier), **of)
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(chain, "issue", issue)
-            chain.issue_for_submission(session, submission)
-            chain.issue_for_result(session, evaluation, combined_result(evaluation))
+            patch.setattr(issuing, "append", issue)
+            issuing.issue_for_submission(session, submission)
+            issuing.issue_for_result(session, evaluation, combined_result(evaluation))
 
     return add
 

@@ -5,7 +5,7 @@ from typing import Any
 from uuid import UUID
 
 import pytest
-from made_receipts import KEY, WHEN, a_result, arrival_of, receipt_for
+from made_receipts import KEY, PUBLIC_KEY, WHEN, a_result, arrival_of, prove, receipt_for
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 from vitac.evaluator.tracks.sealed import make_commitment
@@ -32,9 +32,10 @@ from vitac.server.receipts.receipt import (
     Result,
     SubmissionReceipt,
     WinningEntry,
-    sign,
     team_commitment,
 )
+from vitac.server.transparency.merkle import Tree, make_tree
+from vitac.server.transparency.notes import Checkpoint, sign_checkpoint
 from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
 
 TASK = "peg-insertion"
@@ -51,10 +52,17 @@ def a_named_result(number: int, team: str = "Ants", successes: int = 100, **chan
 
 def chained(*results: Result) -> list[Receipt]:
     """The receipts of results, one after the other."""
-    made: list[Receipt] = []
-    for number, result in enumerate(results, start=1):
-        made.append(receipt_for(result, number=number, previous=made[-1].link.digest if made else None))
-    return made
+    return [receipt_for(result, number=number) for number, result in enumerate(results, start=1)]
+
+
+def tree_of(receipts: list[Receipt]) -> Tree:
+    """The log of receipts."""
+    return make_tree([receipt.entry.leaf_hash for receipt in receipts])
+
+
+def signed(receipts: list[Receipt]) -> Checkpoint:
+    """What the service signs of the log of receipts."""
+    return sign_checkpoint(KEY, size=len(receipts), root=tree_of(receipts).root())
 
 
 def an_entry(result: Result, team: str = "Ants", rank: int | None = 1) -> LeaderboardEntryView:
@@ -101,18 +109,17 @@ def exported(
         teams=len(entries),
         entries=list(entries),
     )
-    given = teams or {"Ants": [receipt.link.number for receipt in receipts]}
+    given = teams or {"Ants": [receipt.entry.number for receipt in receipts]}
     values: dict[str, Any] = {
         "made_at": WHEN,
-        "public_key": receipts[0].link.public_key,
+        "public_key": PUBLIC_KEY,
         "ranking": ("success_rate", "mean_steps", "submitted_at"),
         "secret": None,
         "commitment": None,
         "contest": "",
         "board": board,
         "kind": SubmissionKind.MODEL,
-        "receipts": len(receipts),
-        "last": receipts[-1].link.digest,
+        "checkpoint": str(signed(receipts)),
         "teams": tuple(
             ExportedTeam(name=name, evaluations=tuple(UUID(int=number) for number in numbers))
             for name, numbers in given.items()
@@ -240,9 +247,9 @@ def test_a_receipt_is_of_the_team_whose_name_it_was_issued_to() -> None:
     ]
 
 
-def test_a_link_of_the_board_without_its_receipt_is_found() -> None:
+def test_an_entry_of_the_board_without_its_receipt_is_found() -> None:
     receipts = chained(a_named_result(1), a_named_result(2), a_named_result(3, track="track_2"))
-    chain = {receipt.link.number: receipt.link for receipt in receipts}
+    chain = {receipt.entry.number: receipt.entry for receipt in receipts}
     described = exported(receipts)
     assert list(check_opened(described, chain, receipts)) == []
     assert list(check_opened(described, chain, receipts[:1])) == [
@@ -250,24 +257,24 @@ def test_a_link_of_the_board_without_its_receipt_is_found() -> None:
     ], "the third one is of another track"
 
 
-def test_the_end_of_the_chain_is_compared_with_what_was_published() -> None:
+def test_the_log_is_compared_with_what_was_signed_and_noted() -> None:
     receipts = chained(a_named_result(1), a_named_result(2))
-    chain = {receipt.link.number: receipt.link for receipt in receipts}
-    described = exported(receipts)
-    assert list(check_head(described, chain)) == []
-    assert len(list(check_head(described, {1: chain[1]}))) == 1
-    assert len(list(check_head(described, {}))) == 1
-    assert list(check_noted(chain, 2, chain[2].digest)) == []
-    assert "got digest" in next(check_noted(chain, 2, chain[1].digest))
-    assert "the chain ends before" in next(check_noted(chain, 3, chain[1].digest))
+    tree, described = tree_of(receipts), exported(receipts)
+    assert list(check_head(described, tree)) == []
+    assert "Expected 2 entries in the log with the root" in next(check_head(described, tree_of(receipts[:1])))
+    other = described.model_copy(update={"public_key": "0" * 64})
+    assert "of another log" in next(check_head(other, tree))
+    assert list(check_noted(tree, 1, tree.root(1).hex())) == list(check_noted(tree, 2, tree.root().hex())) == []
+    assert "the log was rewritten" in next(check_noted(tree, 1, tree.root(2).hex()))
+    assert "the log ends before" in next(check_noted(tree, 3, tree.root().hex()))
 
 
 def arrived(result: Result, number: int = 1, **changes: Any) -> dict[UUID, SubmissionReceipt]:
-    return {result.submission: arrival_of(result, number=number, previous=None, **changes)}
+    return {result.submission: arrival_of(result, number=number, **changes)}
 
 
 def followed(result: Result, arrivals: dict[UUID, SubmissionReceipt], number: int = 2) -> list[tuple[bool, str]]:
-    return list(check_submissions(arrivals, [receipt_for(result, number=number, previous="0" * 64)]))
+    return list(check_submissions(arrivals, [receipt_for(result, number=number)]))
 
 
 def test_a_result_follows_from_a_submission_that_arrived_before_it() -> None:
@@ -308,7 +315,7 @@ def test_a_first_result_long_after_its_submission_is_unusual_and_that_of_a_later
     noted = followed(again, arrived(again, issued_at=WHEN))
     assert len(noted) == 1, "its number of runs is what the service says"
     first = a_named_result(2, submission=late.submission)
-    both = [receipt_for(first, number=2, previous="0" * 64), receipt_for(again, number=3, previous="0" * 64)]
+    both = [receipt_for(first, number=2), receipt_for(again, number=3)]
     assert list(check_submissions(arrived(first, issued_at=WHEN), both)) == []
 
 
@@ -318,12 +325,12 @@ def test_the_receipt_of_an_arrival_is_issued_when_the_submission_arrives(minutes
     assert bool(list(check_arrivals(receipts))) is is_found
 
 
-def test_links_are_issued_one_after_the_other() -> None:
+def test_entries_are_issued_one_after_the_other() -> None:
     later = WHEN + timedelta(seconds=1)
     in_order = chained(a_named_result(1), a_named_result(2), a_named_result(3, issued_at=later))
-    assert list(check_order(receipt.link for receipt in in_order)) == []
+    assert list(check_order(receipt.entry for receipt in in_order)) == []
     backdated = chained(a_named_result(1, issued_at=later), a_named_result(2))
-    assert len(list(check_order(receipt.link for receipt in backdated))) == 1
+    assert len(list(check_order(receipt.entry for receipt in backdated))) == 1
 
 
 def test_results_of_another_list_than_the_published_one_are_found() -> None:
@@ -363,7 +370,7 @@ def an_end(winners: list[Result], marks: dict[UUID, float] | None = None) -> End
             for submission, total in (marks or {}).items()
         ),
     )
-    return EndReceipt(link=sign(KEY, number=9, previous="0" * 64, content=end), end=end)
+    return EndReceipt(entry=end.entry(9), public_key=PUBLIC_KEY, proofs=prove(end, 9), end=end)
 
 
 def test_winners_prizes_and_marks_are_those_that_were_signed() -> None:

@@ -2,9 +2,11 @@ import json
 from pathlib import Path
 
 import pytest
-from made_receipts import a_receipt, a_result, arrival_of, receipt_for
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from made_receipts import PUBLIC_KEY, a_receipt, a_result, arrival_of, prove, receipt_for
 from vitac.server.receipts.export import ExportRejected, read_receipt
-from vitac.server.receipts.receipt import AnyReceipt, Receipt, ReceiptRejected, sign
+from vitac.server.receipts.receipt import AnyReceipt, Receipt, ReceiptRejected
+from vitac.server.transparency.notes import InclusionProof, sign_checkpoint
 
 
 def changed(receipt: Receipt, *path: str, value: object) -> Receipt:
@@ -18,13 +20,13 @@ def changed(receipt: Receipt, *path: str, value: object) -> Receipt:
     return Receipt.model_validate(content)
 
 
-@pytest.mark.parametrize("receipt", [a_receipt(), arrival_of(a_result(), number=1, previous=None)])
+@pytest.mark.parametrize("receipt", [a_receipt(), arrival_of(a_result(), number=1)])
 def test_a_receipt_is_valid_after_a_way_through_a_file(tmp_path: Path, receipt: AnyReceipt) -> None:
     file = tmp_path / "receipt.json"
     file.write_text(receipt.model_dump_json(indent=1))
     read = read_receipt(file)
     assert read == receipt
-    read.require_valid(receipt.link.public_key)
+    read.require_valid(receipt.public_key)
 
 
 @pytest.mark.parametrize(
@@ -33,14 +35,17 @@ def test_a_receipt_is_valid_after_a_way_through_a_file(tmp_path: Path, receipt: 
         (("result", "combined", "success_rate"), 1.0, "result of receipt 1 was changed"),
         (("result", "salt"), "0" * 32, "result of receipt 1 was changed"),
         (("result", "run"), 2, "result of receipt 1 was changed"),
-        (("link", "content_sha256"), "0" * 64, "result of receipt 1 was changed"),
-        (("link", "number"), 2, "not signed"),
-        (("link", "previous"), "0" * 64, "not signed"),
-        (("link", "signature"), "0" * 128, "not signed"),
-        (("link", "public_key"), "0" * 64, "not signed"),
-        (("link", "board"), "/track_2//model", "another board than its link: expected /track_1//model"),
-        (("link", "issued_at"), "2031-02-01T12:30:16Z", "another issued_at than its link"),
-        (("link", "content"), "submission", "another content than its link: expected result, got submission"),
+        (("entry", "content_sha256"), "0" * 64, "result of receipt 1 was changed"),
+        (("entry", "number"), 2, "not in the log of .* by its proof"),
+        (("public_key",), "0" * 64, "The checkpoint is of another log"),
+        (("entry", "board"), "/track_2//model", "another board than its entry: expected /track_1//model"),
+        (("entry", "issued_at"), "2031-02-01T12:30:16Z", "another issued_at than its entry"),
+        (("entry", "content"), "submission", "another content than its entry: expected result, got submission"),
+        (("entry", "statement"), {"a": 1}, "another statement than its entry: expected None"),
+        (("proofs",), [], "has no proof"),
+        (("proofs",), ["c2sp.org/tlog-proof@v2"], "Expected a proof that begins with"),
+        (("proofs",), list(prove(a_result(2), 1)), "not in the log of .* by its proof"),
+        (("proofs",), list(prove(a_result(), 2)), "has the proof of another entry, 2|not in the log"),
         (("result", "team_sha256"), "0" * 64, "result of receipt 1 was changed"),
     ],
 )
@@ -58,17 +63,18 @@ def test_a_receipt_names_its_team_without_its_name() -> None:
 
 
 def test_a_receipt_of_another_key_is_whole_but_not_of_this_service() -> None:
-    other = Receipt(link=sign(bytes(32), number=1, previous=None, content=a_result()), result=a_result())
+    result, key = a_result(), Ed25519PrivateKey.from_private_bytes(bytes(32)).public_key().public_bytes_raw().hex()
+    checkpoint = sign_checkpoint(bytes(32), size=1, root=result.entry(1).leaf_hash)
+    proof = str(InclusionProof(index=0, hashes=(), checkpoint=checkpoint))
+    other = Receipt(entry=result.entry(1), public_key=key, proofs=(proof,), result=result)
     other.require_valid()
     with pytest.raises(ReceiptRejected, match="of another service"):
-        other.require_valid(a_receipt().link.public_key)
+        other.require_valid(PUBLIC_KEY)
 
 
 def test_the_same_result_has_another_hash_with_another_salt() -> None:
     assert a_result(1).digest() != a_result(1, salt="f" * 32).digest()
-    assert receipt_for(a_result(), number=1, previous=None) == a_receipt(), (
-        "a signature of Ed25519 depends on nothing random"
-    )
+    assert receipt_for(a_result(), number=1) == a_receipt(), "a signature of Ed25519 depends on nothing random"
 
 
 @pytest.mark.parametrize("content", ["", "{}", "[1]", "\0", json.dumps({"format": "vitac-receipt-3"})])

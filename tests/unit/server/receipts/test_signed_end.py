@@ -78,8 +78,8 @@ def test_an_untouched_end_is_found_right(database: Database, tmp_path: Path) -> 
     assert findings(database, tmp_path) == []
 
 
-OTHER_WINNERS = "The winners and prizes of the export are not those of receipt 7."
-OTHER_MARKS = "The judges' marks of the export are not those of receipt 7."
+OTHER_WINNERS = "The winners and prizes of the export are not those of receipt 8."
+OTHER_MARKS = "The judges' marks of the export are not those of receipt 8."
 
 
 @pytest.mark.parametrize(
@@ -94,8 +94,8 @@ OTHER_MARKS = "The judges' marks of the export are not those of receipt 7."
         ("UPDATE competition SET winners = winners - 0", OTHER_WINNERS),
         ("UPDATE judging_marks SET mark = 10 WHERE mark = 5", OTHER_MARKS),
         ("DELETE FROM judging_marks WHERE mark = 7", OTHER_MARKS),
-        ("DELETE FROM receipts WHERE number = 7", "which has no end of the competition"),
-        ("UPDATE receipts SET content = replace(content, '2000', '2001') WHERE number = 7", "receipt 7 was changed"),
+        ("DELETE FROM receipts WHERE number = 8", "which has no end of the competition"),
+        ("UPDATE receipts SET content = replace(content, '2000', '2001') WHERE number = 8", "receipt 8 was changed"),
     ],
 )
 def test_other_winners_prizes_or_marks_than_the_signed_ones_are_found(

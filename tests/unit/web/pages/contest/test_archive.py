@@ -20,7 +20,7 @@ def test_the_archive_shows_winners_boards_and_how_to_cite(data: FixedData, brows
         "Touch, Final",
         "&lt;Bears&gt;",
         "@misc{cup}",
-        a_receipt().link.public_key,
+        a_receipt().public_key,
         "2031-03-01",
         "&lt;1+old&gt;",
         ">1+of_the_entry<",

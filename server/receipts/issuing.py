@@ -1,37 +1,33 @@
-"""The chain of receipts in the database: its key, one more receipt, and what is read of it."""
+"""Receipts in the database: one more of a submission or a result, and what is read of them."""
 
 import secrets
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from typing import Any
 from uuid import UUID
 
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from sqlalchemy import Select, and_, func, or_, select
-from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session, defer
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..contest.stages import Stage
-from ..db.advisory_locks import AdvisoryLock, wait_for_turn
-from ..db.models import Evaluation, ReceiptKey, ReceiptRow, Submission
+from ..db.models import Cosignature, Evaluation, ReceiptRow, Submission
+from ..transparency.entries import EntryKind, LogEntry
+from ..transparency.log import append, log_key, make_checkpoint, parse_entry, read_tree
+from ..transparency.merkle import Tree
+from ..transparency.notes import InclusionProof
 from .receipt import (
+    MODELS,
     AnyReceipt,
     Arrival,
     CombinedResult,
-    Content,
     EndReceipt,
-    Link,
-    LinkContent,
     Receipt,
     Result,
     SubmissionReceipt,
     TaskResult,
     board_name,
     end_name,
-    parse_receipt,
-    sign,
     team_commitment,
 )
 
@@ -39,108 +35,38 @@ _SALT_BYTES = 16
 _TASK_FIELDS = tuple(TaskResult.model_fields)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ChainState:
-    """How far the chain is: number and digest of its last receipt, 0 and None without one."""
-
-    public_key: str
-    receipts: int
-    last: str | None
-
-
-def ensure_key(session: Session) -> ReceiptKey:
-    """Return the key that signs receipts, made at the first call of all."""
-    found = session.get(ReceiptKey, 1)
-    if found is None:
-        made = Ed25519PrivateKey.generate()
-        values = {
-            "private_key": made.private_bytes_raw().hex(),
-            "public_key": made.public_key().public_bytes_raw().hex(),
-        }
-        session.execute(insert(ReceiptKey).values(id=1, **values).on_conflict_do_nothing())
-        found = session.get_one(ReceiptKey, 1)
-    return found
-
-
 def issue_for_submission(session: Session, submission: Submission) -> None:
-    """Add the receipt of a submission that has arrived to the chain, in the transaction that stores it; see `issue`."""
-    issue(session, lambda at: Arrival.model_validate(_describe_submission(submission, at)), submission_id=submission.id)
+    """Add the receipt of a submission that has arrived to the log, in the transaction that stores it; see `append`."""
+    append(
+        session, lambda at: Arrival.model_validate(_describe_submission(submission, at)), submission_id=submission.id
+    )
 
 
 def issue_for_result(session: Session, evaluation: Evaluation, combined: CombinedResult | None) -> None:
-    """Add the receipt of a completed evaluation to the chain, in the transaction that completes it; see `issue`.
+    """Add the receipt of a completed evaluation to the log, in the transaction that completes it; see `append`.
 
     Args:
         session: of the transaction.
         evaluation: completed, with its scores.
         combined: what it reached in all tasks that count; None where there is no such number.
     """
-    issue(session, lambda at: _result(evaluation, combined, at), evaluation_id=evaluation.id)
+    append(session, lambda at: _result(evaluation, combined, at), evaluation_id=evaluation.id)
 
 
-def issue(
-    session: Session,
-    make: Callable[[datetime], Content],
-    *,
-    submission_id: UUID | None = None,
-    evaluation_id: UUID | None = None,
-) -> None:
-    """Add a receipt to the chain.
-
-    From here to the end of the transaction no other receipt is issued: this is the last thing that it locks. The clock
-    is the database's, which has also dated the submission.
-
-    Args:
-        session: of the transaction.
-        make: returns what the receipt says, from the moment at which it is issued, which is never before the last one.
-        submission_id: of the submission that has arrived.
-        evaluation_id: of the evaluation whose result it is.
-    """
-    session.flush()
-    key = ensure_key(session)
-    wait_for_turn(session, AdvisoryLock.RECEIPTS, "")
-    last = session.scalar(select(ReceiptRow).order_by(ReceiptRow.number.desc()).limit(1))
-    now = session.scalars(select(func.clock_timestamp())).one().astimezone(UTC)
-    content = make(max(now, last.issued_at.astimezone(UTC)) if last else now)
-    link = sign(
-        bytes.fromhex(key.private_key),
-        number=last.number + 1 if last else 1,
-        previous=last.digest if last else None,
-        content=content,
-    )
-    session.add(
-        ReceiptRow(
-            **link.model_dump(exclude={"content"}),
-            digest=link.digest,
-            stands_for=link.content,
-            content=content.model_dump_json(),
-            submission_id=submission_id,
-            evaluation_id=evaluation_id,
-        )
-    )
-    session.flush()
-
-
-def chain_state(session: Session) -> ChainState:
-    """Return key, length and end of the chain."""
-    number, last = session.execute(
-        select(ReceiptRow.number, ReceiptRow.digest).order_by(ReceiptRow.number.desc()).limit(1)
-    ).one_or_none() or (0, None)
-    return ChainState(public_key=ensure_key(session).public_key, receipts=number, last=last)
-
-
-def links(session: Session, *, after: int = 0, limit: int | None = None, contest: str | None = None) -> list[Link]:
-    """Return the links of the chain that come after a number, as they are stored; `contest` None: of all."""
+def entries(
+    session: Session, *, after: int = 0, limit: int | None = None, contest: str | None = None
+) -> list[LogEntry]:
+    """Return the entries of the log that come after a number, as they are stored; `contest` None: of all."""
     query = select(ReceiptRow).where(ReceiptRow.number > after).options(defer(ReceiptRow.content))
     if contest is not None:
         query = query.where(
             or_(ReceiptRow.board.startswith(f"{contest}/", autoescape=True), ReceiptRow.board == end_name(contest))
         )
-    return [_link(row) for row in session.scalars(query.order_by(ReceiptRow.number).limit(limit))]
+    return [parse_entry(row) for row in session.scalars(query.order_by(ReceiptRow.number).limit(limit))]
 
 
 def receipts_of_board(session: Session, stage: Stage, kind: SubmissionKind) -> Sequence[Receipt | SubmissionReceipt]:
-    """Return the receipts of a stage's submissions and of all their results, on its boards or not, oldest first."""
+    """Return the receipts of a stage's submissions and of all their results, on its boards or not, without proofs."""
     board = board_name(stage.contest, stage.track, stage.name, kind)
     submission_id = func.coalesce(ReceiptRow.submission_id, Evaluation.submission_id)
     found = _receipts(
@@ -149,6 +75,7 @@ def receipts_of_board(session: Session, stage: Stage, kind: SubmissionKind) -> S
         .outerjoin(Evaluation, Evaluation.id == ReceiptRow.evaluation_id)
         .outerjoin(Submission, Submission.id == submission_id)
         .where(or_(and_(stage.submissions, Submission.kind == kind), ReceiptRow.board == board)),
+        proven=False,
     )
     return [receipt for receipt in found if not isinstance(receipt, EndReceipt)]
 
@@ -168,7 +95,7 @@ def receipt_of_arrival(session: Session, submission_id: UUID) -> SubmissionRecei
 
 def receipts_of_ends(session: Session) -> Sequence[EndReceipt]:
     """Return the receipts of the competition's end, one for each time that its winners were decided."""
-    found = _receipts(session, select(ReceiptRow).where(ReceiptRow.stands_for == LinkContent.END))
+    found = _receipts(session, select(ReceiptRow).where(ReceiptRow.stands_for == EntryKind.END), proven=False)
     return [receipt for receipt in found if isinstance(receipt, EndReceipt)]
 
 
@@ -177,13 +104,36 @@ def new_salt() -> str:
     return secrets.token_hex(_SALT_BYTES)
 
 
-def _receipts(session: Session, query: Select[ReceiptRow]) -> list[AnyReceipt]:
-    return [parse_receipt(_link(row), row.content) for row in session.scalars(query.order_by(ReceiptRow.number))]
+def _receipts(session: Session, query: Select[ReceiptRow], *, proven: bool = True) -> list[AnyReceipt]:
+    rows = session.scalars(query.where(ReceiptRow.stands_for.in_(MODELS)).order_by(ReceiptRow.number)).all()
+    tree, public_key = read_tree(session), log_key(session).public_key.hex()
+    return [_receipt(row, public_key, _prove(session, tree, row.number) if proven else ()) for row in rows]
 
 
-def _link(row: ReceiptRow) -> Link:
-    values = {name: getattr(row, name) for name in Link.model_fields}
-    return Link(**values | {"content": row.stands_for, "issued_at": row.issued_at.astimezone(UTC)})
+def _receipt(row: ReceiptRow, public_key: str, proofs: Iterable[InclusionProof]) -> AnyReceipt:
+    """Return a receipt. The content's name in it is that of the field which the model adds."""
+    model = MODELS[EntryKind(row.stands_for)]
+    (field,) = model.model_fields.keys() - {"format", "entry", "public_key", "proofs"}
+    content = model.model_fields[field].annotation
+    return model.model_validate(
+        {
+            "entry": parse_entry(row),
+            "public_key": public_key,
+            "proofs": tuple(map(str, proofs)),
+            field: content.model_validate_json(row.content),  # type: ignore[union-attr]
+        }
+    )
+
+
+def _prove(session: Session, tree: Tree, number: int) -> Iterator[InclusionProof]:
+    """Yield the proof by the newest checkpoint, and by the first of each witness that covers the entry."""
+    signed = select(func.min(Cosignature.size)).where(Cosignature.size >= number).group_by(Cosignature.witness)
+    for size in sorted({tree.size, *session.scalars(signed)}, reverse=True):
+        yield InclusionProof(
+            index=number - 1,
+            hashes=tuple(tree.prove_inclusion(number - 1, size)),
+            checkpoint=make_checkpoint(session, tree, size),
+        )
 
 
 def _describe_submission(submission: Submission, issued_at: datetime) -> dict[str, Any]:

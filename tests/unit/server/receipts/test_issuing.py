@@ -1,7 +1,6 @@
 import json
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime, timedelta
-from itertools import pairwise
 
 import psycopg
 import pytest
@@ -14,17 +13,19 @@ from service_factories import (
     shard_ids,
     submit,
 )
-from sqlalchemy import func, select, text
+from sqlalchemy import select, text
 from sqlalchemy.exc import DBAPIError
 from vitac.server.db.engine import Database
-from vitac.server.db.models import ReceiptKey, ReceiptRow
+from vitac.server.db.models import ReceiptRow
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE
-from vitac.server.receipts import chain
-from vitac.server.receipts.chain import chain_state, issue, links, receipt_of_arrival, receipts_of_submission
+from vitac.server.receipts import issuing
+from vitac.server.receipts.issuing import entries, receipt_of_arrival, receipts_of_submission
 from vitac.server.receipts.receipt import End
 from vitac.server.submissions import runs
+from vitac.server.transparency.log import append, log_size, log_state, read_tree
+from vitac.server.transparency.merkle import make_tree
 
 
 def test_a_final_result_gets_a_receipt_with_what_the_submission_shows(database: Database) -> None:
@@ -34,7 +35,7 @@ def test_a_final_result_gets_a_receipt_with_what_the_submission_shows(database: 
     with database.transaction() as session:
         evaluation = newest_evaluation(session, submission)
         (receipt,) = receipts_of_submission(session, submission.id)
-        receipt.require_valid(chain_state(session).public_key)
+        receipt.require_valid(log_state(session).public_key)
         result = receipt.result
         assert (result.evaluation, result.submission_digest) == (evaluation.id, submission.digest)
         assert (result.result_hash, result.evaluator_version) == (evaluation.result_hash, evaluation.evaluator_version)
@@ -45,10 +46,10 @@ def test_a_final_result_gets_a_receipt_with_what_the_submission_shows(database: 
         stored = session.scalars(select(ReceiptRow.content).where(ReceiptRow.stands_for == "result")).one()
         arrival = receipt_of_arrival(session, submission.id)
         assert arrival is not None
-        assert (arrival.link.number, receipt.link.number) == (1, 2)
+        assert (arrival.entry.number, receipt.entry.number) == (1, 2)
         assert arrival.submission.submitted_at == result.submitted_at
         assert arrival.submission.submission_digest == result.submission_digest
-        assert links(session) == [arrival.link, receipt.link]
+        assert entries(session) == [arrival.entry, receipt.entry]
     assert set(json.loads(stored)) == set(type(result).model_fields)
     assert "outcome" not in stored, "nothing of single episodes"
 
@@ -63,11 +64,10 @@ def test_a_second_run_gets_a_second_receipt(database: Database) -> None:
     with database.transaction() as session:
         first, second = receipts_of_submission(session, submission.id)
     assert (first.result.run, second.result.run) == (1, 2)
-    assert second.link.previous == first.link.digest
     assert second.result.result_hash == first.result.result_hash
 
 
-def test_results_that_end_at_once_make_one_chain_without_a_gap(database: Database) -> None:
+def test_results_that_end_at_once_make_one_log_without_a_gap(database: Database) -> None:
     teams = 4
     with database.transaction() as session:
         made = [submit(session, make_principal(session, f"Team {number}"), str(number)) for number in range(teams)]
@@ -78,13 +78,11 @@ def test_results_that_end_at_once_make_one_chain_without_a_gap(database: Databas
     with ThreadPoolExecutor(teams) as pool:
         list(pool.map(lambda ids: play(database, ids[-1]), shards.values()))
     with database.transaction() as session:
-        found = links(session)
-        assert chain_state(session).receipts == 2 * teams
-        assert session.scalar(select(func.count()).select_from(ReceiptKey)) == 1
-        assert links(session, after=2, limit=2) == found[2:4]
-    assert [link.number for link in found] == list(range(1, 2 * teams + 1))
-    assert found[0].previous is None
-    assert all(link.previous == before.digest for before, link in pairwise(found))
+        found = entries(session)
+        assert log_size(session) == 2 * teams
+        assert entries(session, after=2, limit=2) == found[2:4]
+        assert read_tree(session).root() == make_tree([entry.leaf_hash for entry in found]).root()
+    assert [entry.number for entry in found] == list(range(1, 2 * teams + 1))
 
 
 def test_a_result_that_is_not_stored_leaves_no_gap(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -96,7 +94,7 @@ def test_a_result_that_is_not_stored_leaves_no_gap(database: Database, monkeypat
         play(database, shard_id)
 
     def issue_and_die(*arguments: object) -> None:
-        chain.issue_for_result(*arguments)  # type: ignore[arg-type]
+        issuing.issue_for_result(*arguments)  # type: ignore[arg-type]
         raise KeyboardInterrupt
 
     monkeypatch.setattr(lifecycle, "issue_for_result", issue_and_die)
@@ -104,14 +102,14 @@ def test_a_result_that_is_not_stored_leaves_no_gap(database: Database, monkeypat
         play(database, last)
     monkeypatch.undo()
     with database.transaction() as session:
-        assert chain_state(session).receipts == 1, "that of the submission"
+        assert log_size(session) == 1, "that of the submission"
         session.execute(text("UPDATE shards SET state = 'queued', lease_expires_at = NULL WHERE state = 'running'"))
     play(database, last)
     with database.transaction() as session:
-        assert [link.number for link in links(session)] == [1, 2]
+        assert [entry.number for entry in entries(session)] == [1, 2]
 
 
-def test_the_database_refuses_to_change_the_chain(database: Database) -> None:
+def test_the_database_refuses_to_change_the_log(database: Database) -> None:
     with database.transaction() as session:
         submission = submit(session, make_principal(session))
     play_all(database, submission)
@@ -119,6 +117,8 @@ def test_the_database_refuses_to_change_the_chain(database: Database) -> None:
         "UPDATE receipts SET content = ''",
         "DELETE FROM receipts",
         "TRUNCATE receipts",
+        "TRUNCATE tree_nodes",
+        "TRUNCATE cosignatures",
         "DELETE FROM evaluations",
     ):
         with pytest.raises(DBAPIError), database.transaction() as session:
@@ -135,11 +135,11 @@ def test_a_clock_that_is_set_back_does_not_break_the_order(database: Database) -
     with database.transaction() as session:
         team = make_principal(session)
         submit(session, team, "one")
-        (first,) = links(session)
+        (first,) = entries(session)
         later = first.issued_at + timedelta(hours=1)
-        issue(session, lambda at: _ended(max(at, later)))
+        append(session, lambda at: _ended(max(at, later)))
         submit(session, team, "two")
-        _, ended, second = links(session)
+        _, ended, second = entries(session)
     assert first.issued_at < ended.issued_at == second.issued_at == later
 
 
@@ -152,4 +152,4 @@ def test_the_same_content_sent_twice_arrives_once(database: Database) -> None:
     with database.transaction() as session:
         team = make_principal(session)
         assert submit(session, team).id == submit(session, team).id
-        assert chain_state(session).receipts == 1
+        assert log_size(session) == 1
