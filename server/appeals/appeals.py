@@ -28,6 +28,12 @@ _NO_RULING = "The competition became final before anybody ruled on this appeal."
 _MAX_EPISODE = 1_000_000
 
 
+def takes_appeals(session: Session, contest: str | None = None) -> bool:
+    """Return whether a competition takes appeals; None: whether any of this service does."""
+    asked = Contest.read_all(session) if contest is None else [Contest.read(session, contest)]
+    return any(one.definition.appeal_days is not None and one.row.finalized_at is None for one in asked)
+
+
 def open_appeal(
     session: Session,
     by: Principal,

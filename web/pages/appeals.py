@@ -20,6 +20,7 @@ async def list_appeals(request: Request) -> Response:
     viewer = await require_viewer(request)
     by, contest = viewer.principal, read_contest_name(request)
     found = await get_site(request).ask(lambda session: appeals.visible(session, by, contest))
+    is_taken = await get_site(request).read(lambda session: appeals.takes_appeals(session, contest))
     given = request.query_params.get("submission", "")
     return page(
         request,
@@ -27,6 +28,7 @@ async def list_appeals(request: Request) -> Response:
         viewer=viewer,
         section=ADDRESS,
         found=found,
+        is_taken=is_taken,
         submission=given,
         appeals_address=_address(request),
     )

@@ -23,6 +23,7 @@ from vitac.evaluator.agent.description import SandboxDescription
 from vitac.server import quotas, tokens
 from vitac.server.api import problems
 from vitac.server.api.app import set_limiters
+from vitac.server.appeals import appeals
 from vitac.server.contest import view as contest
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode, ServiceError, not_found, token_missing
@@ -92,6 +93,7 @@ class FixedData(FixedPlaybacks):
     matches: list[ActionMatchView] = field(default_factory=list)
     cancelled: list[UUID] = field(default_factory=list)
     settings: dict[str, Any] = field(default_factory=dict)
+    takes_appeals: bool = False
     locked_since: datetime | None = None
     cup: CompetitionView | None = None
     public_rankings: dict[str, PublicRankingView] = field(default_factory=dict)
@@ -335,6 +337,7 @@ for _module, _name, _data_of in (
     (submission_detail, "read_detail", lambda data: data.submission),
     (listing, "get", lambda data: data.get),
     (listing, "list_submissions", lambda data: data.submissions),
+    (appeals, "takes_appeals", lambda data: lambda *_: data.takes_appeals),
     (comparison, "compare_results", lambda data: data.compare),
     (output, "episode_outputs", lambda data: data.output),
     (receipts, "log_view", lambda data: data.log),

@@ -11,6 +11,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.tracks import UnknownTrack, load_track
 from vitac.server.api.streams import OpenStreams
+from vitac.server.appeals.appeals import takes_appeals
 from vitac.server.contest.view import competition_list_view, track_stages
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from vitac.server.errors import TRACK_REMOVED
@@ -163,6 +164,7 @@ async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
         "board": board_address(found.contest if len(listed) > 1 else None, found.track),
         "board_query": board_query,
         "competition": next((one for one in listed if one.name == found.contest and len(listed) > 1), None),
+        "takes_appeals": await get_site(request).read(lambda session: takes_appeals(session, found.contest)),
         "episodes": detail.episodes,
         "past": detail.past,
         "active": found.evaluation.state not in TERMINAL_EVALUATION_STATES,

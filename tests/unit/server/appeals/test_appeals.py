@@ -13,6 +13,7 @@ from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server import team_data
 from vitac.server.appeals import appeals
 from vitac.server.audit import newest_entries
+from vitac.server.contest.contest import Contest
 from vitac.server.contest.sealing import seal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Appeal, BoardResult, EpisodeResult, Evaluation, Rejudgement, Submission
@@ -261,3 +262,14 @@ def test_a_text_that_cannot_be_shown_opens_and_ends_no_appeal(
             with refused(ProblemCode.INVALID_REQUEST):
                 appeals.rule(session, CONSOLE, made.id, text, upheld=True)
         assert made.state is AppealState.OPEN
+
+
+@pytest.mark.parametrize(("days", "is_taken"), [(7, True), (None, False)])
+def test_the_form_is_shown_where_the_competition_gives_time_for_appeals(
+    database: Database, days: int | None, is_taken: bool
+) -> None:
+    with database.transaction() as session:
+        assert not appeals.takes_appeals(session)
+        with_appeals(session, days)
+        assert appeals.takes_appeals(session) == is_taken
+        assert appeals.takes_appeals(session, Contest.read(session).name) == is_taken

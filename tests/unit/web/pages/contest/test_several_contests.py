@@ -28,7 +28,8 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CliService]:
     with cli_service(tmp_path_factory.mktemp("service") / "state") as service:
         with service.database.transaction() as session:
             for name in (MAIN, CLASS):
-                put_in_place(session, open_now(make_competition(name=name, title=f"The <{name}>")))
+                days = {"appeal_days": 7} if name == CLASS else {}
+                put_in_place(session, open_now(make_competition(name=name, title=f"The <{name}>", **days)))
             freeze(session, CONSOLE, MAIN)
             ants = make_principal(session, "Ants")
             for name, successes in ((MAIN, 40), (CLASS, 90)):
@@ -164,7 +165,11 @@ def test_the_links_of_a_competition_are_those_of_its_receipts(service: CliServic
 
 def test_an_appeal_made_on_the_page_of_a_competition_leads_back_to_it(service: CliService) -> None:
     page = f"/competitions/{CLASS}/appeals"
-    assert f'action="{page}/open"' in team_visitor(service, "Ants").get(page).text
+    ants = team_visitor(service, "Ants")
+    assert f'action="{page}/open"' in ants.get(page).text
+    without = ants.get(f"/competitions/{MAIN}/appeals").text
+    assert "No appeals are taken now." in without
+    assert "<form" not in without.partition("<main")[2]
 
 
 def test_the_desk_names_the_competition_of_each_stage(service: CliService) -> None:

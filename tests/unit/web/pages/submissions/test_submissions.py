@@ -121,6 +121,13 @@ def test_completed_submission_shows_its_score_and_stands_still(browser: AsgiBrow
         assert gone not in html
 
 
+def test_an_appeal_is_offered_where_some_are_taken(data: FixedData, browser: AsgiBrowser) -> None:
+    sign_in(browser, "Gelbots")
+    for data.takes_appeals in (False, True):
+        html = browser.get(f"/submissions/{COMPLETED.id}").text
+        assert ("/appeals?submission=" in html) == data.takes_appeals
+
+
 def test_completed_submission_explains_its_outcomes(browser: AsgiBrowser) -> None:
     sign_in(browser, "Gelbots")
     html = browser.get(f"/submissions/{COMPLETED.id}").text
