@@ -25,10 +25,10 @@ def make_arrows(found: PairForces) -> tuple[FloatArray, FloatArray]:
     """
     places, forces = np.zeros((SENSOR_COUNT + PLACES, 3)), np.zeros((SENSOR_COUNT + PLACES, 3))
     for gel in range(SENSOR_COUNT):
-        points_m, forces_n = _on_held(found, gel)
+        points_m, forces_n = _select_on_held(found, gel)
         if len(points_m):
             places[gel], forces[gel] = _add_up(points_m, forces_n)
-    points_m, forces_n = _on_held(found, _FIXED)
+    points_m, forces_n = _select_on_held(found, _FIXED)
     for row in range(SENSOR_COUNT, SENSOR_COUNT + PLACES):
         if not len(points_m):
             break
@@ -39,7 +39,7 @@ def make_arrows(found: PairForces) -> tuple[FloatArray, FloatArray]:
     return places, forces
 
 
-def _on_held(found: PairForces, other: int) -> tuple[FloatArray, FloatArray]:
+def _select_on_held(found: PairForces, other: int) -> tuple[FloatArray, FloatArray]:
     """Return the places [m] and forces [N] of contacts on the held part with another body."""
     first, second = found.bodies.T
     acts = (first == _HELD) & (second == other)

@@ -186,14 +186,14 @@ def _numbers(name: str, content: bytes) -> NDArray[np.float32]:
     if name.endswith(".json"):
         numbers = np.array([float(number) for number in _DECIMAL.findall(content)], np.float32)
     else:
-        data, kind = _without_header(content)
+        data, kind = _strip_header(content)
         with np.errstate(over="ignore", invalid="ignore"):
             numbers = np.frombuffer(data[len(data) % int(kind[-1]) :], kind).astype(np.float32)
     with np.errstate(invalid="ignore"):
         return np.where(np.isfinite(numbers) & (np.abs(numbers) < _LARGEST), numbers, np.float32(0))
 
 
-def _without_header(content: bytes) -> tuple[bytes, str]:
+def _strip_header(content: bytes) -> tuple[bytes, str]:
     """Return the numbers of an array in NumPy's format and their type; of anything else all, as 32-bit floats."""
     if not content.startswith(np.lib.format.MAGIC_PREFIX) or len(content) < 12:
         return content, "<f4"

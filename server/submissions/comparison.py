@@ -56,7 +56,7 @@ class Side:
     episodes: Sequence[EpisodeView] = ()
     commitment: str | None = None
 
-    def plays_list_of(self, other: "Side") -> bool:
+    def plays_same_list(self, other: "Side") -> bool:
         """Return whether an episode of both with one number is the same one."""
         return (self.view.track, self.commitment) == (other.view.track, other.commitment)
 
@@ -149,13 +149,13 @@ def make_comparison(sides: Sequence[Side]) -> ComparisonView:
     """Return some results beside each other."""
     return ComparisonView(
         results=[side.view for side in sides],
-        groups=[*_by_shape(sides), *_by_difficulty(sides)],
+        groups=[*_group_by_shape(sides), *_group_by_difficulty(sides)],
         pairs=list(_pairs(sides)),
         differing=list(_differing(sides)),
     )
 
 
-def _by_shape(sides: Sequence[Side]) -> Iterator[ComparedGroupView]:
+def _group_by_shape(sides: Sequence[Side]) -> Iterator[ComparedGroupView]:
     scores = [{score.task: score for score in side.view.scores} for side in sides]
     for task in dict.fromkeys(task for by_task in scores for task in by_task):
         shapes = [_shapes(by_task.get(task)) for by_task in scores]
@@ -177,7 +177,7 @@ def _rate_view(part: ShapeScoreView) -> RateView:
     )
 
 
-def _by_difficulty(sides: Sequence[Side]) -> Iterator[ComparedGroupView]:
+def _group_by_difficulty(sides: Sequence[Side]) -> Iterator[ComparedGroupView]:
     """Yield the rates among four groups of starts, where these are the track file's, and known."""
     known = [side for side in sides if side.episodes and side.commitment is None]
     named = dict.fromkeys((side.view.track, end.task) for side in known for end in side.episodes)
@@ -225,7 +225,7 @@ def quarters_of_starts(track: str, task: str) -> Mapping[int, int]:
 
 def _pairs(sides: Sequence[Side]) -> Iterator[ComparedPairView]:
     for (first, ours), (second, theirs) in combinations(enumerate(sides), 2):
-        if not ours.plays_list_of(theirs):
+        if not ours.plays_same_list(theirs):
             continue
         try:
             found = compare(ours.episodes, theirs.episodes)
@@ -249,7 +249,7 @@ def _differing(sides: Sequence[Side]) -> Iterator[ComparedEpisodeView]:
     if first is None:
         return
     ends = [
-        {(end.task, end.episode): end for end in side.episodes} if side.plays_list_of(first) else {} for side in sides
+        {(end.task, end.episode): end for end in side.episodes} if side.plays_same_list(first) else {} for side in sides
     ]
     for task, number in sorted({key for by_key in ends for key in by_key}):
         played = [by_key.get((task, number)) for by_key in ends]
