@@ -239,7 +239,7 @@ def _print_forces(forces: "ForceSummary") -> None:
         (name, f"{found.peak_n:.1f}", f"{found.p95_n:.1f}", f"{found.impulse_n_s:.1f}")
         for name, found in (("the held part", forces.part), ("a gel", forces.gel))
     ]
-    print_table(("force on, medians", "peak [N]", "95th percentile [N]", "impulse [N s]"), rows, none="")
+    print_table(("median force on", "peak [N]", "95th percentile [N]", "impulse [N s]"), rows, none="")
     print(
         f"above {forces.over_force_n:g} N on the held part: {forces.over_force_events} times, in "
         f"{forces.over_force_episodes} of {forces.episodes} episodes; largest stretch of a gel: "
