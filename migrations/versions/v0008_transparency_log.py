@@ -3,7 +3,7 @@
 Receipts that were issued before are entries of the log, too; files of them that teams have hold signatures of the
 former chain, and the page of the submission has them in the new form.
 
-Revision 0006, after 0005.
+Revision 0008, after 0007.
 """
 
 import hashlib
@@ -15,8 +15,8 @@ from typing import Any
 import sqlalchemy as sa
 from alembic import op
 
-revision = "0006"
-down_revision = "0005"
+revision = "0008"
+down_revision = "0007"
 branch_labels = None
 depends_on = None
 
