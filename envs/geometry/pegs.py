@@ -19,6 +19,9 @@ PLATE_THICKNESS_MM = 20.0
 CLEARANCE_MM = 1.5
 PLATE_OUTLINE_MM = rectangle(-35.0, 35.0, -25.0, 25.0)
 
+# A bulge is even between this y and its opposite.
+_MIDDLE_MM = 5.0
+
 # The waist of concave1, an hourglass: its flanks rise at 60 degrees from the ends (half width 17.5) over 10 mm.
 _WAIST_MM = 17.5 - 10.0 / sqrt(3.0)
 
@@ -35,26 +38,51 @@ class PegShape(StrEnum):
 class PegForm:
     """Difference of a peg and its hole from the challenge's.
 
-    The profile is scaled along x, by a factor that grows linearly along y, so that the two gripped faces stay where
-    they are: `width` in the middle and `width` -+ `taper` at the ends.
+    The profile is scaled along x, by a factor that depends on y, and slanted, so that the two gripped faces stay as far
+    from each other as they are: `width` -+ `taper` at the ends, `bulge` more between.
 
     Attributes:
-        width: factor in the middle.
+        width: factor at the middle of a profile without bulge.
         taper: by how much the factor differs at the ends.
+        bulge: by how much the factor is larger in the middle third; it grows linearly from the ends.
+        slant_mm: by how much the end at larger y lies at larger x, and the other end at smaller x.
         clearance_mm: gap between a centred peg and its hole.
     """
 
     width: float = 1.0
     taper: float = 0.0
+    bulge: float = 0.0
+    slant_mm: float = 0.0
     clearance_mm: float = CLEARANCE_MM
 
     def scaled(self, points_mm: Polygon) -> Polygon:
         """Return corners of the challenge's profile as they are in this form [mm]."""
         x, y = points_mm[:, 0], points_mm[:, 1]
-        return np.column_stack([x * (self.width + self.taper * y / (0.5 * GRIPPED_WIDTH_MM)), y])
+        end = 0.5 * GRIPPED_WIDTH_MM
+        part = np.minimum(1.0, (end - np.abs(y)) / (end - _MIDDLE_MM))
+        factor = self.width + self.taper * y / end + self.bulge * part
+        return np.column_stack([x * factor + self.slant_mm * y / end, y])
+
+    def corners(self, points_mm: Polygon) -> Polygon:
+        """Return the corners of a challenge's profile to which the form is applied; a bulge has more of them."""
+        return points_mm if self.bulge == 0.0 else _with_middle_corners(points_mm)
 
 
 CHALLENGE_FORM = PegForm()
+
+
+def _with_middle_corners(profile_mm: Polygon) -> Polygon:
+    """Return a profile with corners where its flanks enter and leave the middle third, if it has none there."""
+    corners = []
+    for start, end in zip(profile_mm, np.roll(profile_mm, -1, axis=0), strict=True):
+        corners.append(start)
+        rise = end[1] - start[1]
+        if abs(rise) > 2.0 * _MIDDLE_MM:
+            for y in np.sign(rise) * np.array([-_MIDDLE_MM, _MIDDLE_MM]):
+                corners.append(start + (end - start) * (y - start[1]) / rise)
+    return np.array(corners)
+
+
 # Number of surfaces that are cached; drawn forms are hardly met again.
 _SURFACES_CACHED = 32
 
@@ -97,7 +125,7 @@ BOTTOM_CORNERS_MM: dict[PegShape, Polygon] = {
 
 def profile_mm(shape: PegShape, form: PegForm = CHALLENGE_FORM) -> Polygon:
     """Return the outline of a peg [mm]."""
-    return form.scaled(PROFILES_MM[shape])
+    return form.scaled(form.corners(PROFILES_MM[shape]))
 
 
 def hole_outline_mm(shape: PegShape, form: PegForm = CHALLENGE_FORM) -> Polygon:
@@ -123,6 +151,7 @@ def bottom_vertices(shape: PegShape, peg: SurfaceMesh, form: PegForm = CHALLENGE
 
     Found by position, so the answer also fits a surface read from a file.
     """
-    corners_m = np.zeros((len(BOTTOM_CORNERS_MM[shape]), 3))
-    corners_m[:, :2] = form.scaled(BOTTOM_CORNERS_MM[shape]) * 1e-3
+    corners_mm = BOTTOM_CORNERS_MM[shape] if form.bulge == 0.0 else form.corners(PROFILES_MM[shape])
+    corners_m = np.zeros((len(corners_mm), 3))
+    corners_m[:, :2] = form.scaled(corners_mm) * 1e-3
     return nearest_vertices(peg, corners_m)

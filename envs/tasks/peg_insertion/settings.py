@@ -28,6 +28,8 @@ class PegInsertionSettings:
         clearance_mm: gap between a centred peg and its hole.
         peg_width: factor of the peg's width in the middle of the grasp, see `PegForm`.
         peg_taper: by how much that factor differs at the gripped faces.
+        peg_bulge: by how much that factor is larger in the middle third.
+        peg_slant_mm: by how much the gripped faces lie on different sides of the middle.
         random_xy_mm: largest |x| and |y| of a random start.
         random_theta_deg: largest |theta| of a random start.
         physics: materials of the gels and time stepping.
@@ -47,6 +49,8 @@ class PegInsertionSettings:
     clearance_mm: float = CLEARANCE_MM
     peg_width: float = 1.0
     peg_taper: float = 0.0
+    peg_bulge: float = 0.0
+    peg_slant_mm: float = 0.0
     random_xy_mm: float = 5.0
     random_theta_deg: float = 10.0
     physics: PhysicsSettings = field(default_factory=PhysicsSettings)
@@ -58,6 +62,8 @@ class PegInsertionSettings:
         require(0.1 <= self.clearance_mm <= 3, "clearance_mm", self.clearance_mm, "0.1 to 3 mm")
         require(0.5 <= self.peg_width <= 1.4, "peg_width", self.peg_width, "0.5 to 1.4")
         require(abs(self.peg_taper) <= 0.3, "peg_taper", self.peg_taper, "-0.3 to 0.3")
+        require(abs(self.peg_bulge) <= 0.3, "peg_bulge", self.peg_bulge, "-0.3 to 0.3")
+        require(abs(self.peg_slant_mm) <= 4, "peg_slant_mm", self.peg_slant_mm, "-4 to 4 mm")
         require(0 < self.z_step_mm <= 5, "z_step_mm", self.z_step_mm, "0 to 5 mm")
         require(0 < self.random_xy_mm <= 12, "random_xy_mm", self.random_xy_mm, "0 to 12 mm")
         require(0 <= self.random_theta_deg <= 15, "random_theta_deg", self.random_theta_deg, "0 to 15 degrees")
@@ -65,4 +71,10 @@ class PegInsertionSettings:
     @property
     def form(self) -> PegForm:
         """Form of peg and hole."""
-        return PegForm(width=self.peg_width, taper=self.peg_taper, clearance_mm=self.clearance_mm)
+        return PegForm(
+            width=self.peg_width,
+            taper=self.peg_taper,
+            bulge=self.peg_bulge,
+            slant_mm=self.peg_slant_mm,
+            clearance_mm=self.clearance_mm,
+        )

@@ -23,6 +23,8 @@ from vitac.envs.geometry.pegs import (
 )
 from vitac.envs.geometry.polygon import contains
 
+# Smallest and largest width, taper, bulge, slant and clearance of `peg-insertion-robust`.
+RANGES = ([0.85, -0.2, -0.2, -2.0, 0.5], [1.1, 0.2, 0.2, 2.0, 2.0])
 EACH = pytest.mark.parametrize("shape", PegShape)
 # Twice the half width at y [mm], from the drawings.
 WIDTHS_MM: dict[PegShape, Callable[[float], float]] = {
@@ -111,6 +113,34 @@ def test_a_form_scales_across_the_gels_alone_and_leaves_its_clearance(shape: Peg
     peg = peg_surface(shape, form)
     corners_mm = peg.vertices_m[bottom_vertices(shape, peg, form)] * 1e3
     assert np.array_equal(np.round(corners_mm[:, :2], 9), np.round(form.scaled(BOTTOM_CORNERS_MM[shape]), 9))
+
+
+@EACH
+def test_a_bulge_and_a_slant_make_outlines_that_the_challenge_does_not_have(shape: PegShape) -> None:
+    form = PegForm(bulge=0.2, slant_mm=1.5, clearance_mm=0.5)
+    profile = profile_mm(shape, form)
+    assert sorted(profile[:, 1].tolist()) == [y for y in (-15.0, -5.0, 5.0, 15.0) for _ in range(2)]
+    half = WIDTHS_MM[shape]
+    for x, y in profile.tolist():
+        side = 1.0 if x > 0 else -1.0
+        assert x == pytest.approx(side * half(y) / 2.0 * (1.2 if abs(y) < 10.0 else 1.0) + 1.5 * y / 15.0)
+    peg = peg_surface(shape, form)
+    corners_mm = peg.vertices_m[bottom_vertices(shape, peg, form)] * 1e3
+    assert sorted(map(tuple, corners_mm[:, :2].round(9))) == sorted(map(tuple, profile.round(9)))
+    assert np.abs(hole_surface(shape, form).vertices_m[:, :2] * 1e3).max(axis=0).tolist() == [35.0, 25.0]
+
+
+@EACH
+@pytest.mark.parametrize("seed", range(3))
+def test_forms_within_the_ranges_of_the_variant_are_outlines_with_eight_corners(shape: PegShape, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    for _ in range(20):
+        width, taper, bulge, slant, clearance = random.uniform(*RANGES).tolist()
+        form = PegForm(width=width, taper=taper, bulge=bulge, slant_mm=slant, clearance_mm=clearance)
+        profile, hole = profile_mm(shape, form), hole_outline_mm(shape, form)
+        assert (len(profile), len(hole)) == (8, 8)
+        assert 0.0 < signed_area(profile) < signed_area(hole)
+        assert all(contains(hole, corner) for corner in profile)
 
 
 @EACH

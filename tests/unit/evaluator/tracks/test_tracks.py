@@ -402,6 +402,12 @@ ROBUST = {
     "lock-opening-robust": ("slot_clearance_mm", 0.5, 2.0),
     "fusion-robust": ("clearance_mm", 0.5, 1.5),
 }
+NEW = {
+    "peg-insertion-robust": ("peg_bulge", "peg_slant_mm"),
+    "lock-opening-robust": (),
+    "fusion-robust": (),
+}
+"""What changes outlines of pegs, and what is seen of them."""
 
 
 @pytest.mark.parametrize("name", ROBUST)
@@ -412,6 +418,7 @@ def test_robust_tasks_draw_what_makes_them_hard_under_the_contact_model_that_sti
     assert {"gel_modulus_kpa", "part_friction", "marker_noise_px", "marker_loss", "drift_u_px_s", "touch_delay"} <= set(
         task.draws
     )
+    assert set(NEW[name]) <= set(task.draws)
     assert task.settings["contact_model"] == "arena-1"
 
 
