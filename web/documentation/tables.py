@@ -39,7 +39,9 @@ def verdicts() -> str:
 def _default(field: FieldInfo) -> str:
     """Return a default as it is written in the environment; a description names one that is computed."""
     value = field.default.value if isinstance(field.default, Enum) else field.default
-    if field.default_factory is not None or value in (None, ""):
+    if field.default_factory is not None:
+        return "as described"
+    if value in (None, ""):
         return "none"
     return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else f"{value}"
 

@@ -17,7 +17,7 @@ def test_every_setting_has_a_meaning_and_its_default() -> None:
         ("CLIENT_SHARE", "0.1"),
         ("REGISTRATION", "open"),
         ("LOG_BYTES", "33554432"),
-        ("STATE_DIR", "none"),
+        ("STATE_DIR", "as described"),
         ("TRUSTED_PROXIES", "none"),
         ("WEBHOOKS_MAY_LEAD_INSIDE", "false"),
     ):
