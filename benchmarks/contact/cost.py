@@ -16,7 +16,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from contact.models import EXAMPLES, POLICIES, read_policy
+from contact.models import find_policy, read_policy
 from numpy.typing import NDArray
 from vitac.envs.fem.model.settings import ContactModel
 from vitac.evaluator.episodes.episode import make_environment
@@ -55,9 +55,9 @@ def played_ms(env: Any, episode: Episode, actions: list[NDArray[np.float32]]) ->
 
 def compare_cost(name: str, every: int) -> None:
     """Print the cost of one heuristic's actions under both models."""
-    task_name, folder = POLICIES[name]
+    task_name, folder = find_policy(name)
     _, task = find_task(task_name)
-    policy = read_policy(EXAMPLES / name / folder)
+    policy = read_policy(folder)
     envs = {model: made(task, model) for model in ContactModel}
     costs: dict[ContactModel, list[tuple[float, int]]] = {model: [] for model in ContactModel}
     for episode in task.episodes[::every]:
