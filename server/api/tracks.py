@@ -5,9 +5,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request, Response
 
 from ..leaderboards.made_boards import PAGE_ENTRIES, MadeBoard
-from ..leaderboards.shown import shown_leaderboard, shown_log_boards
+from ..leaderboards.shown import shown_leaderboard, shown_log_boards, shown_rank_history
 from ..tracks import load_known_track, track_file, track_view, track_views
-from ..views.leaderboards import LeaderboardView, LogBoardsView
+from ..views.leaderboards import LeaderboardView, LogBoardsView, TeamRanksView
 from ..views.tracks import TrackListView, TrackView
 from .access import MAX_NUMBER, ReaderOf, ServicesOf
 from .conditional import answer
@@ -61,6 +61,22 @@ def get_leaderboard(
     with services.database.reading() as session:
         board = shown_leaderboard(session, principal, track, task=task, stage=stage, contest=contest)
     return _answer(request, board, after, limit)
+
+
+@router.get("/competitions/{contest}/leaderboards/{track}/ranks")
+@router.get("/leaderboards/{track}/ranks")
+def get_rank_history(
+    services: ServicesOf,
+    principal: ReaderOf,
+    track: str,
+    *,
+    contest: str | None = None,
+    task: Annotated[str | None, Query(description="Of this task alone; of all tasks together without it.")] = None,
+    stage: Stage = None,
+) -> list[TeamRanksView]:
+    """Return the ranks of a leaderboard's first teams over time."""
+    with services.database.reading() as session:
+        return shown_rank_history(session, principal, track, task=task, stage=stage, contest=contest)
 
 
 @router.get("/competitions/{contest}/leaderboards/{track}/logs", response_model=LogBoardsView, responses=UNCHANGED)

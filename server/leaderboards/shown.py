@@ -4,9 +4,11 @@ from sqlalchemy.orm import Session
 
 from ..contest.contest import Contest
 from ..principals import Principal
-from ..views.leaderboards import LeaderboardView, LogBoardsView
+from ..views.leaderboards import LeaderboardView, LogBoardsView, TeamRanksView
+from .best_entries import Board
 from .log_boards import log_boards
 from .made_boards import MadeBoard
+from .rank_history import rank_history
 from .standings import leaderboard
 
 
@@ -34,6 +36,29 @@ def shown_leaderboard(
     """
     shown = Contest.find_by_track(session, track, contest).shown_stage(track, stage)
     return leaderboard(session, shown, task=task, unfrozen=by.organizes(shown.contest))
+
+
+def shown_rank_history(
+    session: Session,
+    by: Principal,
+    track: str,
+    *,
+    task: str | None = None,
+    stage: str | None = None,
+    contest: str | None = None,
+) -> list[TeamRanksView]:
+    """Return the ranks of a leaderboard's first teams over time; the arguments are those of `shown_leaderboard`.
+
+    Raises:
+        ServiceError: one of the names is unknown.
+    """
+    shown = Contest.find_by_track(session, track, contest).shown_stage(track, stage)
+    unfrozen = by.organizes(shown.contest)
+    made = leaderboard(session, shown, task=task, unfrozen=unfrozen).view
+    if made.is_reference:
+        return []
+    board = Board.from_results(shown, shown.counted_results(live=unfrozen), task=task)
+    return rank_history(session, board, made.entries)
 
 
 def shown_log_boards(

@@ -167,6 +167,21 @@ class LogBoardsView(View):
         return self.model_copy(update=changes | {"next_after": after + limit if most > after + limit else None})
 
 
+class DatedRankView(View):
+    """A rank that a team had from a moment on."""
+
+    at: datetime
+    rank: int
+
+
+class TeamRanksView(View):
+    """The ranks of one of a board's first teams over time."""
+
+    team: str
+    submission_id: UUID = Field(description="Of its present entry.")
+    ranks: list[DatedRankView] = Field(description="Each change of its rank, the oldest first.")
+
+
 class PastResultView(View):
     """What one submission of a team has reached in one task."""
 

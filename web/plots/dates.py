@@ -4,11 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from markupsafe import Markup
+from vitac.server.views.leaderboards import TeamRanksView
+
 from ..rendering import percent
 from .axis import Axis, beside
 from .figure import Figure, Table, element, joined
 
 DATES_WRITTEN = 4
+NAME_LENGTH = 18
+"""Longest name of a team beside its line [characters]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,3 +105,54 @@ def _date(moment: datetime) -> str:
 
 def _minute(moment: datetime) -> str:
     return moment.astimezone(UTC).strftime("%Y-%m-%d %H:%M")
+
+
+def ranks_by_date(key: str, title: str, teams: Sequence[TeamRanksView], until: datetime) -> Figure:
+    """Return a line of ranks for each team, with its name at the end.
+
+    Args:
+        key: id of the plot.
+        title: what is drawn.
+        teams: in their present order; at least one.
+        until: where the lines end.
+    """
+    begun = min(team.ranks[0].at for team in teams)
+    ranks = [one.rank for team in teams for one in team.ranks]
+    x = Axis(low=begun.timestamp(), high=until.timestamp(), begin=70.0, end=440.0)
+    y = Axis(low=1.0, high=float(max(2, *ranks)), begin=14.0, end=190.0)
+    return Figure(
+        key=key,
+        title=title,
+        summary=f"{len(teams)} teams from {_date(begun)} to {_date(until)}; first is now {teams[0].team}.",
+        width=600,
+        height=222,
+        drawing=beside(y, 60.0, 450.0, "{:g}".format)
+        + joined(_rank_line(team, place, x, y) for place, team in enumerate(teams))
+        + joined(
+            element("text", text, class_="tick", x=x.place(moment.timestamp()), y=212, text_anchor="middle")
+            for moment, text in _written_dates(begun, until)
+        ),
+        table=Table(
+            columns=("Since (UTC)", "Team", "Rank"),
+            rows=tuple((_minute(one.at), team.team, str(one.rank)) for team in teams for one in team.ranks),
+        ),
+    )
+
+
+def _rank_line(team: TeamRanksView, place: int, x: Axis, y: Axis) -> Markup:
+    steps = [(x.place(one.at.timestamp()), y.place(one.rank)) for one in team.ranks]
+    path = f"M{steps[0][0]:.2f} {steps[0][1]:.2f}" + "".join(f"H{at:.2f}V{up:.2f}" for at, up in steps[1:])
+    end = steps[-1][1]
+    name = team.team if len(team.team) <= NAME_LENGTH else f"{team.team[: NAME_LENGTH - 1]}…"
+    return (
+        element("path", class_=f"best rank-{place}", d=f"{path}H{x.end:.2f}")
+        + element(
+            "circle",
+            element("title", f"{team.team}: rank {team.ranks[-1].rank}"),
+            class_="point",
+            cx=x.end,
+            cy=end,
+            r=3,
+        )
+        + element("text", name, class_="tick", x=x.end + 12.0, y=end + 4.0)
+    )

@@ -48,7 +48,7 @@ from vitac.server.teams import teams
 from vitac.server.transparency.notes import make_log_key
 from vitac.server.views.comparisons import ComparisonView
 from vitac.server.views.contest import ArchiveView, CompetitionListView, CompetitionView, PublicRankingView, StageView
-from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
+from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView, TeamRanksView
 from vitac.server.views.logs import ActionMatchView
 from vitac.server.views.messages import AnnouncementView
 from vitac.server.views.operations import OperationsView
@@ -93,6 +93,7 @@ class FixedData(FixedPlaybacks):
     matches: list[ActionMatchView] = field(default_factory=list)
     cancelled: list[UUID] = field(default_factory=list)
     settings: dict[str, Any] = field(default_factory=dict)
+    ranks: list[TeamRanksView] = field(default_factory=list)
     takes_appeals: bool = False
     locked_since: datetime | None = None
     cup: CompetitionView | None = None
@@ -337,6 +338,7 @@ for _module, _name, _data_of in (
     (submission_detail, "read_detail", lambda data: data.submission),
     (listing, "get", lambda data: data.get),
     (listing, "list_submissions", lambda data: data.submissions),
+    (shown, "shown_rank_history", lambda data: lambda *_, **__: data.ranks),
     (appeals, "takes_appeals", lambda data: lambda *_: data.takes_appeals),
     (comparison, "compare_results", lambda data: data.compare),
     (output, "episode_outputs", lambda data: data.output),

@@ -9,11 +9,11 @@ from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
 from vitac.evaluator.tracks import Track
-from vitac.server.leaderboards.shown import shown_leaderboard
+from vitac.server.leaderboards.shown import shown_leaderboard, shown_rank_history
 from vitac.server.sharing.public_pages import public_among
-from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
+from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView, TeamRanksView
 
-from ...plots.dates import DatedRate, rates_by_date
+from ...plots.dates import DatedRate, ranks_by_date, rates_by_date
 from ...plots.figure import Figure
 from ...rendering import steps, words
 from ...site import Site, get_principal, get_site, get_viewer, page
@@ -52,7 +52,8 @@ async def leaderboard(request: Request) -> Response:
         shown = board_page(request, asked.address(), board.entries, own_names)
         public: Collection[UUID] = public_among(session, [entry.submission_id for entry in shown.entries])
         around = read_surroundings(session, site, track, asked, shown_stage=board.stage)
-        return {"board": board, "shown": shown, "public": public, **around}
+        ranks = shown_rank_history(session, by, track.name, task=task, stage=asked.stage, contest=asked.contest)
+        return {"board": board, "shown": shown, "public": public, "ranks": ranks, **around}
 
     values = await site.read(read)
     board: LeaderboardView = values["board"]
@@ -67,11 +68,24 @@ async def leaderboard(request: Request) -> Response:
         columns=shown_columns,
         rows=[(entry, [_cell(column, entry) for column in shown_columns]) for entry in values["shown"].entries],
         dates=_dates(site, board, own_names),
+        ranks_plot=_draw_ranks(site, board, values["ranks"]),
         list_kind=board.list_kind.value,
         ranked=sum(entry.rank is not None for entry in board.entries),
         episodes=sum(len(definition.episodes) for definition in counted),
         **values,
     )
+
+
+def _draw_ranks(site: Site, board: LeaderboardView, ranks: Sequence[TeamRanksView]) -> Figure | None:
+    """Return the plot of ranks over time, cached until the board changes; None before any rank has changed."""
+    if not any(len(team.ranks) > 1 for team in ranks):
+        return None
+
+    def make() -> Figure:
+        return ranks_by_date("ranks", "Rank against date", ranks, board.generated_at)
+
+    found: Figure = site.plots.get((board.track, board.task, board.revision, "ranks"), make)
+    return found
 
 
 def columns(track: Track, task: str | None) -> tuple[Column, ...]:

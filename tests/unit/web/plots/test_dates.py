@@ -1,7 +1,9 @@
 import re
 from datetime import UTC, datetime, timedelta, timezone
+from uuid import UUID
 
-from vitac.web.plots.dates import DatedRate, rates_by_date
+from vitac.server.views.leaderboards import DatedRankView, TeamRanksView
+from vitac.web.plots.dates import DatedRate, ranks_by_date, rates_by_date
 
 START = datetime(2026, 11, 1, 12, tzinfo=UTC)
 
@@ -79,3 +81,21 @@ def test_a_line_that_never_rises_stays_where_it_began() -> None:
 def test_of_equal_rates_the_earliest_is_called_the_best() -> None:
     summary = rates_by_date("h", "History", rates(0.25, 0.75, 0.75)).summary
     assert summary.startswith("3 from 2026-11-01 to 2026-11-03; the best is <1> with 75.0")
+
+
+def test_ranks_over_time_are_a_line_for_each_team_with_its_name_and_a_row_for_each_change() -> None:
+    teams = [
+        TeamRanksView(
+            team=name,
+            submission_id=UUID(int=1),
+            ranks=[DatedRankView(at=START + timedelta(days=day), rank=place) for day, place in ranks],
+        )
+        for name, ranks in (("A team with a very long name", [(0, 1), (1, 2), (3, 1)]), ("Bees", [(1, 1), (3, 2)]))
+    ]
+    found = ranks_by_date("ranks", "Ranks", teams, START + timedelta(days=4))
+    assert ">A team with a ver…<" in found.drawing
+    assert len(found.table.rows) == 5
+    assert "first is now A team" in found.summary
+    first, second = re.findall(r'd="M[0-9.]+ ([0-9.]+)[^"]*V([0-9.]+)H440.00"', found.drawing)
+    assert first == (first[0], first[0]), "first at the begin and at the end"
+    assert second[0] == first[0] < second[1]
