@@ -83,7 +83,7 @@ class ExportDescription(StrictModel):
     kind: SubmissionKind
     """Kind of the submissions on the board."""
     checkpoint: str
-    """Of the whole log, as the service and its witnesses signed it."""
+    """Checkpoint of the whole log, as the service and its witnesses signed it."""
     teams: tuple[ExportedTeam, ...]
     """Teams with results in the stage."""
     set_aside: tuple[UUID, ...]

@@ -289,4 +289,4 @@ AnyReceipt = SubmissionReceipt | Receipt | EndReceipt
 MODELS: Mapping[EntryKind, type[AnyReceipt]] = MappingProxyType(
     {EntryKind.SUBMISSION: SubmissionReceipt, EntryKind.RESULT: Receipt, EntryKind.END: EndReceipt}
 )
-"""Of the entries whose content is not in the log."""
+"""Models of the entries whose content is not in the log."""

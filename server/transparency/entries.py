@@ -142,7 +142,7 @@ class TeamsAdvanced(OfStage):
 
     teams: NonNegativeInt
     submissions: tuple[UUID, ...]
-    """Of the board before, by which teams advance; teams that the organizers added have none."""
+    """Submissions on the board before, by which teams advance; teams that the organizers added have none."""
 
 
 class RejudgementApplied(OfStage):
@@ -164,4 +164,4 @@ class FinalBoard(OfStage):
 
     entries: NonNegativeInt
     board_sha256: Sha256
-    """Of the canonical JSON of its entries: rank, submission, evaluation, success rate, mean steps and result hash."""
+    """Hash of its entries as canonical JSON: rank, submission, evaluation, success rate, mean steps, result hash."""

@@ -154,7 +154,7 @@ class Checkpoint:
 
 @dataclass(frozen=True, kw_only=True)
 class InclusionProof:
-    """That an entry is in a log at an index, from 0: a whole proof that needs no service to be checked."""
+    """Proof that an entry is in a log at an index, from 0; it can be checked without a service."""
 
     index: int
     hashes: tuple[bytes, ...]

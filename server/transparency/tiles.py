@@ -12,9 +12,9 @@ from .notes import Checkpoint, NoteRejected, VerifierKey
 
 CHECKPOINT_PATH: Final = "checkpoint"
 KEY_PATH: Final = "key"
-"""Of the verifier key."""
+"""Path of the verifier key."""
 WITNESSED_PATH: Final = "witnessed.json"
-"""Of the newest checkpoint that each witness has signed; ours, not of the standard."""
+"""Path of the newest checkpoint that each witness has signed; not part of the standard."""
 ENTRIES: Final = "entries"
 MAX_ENTRY_BYTES: Final = 0xFFFF
 _HASH_BYTES = 32

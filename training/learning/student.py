@@ -30,13 +30,13 @@ class StudentPlan(StrictModel):
     hidden: Count = 128
     """Units of both layers."""
     epochs: Count = 30
-    """Over all histories, in each round."""
+    """Passes over all histories in each round."""
     batch: Count = 128
     """Histories of a gradient step."""
     actions: Count = 16
-    """Of each history in a gradient step, random ones and some near the critic's best."""
+    """Actions of each history in a gradient step: random ones and some near the critic's best."""
     rate: PositiveFloat = 1.5e-3
-    """Of learning at the start; it falls to a tenth."""
+    """Learning rate at the start; it falls to a tenth."""
     candidates: Count = 128
     """Actions among which the best is looked for."""
 

@@ -27,7 +27,7 @@ FORCE_COLUMNS = (
     "peak_force_n", "p95_force_n", "impulse_n_s", "peak_gel_force_n", "p95_gel_force_n", "gel_impulse_n_s",
     "over_force_events", "largest_stretch", "high_stretch",
 )  # fmt: skip
-"""Of the held part, of the more loaded gel, and of the episode."""
+"""Figures of the held part, of the more loaded gel, and of the episode."""
 LIST_COLUMNS = (
     "id", "submission", "team", "kind", "track", "stage", "task", "state", "verdict", "episodes_done",
     "episodes_total", "success_rate", "mean_env_steps", "submitted_at", "digest",
