@@ -44,6 +44,7 @@ NOT_RUN = {
         "needs a competition with results; tests/unit/cli/admin does",
     r"admin (announcement|competition (apply cup.yaml$|lists|reveal)|quota set)\b":
         "would change what follows; tests/unit/cli/admin does",
+    r"\bcurl\b": "asks a service at an address that stands for any",
     r"vitac submit run.jsonl|VITAC_TRACKS_DIR": "needs a whole log, or a track file that the server has",
 }  # fmt: skip
 """Commands by pattern, and where else they are run or why nowhere."""
