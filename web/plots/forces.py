@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from statistics import median
 
 from markupsafe import Markup
-from vitac.evaluator.episodes.records import ContactForces
-from vitac.evaluator.scoring.forces import ForceSummary, summarize_forces
+from vitac.evaluator.episodes.records import ContactForces, ForceFigures
+from vitac.evaluator.scoring.forces import summarize_forces
 from vitac.server.views.submissions import EpisodeView
 
 from .axis import Axis, below
@@ -70,25 +70,16 @@ def _table(shown: dict[str, list[ContactForces]], everything: Sequence[ContactFo
     groups = {f"On the held part, {name.lower()}": summarize_forces(forces) for name, forces in shown.items()}
     whole = summarize_forces(everything)
     assert whole is not None  # noqa: S101 - there is an episode
-    rows = [(name, *_part(found)) for name, found in groups.items() if found is not None]
-    gel = whole.gel
-    rows.append(
-        (
-            "On the more loaded gel",
-            f"{whole.episodes}",
-            f"{gel.peak_n:.1f}",
-            f"{gel.p95_n:.1f}",
-            f"{gel.impulse_n_s:.1f}",
-        )
-    )
-    rows.append(
-        (f"Times above {whole.over_force_n:g} N", f"{whole.over_force_episodes}", f"{whole.over_force_events}", "", "")
-    )
-    rows.append(("Largest stretch of a gel", f"{whole.episodes}", f"{whole.largest_stretch:.2f}", "", ""))
+    above = f"{whole.over_force_events} times above {whole.over_force_n:g} N on the held part"
+    rows = [
+        *((name, *_figures(found.episodes, found.part)) for name, found in groups.items() if found is not None),
+        ("On the more loaded gel", *_figures(whole.episodes, whole.gel)),
+        (above, f"{whole.over_force_episodes}", "", "", ""),
+        (f"Largest stretch of a gel: {whole.largest_stretch:.2f}", f"{whole.episodes}", "", "", ""),
+    ]
     columns = ("Medians of the episodes", "Episodes", "Peak [N]", "95th percentile [N]", "Impulse [N s]")
     return Table(columns=columns, rows=tuple(rows))
 
 
-def _part(found: ForceSummary) -> tuple[str, ...]:
-    part = found.part
-    return f"{found.episodes}", f"{part.peak_n:.1f}", f"{part.p95_n:.1f}", f"{part.impulse_n_s:.1f}"
+def _figures(episodes: int, found: ForceFigures) -> tuple[str, ...]:
+    return f"{episodes}", f"{found.peak_n:.1f}", f"{found.p95_n:.1f}", f"{found.impulse_n_s:.1f}"

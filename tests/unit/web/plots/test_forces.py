@@ -26,7 +26,7 @@ def test_every_episode_is_a_dot_beside_the_median_of_its_group() -> None:
     assert figure.drawing.count('class="median"') == 2
     assert "solved 15.0 N, not solved 50.0 N. Dashed: 40 N." in figure.summary
     assert figure.table.rows[0] == ("On the held part, solved", "2", "15.0", "7.5", "1.5")
-    assert figure.table.rows[3] == ("Times above 40 N", "1", "1", "", "")
+    assert figure.table.rows[3] == ("1 times above 40 N on the held part", "1", "", "", "")
 
 
 def test_there_is_no_plot_without_recorded_forces() -> None:
