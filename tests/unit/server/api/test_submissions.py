@@ -106,6 +106,7 @@ def test_completed_submission_shows_score_interval_shapes_and_rank(service: Serv
         "outcome": "success",
         "success": True,
         "env_steps": 3,
+        "forces": None,
         "draws": {},
     }
 
