@@ -82,7 +82,7 @@ def measure(database: Database, n_entries: int, n_requests: int) -> dict[str, fl
     for name, work in {
         "append": add, "checkpoint": sign, "inclusion_proof": prove, "consistency_proof": compare, "entries_tile": read
     }.items():  # fmt: skip
-        found |= time_of(name, work, n_requests)
+        found |= measure_time(name, work, n_requests)
     began = perf_counter()
     with database.transaction() as session:
         log = PublishedLog(lambda path: fetch(database, path), log_key(session))
@@ -98,7 +98,7 @@ def a_board(at: datetime) -> FinalBoard:
     return FinalBoard(issued_at=at, contest="cup", track="track_1", stage="one", entries=9, board_sha256="0" * 64)
 
 
-def time_of(name: str, work: Callable[[], None], n_requests: int) -> dict[str, float]:
+def measure_time(name: str, work: Callable[[], None], n_requests: int) -> dict[str, float]:
     """Return median and 99th percentile [ms]."""
     times = []
     for _ in range(n_requests):

@@ -25,7 +25,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
-from table_attack import EXAMPLES, MAX_MOTION, Act, Actions, Played, changed, play, policies, rate, trace_of
+from table_attack import EXAMPLES, MAX_MOTION, Act, Actions, Played, changed, play, policies, rate, record_trace
 from vitac.evaluator.scoring.near_copies import Likeness, Trace, compare_traces
 from vitac.evaluator.submission.likeness import compare_sketches, make_sketch
 from vitac.evaluator.tracks import Task
@@ -55,11 +55,11 @@ def main() -> None:
     }
     played = {name: play(peg, peg.episodes[: arguments.episodes], begin) for name, begin in begins.items()}
     print({name: rate(rows) for name, rows in played.items()}, flush=True)
-    groups = {"peg": {name: trace_of(rows) for name, rows in played.items()}}
-    groups["lock"] = examples_of("lock-opening", few, ("lock_opening_heuristic", "lock_opening_trained"))
+    groups = {"peg": {name: record_trace(rows) for name, rows in played.items()}}
+    groups["lock"] = collect_examples("lock-opening", few, ("lock_opening_heuristic", "lock_opening_trained"))
     groups["fusion"] = fusion_with_other_constants(few)
     found: dict[str, Any] = {name: compare_all(traces) for name, traces in groups.items()}
-    found["copies"] = copies_of(peg, peg.episodes[: arguments.episodes], played["trained"], begins["trained"])
+    found["copies"] = compare_copies(peg, peg.episodes[: arguments.episodes], played["trained"], begins["trained"])
     found["archives"] = archives(networks)
     print(json.dumps(found, indent=1))
     if arguments.json:
@@ -133,12 +133,12 @@ def begin_network(weights: Sequence[NDArray[np.float64]]) -> Callable[[], Act]:
     return begin
 
 
-def examples_of(name: str, episodes: int, folders: Sequence[str]) -> Traces:
+def collect_examples(name: str, episodes: int, folders: Sequence[str]) -> Traces:
     """Return the example submissions of a task as they play it."""
     task, found = find_task(name)[1], {}
     for folder in folders:
         made = run_path(str(EXAMPLES / folder / "Track_1" / "policy.py"))["Policy"]
-        found[folder] = trace_of(play_own(task, episodes, made))
+        found[folder] = record_trace(play_own(task, episodes, made))
     return found
 
 
@@ -150,7 +150,7 @@ def fusion_with_other_constants(episodes: int) -> Traces:
     for hover in HOVERS_MM:
         made = run_path(str(folder / "policy.py"))
         made["Policy"].reset.__globals__["HOVER"] = hover
-        found[f"hover {hover}"] = trace_of(play_own(task, episodes, made["Policy"]))
+        found[f"hover {hover}"] = record_trace(play_own(task, episodes, made["Policy"]))
     return found
 
 
@@ -165,11 +165,11 @@ def play_own(task: Task, episodes: int, make: Callable[[], Any]) -> list[Played]
     return play(task, task.episodes[:episodes], begin)
 
 
-def copies_of(
+def compare_copies(
     task: Task, episodes: Sequence[Any], source: Sequence[Played], begin: Callable[[], Act]
 ) -> dict[str, Any]:
     """Return how much of each copy of a policy is near; logs and tables play what is given, the others look."""
-    rng, kept = np.random.default_rng(0), trace_of(source)
+    rng, kept = np.random.default_rng(0), record_trace(source)
     actions = {
         f"table changed by {by:g}": [changed(row.actions, by, rng) for row in source] for by in (1e-5, 1e-4, 1e-3, 1e-2)
     }
@@ -189,7 +189,7 @@ def copies_of(
 
 def figures(source: Trace, rows: Sequence[Played]) -> dict[str, Any]:
     """Return whether a copy is found."""
-    alike = compare_traces(source, trace_of(rows))
+    alike = compare_traces(source, record_trace(rows))
     return {"near": alike.near, "of": alike.episodes, "found": alike.is_copy, "success": round(rate(rows), 3)}
 
 

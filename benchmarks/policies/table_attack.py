@@ -215,10 +215,10 @@ def to_the_hole(offset: Sequence[float], rng: np.random.Generator) -> Act:
 
 def likeness(earlier: Sequence[Played], later: Sequence[Played]) -> Any:
     """Return how alike two policies are on the same episodes."""
-    return compare_traces(*(trace_of(rows) for rows in (earlier, later)))
+    return compare_traces(*(record_trace(rows) for rows in (earlier, later)))
 
 
-def trace_of(rows: Sequence[Played]) -> Trace:
+def record_trace(rows: Sequence[Played]) -> Trace:
     """Return what played episodes are compared by."""
     return make_trace([row.actions for row in rows], rows[0].actions.shape[1], [row.infos for row in rows])
 

@@ -90,7 +90,7 @@ def require_witnessed(session: Session, contest: Contest) -> None:
     """
     for stage in contest.stages_held_here:
         needed, last = stage.rules.witnesses, _last_entry(session, stage)
-        signed = [size for size in _sizes_of(session, contest.definition.witnesses) if size >= last]
+        signed = [size for size in _read_sizes(session, contest.definition.witnesses) if size >= last]
         if len(signed) < needed:
             raise ServiceError(
                 ProblemCode.NOT_WITNESSED,
@@ -99,7 +99,7 @@ def require_witnessed(session: Session, contest: Contest) -> None:
             )
 
 
-def _sizes_of(session: Session, keys: Iterable[str]) -> list[int]:
+def _read_sizes(session: Session, keys: Iterable[str]) -> list[int]:
     sizes = _signed_sizes(session)
     return [sizes[key][0] for key in keys if key in sizes]
 
