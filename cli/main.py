@@ -68,7 +68,7 @@ NOUNS = (
         name="scale",
         module="service.scale",
         summary="Start workers on a cluster when there is work.",
-        extra="worker",
+        extra=_SERVER,
     ),
     Noun(
         name="admin", module="admin.app", summary="Manage teams, submissions, evaluations and workers.", extra=_SERVER
