@@ -84,6 +84,44 @@ LOOK_QUANTITIES = (
     ),
 )
 
+CAMERA_QUANTITIES = (
+    Quantity(
+        name="picture_delay",
+        unit="1",
+        meaning="Part of an env step by which pictures lag behind",
+        range=(0.0, 1.0),
+        nominal=0.0,
+        apply=setting("picture_delay"),
+    ),
+    Quantity(
+        name="camera_x_mm",
+        unit="mm",
+        meaning="Offset of the cameras along x",
+        range=(-20.0, 20.0),
+        nominal=0.0,
+        two_sided=True,
+        apply=setting("camera_x_mm"),
+    ),
+    Quantity(
+        name="camera_z_mm",
+        unit="mm",
+        meaning="Offset of the cameras in height",
+        range=(-20.0, 20.0),
+        nominal=0.0,
+        two_sided=True,
+        apply=setting("camera_z_mm"),
+    ),
+    Quantity(
+        name="camera_turn_deg",
+        unit="degree",
+        meaning="Turn of the cameras about y",
+        range=(-3.0, 3.0),
+        nominal=0.0,
+        two_sided=True,
+        apply=setting("camera_turn_deg"),
+    ),
+)
+
 TASK = TaskDefinition(
     env_id="ViTac/FusionInsertion-v1",
     environment="vitac.envs.tasks.fusion_insertion.env:FusionInsertionEnv",
@@ -109,6 +147,6 @@ TASK = TaskDefinition(
     methods=(METHOD,),
     perspective="vitac.envs.tasks.fusion_insertion.perspective:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.fusion_insertion.guided_motion:guide_to_the_hole",
-    quantities=(*INSERTION_QUANTITIES, *LOOK_QUANTITIES),
+    quantities=(*INSERTION_QUANTITIES, *LOOK_QUANTITIES, *CAMERA_QUANTITIES),
     info_lengths={PEG_HEIGHT.name: 6},
 )

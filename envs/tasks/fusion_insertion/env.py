@@ -1,6 +1,7 @@
 """`ViTac/FusionInsertion-v1`: see which hole fits the peg, go there, and insert it by touch."""
 
 from collections.abc import Mapping
+from math import radians
 from typing import Any, ClassVar
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from ...fem.model.mesh import SurfaceMesh
 from ...vision.observables import OBJECT_POINT_CLOUD
+from ...vision.rig import RigShift
 from ..ending import Flags
 from ..insertion.env import InsertionEnv
 from ..insertion.settings import training_ranges
@@ -94,7 +96,15 @@ class FusionInsertionEnv(InsertionEnv[FusionScene, FusionInsertionSettings]):
             meshes=self._meshes,
             settings=drawn,
             clocks=self._clocks,
-            rig=choose_rig(random, turn_rad=settings.random_camera_turn_rad, offset_m=settings.random_camera_offset_m),
+            rig=choose_rig(
+                random,
+                turn_rad=settings.random_camera_turn_rad,
+                offset_m=settings.random_camera_offset_m,
+                placed=RigShift(
+                    turn_rad=radians(drawn.camera_turn_deg),
+                    offset_m=(drawn.camera_x_mm * 1e-3, 0.0, drawn.camera_z_mm * 1e-3),
+                ),
+            ),
         )
 
     def _judge(self) -> Flags:

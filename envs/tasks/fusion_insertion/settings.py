@@ -30,6 +30,10 @@ class FusionInsertionSettings:
         clearance_mm: gap between a centred peg and its hole; other bases than the evaluated one are for training.
         depth_mode: "stereo" as the camera measures depth, which is scored; "gt" for the exact one.
         look: colours, light and clutter in the pictures.
+        picture_delay: part of an env step by which pictures lag behind, from 0 to 1.
+        camera_x_mm: offset of the rig from its nominal place along the world's x, away from the base.
+        camera_z_mm: the same upwards.
+        camera_turn_deg: turn of the rig about the world's y axis.
         random_xy_mm: largest |x| and |y| of a random start.
         random_theta_deg: largest |theta| of a random start.
         random_z_mm: smallest and largest z of a random start.
@@ -54,6 +58,10 @@ class FusionInsertionSettings:
     clearance_mm: float = OFFICIAL_CLEARANCE_MM
     depth_mode: str = DepthMode.STEREO.value
     look: Look = CHALLENGE_LOOK
+    picture_delay: float = 0.0
+    camera_x_mm: float = 0.0
+    camera_z_mm: float = 0.0
+    camera_turn_deg: float = 0.0
     random_xy_mm: float = 5.0
     random_theta_deg: float = 10.0
     random_z_mm: tuple[float, ...] = (3.0, 9.0)
@@ -70,7 +78,14 @@ class FusionInsertionSettings:
         require(0 < depth <= 12, "insertion_depth_mm", depth, "0 to 12 mm, less than the hole's depth")
         require(0 < clearance < LARGEST_CLEARANCE_MM, "clearance_mm", clearance, "more than 0 and less than 7.5 mm")
         require(self.depth_mode in set(DepthMode), "depth_mode", self.depth_mode, f"one of {', '.join(DepthMode)}")
+        require(0 <= self.picture_delay <= 1, "picture_delay", self.picture_delay, "0 to 1")
+        self._check_camera()
         self._check_random_ranges()
+
+    def _check_camera(self) -> None:
+        for name in ("camera_x_mm", "camera_z_mm"):
+            require(abs(getattr(self, name)) <= 20, name, getattr(self, name), "-20 to 20 mm")
+        require(abs(self.camera_turn_deg) <= 3, "camera_turn_deg", self.camera_turn_deg, "-3 to 3 degrees")
 
     def _check_random_ranges(self) -> None:
         require(0 <= self.random_xy_mm <= 7, "random_xy_mm", self.random_xy_mm, "0 to 7 mm")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...geometry.bases import HEXAGON_HOLE_Y_MM, RIM_MM
-from ...vision.rig import RigShift
+from ...vision.rig import NOMINAL, RigShift
 from ..insertion.offset import PegOffset
 from ..options import choice, numbers, refusal
 from .definition import TASK
@@ -98,7 +98,9 @@ class RigVariation:
     noise_seed: int
 
 
-def choose_rig(random: np.random.Generator, *, turn_rad: float, offset_m: float) -> RigVariation:
+def choose_rig(
+    random: np.random.Generator, *, turn_rad: float, offset_m: float, placed: RigShift = NOMINAL
+) -> RigVariation:
     """Draw the rig of an episode: four numbers, also where it is not shifted, and the noise from a child generator.
 
     The child leaves the numbers that the markers get as they are.
@@ -107,11 +109,15 @@ def choose_rig(random: np.random.Generator, *, turn_rad: float, offset_m: float)
         random: the episode's generator.
         turn_rad: largest turn either way [rad].
         offset_m: largest offset either way along every axis [m].
+        placed: where it stands before that.
     """
     turn, x, y, z = random.uniform(-1.0, 1.0, 4).tolist()
     (noise,) = random.spawn(1)
     return RigVariation(
-        shift=RigShift(turn_rad=turn * turn_rad, offset_m=(x * offset_m, y * offset_m, z * offset_m)),
+        shift=RigShift(
+            turn_rad=placed.turn_rad + turn * turn_rad,
+            offset_m=tuple(at + part * offset_m for at, part in zip(placed.offset_m, (x, y, z), strict=True)),
+        ),
         noise_seed=int(noise.integers(2**63)),
     )
 

@@ -39,7 +39,8 @@ def test_recorded_actions_give_the_same_states_and_draws_in_another_environment(
 
 
 def test_an_episode_continues_from_a_snapshot_to_the_same_bits_after_another_one(task: Task) -> None:
-    env: Any = make_environment(task, observation_keys=("marker_flow",))
+    seen_keys = sorted({"marker_flow", "rgb_picture"} & {row.name for row in task.observables})
+    env: Any = make_environment(task, observation_keys=seen_keys)
     actions = actions_of(env)
     env.reset(options=task.episodes[1].options)
     env.step(actions[0])
@@ -47,7 +48,8 @@ def test_an_episode_continues_from_a_snapshot_to_the_same_bits_after_another_one
     for _ in range(2):
         for action in actions[1:]:
             observation, *_, info = env.step(action)
-        seen.append((env.state_hash(), observation["marker_flow"].tobytes(), json_info(info)["draws"]))
+        observed = [observation[key].tobytes() for key in seen_keys]
+        seen.append((env.state_hash(), *observed, json_info(info)["draws"]))
         env.reset(options=task.episodes[2].options)
         env.restore(snapshot)
     assert seen[0] == seen[1]

@@ -405,7 +405,7 @@ ROBUST = {
 NEW = {
     "peg-insertion-robust": ("peg_bulge", "peg_slant_mm"),
     "lock-opening-robust": (),
-    "fusion-robust": (),
+    "fusion-robust": ("picture_delay", "camera_x_mm", "camera_z_mm", "camera_turn_deg"),
 }
 """What changes outlines of pegs, and what is seen of them."""
 

@@ -12,6 +12,7 @@ from vitac.envs.vision.observables import SEGMENTATION
 from vitac.envs.vision.surfaces import Label
 
 LEFT = {"start": (2.0, -4.0, 6.0, 5.0, 1), "rng_seed": (0, 1)}
+NOMINAL: dict[str, Any] = {}
 RIGHT = {"start": (2.0, -4.0, 6.0, 5.0, 0), "rng_seed": (0, 1)}
 PUBLIC = [
     *("relative_motion", "rgb_picture", "depth_picture", "point_cloud", "object_point_cloud"),
@@ -116,6 +117,33 @@ def test_pictures_follow_the_motion_of_the_peg() -> None:
     base_before, base_after = (seen["segmentation"] == Label.BASE for seen in (before, after))
     assert (peg_before != peg_after).sum() < 0.02 * peg_before.sum()
     assert (base_before != base_after).sum() > 100
+
+
+def test_delayed_pictures_lie_between_two_env_steps() -> None:
+    """With the whole delay they are those of the env step before; at the start there is nothing to be late for."""
+    start, motion = LEFT | {"start": (0, 0, 0, 5, 1)}, [0.5, 1, 0, -1]
+    _, first, _ = played(options=start)
+    seen = {part: played(motion, options=start, picture_delay=part)[1]["depth_picture"] for part in (0.0, 0.5, 1.0)}
+    assert np.allclose(seen[1.0], first["depth_picture"], atol=1e-6)
+    changed = {part: (np.abs(picture - seen[0.0]) > 1e-4).sum() for part, picture in seen.items()}
+    assert 0 == changed[0.0] < changed[0.5] < changed[1.0]
+    _, late, _ = played(options=start, picture_delay=0.5)
+    np.testing.assert_array_equal(late["depth_picture"], first["depth_picture"])
+
+
+@pytest.mark.parametrize(
+    ("moved", "at_m", "turn_rad"),
+    [
+        ({"camera_x_mm": 2.0}, [2e-3, 0, 0], 0.0),
+        ({"camera_z_mm": -2.0}, [0, 0, -2e-3], 0.0),
+        ({"camera_turn_deg": 0.2}, [0, 0, 0], np.radians(0.2)),
+    ],
+)
+def test_the_rig_stands_where_its_settings_put_it(moved: dict[str, Any], at_m: list[float], turn_rad: float) -> None:
+    nominal, found = (played(**settings)[0].task_scene.sight().pose for settings in (NOMINAL, moved))
+    assert found.position_m - nominal.position_m == pytest.approx(at_m)
+    axes = nominal.world_from_camera.T @ found.world_from_camera
+    assert np.arccos(np.clip(axes[2, 2], -1.0, 1.0)) == pytest.approx(turn_rad, abs=1e-7)
 
 
 def test_stereo_depth_is_the_default_and_differs_from_the_exact_one() -> None:
