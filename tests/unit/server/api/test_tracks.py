@@ -12,14 +12,14 @@ from vitac.server.db.models import Submission
 def successes_below(limit: int) -> RecordOf:
     """Records of a policy of its own, so that it is no copy of another one."""
 
-    def record(n: int, task: str) -> EpisodeRecord:
-        sign = 1 - 2 * (n * limit // 7 % 2)
+    def record(episode: int, *, task: str) -> EpisodeRecord:
+        sign = 1 - 2 * (episode * limit // 7 % 2)
         return make_record(
-            n,
-            EpisodeOutcome.SUCCESS if n < limit else EpisodeOutcome.STEPS,
+            episode,
+            EpisodeOutcome.SUCCESS if episode < limit else EpisodeOutcome.STEPS,
             task,
             actions=ActionSequence.from_array(np.full((3, 3), sign * limit / 300, np.float32)),
-            state_hashes=tuple(sha256(f"{limit} {n} {step}") for step in range(4)),
+            state_hashes=tuple(sha256(f"{limit} {episode} {step}") for step in range(4)),
         )
 
     return record
