@@ -29,6 +29,7 @@ from ..teams.shown_names import ShownNames
 from ..tracks import is_reference, load_known_track, require_task
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView, LogEntryView
 from ..visibility import played_list_kind
+from .baselines import list_baselines
 from .best_entries import BestEntry, Board, best_entries
 from .changes import kept_until_change
 from .made_boards import MadeBoard, MadeBoards, compute_revision
@@ -144,6 +145,7 @@ def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView |
         generated_at=datetime.now(UTC),
         teams=len(entries),
         entries=entries,
+        baselines=list_baselines(track.name, task) if shown.list_kind is ListKind.PUBLIC else [],
     )
 
 

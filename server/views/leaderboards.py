@@ -48,6 +48,17 @@ class LeaderboardEntryView(View):
     list_kind: ListKind = Field(description="Who could know the episodes that it was scored on.")
 
 
+class BaselineView(View):
+    """What one of our example submissions reaches in a task on its public list; it has no rank."""
+
+    name: str = Field(description="Its folder in `examples/`.")
+    episodes: int
+    successes: int
+    success_rate: float
+    success_rate_interval: tuple[float, float] = Field(description="Wilson score interval, 95 %.")
+    mean_steps: float
+
+
 class LeaderboardView(View):
     """Standings of one track, or of one of its tasks."""
 
@@ -77,6 +88,9 @@ class LeaderboardView(View):
     generated_at: datetime = Field(description="When this revision was put together.")
     teams: int = Field(description="Number of all entries.")
     entries: list[LeaderboardEntryView]
+    baselines: list[BaselineView] = Field(
+        default=[], description="For comparison, where it ranks a task on a public list."
+    )
     next_after: int | None = Field(
         default=None, description="Give this as `after` for the next page; null on the last one."
     )

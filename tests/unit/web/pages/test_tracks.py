@@ -13,6 +13,7 @@ from visits import sign_in
 from vitac.evaluator.scoring.forces import summarize_forces
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import list_tracks, load_track
+from vitac.server.leaderboards.baselines import list_baselines
 from vitac.server.tracks import sort_challenge_first
 from vitac.server.views.contest import PublicRankingView
 from vitac.web.pages.leaderboards.tabs import accepts_logs, track_tabs
@@ -64,6 +65,22 @@ def test_the_board_of_a_task_shows_the_median_peak_force_where_it_is_recorded(
     assert "</span> 24.5 N" in html
     data.task_boards[TASK] = a_leaderboard(rows[1], task=TASK)
     assert "Peak force, median" not in browser.get(f"/tracks/track_1?task={TASK}").text
+
+
+def test_baselines_stand_below_the_entries_without_a_rank_and_on_an_empty_board(
+    data: FixedData, browser: AsgiBrowser
+) -> None:
+    baselines = list_baselines("track_1", TASK)
+    for entries in ([an_entry(1, "Bears", BEARS_PEG, task=TASK)], []):
+        data.task_boards[TASK] = a_leaderboard(*entries, task=TASK).model_copy(update={"baselines": baselines})
+        html = browser.get(f"/tracks/track_1?task={TASK}").text
+        rows = html.split('class="reference"')[1:]
+        assert len(rows) == 2
+        assert "peg insertion trained" in rows[0]
+        assert "211 of 270" in rows[0]
+        assert 'type="checkbox"' not in rows[0] + rows[1]
+    data.task_boards[TASK] = a_leaderboard(an_entry(1, "Bears", BEARS_PEG, task=TASK), task=TASK)
+    assert 'class="reference"' not in browser.get(f"/tracks/track_1?task={TASK}&q=bears").text
 
 
 def test_entry_of_another_evaluator_version_has_no_rank(data: FixedData, browser: AsgiBrowser) -> None:
