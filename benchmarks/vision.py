@@ -59,7 +59,7 @@ def depth_by_opencv_m(scene: SeenScene, view: View, seed: int) -> np.ndarray:
     import cv2
 
     block = (2 * METHOD.block_radius_px + 1) ** 2
-    matcher = cv2.StereoSGBM_create(
+    matcher = cv2.StereoSGBM.create(
         minDisparity=METHOD.smallest_disparity_px,
         numDisparities=LARGEST_DISPARITY - SMALLEST_DISPARITY + 1,
         blockSize=2 * METHOD.block_radius_px + 1,

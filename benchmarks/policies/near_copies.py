@@ -1,6 +1,6 @@
 """Which copies does the service find, and does it take honest policies for copies?
 
-Usage: python benchmarks/policies/near_copies.py [--episodes N] [--starts N] [--json FILE]
+Usage: PYTHONPATH=benchmarks python benchmarks/policies/near_copies.py [--episodes N] [--starts N] [--json FILE]
 
 Honest: the examples of all three tasks, fits of the peg example's recipe to other starts, networks of one recipe and
 the same starts that differ by their seed alone, and the fusion example with other constants; every pair of a task is
@@ -25,7 +25,18 @@ from typing import Any
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
-from table_attack import EXAMPLES, MAX_MOTION, Act, Actions, Played, changed, play, policies, rate, record_trace
+from policies.table_attack import (
+    EXAMPLES,
+    MAX_MOTION,
+    Act,
+    Actions,
+    Played,
+    changed,
+    play,
+    policies,
+    rate,
+    record_trace,
+)
 from vitac.evaluator.scoring.near_copies import Likeness, Trace, compare_traces
 from vitac.evaluator.submission.likeness import compare_sketches, make_sketch
 from vitac.evaluator.tracks import Task
@@ -126,7 +137,8 @@ def begin_network(weights: Sequence[NDArray[np.float64]]) -> Callable[[], Act]:
                 seen = features(observation["marker_flow"])
                 start.append(MAX_MOTION * (np.tanh(seen @ weights[0]) @ weights[1]))
             way = -(start[0] + observation["relative_motion"][:3]) / MAX_MOTION
-            return np.clip(way, -1, 1).astype(np.float32)
+            action: Actions = np.clip(way, -1, 1).astype(np.float32)
+            return action
 
         return act
 
@@ -182,8 +194,9 @@ def compare_copies(
         found[name] = figures(kept, rows)
     for by in (1e-3, 1e-2):
         found[f"policy with noise of {by:g}"] = figures(
-            kept, play(task, episodes, lambda by=by: noisy(begin(), by, rng))
-        )  # type: ignore[misc]
+            kept,
+            play(task, episodes, lambda by=by: noisy(begin(), by, rng)),  # type: ignore[misc]
+        )
     return found
 
 
@@ -244,7 +257,8 @@ def rename(folder: Path) -> None:
             own = token.type == tokenize.NAME and not iskeyword(token.string) and last != "."
             tokens.append((token.type, f"x_{token.string}" if own else token.string))
             last = token.string
-        path.write_bytes(tokenize.untokenize(tokens))
+        renamed = tokenize.untokenize(tokens)
+        path.write_bytes(renamed.encode() if isinstance(renamed, str) else renamed)
 
 
 def tune(folder: Path) -> None:
