@@ -8,8 +8,8 @@ import typer
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.contest.contest import Contest
 from vitac.server.publishing.exporting import export_receipts
-from vitac.server.receipts.witnesses import witness_views
-from vitac.server.transparency.log import log_state
+from vitac.server.receipts.witnesses import list_witness_views
+from vitac.server.transparency.log import read_log_state
 
 from ..service.database import load_settings, open_service, transaction
 from ..terminal.output import AsJson, moment, print_json, print_record, print_table
@@ -22,14 +22,14 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 def key(as_json: AsJson = False) -> None:
     """Show the public key that signs the log of receipts, how long it is, its root and its checkpoint."""
     with transaction() as session:
-        print_record(asdict(log_state(session)), as_json=as_json)
+        print_record(asdict(read_log_state(session)), as_json=as_json)
 
 
 @app.command()
 def witnesses(as_json: AsJson = False) -> None:
     """List the witnesses that the competitions name, and how far each has signed the log."""
     with transaction() as session:
-        found = witness_views(session)
+        found = list_witness_views(session)
     if as_json:
         print_json([one.model_dump(mode="json") for one in found])
         return

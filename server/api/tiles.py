@@ -6,8 +6,8 @@ from fastapi import APIRouter, Body, Response
 from pydantic import BaseModel
 
 from ..errors import not_found
-from ..receipts.witnesses import add_cosignatures, witnessed_checkpoints
-from ..transparency.log import log_key, make_checkpoint, read_entries, read_hashes, read_tree
+from ..receipts.witnesses import add_cosignatures, list_witnessed_checkpoints
+from ..transparency.log import make_checkpoint, read_entries, read_hashes, read_log_key, read_tree
 from ..transparency.notes import MAX_NOTE_CHARS
 from ..transparency.tiles import pack_entries, parse_tile_name
 from .access import ServicesOf
@@ -39,7 +39,7 @@ def get_checkpoint(services: ServicesOf) -> Response:
 def get_key(services: ServicesOf) -> Response:
     """Return the key that signs the log, as NAME+ID+KEY; compare it with the one that you noted."""
     with services.database.transaction() as session:
-        return Response(f"{log_key(session)}\n", media_type="text/plain; charset=utf-8", headers=FOR_SECONDS)
+        return Response(f"{read_log_key(session)}\n", media_type="text/plain; charset=utf-8", headers=FOR_SECONDS)
 
 
 @router.get("/witnessed.json")
@@ -47,7 +47,7 @@ def get_witnessed(services: ServicesOf, response: Response) -> list[str]:
     """Return the newest checkpoint that each witness has signed."""
     response.headers.update(FOR_SECONDS)
     with services.database.transaction() as session:
-        return [str(checkpoint) for checkpoint in witnessed_checkpoints(session)]
+        return [str(checkpoint) for checkpoint in list_witnessed_checkpoints(session)]
 
 
 @router.get("/tile/entries/{name:path}", response_class=Response, responses=FILE)

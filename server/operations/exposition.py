@@ -17,7 +17,7 @@ from ..db.states import WorkerState
 from ..metrics.instruments import Instruments
 from ..metrics.totals import SeriesKey, list_samples, totals
 from ..queue.workers import Disk, measure_disk
-from ..receipts.witnesses import witness_views
+from ..receipts.witnesses import list_witness_views
 from ..services import Services
 from ..views.operations import OperationsView
 from ..views.receipts import WitnessView
@@ -56,7 +56,7 @@ class Exposition:
             with self._services.database.transaction() as session:
                 counted = totals(session)
                 state = operations(session, self._services.settings, counted)
-                witnesses = witness_views(session)
+                witnesses = list_witness_views(session)
         except DBAPIError:
             return [_gauge("vitac_database_up", "Whether the database answers.", 0), *server_families(disk)]
         return [

@@ -35,7 +35,7 @@ from ..receipts.export import (
     sensor_name,
     track_name,
 )
-from ..receipts.issuing import entries, receipts_of_board, receipts_of_ends
+from ..receipts.issuing import list_entries, receipts_of_board, receipts_of_ends
 from ..receipts.receipt import Receipt, SubmissionReceipt
 from ..rejudging.rejudging import set_aside
 from ..storage.blobs import BlobStore
@@ -43,7 +43,7 @@ from ..storage.new_file import new_file
 from ..submissions.figures import coefficients_digest
 from ..submissions.files import find_file
 from ..tracks import load_known_track
-from ..transparency.log import log_state
+from ..transparency.log import read_log_state
 from ..visibility import is_sealed
 from .exported_teams import read_teams
 from .publishing import ResultsNotWritten
@@ -78,7 +78,7 @@ def export_receipts(
     """
     _require_board(stage.track, task, kind)
     board = leaderboard(session, stage, task=task, kind=kind, live=True).view
-    sealed, state = stage.sealed_list, log_state(session)
+    sealed, state = stage.sealed_list, read_log_state(session)
     of_board, contest = receipts_of_board(session, stage, kind), Contest.read(session, stage.contest)
     receipts = [receipt for receipt in of_board if isinstance(receipt, Receipt)]
     results = [receipt.result.evaluation for receipt in receipts]
@@ -102,7 +102,7 @@ def export_receipts(
     try:
         with new_file(path) as unfinished, zipfile.ZipFile(unfinished, "x", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr(DESCRIPTION_NAME, description.model_dump_json(indent=1))
-            archive.writestr(LOG_NAME, _lines(entries(session)))
+            archive.writestr(LOG_NAME, _lines(list_entries(session)))
             archive.writestr(
                 SUBMISSIONS_NAME, _lines(receipt for receipt in of_board if isinstance(receipt, SubmissionReceipt))
             )

@@ -13,7 +13,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from ..contest.stages import Stage
 from ..db.models import Cosignature, Evaluation, ReceiptRow, Submission
 from ..transparency.entries import EntryKind, LogEntry
-from ..transparency.log import append, log_key, make_checkpoint, parse_entry, read_tree
+from ..transparency.log import append, make_checkpoint, parse_entry, read_log_key, read_tree
 from ..transparency.merkle import Tree
 from ..transparency.notes import InclusionProof
 from .receipt import (
@@ -53,7 +53,7 @@ def issue_for_result(session: Session, evaluation: Evaluation, combined: Combine
     append(session, lambda at: _result(evaluation, combined, at), evaluation_id=evaluation.id)
 
 
-def entries(
+def list_entries(
     session: Session, *, after: int = 0, limit: int | None = None, contest: str | None = None
 ) -> list[LogEntry]:
     """Return the entries of the log that come after a number, as they are stored; `contest` None: of all."""
@@ -106,7 +106,7 @@ def new_salt() -> str:
 
 def _receipts(session: Session, query: Select[ReceiptRow], *, proven: bool = True) -> list[AnyReceipt]:
     rows = session.scalars(query.where(ReceiptRow.stands_for.in_(MODELS)).order_by(ReceiptRow.number)).all()
-    tree, public_key = read_tree(session), log_key(session).public_key.hex()
+    tree, public_key = read_tree(session), read_log_key(session).public_key.hex()
     return [_receipt(row, public_key, _prove(session, tree, row.number) if proven else ()) for row in rows]
 
 

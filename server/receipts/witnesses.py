@@ -11,7 +11,7 @@ from ..contest.contest import Contest
 from ..contest.stages import Stage
 from ..db.models import Competition, Cosignature, ReceiptRow
 from ..errors import ProblemCode, ServiceError
-from ..transparency.log import log_key, log_size, make_checkpoint, parse_entry, read_tree
+from ..transparency.log import count_entries, make_checkpoint, parse_entry, read_log_key, read_tree
 from ..transparency.notes import Checkpoint, NoteRejected, VerifierKey
 from ..views.receipts import WitnessView
 
@@ -37,7 +37,7 @@ def add_cosignatures(session: Session, text: str) -> int:
     """
     try:
         checkpoint = Checkpoint.parse(text)
-        checkpoint.require_signature(log_key(session))
+        checkpoint.require_signature(read_log_key(session))
     except NoteRejected as error:
         raise ServiceError(ProblemCode.INVALID_REQUEST, str(error)) from error
     tree = read_tree(session)
@@ -65,17 +65,17 @@ def add_cosignatures(session: Session, text: str) -> int:
     return len(rows)
 
 
-def witness_views(session: Session) -> list[WitnessView]:
+def list_witness_views(session: Session) -> list[WitnessView]:
     """Return the witnesses, and how far each has come."""
     keys = list(map(str, list_witnesses(session)))
     if not keys:
         return []
-    size, now = log_size(session), session.scalars(select(func.clock_timestamp())).one()
+    size, now = count_entries(session), session.scalars(select(func.clock_timestamp())).one()
     sizes = _signed_sizes(session)
     return [_witness_view(session, key, sizes.get(key), size, now) for key in keys]
 
 
-def witnessed_checkpoints(session: Session) -> list[Checkpoint]:
+def list_witnessed_checkpoints(session: Session) -> list[Checkpoint]:
     """Return the newest checkpoint that each witness has signed, the longest first."""
     tree = read_tree(session)
     sizes = {size for size, _ in _signed_sizes(session).values()}

@@ -10,8 +10,8 @@ from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
 from ..receipts import issuing
 from ..receipts.receipt import Receipt, SubmissionReceipt
-from ..receipts.witnesses import witness_views
-from ..transparency.log import log_state
+from ..receipts.witnesses import list_witness_views
+from ..transparency.log import read_log_state
 from ..views.receipts import LogEntryView, LogView
 from ..visibility import visible
 
@@ -62,12 +62,12 @@ def log_view(session: Session, *, after: int, limit: int, contest: str | None = 
         ServiceError: there is no such competition.
     """
     name = None if contest is None else Contest.find(session, contest).name
-    found = issuing.entries(session, after=after, limit=limit + 1, contest=name)
+    found = issuing.list_entries(session, after=after, limit=limit + 1, contest=name)
     items = [LogEntryView(**entry.model_dump(), leaf_hash=entry.leaf_hash.hex()) for entry in found[:limit]]
     is_end = not items or len(found) <= limit
     return LogView(
-        **asdict(log_state(session)),
-        witnesses=witness_views(session),
+        **asdict(read_log_state(session)),
+        witnesses=list_witness_views(session),
         items=items,
         next_after=None if is_end else items[-1].number,
     )

@@ -96,19 +96,19 @@ def parse_entry(row: ReceiptRow) -> LogEntry:
     return LogEntry.model_validate_json(row.entry)
 
 
-def log_size(session: Session) -> int:
+def count_entries(session: Session) -> int:
     """Return the number of entries."""
     return session.scalar(select(func.max(ReceiptRow.number))) or 0
 
 
-def log_key(session: Session) -> VerifierKey:
+def read_log_key(session: Session) -> VerifierKey:
     """Return the public key of the log."""
     return make_log_key(bytes.fromhex(ensure_key(session).public_key))
 
 
 def read_tree(session: Session) -> Tree:
     """Return the tree as it is now."""
-    return Tree(log_size(session), lambda level, number, width: read_hashes(session, level, number, width))
+    return Tree(count_entries(session), lambda level, number, width: read_hashes(session, level, number, width))
 
 
 def read_hashes(session: Session, level: int, number: int, width: int) -> Sequence[bytes]:
@@ -146,9 +146,9 @@ def make_line(row: Cosignature) -> Signature:
     return Signature(name=key.name, key_id=key.id, content=row.signature)
 
 
-def log_state(session: Session) -> LogState:
+def read_log_state(session: Session) -> LogState:
     """Return key, length, root and newest checkpoint."""
-    tree, key = read_tree(session), log_key(session)
+    tree, key = read_tree(session), read_log_key(session)
     return LogState(
         public_key=key.public_key.hex(),
         verifier_key=str(key),

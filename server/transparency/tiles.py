@@ -27,7 +27,7 @@ class TileMissing(VitacError):
     """A log does not have a file that the size in its checkpoint demands."""
 
 
-def tile_path(level: int | str, number: int, width: int = TILE_WIDTH) -> str:
+def make_tile_path(level: int | str, number: int, width: int = TILE_WIDTH) -> str:
     """Return where a tile is, or with the level ENTRIES the entries of a tile."""
     groups = f"{number:03d}"
     while len(groups) % 3:
@@ -43,7 +43,7 @@ def parse_tile_name(name: str) -> tuple[int, int] | None:
     if match is None or (width := int(match[2] or TILE_WIDTH)) > TILE_WIDTH:
         return None
     number = int(match[1].replace("x", "").replace("/", ""))
-    return (number, width) if tile_path("", number, width) == f"tile//{name}" else None
+    return (number, width) if make_tile_path("", number, width) == f"tile//{name}" else None
 
 
 def pack_entries(entries: Sequence[bytes]) -> bytes:
@@ -112,20 +112,18 @@ class PublishedLog:
         content = self._read(level, number, width)[: width * _HASH_BYTES]
         if len(content) != width * _HASH_BYTES:
             raise ProofRejected(
-                f"{tile_path(level, number, width)}: expected {width} hashes, got {len(content)} bytes."
+                f"{make_tile_path(level, number, width)}: expected {width} hashes, got {len(content)} bytes."
             )
         return [content[at : at + _HASH_BYTES] for at in range(0, len(content), _HASH_BYTES)]
 
     def _read(self, level: int | str, number: int, width: int) -> bytes:
         """Return a tile; a log may replace a partial one by the whole."""
-        for path in (tile_path(level, number, width), tile_path(level, number)):
+        for path in (make_tile_path(level, number, width), make_tile_path(level, number)):
             content = self._fetch(path)
             if content is not None:
                 return content
-        raise TileMissing(
-            f"The log has no {tile_path(level, number, width)}, which its checkpoint of {self.checkpoint.size} entries "
-            "demands."
-        )
+        path = make_tile_path(level, number, width)
+        raise TileMissing(f"The log has no {path}, which its checkpoint of {self.checkpoint.size} entries demands.")
 
 
 def read_key(fetch: Fetch) -> VerifierKey:

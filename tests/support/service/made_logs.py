@@ -9,7 +9,7 @@ from made_receipts import KEY, PUBLIC_KEY, WHEN, a_result
 from vitac.server.transparency.entries import CompetitionApplied, Content, FinalBoard, LogEntry, SealedListChanged
 from vitac.server.transparency.merkle import TILE_WIDTH, make_tree
 from vitac.server.transparency.notes import Checkpoint, make_log_key, sign_checkpoint
-from vitac.server.transparency.tiles import PublishedLog, pack_entries, tile_path
+from vitac.server.transparency.tiles import PublishedLog, make_tile_path, pack_entries
 
 LOG_KEY = make_log_key(bytes.fromhex(PUBLIC_KEY))
 FILES_ADDRESS = "https://arena.example"
@@ -59,10 +59,10 @@ def publish(entries: Sequence[LogEntry], *, key: bytes = KEY, witnessed: Sequenc
     while n_hashes:
         for number in range(-(-n_hashes // TILE_WIDTH)):
             first, width = TILE_WIDTH * number, min(TILE_WIDTH, n_hashes - TILE_WIDTH * number)
-            files[tile_path(level, number, width)] = b"".join(tree.read_tile(level, number, width))
+            files[make_tile_path(level, number, width)] = b"".join(tree.read_tile(level, number, width))
             if level == 0:
                 packed = pack_entries([entry.leaf() for entry in entries[first : first + width]])
-                files[tile_path("entries", number, width)] = packed
+                files[make_tile_path("entries", number, width)] = packed
         level, n_hashes = level + 1, n_hashes // TILE_WIDTH
     return files
 

@@ -39,7 +39,8 @@ NOT_RUN = {
     r"test_(same_bits|golden)": "is in the suite",
     r"log import|--secret|compare run.jsonl|trained.jsonl": "needs a whole list or a log of 2025",
     r"\b(ID|FILE|KEY|HEX|DIGEST|NAME|DIR|PACKAGE|SUBMISSION)\b": "stands for what a finished evaluation has",
-    r"vitac (question|appeal|team|publish|receipt)\b": "needs a competition that runs; tests/unit/cli/client does",
+    r"vitac (question|appeal|team|publish|receipt|witness)\b":
+        "needs a competition that runs; tests/unit/cli/client does",
     r"admin (advance|results|judging|receipt export|rejudge|appeal|question|restore|team (accept|merge|disqualify))\b":
         "needs a competition with results; tests/unit/cli/admin does",
     r"admin (announcement|competition (apply cup.yaml$|lists|reveal)|quota set)\b":

@@ -33,7 +33,7 @@ from vitac.server.db.schema import (
 from vitac.server.db.states import EVALUATION_TRANSITIONS, PLAYBACK_TRANSITIONS, SHARD_TRANSITIONS
 from vitac.server.postgres.binaries import DEBIAN_ROOT, OLDEST_MAJOR, inspect_bin_dir
 from vitac.server.postgres.embedded import EmbeddedPostgres
-from vitac.server.receipts.issuing import entries
+from vitac.server.receipts.issuing import list_entries
 from vitac.server.transparency.log import read_tree
 from vitac.server.transparency.merkle import make_tree
 
@@ -118,7 +118,7 @@ def test_a_current_database_is_looked_at_without_alembic(migrated: Database) -> 
 def test_receipts_of_the_former_chain_become_entries_of_the_log(empty: Database) -> None:
     """300 ends of competitions, which depend on no other row."""
     upgrade(empty)
-    downgrade(empty, "0005")
+    downgrade(empty, "0007")
     with empty.engine.begin() as connection:
         connection.execute(
             text(
@@ -135,12 +135,12 @@ def test_receipts_of_the_former_chain_become_entries_of_the_log(empty: Database)
         )
     upgrade(empty)
     with empty.transaction() as session:
-        found = entries(session)
+        found = list_entries(session)
         leaves = session.scalars(select(ReceiptRow.leaf_hash).order_by(ReceiptRow.number)).all()
         assert [entry.leaf_hash for entry in found] == leaves, "also where the time has whole seconds"
         assert (found[-1].number, found[-1].board, found[-1].content_sha256) == (300, "end of cup 300", "1" * 64)
         assert read_tree(session).root() == make_tree(leaves).root()
-    downgrade(empty, "0005")
+    downgrade(empty, "0007")
     assert rows(empty, "SELECT count(*) FROM receipts") == [(0,)]
 
 

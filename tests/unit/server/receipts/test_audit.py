@@ -104,7 +104,7 @@ def test_an_untouched_board_is_found_right_and_a_sampled_episode_gives_the_same_
     database: Database, tmp_path: Path
 ) -> None:
     with database.transaction() as session:
-        key = log.log_state(session).public_key
+        key = log.read_log_state(session).public_key
     found = audited(database, tmp_path, episodes=1, seed=SEED, public_key=key)
     assert found.findings == []
     assert found.unchecked == []
@@ -204,7 +204,7 @@ def test_a_log_with_a_gap_has_no_checkpoint(database: Database, tmp_path: Path) 
 
 def test_a_removed_last_receipt_is_found_by_a_root_that_was_noted(database: Database, tmp_path: Path) -> None:
     with database.transaction() as session:
-        state = log.log_state(session)
+        state = log.read_log_state(session)
     noted = {state.receipts: state.root}
     assert audited(database, tmp_path, noted=noted).findings == []
     (tmp_path / "board.zip").unlink()
@@ -298,7 +298,7 @@ def test_a_whole_new_log_is_found_by_its_key_and_by_a_receipt_that_was_stored(
     database: Database, tmp_path: Path
 ) -> None:
     with database.transaction() as session:
-        key, stored = log.log_state(session).public_key, tmp_path / "stored.json"
+        key, stored = log.read_log_state(session).public_key, tmp_path / "stored.json"
         (old,) = issuing.receipts_of_submission(session, submission_of(session, "Ants"))
         stored.write_text(old.model_dump_json())
     other = old.result.model_copy(update={"evaluator_hash": "ee" * 32})

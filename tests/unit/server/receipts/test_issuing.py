@@ -21,10 +21,10 @@ from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE
 from vitac.server.receipts import issuing
-from vitac.server.receipts.issuing import entries, receipt_of_arrival, receipts_of_submission
+from vitac.server.receipts.issuing import list_entries, receipt_of_arrival, receipts_of_submission
 from vitac.server.receipts.receipt import End
 from vitac.server.submissions import runs
-from vitac.server.transparency.log import append, log_size, log_state, read_tree
+from vitac.server.transparency.log import append, count_entries, read_log_state, read_tree
 from vitac.server.transparency.merkle import make_tree
 
 
@@ -35,7 +35,7 @@ def test_a_final_result_gets_a_receipt_with_what_the_submission_shows(database: 
     with database.transaction() as session:
         evaluation = newest_evaluation(session, submission)
         (receipt,) = receipts_of_submission(session, submission.id)
-        receipt.require_valid(log_state(session).public_key)
+        receipt.require_valid(read_log_state(session).public_key)
         result = receipt.result
         assert (result.evaluation, result.submission_digest) == (evaluation.id, submission.digest)
         assert (result.result_hash, result.evaluator_version) == (evaluation.result_hash, evaluation.evaluator_version)
@@ -49,7 +49,7 @@ def test_a_final_result_gets_a_receipt_with_what_the_submission_shows(database: 
         assert (arrival.entry.number, receipt.entry.number) == (1, 2)
         assert arrival.submission.submitted_at == result.submitted_at
         assert arrival.submission.submission_digest == result.submission_digest
-        assert entries(session) == [arrival.entry, receipt.entry]
+        assert list_entries(session) == [arrival.entry, receipt.entry]
     assert set(json.loads(stored)) == set(type(result).model_fields)
     assert "outcome" not in stored, "nothing of single episodes"
 
@@ -78,9 +78,9 @@ def test_results_that_end_at_once_make_one_log_without_a_gap(database: Database)
     with ThreadPoolExecutor(teams) as pool:
         list(pool.map(lambda ids: play(database, ids[-1]), shards.values()))
     with database.transaction() as session:
-        found = entries(session)
-        assert log_size(session) == 2 * teams
-        assert entries(session, after=2, limit=2) == found[2:4]
+        found = list_entries(session)
+        assert count_entries(session) == 2 * teams
+        assert list_entries(session, after=2, limit=2) == found[2:4]
         assert read_tree(session).root() == make_tree([entry.leaf_hash for entry in found]).root()
     assert [entry.number for entry in found] == list(range(1, 2 * teams + 1))
 
@@ -102,11 +102,11 @@ def test_a_result_that_is_not_stored_leaves_no_gap(database: Database, monkeypat
         play(database, last)
     monkeypatch.undo()
     with database.transaction() as session:
-        assert log_size(session) == 1, "that of the submission"
+        assert count_entries(session) == 1, "that of the submission"
         session.execute(text("UPDATE shards SET state = 'queued', lease_expires_at = NULL WHERE state = 'running'"))
     play(database, last)
     with database.transaction() as session:
-        assert [entry.number for entry in entries(session)] == [1, 2]
+        assert [entry.number for entry in list_entries(session)] == [1, 2]
 
 
 def test_the_database_refuses_to_change_the_log(database: Database) -> None:
@@ -135,11 +135,11 @@ def test_a_clock_that_is_set_back_does_not_break_the_order(database: Database) -
     with database.transaction() as session:
         team = make_principal(session)
         submit(session, team, "one")
-        (first,) = entries(session)
+        (first,) = list_entries(session)
         later = first.issued_at + timedelta(hours=1)
         append(session, lambda at: _ended(max(at, later)))
         submit(session, team, "two")
-        _, ended, second = entries(session)
+        _, ended, second = list_entries(session)
     assert first.issued_at < ended.issued_at == second.issued_at == later
 
 
@@ -152,4 +152,4 @@ def test_the_same_content_sent_twice_arrives_once(database: Database) -> None:
     with database.transaction() as session:
         team = make_principal(session)
         assert submit(session, team).id == submit(session, team).id
-        assert log_size(session) == 1
+        assert count_entries(session) == 1

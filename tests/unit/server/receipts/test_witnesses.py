@@ -15,8 +15,8 @@ from vitac.server.errors import ServiceError
 from vitac.server.principals import CONSOLE
 from vitac.server.prizes.finishing import finalize
 from vitac.server.receipts.issuing import receipts_of_submission
-from vitac.server.receipts.witnesses import add_cosignatures, witness_views, witnessed_checkpoints
-from vitac.server.transparency.log import log_key, make_checkpoint, read_tree
+from vitac.server.receipts.witnesses import add_cosignatures, list_witness_views, list_witnessed_checkpoints
+from vitac.server.transparency.log import make_checkpoint, read_log_key, read_tree
 from vitac.server.transparency.notes import OF_LOG, OF_WITNESS, Checkpoint, VerifierKey, cosign
 
 from competitions import make_competition, moved, open_now, put_in_place
@@ -47,8 +47,8 @@ def test_a_stage_waits_for_its_witnesses_and_a_receipt_shows_them(database: Data
     play_all(database, submission)
     with database.transaction() as session:
         put_in_place(session, moved(witnessed_cup(demanded=2), days=-3650))
-        assert [(view.size, view.behind) for view in witness_views(session)] == [(0, 2), (0, 2)]
-        assert all(view.behind_s > 0 for view in witness_views(session))
+        assert [(view.size, view.behind) for view in list_witness_views(session)] == [(0, 2), (0, 2)]
+        assert all(view.behind_s > 0 for view in list_witness_views(session))
         with pytest.raises(ServiceError, match=r"Expected 2 witnesses that have signed entry 2 of the log, .*, got 0"):
             finalize(session, CONSOLE)
         assert add_cosignatures(session, str(signed(session, WITNESS))) == 1
@@ -57,11 +57,11 @@ def test_a_stage_waits_for_its_witnesses_and_a_receipt_shows_them(database: Data
         assert add_cosignatures(session, str(signed(session, WITNESS, SECOND))) == 2, "also what is there already"
         finalize(session, CONSOLE)
         receipt = receipts_of_submission(session, submission.id)[0]
-        receipt.require_valid(log_key(session).public_key.hex())
+        receipt.require_valid(read_log_key(session).public_key.hex())
         assert set(receipt.find_witnesses([WITNESS, SECOND])) == {WITNESS, SECOND}
         assert [proof.checkpoint.size for proof in receipt.parsed_proofs()] == [4, 2], "the newest, and the witnessed"
-        assert [checkpoint.size for checkpoint in witnessed_checkpoints(session)] == [2]
-        assert [view.behind for view in witness_views(session)] == [2, 2], "the board and the end"
+        assert [checkpoint.size for checkpoint in list_witnessed_checkpoints(session)] == [2]
+        assert [view.behind for view in list_witness_views(session)] == [2, 2], "the board and the end"
 
 
 def test_signatures_of_strangers_of_tomorrow_and_of_another_history_are_refused(database: Database) -> None:

@@ -39,7 +39,7 @@ from vitac.server.receipts.issuing import receipts_of_submission
 from vitac.server.rejudging import rejudging
 from vitac.server.rejudging.comparison import comparison
 from vitac.server.submissions import creation, runs
-from vitac.server.transparency.log import log_size
+from vitac.server.transparency.log import count_entries
 from vitac.server.views.rejudging import RejudgedSubmissionView
 
 from competitions import make_competition, open_now, put_in_place, shown_stage
@@ -120,7 +120,7 @@ def test_new_results_stand_beside_the_present_ones_until_they_are_applied(
     play_proposed(database, rejudgement, Cats=make_record, Ants=record_of)
     assert standings(database) == before
     with database.transaction() as session:
-        assert log_size(session) == 3, "those of the submissions"
+        assert count_entries(session) == 3, "those of the submissions"
         for submission in upgraded.values():
             assert newest_evaluation(session, submission).evaluator_version == "0+old"
     rows = compared(database, rejudgement)
@@ -135,7 +135,7 @@ def test_new_results_stand_beside_the_present_ones_until_they_are_applied(
     assert [row.team for row in told] == ["Cats", "Ants", "Bees"]
     assert standings(database) == [("Cats", 1, 1.0), ("Ants", 2, pytest.approx(2 / 3)), ("Bees", 3, 0.5)]
     with database.transaction() as session:
-        assert log_size(session) == 7, "with the rejudgement"
+        assert count_entries(session) == 7, "with the rejudgement"
         receipt = receipts_of_submission(session, upgraded["Cats"].id)[-1]
         assert receipt.result.evaluation == newest_evaluation(session, upgraded["Cats"]).id
         entry = newest_entries(session, 1)[0]
