@@ -30,7 +30,7 @@ _PACKED = (".npz", ".pt", ".pth")
 _SHINGLE: Final = 10
 """Tokens that follow each other and are compared as one."""
 _MINIMA: Final = 128
-_FEWEST_FLOATS: Final = 256
+_FEWEST_FLOATS: Final = 16
 """Smaller files are no weights."""
 _ARRAYS, _SAMPLES = 8, 512
 """The largest arrays are sketched by so many of their numbers."""

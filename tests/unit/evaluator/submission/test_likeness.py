@@ -77,6 +77,12 @@ def test_the_same_code_with_weights_of_another_seed_is_no_copy(tmp_path: Path) -
     assert (found.code, found.is_copy) == (1, False)
 
 
+def test_policies_of_one_recipe_with_a_few_numbers_each_are_no_copies(tmp_path: Path) -> None:
+    few = [np.random.default_rng(seed).standard_normal(20) for seed in (1, 2)]
+    found = likeness(*(archive(tmp_path / str(k), CODE, weights) for k, weights in enumerate(few)))
+    assert (found.code, found.weights is not None, found.is_copy) == (1, True, False)
+
+
 def test_weights_that_are_a_small_part_of_an_archive_say_nothing(tmp_path: Path) -> None:
     first, second = (archive(tmp_path / str(seed), CODE, trained(1)) for seed in (1, 2))
     for seed, folder in ((3, first), (4, second)):
