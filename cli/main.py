@@ -8,8 +8,6 @@ from importlib.metadata import version
 from typing import Annotated
 
 import typer
-from vitac.envs.errors import VitacError
-from vitac.envs.extras import install_command
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,15 +81,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     try:
         build_app(arguments)(arguments, prog_name="vitac")
-    except VitacError as error:
-        print(f"vitac: {error}", file=sys.stderr)
-        sys.exit(1)
     except ModuleNotFoundError as error:
         extra = next((noun.extra for noun in NOUNS if noun.name == _requested(arguments)), None)
         if extra is None or (error.name or "").startswith("vitac"):
             raise
+        from vitac.envs.extras import install_command
+
         needs = f"This command needs the extra {extra!r}; install it with: {install_command(extra)}"
         print(f"vitac: {error.name} is not installed. {needs}", file=sys.stderr)
+        sys.exit(1)
+    except Exception as error:
+        from vitac.envs.errors import VitacError  # not above: with it comes Gymnasium, which `--help` does without
+
+        if not isinstance(error, VitacError):
+            raise
+        print(f"vitac: {error}", file=sys.stderr)
         sys.exit(1)
 
 

@@ -13,8 +13,10 @@ from vitac.server.db.states import NoticeKind, Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.members import members
 from vitac.server.principals import CONSOLE, Principal
+from vitac.server.receipts.issuing import list_entries
 from vitac.server.submissions import creation
 from vitac.server.teams import teams
+from vitac.server.transparency.entries import EntryKind
 from vitac.server.views.contest import AdvancementView
 
 from competitions import FIRST, SECOND, make_competition, open_now, put_in_place, stored_stage
@@ -115,6 +117,10 @@ def test_a_confirmed_team_may_submit_and_the_decision_is_recorded(database: Data
                 with refused(ProblemCode.NOT_QUALIFIED):
                     creation.create(session, principal, make_upload(name))
         entry = next(entry for entry in newest_entries(session) if entry.action == "stage.qualify")
+        (logged,) = (one.statement for one in list_entries(session) if one.content is EntryKind.ADVANCEMENT)
+        winner = session.query(Submission).filter_by(team_id=by["Ants"], stage=FIRST).one()
+    assert logged is not None
+    assert (logged["teams"], logged["submissions"]) == (1, [str(winner.id)]), "no name of a team"
     assert entry.subject == f"stage:cup/{TRACK}/{SECOND}"
     assert entry.before == {"teams": []}
     assert entry.after["teams"] == entry.after["proposed"] == ["Ants"]
