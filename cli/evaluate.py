@@ -223,8 +223,10 @@ def _print_summary(evaluation: "Evaluation", manifest: "SubmissionManifest") -> 
         rows = [(name, rate.episodes, rate.successes, *_percentages(rate)) for name, rate in rates.items()]
         print_table(("shape", "episodes", "successes", "rate", "95 % interval"), rows, none="")
         print(f"mean env steps of the successes: {'none' if score.mean_steps is None else f'{score.mean_steps:.2f}'}")
-        outcomes = [(outcome, count, outcome.sentence) for outcome, count in score.outcomes.items()]
-        print_table(("outcome", "episodes", "meaning"), outcomes, none="")
+        first = {record.outcome: record.episode for record in reversed(evaluation.records)}
+        outcomes = [(outcome, count, first[outcome], outcome.sentence) for outcome, count in score.outcomes.items()]
+        print_table(("outcome", "episodes", "first", "meaning"), outcomes, none="")
+        print(f"`vitac show {evaluation.manifest.task} --policy SUBMISSION --episode N` draws one of them")
         if score.forces:
             _print_forces(score.forces)
         _print_failures(evaluation.records)
