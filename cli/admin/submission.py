@@ -126,16 +126,16 @@ def reinstate(session: Session, submission: SubmissionId) -> SubmissionView:
 def clear(
     session: Session,
     submission: SubmissionId,
-    reason: Annotated[str, typer.Option(help="In one line, for the team to read.")],
+    reason: Annotated[str, typer.Option(help="Why, in one line; the team sees it.")],
 ) -> SubmissionView:
     """Put a submission that was found to be a copy back on the boards. `withdraw-clearance` undoes it."""
     clearance.clear(session, CONSOLE, submission, reason)
     return listing.get(session, load_settings(), CONSOLE, submission)
 
 
-@change(app, question="Let submission {submission} be a copy again?", done="withdrew the clearance of {submission}")
+@change(app, question="Count submission {submission} as a copy again?", done="withdrew the clearance of {submission}")
 def withdraw_clearance(session: Session, submission: SubmissionId) -> SubmissionView:
-    """Let what was found of a cleared submission count again."""
+    """Withdraw the clearance of a submission: it counts as a copy again."""
     clearance.withdraw(session, CONSOLE, submission)
     return listing.get(session, load_settings(), CONSOLE, submission)
 

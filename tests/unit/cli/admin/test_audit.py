@@ -127,9 +127,12 @@ TRIED_ELSEWHERE = {
     "rejudge start",
     "rejudge apply",
     "rejudge discard",
+    "submission clear",
+    "submission withdraw-clearance",
 }
 """They need an empty service (tests/unit/server/backup/test_backup.py), results of another evaluator version
-(tests/unit/cli/admin/contest/test_rejudge.py), or a judged track (tests/unit/server/judging/test_judging.py)."""
+(tests/unit/cli/admin/contest/test_rejudge.py), a judged track (tests/unit/server/judging/test_judging.py), or a copy
+(tests/unit/server/evaluations/test_near_copies.py)."""
 
 
 WITHOUT_DRY_RUN = {"backup"}
