@@ -2,10 +2,10 @@
 
 Usage: PYTHONPATH=benchmarks python benchmarks/policies/near_copies.py [--episodes N] [--starts N] [--json FILE]
 
-Honest: the examples of all three tasks, fits of the peg example's recipe to other starts, networks of one recipe and
-the same starts that differ by their seed alone, and the fusion example with other constants; every pair of a task is
-compared in both directions, and the archives of the networks. Copies of the trained peg example: its actions changed,
-later, or cut in two, from a table or played; its weights tuned, its code under other names.
+Honest: the examples of peg and lock, fits of the peg example's recipe to other starts, and networks of one recipe and
+the same starts that differ by their seed alone; every pair of a task is compared in both directions, and the archives.
+Copies: the fusion example with one constant changed; the trained peg example's actions changed, later, or cut in two,
+from a table or played; its weights tuned; code under other names.
 """
 
 import argparse
