@@ -16,6 +16,8 @@ from vitac.evaluator.tracks import list_tracks, load_track
 from vitac.server.leaderboards.baselines import list_baselines
 from vitac.server.tracks import sort_challenge_first
 from vitac.server.views.contest import PublicRankingView
+from vitac.web.pages.leaderboards.leaderboard import PLOTTED
+from vitac.web.pages.leaderboards.paging import PAGE_ENTRIES
 from vitac.web.pages.leaderboards.tabs import accepts_logs, track_tabs
 from vitac.web.pages.tracks import PICTURES
 from vitac.web.rendering import STATIC
@@ -65,6 +67,13 @@ def test_the_board_of_a_task_shows_the_median_peak_force_where_it_is_recorded(
     assert "</span> 24.5 N" in html
     data.task_boards[TASK] = a_leaderboard(rows[1], task=TASK)
     assert "Peak force, median" not in browser.get(f"/tracks/track_1?task={TASK}").text
+
+
+def test_a_page_of_thousands_of_teams_stays_small(data: FixedData, browser: AsgiBrowser) -> None:
+    data.board = a_leaderboard(*(an_entry(rank, f"Team {rank}", BEARS_PEG) for rank in range(1, 301)))
+    html = browser.get("/tracks/track_1").text
+    assert html.count("<circle") == PLOTTED + PAGE_ENTRIES, "one for each point, and for each row"
+    assert len(html) < 150_000
 
 
 def test_baselines_stand_below_the_entries_without_a_rank_and_on_an_empty_board(
