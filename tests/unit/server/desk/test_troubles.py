@@ -72,7 +72,7 @@ def test_each_trouble_is_said_once_and_the_newest_comes_first(session: Session) 
     assert [one.submission_id for one in found] == [both.submission_id, twice.submission_id]
     assert [one.problem for one in found] == [
         "an episode gave another result when it was run again; "
-        "the states, or nearly the actions, of another team's earlier submission",
+        "the states, nearly the actions, or the archive of another team's earlier submission",
         "an episode gave another result when it was run again",
     ]
     titled = load_track(TRACK).title
