@@ -22,7 +22,7 @@ from .paging import board_page
 from .tabs import known_track, read_surroundings
 
 PLOTTED = 100
-"""Last rank that the plot against dates shows: each point has a row in the table behind it."""
+"""Number of teams that the plot against dates shows: each point has a row in the table behind it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,11 +130,8 @@ def _cell(column: Column, entry: LeaderboardEntryView) -> Cell:
 
 def _dates(site: Site, board: LeaderboardView, own_names: Collection[str]) -> Figure | None:
     """Return the plot of ranked entries against dates, cached until the board changes; None for a single one."""
-    ranked = [
-        entry
-        for entry in board.entries
-        if entry.rank is not None and (entry.rank <= PLOTTED or entry.team in own_names)
-    ]
+    all_ranked = [entry for entry in board.entries if entry.rank is not None]
+    ranked = [*all_ranked[:PLOTTED], *(entry for entry in all_ranked[PLOTTED:] if entry.team in own_names)]
     if len(ranked) < 2:
         return None
     own = next((entry.team for entry in ranked if entry.team in own_names), None)
