@@ -1,28 +1,10 @@
 from pathlib import Path
 
-import numpy as np
 import pytest
 from service_client import Service, make_archive, problem_of
-from service_factories import LOCK, TASK, TRACK, RecordOf, make_record, play_all, sha256
-from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
+from service_factories import LOCK, TASK, TRACK, RecordOf, play_all, successes_below
 from vitac.evaluator.tracks import registry
 from vitac.server.db.models import Submission
-
-
-def successes_below(limit: int) -> RecordOf:
-    """Records of a policy of its own, so that it is no copy of another one."""
-
-    def record(episode: int, *, task: str) -> EpisodeRecord:
-        sign = 1 - 2 * (episode * limit // 7 % 2)
-        return make_record(
-            episode,
-            EpisodeOutcome.SUCCESS if episode < limit else EpisodeOutcome.STEPS,
-            task,
-            actions=ActionSequence.from_array(np.full((3, 3), sign * limit / 300, np.float32)),
-            state_hashes=tuple(sha256(f"{limit} {episode} {step}") for step in range(4)),
-        )
-
-    return record
 
 
 def evaluated(service: Service, token: str, policy: str, record_of: RecordOf) -> str:

@@ -8,7 +8,17 @@ import pytest
 from cli_service import CliService, cli_service
 from httpx import Client
 from served_pages import NO_CERTIFICATES, visitor, visitor_of_role
-from service_factories import TASK, TRACK, make_principal, make_score, make_secret, outdate, play, submit_scored
+from service_factories import (
+    TASK,
+    TRACK,
+    make_principal,
+    make_score,
+    make_secret,
+    outdate,
+    play,
+    submit_scored,
+    successes_below,
+)
 from sqlalchemy import select
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.models import Evaluation, Rejudgement
@@ -31,12 +41,13 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CliService]:
 
 
 def play_proposed(service: CliService) -> None:
-    """Plays what open rejudgements have queued: every episode succeeds."""
+    """Plays what open rejudgements have queued, each by a policy of its own that solves every episode."""
     with service.database.transaction() as session:
         found = session.scalars(select(Evaluation).where(Evaluation.is_proposed)).all()
-        shards = [shard.id for each in found for shard in each.shards if shard.state.value == "queued"]
-    for shard_id in shards:
-        play(service.database, shard_id)
+        shards = [[shard.id for shard in each.shards if shard.state.value == "queued"] for each in found]
+    for number, of_one in enumerate(shards):
+        for shard_id in of_one:
+            play(service.database, shard_id, successes_below(300 + 100 * number))
 
 
 def board(service: CliService) -> list[tuple[int | None, float]]:
