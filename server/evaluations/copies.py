@@ -12,7 +12,7 @@ from functools import cache, partial
 from typing import Any
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, ScalarSelect, Select, case, delete, func, or_, over, select, tuple_, update
+from sqlalchemy import ScalarSelect, Select, case, delete, func, or_, over, select, tuple_, update
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 from vitac.evaluator.episodes.records import ActionSequence
@@ -162,13 +162,11 @@ def find_copies(session: Session, evaluations: Collection[UUID], names: ShownNam
 @cache
 def _copies_with_teams() -> Select[UUID, Team, int, bool, str | None]:
     """Return the query of the logs with equal states among `evaluations`, put together once: most pages ask it."""
-    own, earlier = aliased(Submission), aliased(Submission)
+    earlier, copy = aliased(Submission), LogCopy.evaluation_id
     return (
-        select(LogCopy.evaluation_id, Team, LogCopy.episodes, _is_copy(LogCopy.evaluation_id), own.copy_cleared_for)
+        select(copy, Team, LogCopy.episodes, _is_copy(copy), _cleared_for(copy))
         .join(earlier, earlier.id == LogCopy.earlier_submission_id)
         .join(Team, Team.id == earlier.team_id)
-        .join(Evaluation, Evaluation.id == LogCopy.evaluation_id)
-        .join(own, own.id == Evaluation.submission_id)
         .where(among_parameter(LogCopy.evaluation_id, "evaluations"))
     )
 
@@ -176,21 +174,24 @@ def _copies_with_teams() -> Select[UUID, Team, int, bool, str | None]:
 @cache
 def _near_copies_with_teams() -> Select[NearCopy, Team, bool, str | None]:
     """Return the query of the near copies among `evaluations`, that with most episodes last."""
-    own, earlier = aliased(Submission), aliased(Submission)
+    earlier, copy = aliased(Submission), NearCopy.evaluation_id
     return (
-        select(NearCopy, Team, _is_copy(NearCopy.evaluation_id), own.copy_cleared_for)
+        select(NearCopy, Team, _is_copy(copy), _cleared_for(copy))
         .join(earlier, earlier.id == NearCopy.earlier_submission_id)
         .join(Team, Team.id == earlier.team_id)
-        .join(Evaluation, Evaluation.id == NearCopy.evaluation_id)
-        .join(own, own.id == Evaluation.submission_id)
         .where(among_parameter(NearCopy.evaluation_id, "evaluations"))
         .order_by(NearCopy.near, NearCopy.earlier_submission_id, NearCopy.task, NearCopy.commitment)
     )
 
 
-def _is_copy(evaluation_id: ColumnElement[UUID] | InstrumentedAttribute[UUID]) -> ScalarSelect[bool]:
-    marked = select(func.bool_or(BoardResult.is_copy)).where(BoardResult.evaluation_id == evaluation_id)
-    return select(func.coalesce(marked.scalar_subquery(), False)).scalar_subquery()
+def _is_copy(evaluation_id: InstrumentedAttribute[UUID]) -> ScalarSelect[bool]:
+    marked = func.coalesce(func.bool_or(BoardResult.is_copy), False)
+    return select(marked).where(BoardResult.evaluation_id == evaluation_id).scalar_subquery()
+
+
+def _cleared_for(evaluation_id: InstrumentedAttribute[UUID]) -> ScalarSelect[str | None]:
+    cleared = select(Submission.copy_cleared_for).join(Evaluation, Evaluation.submission_id == Submission.id)
+    return cleared.where(Evaluation.id == evaluation_id).scalar_subquery()
 
 
 def count_copied_episodes() -> ScalarSelect[int]:

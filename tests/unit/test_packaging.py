@@ -23,6 +23,7 @@ FOLDERS = ("cli", "docs", "envs", "evaluator", "migrations", "server", "station"
 NOT_SHIPPED = {"__pycache__", "node_modules"}
 URL_HOSTS = {
     "arxiv.org",
+    "c2sp.org",
     "creativecommons.org",
     "doi.org",
     "docs.astral.sh",

@@ -215,7 +215,7 @@ def test_lists_still_name_what_remains(remaining: RemainingSubmissions) -> None:
 def test_an_old_link_leads_to_the_score_that_is_kept(remaining: RemainingSubmissions, signed_in: bool) -> None:
     address = f"/submissions/{remaining.ids['done']}"
     status, text = remaining.get(address, signed_in=signed_in)
-    assert (status, "Its score is kept" in text, "2 of 2" in text) == (410, True, True)
+    assert (status, "Its score stays" in text, "2 of 2" in text) == (410, True, True)
     assert "own-pegs" in remaining.get(f"{address}/scores.csv", signed_in=signed_in)[1]
 
 

@@ -12,6 +12,7 @@ from vitac.server.db.models import (
     Announcement,
     Appeal,
     AppealReplay,
+    ArchiveCopy,
     Base,
     Cosignature,
     DeclaredEvaluator,
@@ -85,6 +86,7 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
                 evaluation_id=evaluation.id, earlier_submission_id=earlier.id, task="gone", near=1, episodes=2,
                 difference=0.1,
             ),
+            ArchiveCopy(submission_id=submission.id, earlier_submission_id=earlier.id, code=0.9, weights=None),
             DeclaredEvaluator(track="track_1", version="1+abc"),
             MetricTotal(name="vitac_episodes_total", labels="{}", value=0.1),
             Notice(

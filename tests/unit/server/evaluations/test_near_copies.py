@@ -159,6 +159,21 @@ def test_a_model_that_acts_nearly_as_an_earlier_one_is_not_ranked_until_an_organ
     assert on_board(database) == [(1, "source"), (None, "table")]
 
 
+def test_a_cleared_copy_stays_ranked_beside_one_that_is_not_cleared(
+    database: Database, teams: tuple[Principal, Principal]
+) -> None:
+    with database.transaction() as session:
+        third = make_principal(session, "Third")
+    copies = [submit(database, by, by.team_name or "") for by in (*teams, third)]
+    for number, submission in enumerate(copies):
+        play_all(database, submission, acting(1, change=1e-5 * number))
+    with database.transaction() as session:
+        clearance.clear(session, CONSOLE, copies[1].id, "made apart")
+    with database.transaction() as session:
+        found = [listing.get(session, SETTINGS, CONSOLE, one.id).copy_of for one in copies[1:]]
+        assert [copy and copy.ranked for copy in found] == [True, False]
+
+
 def test_a_team_keeps_its_place_by_what_is_no_copy(database: Database, teams: tuple[Principal, Principal]) -> None:
     play_all(database, submit(database, teams[0], "source"), acting(1))
     for name, records in (("own", acting(2)), ("table", acting(1, change=1e-5))):

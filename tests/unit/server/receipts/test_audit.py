@@ -13,7 +13,7 @@ from audited_boards import complete, environment_of, played_again, sampled
 from databases import fresh_database
 from made_receipts import KEY, PUBLIC_KEY
 from obstore.store import MemoryStore
-from service_factories import TASK, TRACK, forget_boards, make_principal, make_record, submit
+from service_factories import TASK, TRACK, forget_boards, make_principal, own_record, submit
 from sqlalchemy import Executable, func, select, text, update
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.episode import Environment
@@ -51,7 +51,8 @@ def finish_all(database: Database, team: int, env: Environment, real: EpisodeRec
     def record_of(_task: str, number: int) -> EpisodeRecord:
         if (team, number) == (1, real.episode):
             return real
-        return make_record(number, EpisodeOutcome.TACTILE if number <= 5 * team else EpisodeOutcome.SUCCESS)
+        has_failed = number <= 5 * team
+        return own_record(100 * team + 100, number, EpisodeOutcome.TACTILE if has_failed else EpisodeOutcome.SUCCESS)
 
     with database.transaction() as session:
         submission = submit(session, make_principal(session, TEAMS[team]), TEAMS[team])

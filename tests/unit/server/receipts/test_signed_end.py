@@ -8,7 +8,7 @@ import pytest
 from audited_boards import complete, environment_of
 from databases import fresh_database
 from obstore.store import MemoryStore
-from service_factories import TASK, TRACK, forget_boards, make_principal, make_record, submit
+from service_factories import TASK, TRACK, forget_boards, make_principal, own_record, submit
 from sqlalchemy import text
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
@@ -49,8 +49,11 @@ def database() -> Iterator[Database]:
             submissions = [submit(session, make_principal(session, team), team) for team in TEAMS]
         for n_failed, submission in enumerate(submissions):
 
-            def record_of(_task: str, number: int, least: int = 5 * n_failed) -> EpisodeRecord:
-                return make_record(number, EpisodeOutcome.TACTILE if number <= least else EpisodeOutcome.SUCCESS)
+            def record_of(_task: str, number: int, team: int = n_failed) -> EpisodeRecord:
+                has_failed = number <= 5 * team
+                return own_record(
+                    100 * team + 100, number, EpisodeOutcome.TACTILE if has_failed else EpisodeOutcome.SUCCESS
+                )
 
             complete(database, submission, env, record_of)
         with database.transaction() as session:
