@@ -29,6 +29,8 @@ class DisturbedService:
     folder: Path
     workers: int
     port: int = field(default_factory=lambda: free_port())
+    ended: set[int] = field(default_factory=set)
+    """Process ids of workers that were asked to end: a second request would end them at once, with all they left."""
     _running: dict[str, "subprocess.Popen[bytes]"] = field(default_factory=dict)
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _stopping: threading.Event = field(default_factory=threading.Event)

@@ -113,7 +113,9 @@ class Faults:
 
     def end_worker(self) -> str:
         name = self.random.choice(self.service.worker_names)
-        send(signal.SIGTERM, *self._pids_of(name))
+        pids = self._pids_of(name)
+        self.service.ended.update(pids)
+        send(signal.SIGTERM, *pids)
         return f"ended {name}"
 
     def end_server(self) -> str:

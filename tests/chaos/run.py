@@ -200,7 +200,7 @@ def is_whole_again(service: DisturbedService) -> bool:
     deadline = time.monotonic() + WHOLE_LIMIT_S
     while time.monotonic() < deadline:
         with contextlib.suppress(OSError, psycopg.Error, httpx.HTTPError):
-            ready = {row[0] for row in service.query(READY)}
+            ready = {row[0] for row in service.query(READY)} - service.ended
             answers = httpx.get(f"{service.address}/ready", timeout=10).is_success
             if answers and ready >= {service.pid(name) for name in service.worker_names}:
                 return True
