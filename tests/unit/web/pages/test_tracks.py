@@ -219,7 +219,7 @@ def test_rules_of_a_variant_show_what_is_drawn_from_which_range(browser: AsgiBro
 )
 def test_rules_name_the_contact_model(browser: AsgiBrowser, track: str, name: str) -> None:
     html = browser.get(f"/tracks/{track}/rules").text
-    assert set(re.findall(r'href="/docs/physics#contact-models">([\w-]+)</a>', html)) == {name}
+    assert set(re.findall(r'href="/docs/contact">([\w-]+)</a>', html)) == {name}
 
 
 def test_rules_show_the_scene_of_each_task_before_its_words(browser: AsgiBrowser) -> None:
