@@ -51,7 +51,7 @@ def run(settings: Settings, stay: Stay = UNLIMITED, *, probe: ProbeIsolation = p
         try:
             work(services, processes.running_shard, stay, probe=probe)
         except DBAPIError as error:
-            raise DatabaseUnreachable(f"The database cannot be used: {' '.join(str(error.orig).split())}.") from error
+            raise DatabaseUnreachable.from_driver(error) from error
 
 
 def work(

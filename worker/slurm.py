@@ -1,6 +1,6 @@
 """Keeps as many Slurm jobs with workers as the queue has work for.
 
-Slurm holds all that has to be remembered: a scaler that is killed and started again goes on as before, and two of them
+Slurm holds all that has to be remembered: a scaler that is killed and started again works as before, and two of them
 do no harm.
 """
 
@@ -73,7 +73,7 @@ class SlurmScaler:
             with self.services.database.transaction() as session:
                 return self._scale(session)
         except DBAPIError as error:
-            raise DatabaseUnreachable(f"The database cannot be used: {' '.join(str(error.orig).split())}.") from error
+            raise DatabaseUnreachable.from_driver(error) from error
 
     def _scale(self, session: Session) -> Scaling:
         work = count_open_work(session)

@@ -63,8 +63,8 @@ def verify(
     found.require_valid(key)
     witnessed = found.find_witnesses(map(VerifierKey.parse, witnesses))
     if as_json:
-        told = {each.name: at for each, at in witnessed.items()}
-        shown = {"verified": True, "key_given": key is not None, "witnessed": told}
+        signed_at = {each.name: at for each, at in witnessed.items()}
+        shown = {"verified": True, "key_given": key is not None, "witnessed": signed_at}
         print_json(shown | {"receipt": found.model_dump(mode="json")})
         return
     print_pairs(

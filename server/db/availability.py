@@ -24,6 +24,11 @@ _PING_TIMEOUT_S = 5
 class DatabaseUnreachable(VitacError):
     """No database answers at the configured address, or it refuses us, or its schema cannot be migrated."""
 
+    @classmethod
+    def from_driver(cls, error: DBAPIError) -> "DatabaseUnreachable":
+        """Return the error that says in one line what the driver said."""
+        return cls(f"The database cannot be used: {' '.join(str(error.orig).split())}.")
+
 
 def once_available(database: Database, work: Callable[[Database], None], *, patience_s: float) -> None:
     """Do the first work on a database as soon as it takes connections.
@@ -48,7 +53,7 @@ def once_available(database: Database, work: Callable[[Database], None], *, pati
         except DBAPIError as error:
             refusals += 1
             if not is_connection_loss(error) or refusals == REFUSALS:
-                raise DatabaseUnreachable(f"The database cannot be used: {str(error.orig).strip()}.") from error
+                raise DatabaseUnreachable.from_driver(error) from error
         time.sleep(POLL_S)
 
 

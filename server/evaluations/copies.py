@@ -87,7 +87,7 @@ def _compare(session: Session, evaluation: Evaluation) -> None:
         closest = max(earlier, key=lambda twin: _count(twin, begun))
         _flag(session, [evaluation], closest.submission_id, _count(closest, begun))
     for twin in later:
-        _flag(session, _completed(session, twin.submission_id), submission.id, _count(twin, begun))
+        _flag(session, list_completed(session, twin.submission_id), submission.id, _count(twin, begun))
 
 
 def _count(twin: _Twin, begun: Mapping[int, bytes]) -> int:
@@ -131,14 +131,17 @@ def _boards_of_copy(session: Session, evaluation: Evaluation) -> set[str]:
     return near | {ALL_TASKS} if near else near
 
 
-def find_copies(session: Session, evaluations: Collection[UUID], names: ShownNames) -> dict[UUID, CopyView]:
+def find_copies(
+    session: Session, evaluations: Collection[UUID], names: ShownNames, *, logs: Collection[UUID]
+) -> dict[UUID, CopyView]:
     """Return what was found of these evaluations, with the teams under the names that are shown.
+
+    Only `logs`, those of them that are evaluations of logs, are looked for among those with equal states.
 
     Equal states of a log say more than near ones; of several near ones the one with most episodes is shown.
     """
     if not evaluations:
         return {}
-    asked = {"evaluations": list(evaluations)}
     found = {
         near.evaluation_id: CopyView(
             team=names.show_name(team),
@@ -149,13 +152,19 @@ def find_copies(session: Session, evaluations: Collection[UUID], names: ShownNam
             ranked=not is_copy,
             cleared_for=cleared_for,
         )
-        for near, team, is_copy, cleared_for in session.execute(_near_copies_with_teams(), asked)
+        for near, team, is_copy, cleared_for in session.execute(
+            _near_copies_with_teams(), {"evaluations": list(evaluations)}
+        )
     }
+    if not logs:
+        return found
     return found | {
         evaluation_id: CopyView(
             team=names.show_name(team), episodes=episodes, ranked=not is_copy, cleared_for=cleared_for
         )
-        for evaluation_id, team, episodes, is_copy, cleared_for in session.execute(_copies_with_teams(), asked)
+        for evaluation_id, team, episodes, is_copy, cleared_for in session.execute(
+            _copies_with_teams(), {"evaluations": list(logs)}
+        )
     }
 
 
@@ -268,7 +277,8 @@ def _first_with_states(evaluation: Evaluation) -> Select[Any]:
     )
 
 
-def _completed(session: Session, submission_id: UUID) -> Collection[Evaluation]:
+def list_completed(session: Session, submission_id: UUID) -> Collection[Evaluation]:
+    """Return the completed evaluations of a submission."""
     return session.scalars(
         select(Evaluation)
         .where(Evaluation.submission_id == submission_id, Evaluation.state == EvaluationState.COMPLETED)

@@ -97,7 +97,8 @@ def _found(
     until = Board.from_results(stage, counted).until
     named = {"track": stage.track, "stage": stage.name, "until": until, "at_most": MAX_TEXT_LOGS}
     text_logs = session.scalars(_newest_text_logs(), named).all()
-    copies = find_copies(session, [entry.evaluation_id for entries in best.values() for entry in entries], shown_names)
+    evaluations = [entry.evaluation_id for entries in best.values() for entry in entries]
+    copies = find_copies(session, evaluations, shown_names, logs=evaluations)
     ranked = [part for task, entries in best.items() for part in (task, *entries)]
     names = f"{teams.find_last_naming(session)} {shown_names.hidden}"
     revision = compute_revision(

@@ -8,10 +8,9 @@ from sqlalchemy.orm import Session
 
 from .. import names
 from ..audit import record
-from ..db.models import Evaluation, Submission
-from ..db.states import EvaluationState
+from ..db.models import Submission
 from ..errors import ProblemCode, ServiceError
-from ..evaluations.copies import mark_copy
+from ..evaluations.copies import list_completed, mark_copy
 from ..principals import Principal
 from ..teams.teams import REASON_LENGTH
 from ..visibility import visible
@@ -62,6 +61,5 @@ def _lock(session: Session, by: Principal, submission_id: UUID) -> Submission:
 
 def _mark(session: Session, submission: Submission) -> None:
     session.flush()
-    completed = Evaluation.submission_id == submission.id, Evaluation.state == EvaluationState.COMPLETED
-    for evaluation in session.scalars(select(Evaluation).where(*completed)):
+    for evaluation in list_completed(session, submission.id):
         mark_copy(session, evaluation)

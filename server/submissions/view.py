@@ -7,6 +7,7 @@ from uuid import UUID
 
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding
+from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..contest.contest import find_stage
 from ..contest.stages import Stage
@@ -61,7 +62,12 @@ def submission_views(
         by=by,
         names=names,
         findings=make_finding_views(session, [found for found in newest if found.id not in rows.hidden]),
-        copies=find_copies(session, [found.id for found in newest], names),
+        copies=find_copies(
+            session,
+            [found.id for found in newest],
+            names,
+            logs=[found.id for found in newest if found.submission.kind is SubmissionKind.LOG],
+        ),
         fleet=known_workers,
         workers=cache(partial(_workers, known_workers)),
         places=cache(partial(_places, session, by)),

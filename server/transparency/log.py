@@ -112,7 +112,7 @@ def read_tree(session: Session) -> Tree:
 
 
 def read_hashes(session: Session, level: int, number: int, width: int) -> Sequence[bytes]:
-    """Return the hashes of a tile, fewer where the log has not so many."""
+    """Return the hashes of a tile, fewer where the log ends before."""
     first = TILE_WIDTH * number
     if level == 0:
         of_tile = ReceiptRow.number.between(first + 1, first + width)

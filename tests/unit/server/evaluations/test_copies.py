@@ -95,7 +95,7 @@ def ending_otherwise(after: int) -> RecordOf:
 def found(database: Database, *submissions: Submission) -> list[CopyView | None]:
     with database.transaction() as session:
         ids = [newest_evaluation(session, submission).id for submission in submissions]
-        copies = find_copies(session, ids, ShownNames.read(session, CONSOLE))
+        copies = find_copies(session, ids, ShownNames.read(session, CONSOLE), logs=ids)
     return [copies.get(evaluation_id) for evaluation_id in ids]
 
 

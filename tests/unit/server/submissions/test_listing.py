@@ -165,14 +165,14 @@ def test_a_teams_list_reads_no_other_teams_rows_and_no_output(database: Database
         session.execute(text("ANALYZE"))
     with database.transaction() as session, database_work(session) as work:
         found = listing.list_submissions(session, SETTINGS, principal, limit=5).items
-    assert work.rows_read["submissions"] <= 6 + 4  # four are looked at when queries of copies are planned
-    assert work.rows_read["evaluations"] <= 6 + 4
+    assert work.rows_read["submissions"] <= 6 + 2  # PostgreSQL looks at some while it plans the query of copies
+    assert work.rows_read["evaluations"] <= 6 + 1
     assert {item.evaluation.log_tail for item in found} == {""}
     with database.transaction() as session, database_work(session) as work:
         assert listing.get(session, SETTINGS, principal, found[0].id).evaluation.log_tail == "printed"
-    assert work.statements <= 7
-    assert work.rows_read["submissions"] <= 2 + 4
-    assert work.rows_read["evaluations"] <= 3 + 4
+    assert work.statements <= 6
+    assert work.rows_read["submissions"] <= 2 + 1
+    assert work.rows_read["evaluations"] <= 3
 
 
 def test_what_was_drawn_for_an_episode_is_listed_with_it(
