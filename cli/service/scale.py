@@ -61,7 +61,7 @@ def _scale_until_stopped(scaler: "SlurmScaler", every_s: float) -> None:
         try:
             done = scaler.scale()
         except (SlurmError, DatabaseUnreachable) as error:
-            warn(f"{error} The next look is in {every_s:.0f} s.")
+            warn(f"{error} The next look is in {pause_s:.0f} s.")
         else:
             ended_at_once = last is not None and last.submitted and not done.running + done.pending
             is_stuck = ended_at_once and last is not None and done.work >= last.work
