@@ -1,5 +1,8 @@
 """What schedulers see of workers: durations on the command line, exit codes, and ever longer pauses of the scaler."""
 
+import time
+from collections.abc import Iterator
+
 import pytest
 import typer
 from vitac.cli.main import main
@@ -47,7 +50,7 @@ def test_jobs_that_end_at_once_are_submitted_at_ever_longer_intervals(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     empty, works = Scaling(work=9, running=0, pending=0, submitted=2), Scaling(work=9, running=2, pending=0)
-    looks = iter([empty, empty, empty, SlurmError("`squeue` failed"), works, works])
+    looks: Iterator[Scaling | Exception] = iter([empty, empty, empty, SlurmError("`squeue` failed"), works, works])
     pauses: list[float] = []
 
     class FakeScaler:
@@ -57,7 +60,7 @@ def test_jobs_that_end_at_once_are_submitted_at_ever_longer_intervals(
                 raise found
             return found
 
-    monkeypatch.setattr(scale.time, "sleep", pauses.append)
+    monkeypatch.setattr(time, "sleep", pauses.append)
     with pytest.raises(StopIteration):
         scale._scale_until_stopped(FakeScaler(), 15.0)  # type: ignore[arg-type]
     assert pauses == [15.0, 30.0, 60.0, 60.0, 15.0, 15.0]
