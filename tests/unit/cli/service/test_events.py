@@ -1,22 +1,10 @@
 import io
 import json
 import logging
-from collections.abc import Iterator
 
-import pytest
 import structlog
 from vitac.cli.service.events import configure_events
 from vitac.server.settings import LogFormat
-
-
-@pytest.fixture(autouse=True)
-def restored() -> Iterator[None]:
-    """Other tests find logging as it was."""
-    root = logging.getLogger()
-    handlers, level = root.handlers[:], root.level
-    yield
-    root.handlers[:], root.level = handlers, level
-    structlog.reset_defaults()
 
 
 def written(form: LogFormat) -> list[str]:
