@@ -45,5 +45,5 @@ export async function showGel(section) {
     section.querySelector(".player-status").textContent = "This browser shows no WebGL, so the gel is a still picture.";
     return;
   }
-  section.querySelector(".still").remove();
+  section.querySelector(".still").classList.add("printed");
 }

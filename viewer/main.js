@@ -77,7 +77,7 @@ class Player {
     try {
       canvas.hidden = false;
       const stage = new Stage(canvas, this.episode);
-      this.section.querySelector(".still")?.remove();
+      this.section.querySelector(".still")?.classList.add("printed");
       return stage;
     } catch {
       canvas.hidden = true;

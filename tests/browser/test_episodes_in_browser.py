@@ -91,7 +91,7 @@ def test_an_episode_is_seen_in_3d_with_what_was_measured(
 ) -> None:
     open_player(site, page, made(site, task, number))
     scene = page.locator("canvas.scene")
-    expect(page.locator("img.still")).to_have_count(0)
+    expect(page.locator("img.still")).to_be_hidden()
     assert len(colours(scene)) > 8
     expect(page.get_by_role("img", name="marker flow")).to_have_count(2)
     expect(page.get_by_role("img", name="over the env steps")).to_have_count(5)

@@ -261,6 +261,28 @@ def replace(data: FixedData, changed: SubmissionView) -> None:
     data.found[:] = [changed if found.name == changed.name else found for found in data.found]
 
 
+def test_paper_has_what_is_to_read_and_no_controls(page: Page, site: SiteUnderTest) -> None:
+    site.enter(page)
+    page.emulate_media(media="print", reduced_motion="reduce", color_scheme="dark")
+    resize(page, A4_PAPER)
+    for path, printed in (
+        ("/", "img.still"),
+        ("/tracks/track_1", ".board tbody tr"),
+        ("/tracks/track_1/rules", "table.limits"),
+        (site.path_of("done"), "svg.map"),
+        ("/compare", "h1"),
+        ("/docs/deployment", ".document table"),
+    ):
+        site.open(page, path)
+        expect(page.locator(f"{printed} >> visible=true").first).to_be_visible()
+        expect(
+            page.locator(":is(button, .button, input, select, textarea, summary, nav a) >> visible=true")
+        ).to_have_count(0)
+        assert page.evaluate("document.documentElement.scrollWidth") <= A4_PAPER["width"], f"{path} is cut"
+        paper = page.evaluate("getComputedStyle(document.querySelector('h1')).color")
+        assert paper == "rgb(0, 0, 0)", f"{path} is printed in {paper}"
+
+
 def test_an_open_table_behind_a_plot_is_printed_whole(page: Page, site: SiteUnderTest) -> None:
     site.enter(page)
     site.open(page, site.path_of("done"))

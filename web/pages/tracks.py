@@ -17,12 +17,16 @@ from .leaderboards.tabs import accepts_logs, known_track, track_tabs
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """A picture of a task: a static file, its size [px] and what it shows, for whoever does not see it."""
+    """A picture of a task: a static file, its size [px] and what it shows, for whoever does not see it.
+
+    A drawn one is black on white, and a dark page shows it white on black; what a camera sees stays as it is.
+    """
 
     file: str
     width: int
     height: int
     shows: str
+    is_drawn: bool = False
 
 
 _SCENE = (
@@ -30,8 +34,8 @@ _SCENE = (
     "the marker flow of both sensors, which a policy observes"
 )
 PICTURES = {
-    "peg-insertion": Picture(file="peg-insertion.png", width=1000, height=570, shows=_SCENE),
-    "lock-opening": Picture(file="lock-opening.png", width=1000, height=570, shows=_SCENE),
+    "peg-insertion": Picture(file="peg-insertion.png", width=1000, height=570, shows=_SCENE, is_drawn=True),
+    "lock-opening": Picture(file="lock-opening.png", width=1000, height=570, shows=_SCENE, is_drawn=True),
     "fusion-insertion": Picture(
         file="fusion-insertion.png",
         width=1000,
