@@ -57,6 +57,7 @@ NOUNS = (
     Noun(name="submit", module="client.submit", summary="Upload a submission to a service."),
     Noun(name="status", module="client.status", summary="Show your submissions on a service."),
     Noun(name="publish", module="client.publish", summary="Make a submission's result public."),
+    Noun(name="describe", module="client.describe", summary="Say what a public result is; link code and paper."),
     Noun(name="compare", module="compare", summary="Compare two submissions episode by episode."),
     Noun(name="receipt", module="receipt.app", summary="Verify receipts; audit the public log and boards."),
     Noun(name="witness", module="witness", summary="Sign the log of a service, unless it was rewritten."),

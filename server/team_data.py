@@ -102,6 +102,7 @@ def erase(session: Session, by: Principal, team: Team) -> None:
     team.name_key, team.contact = teams.name_key(team.name), None
     team.named_at = team.erased_at = now
     _erase_output(session, team)
+    session.execute(update(Submission).where(Submission.team_id == team.id).values(description=None))
     _rename_in_final_results(session, team)
     session.execute(delete(Question).where(Question.team_id == team.id, ~Question.public))
     session.execute(update(Question).where(Question.team_id == team.id).values(team_id=None))

@@ -46,7 +46,8 @@ app.add_typer(token.app, name="token", help="API tokens: add, list, revoke.")
 app.add_typer(
     submission.app,
     name="submission",
-    help="Submissions: list, show, copies, clear, withdraw-clearance, requeue, cancel, disqualify, reinstate.",
+    help="Submissions: list, show, copies, clear, withdraw-clearance, requeue, cancel, disqualify, reinstate, "
+    "remove-description, restore-description.",
 )
 app.add_typer(evaluation.app, name="evaluation", help="Evaluations: list, show, requeue, cancel.")
 app.add_typer(worker.app, name="worker", help="Workers: list, show, cordon, uncordon, drain.")

@@ -8,6 +8,7 @@ from sqlalchemy.orm import Session
 from vitac.server.evaluations.archive_copies import compare_archives, list_archive_copies
 from vitac.server.evaluations.near_copies import list_near_copies
 from vitac.server.principals import CONSOLE
+from vitac.server.sharing import descriptions
 from vitac.server.submissions import clearance, disqualification, listing, runs
 from vitac.server.views.evaluations import ArchiveCopyView, NearCopyView
 from vitac.server.views.submissions import SubmissionView
@@ -137,6 +138,24 @@ def clear(
 def withdraw_clearance(session: Session, submission: SubmissionId) -> SubmissionView:
     """Withdraw the clearance of a submission: it counts as a copy again."""
     clearance.withdraw(session, CONSOLE, submission)
+    return listing.get(session, load_settings(), CONSOLE, submission)
+
+
+@change(app, question="Hide the description of {submission} from others?", done="removed it from {submission}")
+def remove_description(
+    session: Session,
+    submission: SubmissionId,
+    reason: Annotated[str, typer.Option(help="Why, in one line; the team sees it.")],
+) -> SubmissionView:
+    """Hide what a team wrote about its result from others. `restore-description` undoes it."""
+    descriptions.remove(session, CONSOLE, submission, reason)
+    return listing.get(session, load_settings(), CONSOLE, submission)
+
+
+@change(app, question="Let others see the description of {submission} again?", done="restored it of {submission}")
+def restore_description(session: Session, submission: SubmissionId) -> SubmissionView:
+    """Let others see a removed description again."""
+    descriptions.restore(session, CONSOLE, submission)
     return listing.get(session, load_settings(), CONSOLE, submission)
 
 

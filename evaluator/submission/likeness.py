@@ -24,7 +24,7 @@ SAME_WEIGHTS: Final = 0.98
 SAME_CODE: Final = 0.8
 """Share of common code from which two archives without weights are alike."""
 _CODE_SUFFIX: Final = ".py"
-_WEIGHTS = (".json", ".npy", ".npz", ".pt", ".pth", ".bin", ".safetensors", ".onnx", ".h5", ".pkl")
+WEIGHTS_SUFFIXES = (".json", ".npy", ".npz", ".pt", ".pth", ".bin", ".safetensors", ".onnx", ".h5", ".pkl")
 _PACKED = (".npz", ".pt", ".pth")
 """Files of weights that are zip archives themselves."""
 _SHINGLE: Final = 10
@@ -102,7 +102,7 @@ def make_sketch(folder: Path) -> ArchiveSketch:
     code_left, left = _CODE_BYTES, _ALL_BYTES
     for path in sorted(found for found in folder.rglob("*") if found.is_file() and not found.is_symlink()):
         is_code = path.suffix == _CODE_SUFFIX
-        if is_code or path.suffix in _WEIGHTS:
+        if is_code or path.suffix in WEIGHTS_SUFFIXES:
             with path.open("rb") as file:
                 content = file.read(min(code_left if is_code else _FILE_BYTES, left))
             left -= len(content)

@@ -22,12 +22,15 @@ from ..logs import action_matches
 from ..logs.export import export_log
 from ..principals import Principal
 from ..services import Services
-from ..sharing import public_pages
+from ..sharing import descriptions, public_pages
 from ..submissions import clearance, disqualification, listing, output, runs, sensors, upload
+from ..submissions.model_card import model_card
 from ..submissions.watch import Changes, watch
 from ..teams.teams import REASON_LENGTH
+from ..texts import TEXT_LENGTH
+from ..views.descriptions import DescriptionView
 from ..views.logs import ActionMatchView
-from ..views.submissions import EpisodeView, OutputView, SensorView, SubmissionListView, SubmissionView
+from ..views.submissions import EpisodeView, ModelCardView, OutputView, SensorView, SubmissionListView, SubmissionView
 from ..visibility import visible
 from .access import MAX_NUMBER, PrincipalOf, ReaderOf, ServicesOf
 from .problems import RESPONSES
@@ -46,6 +49,26 @@ class Publicity(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     public: bool = Field(description="Everybody; else its team, judges and organizers.")
+
+
+class Description(BaseModel):
+    """What is written about a public result; with nothing in it, what was written is removed."""
+
+    model_config = ConfigDict(extra="forbid")
+    text: str = Field(default="", description=f"Plain text of at most {TEXT_LENGTH} characters.")
+    code: str = Field(default="", description="https address of the code.")
+    paper: str = Field(default="", description="https address of the paper.")
+    discussion: str = Field(default="", description="https address of a place to discuss it.")
+    base: str | None = Field(
+        default=None, description="`revision` that the change was made against; refused if there is another one now."
+    )
+
+
+class Removal(BaseModel):
+    """Why others do not see a description."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: str = Field(max_length=REASON_LENGTH, description="In one line, for the team.")
 
 
 class Disqualification(BaseModel):
@@ -241,6 +264,42 @@ def put_public(services: ServicesOf, principal: PrincipalOf, submission_id: UUID
     return _show_changed(services, principal, submission_id, public_pages.set_public, public=wanted.public)
 
 
+@router.get("/{submission_id}/description")
+def get_description(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> DescriptionView:
+    """Return what the team wrote about a result; others see nothing while teams are anonymous."""
+    with services.database.reading() as session:
+        return descriptions.find_description(session, principal, submission_id)
+
+
+@router.put("/{submission_id}/description")
+def put_description(
+    services: ServicesOf, principal: PrincipalOf, submission_id: UUID, wanted: Description
+) -> DescriptionView:
+    """Write about a public result of your team: a text, and links to code, paper and a place to discuss it."""
+    with services.database.transaction() as session:
+        descriptions.describe(session, principal, submission_id, **wanted.model_dump())
+        return descriptions.find_description(session, principal, submission_id)
+
+
+@router.put("/{submission_id}/description/removal")
+def put_removal(services: ServicesOf, principal: PrincipalOf, submission_id: UUID, wanted: Removal) -> SubmissionView:
+    """Hide what a team wrote about a result from others (organizers only)."""
+    return _show_changed(services, principal, submission_id, descriptions.remove, reason=wanted.reason)
+
+
+@router.delete("/{submission_id}/description/removal")
+def delete_removal(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
+    """Let others see a removed description again (organizers only)."""
+    return _show_changed(services, principal, submission_id, descriptions.restore)
+
+
+@router.get("/{submission_id}/card")
+def get_model_card(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> ModelCardView:
+    """Return what a model is: its framework, size, observations and time, as far as the service knows them."""
+    with services.database.reading() as session:
+        return model_card(session, principal, submission_id)
+
+
 @router.post("/{submission_id}/cancel")
 def cancel_submission(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
     """End a queued or running evaluation. Finished episodes stay stored: uploading again takes it up."""
@@ -266,19 +325,13 @@ def put_clearance(
     services: ServicesOf, principal: PrincipalOf, submission_id: UUID, wanted: Clearance
 ) -> SubmissionView:
     """Rank a submission that was found to be a copy (organizers only)."""
-    with services.database.transaction() as session:
-        clearance.clear(session, principal, submission_id, wanted.reason)
-    with services.database.transaction() as session:
-        return listing.get(session, services.settings, principal, submission_id)
+    return _show_changed(services, principal, submission_id, clearance.clear, reason=wanted.reason)
 
 
 @router.delete("/{submission_id}/clearance")
 def delete_clearance(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
     """Let what was found of a cleared submission count again (organizers only)."""
-    with services.database.transaction() as session:
-        clearance.withdraw(session, principal, submission_id)
-    with services.database.transaction() as session:
-        return listing.get(session, services.settings, principal, submission_id)
+    return _show_changed(services, principal, submission_id, clearance.withdraw)
 
 
 @router.post("/{submission_id}/requeue", status_code=HTTPStatus.ACCEPTED)

@@ -30,12 +30,13 @@ SocketAddress = tuple[int, tuple[Any, ...]]
 """Address family, and what a socket connects to."""
 
 
-def checked(address: str, *, inside_allowed: bool) -> SplitResult:
-    """Return the parts of a webhook's address.
+def checked(address: str, *, inside_allowed: bool, what: str = "The webhook's address") -> SplitResult:
+    """Return the parts of an address that somebody gives.
 
     Args:
         address: as it was given.
         inside_allowed: whether hosts inside, and unencrypted connections, may be named.
+        what: is given, for the message.
 
     Raises:
         ServiceError: it cannot be used; where the host leads is looked at with each notice.
@@ -44,14 +45,14 @@ def checked(address: str, *, inside_allowed: bool) -> SplitResult:
         parts = urlsplit(address)
         port = parts.port
     except ValueError as error:
-        raise _invalid(address, str(error)) from error
+        raise _invalid(what, address, str(error)) from error
     if len(address) > MAX_LENGTH or not address.isascii() or not address.isprintable() or " " in address:
-        raise _invalid(address, f"expected at most {MAX_LENGTH} printable ASCII characters")
+        raise _invalid(what, address, f"expected at most {MAX_LENGTH} printable ASCII characters")
     schemes = ("https", "http") if inside_allowed else ("https",)
     if parts.scheme not in schemes or not parts.hostname or port == 0:
-        raise _invalid(address, f"expected {' or '.join(schemes)}://HOST/...")
+        raise _invalid(what, address, f"expected {' or '.join(schemes)}://HOST/...")
     if parts.username is not None or parts.password is not None or parts.fragment:
-        raise _invalid(address, "expected an address without user, password and fragment")
+        raise _invalid(what, address, "expected an address without user, password and fragment")
     return parts
 
 
@@ -76,7 +77,5 @@ def is_public(address: str) -> bool:
     return is_given_out and not any(found in network for network in _NOT_PUBLIC if network.version == found.version)
 
 
-def _invalid(address: str, problem: str) -> ServiceError:
-    return ServiceError(
-        ProblemCode.INVALID_REQUEST, f"The webhook's address {address!r:.100} cannot be used: {problem}."
-    )
+def _invalid(what: str, address: str, problem: str) -> ServiceError:
+    return ServiceError(ProblemCode.INVALID_REQUEST, f"{what} {address!r:.100} cannot be used: {problem}.")

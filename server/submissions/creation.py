@@ -154,6 +154,7 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: St
             archive_bytes=upload.archive_bytes,
             manifest=upload.manifest,
             archive_sketch=upload.archive_sketch,
+            contents=upload.contents,
             is_public=stage.rules.public_pages,
         )
         .on_conflict_do_nothing(

@@ -22,6 +22,7 @@ from ..logs.view import make_finding_views
 from ..principals import Principal
 from ..queue.workers import Fleet, fleet
 from ..settings import Settings
+from ..sharing.descriptions import show_description
 from ..teams.shown_names import ShownNames
 from ..teams.teams import team_view
 from ..tracks import find_family
@@ -133,6 +134,7 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
         public=submission.is_public,
         disqualified_for=submission.disqualified_for,
         copy_of=shown.copies.get(newest.id),
+        description=show_description(submission, shown.by, shown.names),
         evaluation=evaluation_view(newest, shown.fleet.alive, shown.evaluations),
         evaluations=[summary_view(evaluation) for evaluation in shown_runs],
         workers=shown.workers(newest.evaluator_version, submission.track, tuple(submission.tasks)),

@@ -38,6 +38,7 @@ class CheckedUpload:
         files: what is stored beside it.
         file_name: as the client names it; None if the client did not send it.
         archive_sketch: what a model's archive is compared by.
+        contents: what is in a model's archive, as JSON (`ArchiveContents`).
         sensor_folder: unpacked submission whose sensor is still to be taken in; None: there is none.
     """
 
@@ -52,4 +53,5 @@ class CheckedUpload:
     files: tuple[UploadedFile, ...] = ()
     file_name: str | None = None
     archive_sketch: bytes | None = None
+    contents: dict[str, Any] | None = None
     sensor_folder: Path | None = None

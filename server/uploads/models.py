@@ -11,6 +11,7 @@ from ..errors import ProblemCode, ServiceError
 from ..settings import Settings
 from ..tracks import load_known_track
 from .checked_upload import CheckedUpload
+from .contents import read_contents
 from .intake import ReceivedFile
 
 _UNPACKED_NAME = "unpacked"
@@ -45,5 +46,6 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
         archive_bytes=received.n_bytes,
         manifest=manifest.model_dump(mode="json"),
         archive_sketch=make_sketch(folder).to_bytes(),
+        contents=read_contents(folder).model_dump(),
         sensor_folder=folder if track.has_sensor else None,
     )

@@ -10,10 +10,35 @@ from vitac.evaluator.scoring.gain import SensingGain
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from .base import View
+from .descriptions import DescriptionView
 from .evaluations import CopyView, EvaluationSummaryView, EvaluationView
 from .logs import LogView
 from .teams import TeamView
 from .workers import WorkersView
+
+
+class ArchiveContents(View):
+    """What a model's archive holds, as it was when it was uploaded."""
+
+    frameworks: list[str] = Field(description="Modules that its code imports to compute with.")
+    code_bytes: int
+    weights_bytes: int
+
+
+class ModelCardView(View):
+    """What a model is, from its manifest, its archive and its evaluation."""
+
+    name: str
+    track: str
+    tasks: list[str]
+    observation_keys: list[str] | None = Field(description="Keys of the observation that it reads; null: all.")
+    control_modes: dict[str, str] = Field(description="By task, where it names one.")
+    archive_bytes: int
+    contents: ArchiveContents | None = Field(description="Null where it was uploaded before this was read.")
+    isolation: list[str] = Field(description="How it was isolated, on each kind of worker machine.")
+    policy_ms: float | None = Field(
+        description="Mean time in the policy per env step; null before a result, and where episodes are not shown."
+    )
 
 
 class RankView(View):
@@ -42,6 +67,7 @@ class SubmissionView(View):
     public: bool = Field(description="Everybody may see its result, once its evaluation is complete.")
     disqualified_for: str | None = Field(default=None, description="Why it is on no board; null: it may be.")
     copy_of: CopyView | None = Field(default=None, description="Null where it is alike to no earlier one.")
+    description: DescriptionView | None = Field(default=None, description="What its team wrote about it, where shown.")
     evaluation: EvaluationView
     evaluations: list[EvaluationSummaryView] = Field(
         description="All runs, newest first; of another team's, the newest."

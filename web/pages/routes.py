@@ -113,6 +113,8 @@ def pages() -> APIRouter:
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
         ("/submissions/{submission_id}/cancel", submissions.cancel, "POST"),
         ("/submissions/{submission_id}/public", sharing.set_public, "POST"),
+        ("/submissions/{submission_id}/description", sharing.describe, "POST"),
+        ("/submissions/{submission_id}/description/removal", sharing.set_removal, "POST"),
         ("/submissions/{submission_id}/clearance", sharing.set_clearance, "POST"),
         ("/submissions/{submission_id}/preview.png", sharing.preview, "GET"),
         ("/competition", competition.competition, "GET"),

@@ -12,10 +12,11 @@ from vitac.server.principals import Principal
 from vitac.server.settings import Settings
 from vitac.server.sharing.public_pages import readable
 from vitac.server.submissions import listing, output
+from vitac.server.submissions.model_card import make_card
 from vitac.server.submissions.view import submission_views
 from vitac.server.views.leaderboards import PastResultView
 from vitac.server.views.logs import ActionMatchView
-from vitac.server.views.submissions import EpisodeView, SubmissionView
+from vitac.server.views.submissions import EpisodeView, ModelCardView, SubmissionView
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +30,7 @@ class SubmissionDetail:
         action_matches: how many of a log's actions the team's models give; empty for other submissions.
         episodes_with_output: number of episodes with output, or in which the policy failed, that the visitor may see.
         past: results of the team in the tasks of this submission; empty before the submission has a result.
+        card: of a model.
     """
 
     submission: SubmissionView
@@ -37,6 +39,7 @@ class SubmissionDetail:
     episodes_with_output: int
     past: Sequence[PastResultView]
     practice_episodes: Sequence[EpisodeView] = ()
+    card: ModelCardView | None = None
 
 
 def read_detail(session: Session, settings: Settings, by: Principal, submission_id: UUID) -> SubmissionDetail:
@@ -48,11 +51,13 @@ def read_detail(session: Session, settings: Settings, by: Principal, submission_
     found = readable(session, by, submission_id)
     evaluations = histories(session, [found], with_output=True)
     shown, is_own = evaluations[submission_id][0], by.may_see(found.team_id, found.contest)
+    view = submission_views(session, settings, evaluations, by, with_output=True)[0]
     return SubmissionDetail(
-        submission=submission_views(session, settings, evaluations, by, with_output=True)[0],
+        submission=view,
         episodes=listing.list_episodes(session, by, shown),
         action_matches=read_matches(session, by, shown) if is_own else (),
         episodes_with_output=output.episodes_with_output(session, by, shown),
         practice_episodes=listing.list_episodes(session, by, shown, practice=True),
         past=past_results(session, by, shown) if is_own else (),
+        card=make_card(session, by, shown, view.evaluation.isolation) if found.kind.form.runs_policy else None,
     )

@@ -5,6 +5,7 @@ from typing import Any
 from uuid import UUID, uuid4
 
 from sqlalchemy import BigInteger, CheckConstraint, ForeignKey, Index, String, false, func, text
+from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.orm import Mapped, mapped_column, relationship
 from vitac.evaluator.submission_kinds import SubmissionKind
 
@@ -19,7 +20,8 @@ class Submission(Base):
     `contest` and `stage` are empty outside a competition. `merged_from` is the team that had made it, where its present
     team had the same content already when the two were merged. `is_public` says whether everybody may see its result.
     Results of a disqualified one are on no board; `disqualified_for` says why. `copy_cleared_for` says why one that was
-    found to be a copy is ranked. `archive_sketch` is what a model's archive is compared by.
+    found to be a copy is ranked. `archive_sketch` is what a model's archive is compared by, `contents` says what is in
+    it. `description` is what the team wrote about its result; `description_removed_for` says why others do not see it.
     """
 
     __tablename__ = "submissions"
@@ -63,6 +65,9 @@ class Submission(Base):
     copy_cleared_at: Mapped[datetime | None]
     copy_cleared_for: Mapped[str | None]
     archive_sketch: Mapped[bytes | None] = mapped_column(deferred=True)
+    description: Mapped[dict[str, str] | None] = mapped_column(JSONB(none_as_null=True))
+    description_removed_for: Mapped[str | None]
+    contents: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     team: Mapped[Team] = relationship()
 
 

@@ -40,7 +40,7 @@ from vitac.server.queue import workers
 from vitac.server.receipts.receipt import Receipt
 from vitac.server.services import Services
 from vitac.server.settings import Registration, load_settings
-from vitac.server.sharing import public_pages
+from vitac.server.sharing import descriptions, public_pages
 from vitac.server.submissions import comparison, listing, output, receipts, runs, sensors, upload
 from vitac.server.submissions.upload import AnnouncedUpload
 from vitac.server.submissions.watch import Changes
@@ -48,6 +48,7 @@ from vitac.server.teams import teams
 from vitac.server.transparency.notes import make_log_key
 from vitac.server.views.comparisons import ComparisonView
 from vitac.server.views.contest import ArchiveView, CompetitionListView, CompetitionView, PublicRankingView, StageView
+from vitac.server.views.descriptions import DescriptionView
 from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView, TeamRanksView
 from vitac.server.views.logs import ActionMatchView
 from vitac.server.views.messages import AnnouncementView
@@ -178,6 +179,9 @@ class FixedData(FixedPlaybacks):
 
     def public_among(self, submissions: Collection[UUID]) -> frozenset[UUID]:
         return frozenset(found.id for found in self.found if found.public and found.id in submissions)
+
+    def descriptions_among(self, _: Principal, public: Collection[UUID]) -> dict[UUID, DescriptionView]:
+        return {found.id: found.description for found in self.found if found.id in public and found.description}
 
     def set_public(self, by: Principal, submission_id: UUID, *, public: bool) -> None:
         self.submission(None, by, submission_id)
@@ -335,6 +339,7 @@ for _module, _name, _data_of in (
     (archive, "archive_view", lambda data: data.archive),
     (public_pages, "public_among", lambda data: data.public_among),
     (public_pages, "set_public", lambda data: data.set_public),
+    (descriptions, "descriptions_among", lambda data: data.descriptions_among),
     (submission_detail, "read_detail", lambda data: data.submission),
     (listing, "get", lambda data: data.get),
     (listing, "list_submissions", lambda data: data.submissions),

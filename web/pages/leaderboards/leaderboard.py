@@ -10,6 +10,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from vitac.evaluator.tracks import Track
 from vitac.server.leaderboards.shown import shown_leaderboard, shown_rank_history
+from vitac.server.sharing.descriptions import descriptions_among
 from vitac.server.sharing.public_pages import public_among
 from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView, TeamRanksView
 
@@ -56,7 +57,8 @@ async def leaderboard(request: Request) -> Response:
         public: Collection[UUID] = public_among(session, [entry.submission_id for entry in shown.entries])
         around = read_surroundings(session, site, track, asked, shown_stage=board.stage)
         ranks = shown_rank_history(session, by, track.name, task=task, stage=asked.stage, contest=asked.contest)
-        return {"board": board, "shown": shown, "public": public, "ranks": ranks, **around}
+        described = descriptions_among(session, by, public)
+        return {"board": board, "shown": shown, "public": public, "described": described, "ranks": ranks, **around}
 
     values = await site.read(read)
     board: LeaderboardView = values["board"]

@@ -1,8 +1,10 @@
 """Sharing a result: a team makes its submission public, others get a picture and a citation; clearing of copies."""
 
 import asyncio
+from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
+from uuid import UUID
 
 from sqlalchemy.orm import Session
 from starlette.requests import Request
@@ -10,8 +12,8 @@ from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.tracks import load_track
 from vitac.server.api.conditional import answer
 from vitac.server.db.states import EvaluationState
-from vitac.server.principals import VISITOR
-from vitac.server.sharing import public_pages
+from vitac.server.principals import VISITOR, Principal
+from vitac.server.sharing import descriptions, public_pages
 from vitac.server.submissions import clearance
 from vitac.server.views.submissions import SubmissionView
 
@@ -71,16 +73,40 @@ async def set_public(request: Request) -> Response:
     return RedirectResponse(f"/submissions/{submission_id}#sharing", status_code=303)
 
 
+async def describe(request: Request) -> Response:
+    """Write about a public result."""
+    viewer, fields = await signed_in_form(request)
+    submission_id = as_id(request.path_params["submission_id"])
+    content = {name: fields.get(name, "") for name in ("text", "base", *descriptions.LINKS)}
+    await get_site(request).ask(
+        lambda session: descriptions.describe(session, viewer.principal, submission_id, **content)
+    )
+    return RedirectResponse(f"/submissions/{submission_id}#about", status_code=303)
+
+
+async def set_removal(request: Request) -> Response:
+    """Hide a description from others for the reason given; without one restore it."""
+    return await _set_for_reason(request, descriptions.remove, descriptions.restore)
+
+
 async def set_clearance(request: Request) -> Response:
     """Rank a submission that was found to be a copy, for the reason given; without one take that back."""
+    return await _set_for_reason(request, clearance.clear, clearance.withdraw)
+
+
+async def _set_for_reason(
+    request: Request,
+    act: Callable[[Session, Principal, UUID, str], None],
+    withdraw: Callable[[Session, Principal, UUID], None],
+) -> Response:
     viewer, fields = await signed_in_form(request)
     submission_id, reason = as_id(request.path_params["submission_id"]), fields.get("reason")
 
     def change(session: Session) -> None:
         if reason is None:
-            clearance.withdraw(session, viewer.principal, submission_id)
+            withdraw(session, viewer.principal, submission_id)
         else:
-            clearance.clear(session, viewer.principal, submission_id, reason)
+            act(session, viewer.principal, submission_id, reason)
 
     await get_site(request).ask(change)
     return RedirectResponse(f"/submissions/{submission_id}", status_code=303)

@@ -157,7 +157,8 @@ async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
     titles = {name: title_of_task(track, name) for name in (*found.tasks, *found.evaluation.counted_tasks)}
     return {
         "is_own": viewer is not None and viewer.may_see(found.team.name, found.contest),
-        "may_clear": viewer is not None and found.copy_of and viewer.principal.organizes(found.contest or ""),
+        "organizes": viewer is not None and viewer.principal.organizes(found.contest or ""),
+        "card": detail.card,
         "shared": await shared(request, viewer, found, track.title),
         "submission": found,
         "track": track,

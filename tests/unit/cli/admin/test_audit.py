@@ -113,6 +113,8 @@ CHANGES = {
     "submission requeue": (["CANCELLED", "--yes"], "submission.requeue"),
     "submission disqualify": (["SUBMISSION", "--reason", "trained on the list", "--yes"], "submission.disqualify"),
     "submission reinstate": (["DISQUALIFIED", "--yes"], "submission.reinstate"),
+    "submission remove-description": (["SUBMISSION", "--reason", "no", "--yes"], "submission.remove-description"),
+    "submission restore-description": (["UNDESCRIBED", "--yes"], "submission.restore-description"),
     "evaluation cancel": (["EVALUATION", "--yes"], "submission.cancel"),
     "evaluation requeue": (["CANCELLED_EVALUATION", "--yes"], "submission.requeue"),
     "worker cordon": (["WORKER"], "worker.order"),
@@ -197,6 +199,8 @@ def there_is(service: CliService, name: str, tmp_path: Path) -> str:
     submission = json.loads(service.run("submit", str(submission_folder(tmp_path / "mine")), "--json").stdout)["id"]
     if name == "DISQUALIFIED":
         service.run("admin", "submission", "disqualify", submission, "--reason", "copied", "--yes")
+    if name == "UNDESCRIBED":
+        service.run("admin", "submission", "remove-description", submission, "--reason", "no", "--yes")
     if name.startswith("CANCELLED"):
         service.run("admin", "submission", "cancel", submission, "--yes")
     if name.endswith("EVALUATION"):

@@ -141,6 +141,11 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", f"{SUBMISSION}/arrival"): READERS,
     ("get", f"{SUBMISSION}/events"): READERS,
     ("put", f"{SUBMISSION}/public"): CHANGERS,
+    ("get", f"{SUBMISSION}/card"): READERS,
+    ("get", f"{SUBMISSION}/description"): READERS,
+    ("put", f"{SUBMISSION}/description"): CHANGERS,
+    ("put", f"{SUBMISSION}/description/removal"): frozenset({Who.ORGANIZER}),
+    ("delete", f"{SUBMISSION}/description/removal"): frozenset({Who.ORGANIZER}),
     ("put", f"{SUBMISSION}/disqualification"): frozenset({Who.ORGANIZER}),
     ("delete", f"{SUBMISSION}/disqualification"): frozenset({Who.ORGANIZER}),
     ("put", f"{SUBMISSION}/clearance"): frozenset({Who.ORGANIZER}),
@@ -165,7 +170,7 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
 }
 """Who gets an answer of the route about a thing of the team OWNER. All others: 401 without a token, else 403 or 404."""
 
-FOR_EVERYBODY_IF_PUBLIC = {("get", SUBMISSION), ("get", f"{SUBMISSION}/episodes")}
+FOR_EVERYBODY_IF_PUBLIC = {("get", SUBMISSION + part) for part in ("", "/episodes", "/card", "/description")}
 OF_A_PUBLIC_SUBMISSION = {
     (method, path): EVERYBODY if (method, path) in FOR_EVERYBODY_IF_PUBLIC else allowed
     for (method, path), allowed in MATRIX.items()
@@ -342,6 +347,8 @@ BODIES: dict[tuple[str, str], Options] = {
     ("patch", MEMBER): lambda *_: {"json": {"email": "ann@example.org"}},
     ("put", f"{SUBMISSION}/disqualification"): lambda *_: {"json": {"reason": "copied"}},
     ("put", f"{SUBMISSION}/clearance"): lambda *_: {"json": {"reason": "made apart"}},
+    ("put", f"{SUBMISSION}/description"): lambda *_: {"json": {"text": "A network."}},
+    ("put", f"{SUBMISSION}/description/removal"): lambda *_: {"json": {"reason": "no"}},
     ("put", f"{SUBMISSION}/public"): lambda setting, _: {"json": {"public": setting.is_public}},
     ("post", "/api/v1/announcements"): lambda *_: {"json": {"title": "News", "text": "Text"}},
     ("post", "/api/v1/questions"): lambda *_: {"json": {"text": "Why?", "public": True}},

@@ -6,7 +6,9 @@ from page_fixtures import LOCK, MADE_UP_SCORES, TASK, a_leaderboard, an_entry, a
 from page_service import FixedData, an_application
 from played_episodes import a_shown_episode
 from visits import BEARS, BOTH, COMPLETED, GELBOTS, RUNNING, form_token, sign_in
+from vitac.server.sharing import descriptions
 from vitac.server.submissions import clearance
+from vitac.server.views.descriptions import DescriptionView
 from vitac.server.views.evaluations import CopyView
 from vitac.server.views.submissions import EpisodeOutputView
 
@@ -112,6 +114,69 @@ def test_boards_link_public_results_for_everybody(public: FixedData, browser: As
     assert f'href="/submissions/{COMPLETED.id}"' in html
     assert f'href="/submissions/{theirs.submission_id}"' not in html
     assert {GELBOTS.team_name, BEARS.team_name} == {entry.team for entry in public.board.entries}
+
+
+DESCRIPTION = DescriptionView(
+    text="<script>alert(1)</script>\nTwo layers.", code="https://github.com/bears/policy?a=1&b=2", revision="1"
+)
+
+
+def describe(data: FixedData, description: DescriptionView) -> None:
+    data.found = [
+        found.model_copy(update={"description": description}) if found.id == COMPLETED.id else found
+        for found in data.found
+    ]
+
+
+def test_a_description_is_shown_as_text_with_links_that_say_where_they_lead(
+    public: FixedData, browser: AsgiBrowser
+) -> None:
+    describe(public, DESCRIPTION)
+    link = '<a href="https://github.com/bears/policy?a=1&amp;b=2" rel="nofollow noopener">'
+    html = browser.get(PAGE).text
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;\nTwo layers." in html
+    assert f"{link}https://github.com/bears/policy?a=1&amp;b=2</a>" in html
+    assert "Change the description" not in html
+    public.board = a_leaderboard(
+        an_entry(1, "Gelbots", MADE_UP_SCORES[TASK], MADE_UP_SCORES[LOCK]).model_copy(
+            update={"submission_id": COMPLETED.id}
+        )
+    )
+    assert f"{link}code<span" in browser.get("/tracks/track_1").text
+    sign_in(browser, "Gelbots")
+    assert 'name="base" value="1"' in browser.get(PAGE).text
+    assert "Remove the description" not in browser.get(PAGE).text
+
+
+def test_an_organizer_removes_a_description_and_its_team_reads_why(public: FixedData, browser: AsgiBrowser) -> None:
+    describe(public, DESCRIPTION)
+    sign_in(browser, "organizers")
+    assert "Remove the description" in browser.get(PAGE).text
+    describe(public, DESCRIPTION.model_copy(update={"removed_for": "An advertisement."}))
+    assert "Restore the description" in browser.get(PAGE).text
+    sign_in(browser, "Gelbots")
+    html = browser.get(PAGE).text
+    assert "An advertisement." in html
+    assert "Change the description" not in html
+
+
+def test_forms_of_descriptions_lead_to_the_service(
+    public: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[object] = []
+    monkeypatch.setattr(descriptions, "describe", lambda _, by, *of, **given: done.append((by.team_name, given)))
+    monkeypatch.setattr(descriptions, "remove", lambda _, by, of, reason: done.append(reason))
+    monkeypatch.setattr(descriptions, "restore", lambda _, by, of: done.append("restored"))
+    describe(public, DESCRIPTION)
+    sign_in(browser, "Gelbots")
+    token = form_token(browser)
+    assert browser.post(f"{PAGE}/description", data={"text": "A", "base": "1"}).status_code == 403
+    answer = browser.post(f"{PAGE}/description", data={"text": "A", "base": "1", "form_token": token})
+    assert (answer.status_code, answer.headers["location"]) == (303, f"{PAGE}#about")
+    for fields in ({"reason": "No."}, {}):
+        browser.post(f"{PAGE}/description/removal", data={"form_token": token} | fields)
+    written = {"text": "A", "base": "1", "code": "", "paper": "", "discussion": ""}
+    assert done == [("Gelbots", written), "No.", "restored"]
 
 
 def test_a_public_result_without_a_score_over_all_tasks_has_a_page(public: FixedData, browser: AsgiBrowser) -> None:
