@@ -1,6 +1,5 @@
 import pytest
 from service_factories import (
-    ISOLATION,
     TASK,
     TRACK,
     make_principal,
@@ -38,7 +37,7 @@ def test_a_card_says_what_manifest_archive_and_records_say(database: Database) -
         card = model_card(session, VISITOR, submission.id)
     assert (before.policy_ms, before.isolation) == (None, [])
     assert card.policy_ms == pytest.approx(2.0)
-    assert card.isolation == [str(ISOLATION)]
+    assert [line.startswith("user: root") for line in card.isolation] == [True]
     assert (card.tasks, card.observation_keys) == ([TASK], ["relative_motion"])
     assert card.contents is not None
     assert card.contents.model_dump() == CONTENTS
