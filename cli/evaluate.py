@@ -299,6 +299,12 @@ class Progress:
         self._successes += record.success
         self.bar.update(self._task, advance=1, description=f"{self._successes} successes")
 
+    def describe(self, step: str) -> None:
+        """Say what is done before the first episode; as a line where stderr is no terminal."""
+        self.bar.update(self._task, description=step)
+        if not self.bar.console.is_terminal:
+            print(f"vitac: {step}", file=sys.stderr, flush=True)
+
     def __enter__(self) -> "Progress":
         self.bar.start()
         return self

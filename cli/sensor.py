@@ -134,7 +134,8 @@ def evaluate(
     episodes: Episodes = None,
     workers: Workers = None,
     figures: Annotated[
-        FigureChoice, typer.Option(help="Figures to measure: all, quick (those that take no episodes) or none.")
+        FigureChoice,
+        typer.Option(help="Figures to measure: all, none, or quick: those that take no episodes, and none is played."),
     ] = FigureChoice.ALL,
     json: Annotated[
         Path | None, typer.Option(help="Write scores, digests, sensing gain and figures to this file.")
@@ -145,9 +146,14 @@ def evaluate(
 
     With the standard estimator, the sensor's figures are measured, and shown beside those of the reference gel. Its
     finished shards are stored for 30 days, so that the same command continues after an interruption.
+
+    With --figures quick only --episodes that are named are played.
     """
     if policy is not None:
         _evaluate_policy(sensor, policy, episodes, workers, json)
+        return
+    if figures is FigureChoice.QUICK and episodes is None:
+        _measure_quickly(sensor, json)
         return
     from vitac.evaluator.evaluation.sensor import evaluate_sensor
     from vitac.evaluator.tracks import find_task
@@ -165,6 +171,7 @@ def evaluate(
             figures=figures,
             keep=None if fresh else _stored_shards_folder(),
             on_episode=progress.advance,
+            on_step=progress.describe,
         )
     report = found.report()
     if json:
@@ -174,6 +181,24 @@ def evaluate(
         print_figures(report.figures)
     for reason in report.not_measured:
         print(reason)
+
+
+def _measure_quickly(sensor: Path, out: Path | None) -> None:
+    from json import dumps
+
+    from vitac.evaluator.evaluation.sensor import measure_quickly
+
+    from .terminal.compiling import compiling_shown
+    from .terminal.sensor_figures import print_figures
+
+    with compiling_shown():
+        digest, figures = measure_quickly(sensor)
+    if out:
+        shown = {"sensor_digest": digest, "figures": figures.model_dump(mode="json"), "figures_digest": figures.digest}
+        out.write_text(dumps(shown, indent=1) + "\n", encoding="utf-8")
+    print(f"sensor digest {digest}")
+    print_figures(figures)
+    print("No episode was played; --figures all measures the others, and plays both runs of the standard estimator.")
 
 
 def _stored_shards_folder() -> Path:

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from ..episodes.episode import make_environment
 from ..episodes.records import EpisodeRecord
 from ..estimator.regression import Coefficients
 from ..figures.figures import FigureChoice, SensorFigures, merged
+from ..figures.starts import measure_whole
 from ..figures.table import list_missing_rows
 from ..scoring.gain import SensingGain, sensing_gain
 from ..scoring.score import Rate
@@ -80,6 +82,21 @@ class SensorEvaluation:
             yield from list_missing_rows(self.figures)
 
 
+def measure_quickly(folder: Path) -> tuple[str, SensorFigures]:
+    """Return the digest of the sensor in a folder, and those of its figures that take no episodes.
+
+    Raises:
+        SensorRefused: the sensor breaks a rule.
+        SensorRejected: sensor.yaml cannot be used.
+    """
+    made = made_sensor(accepted_sensor(folder))
+    task = next(task for task in load_track(TRACK).tasks.values() if task.player is Player.BLIND)
+    design = made.design()
+    figures = merged([measure_whole(design, make_environment(task, sensor=design))], [])
+    assert figures is not None  # noqa: S101 - the part is whole
+    return made.digest, figures
+
+
 def evaluate_sensor(
     folder: Path,
     *,
@@ -88,6 +105,7 @@ def evaluate_sensor(
     figures: FigureChoice = FigureChoice.NONE,
     keep: Path | None = None,
     on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
+    on_step: Callable[[str], None] = lambda _: None,
 ) -> SensorEvaluation:
     """Make the sensor in a folder and play both runs of the standard estimator.
 
@@ -98,6 +116,7 @@ def evaluate_sensor(
         figures: which of the sensor's figures are measured, too.
         keep: folder where finished shards are stored and looked for; None keeps none.
         on_episode: gets each record of both runs.
+        on_step: gets a few words before what takes seconds and gives no record.
 
     Raises:
         SensorRefused: the sensor breaks a rule.
@@ -105,7 +124,9 @@ def evaluate_sensor(
         UnknownEpisodes: an episode is not in the list.
         ShardProcessFailed: the machine or the simulation broke.
     """
+    on_step("meshing the gel")
     made = made_sensor(accepted_sensor(folder))
+    on_step("calibrating the standard estimator")
     track, chosen = load_track(TRACK), None if episodes is None else tuple(episodes)
     tasks = {task.player: task for task in track.tasks.values()}
     with tempfile.TemporaryDirectory() as scratch:

@@ -13,7 +13,7 @@ from ..episodes.records import EpisodeOutcome
 from ..estimator.playing import EstimatorSession
 from ..estimator.regression import Coefficients
 from ..tracks import Episode, Task
-from .figures import ENV_STEPS, FiguresPart, GraspFigures, StartFigures, Symmetric, Variation, rounded
+from .figures import ENV_STEPS, FiguresPart, StartFigures, Symmetric, Variation, rounded
 from .grasp import grasp_figures, smallest_det_f
 from .touch import touch_figures
 
@@ -57,11 +57,7 @@ class Measurement:
 
     def whole(self) -> FiguresPart:
         """Return what is measured of the sensor as a whole."""
-        physics = self._settings.physics
-        touch = touch_figures(
-            self._design, youngs_modulus_pa=physics.youngs_modulus_pa, poisson_ratio=physics.poisson_ratio
-        )
-        return FiguresPart(starts=(), touch=touch, grasp=self._grasp())
+        return measure_whole(self._design, self._environment(Variation.NONE))
 
     def start(self, episode: Episode) -> StartFigures:
         """Return what is measured at the start of an episode."""
@@ -80,9 +76,6 @@ class Measurement:
             successes=successes,
             cpu_s=rounded(cpu_s),
         )
-
-    def _grasp(self) -> GraspFigures:
-        return grasp_figures(self._environment(Variation.NONE))
 
     def _information(self, episode: Episode) -> tuple[tuple[Symmetric, ...] | None, float]:
         """Return the Fisher information of the first pictures at a start, and the smallest det F on the way.
@@ -139,6 +132,13 @@ class Measurement:
     @cached_property
     def _settings(self) -> Any:
         return cast(Any, self._environment(Variation.NONE)).settings
+
+
+def measure_whole(design: "SensorDesign", env: Environment) -> FiguresPart:
+    """Return what takes no episodes, measured of a sensor in an environment that has it."""
+    physics = cast(Any, env).settings.physics
+    touch = touch_figures(design, youngs_modulus_pa=physics.youngs_modulus_pa, poisson_ratio=physics.poisson_ratio)
+    return FiguresPart(starts=(), touch=touch, grasp=grasp_figures(env))
 
 
 def refined_design(design: "SensorDesign", times: float) -> "SensorDesign":

@@ -155,8 +155,9 @@ def test_evaluate_plays_the_estimator_with_and_without_sight_of_the_markers(
     monkeypatch.setattr(sensor_command, "_stored_shards_folder", lambda: tmp_path / "kept")
     out_file = tmp_path / "report.json"
     command = ("evaluate", folder, "--episodes", "1:2", "--workers", 1, "--json", out_file, "--figures", "quick")
-    code, out, _ = run(*command)
+    code, out, err = run(*command)
     assert code == 0
+    assert "vitac: meshing the gel\nvitac: calibrating the standard estimator\n" in err
     report = json.loads(out_file.read_text())
     assert [(row["task"], row["episodes"]) for row in report["runs"]] == [("sensor-standard", 2), ("sensor-blind", 2)]
     assert report["gain"]["episodes"] == 2
@@ -181,6 +182,11 @@ def test_evaluate_plays_the_estimator_with_and_without_sight_of_the_markers(
     assert json.loads(out_file.read_text()) == report
     code, _, _ = run(*command, "--fresh")
     assert code == 1
+    # Without named episodes there is none to play.
+    code, out, _ = run("evaluate", folder, "--figures", "quick", "--json", out_file)
+    assert (code, out.splitlines()[-1].startswith("No episode was played;")) == (0, True)
+    quick = json.loads(out_file.read_text())
+    assert quick == {name: report[name] for name in ("sensor_digest", "figures", "figures_digest")}
 
 
 def test_evaluate_of_a_broken_sensor_names_the_rule(run: Run, folder: Path) -> None:
