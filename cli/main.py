@@ -47,6 +47,12 @@ NOUNS = (
         extra="station",
     ),
     Noun(name="train", module="train", summary="Train a policy from a recipe, and export it."),
+    Noun(
+        name="data",
+        module="data",
+        summary="Collect demonstrations, and make and check data sets of them.",
+        extra="data",
+    ),
     Noun(name="register", module="client.register", summary="Register a team at a service."),
     Noun(name="login", module="client.login", summary="Store a team's token for later commands."),
     Noun(name="logout", module="client.logout", summary="Delete the stored token."),

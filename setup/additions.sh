@@ -1,5 +1,5 @@
 # shellcheck shell=sh
-# Adds to .venv what only some commands need: requirements/<name>.lock, for most with torch's build for CPUs. Read by ../vitac,
+# Adds to .venv what only some commands need: requirements/<name>.lock, for some with torch's build for CPUs. Read by ../vitac,
 # which sets `root`.
 #
 # .venv/vitac-<name> is written last and says what was added.
@@ -9,6 +9,7 @@ torch=2.13.0
 
 addition_title() { # name
   case $1 in
+    data) echo "PyArrow, OpenCV and Minari" ;;
     maniskill) echo "ManiSkill" ;;
     station) echo "the station's software" ;;
     torch) echo "Stable-Baselines3" ;;
@@ -18,6 +19,7 @@ addition_title() { # name
 # What is said before anything is added.
 addition_notice() { # name
   case $1 in
+    data) echo "PyArrow, OpenCV and Minari take 400 MB in $venv and are installed once." ;;
     maniskill) echo "ManiSkill, SAPIEN and torch for CPUs take 3 GB in $venv and are installed once; pictures need a Vulkan driver as well." ;;
     station) echo "OpenCV and the drivers of a station's devices take 300 MB in $venv and are installed once." ;;
     torch) echo "torch for CPUs, Stable-Baselines3 and TensorBoard take 1 GB in $venv and are installed once." ;;
@@ -26,6 +28,7 @@ addition_notice() { # name
 
 addition_mib() { # name
   case $1 in
+    data) echo 500 ;;
     maniskill) echo 4000 ;;
     station) echo 400 ;;
     torch) echo 1500 ;;
@@ -62,7 +65,7 @@ install_torch() { # name of the addition that needs it
 install_addition() { # name
   lock=$root/requirements/$1.lock
   : >"$log"
-  if [ "$1" != station ]; then install_torch "$1"; fi
+  case $1 in maniskill | torch) install_torch "$1" ;; esac
   heading="installing $(addition_title "$1")"
   logged "$heading" "$(grep -c '==' "$lock")" 'Collecting ' \
     pip install --require-hashes --only-binary :all: --no-deps -r "$lock" || fail_setup "$heading" "$(addition_mib "$1")"

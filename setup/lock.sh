@@ -18,6 +18,7 @@ compile requirements/server.lock --extra server --constraint requirements/base.l
 compile requirements/show.lock --extra show --constraint requirements/server.lock "$@"
 compile requirements/dev.lock --extra server --extra show --extra station --extra dev --constraint requirements/show.lock "$@"
 compile requirements/station.lock --extra station --constraint requirements/dev.lock "$@"
+compile requirements/data.lock --extra data --constraint requirements/dev.lock "$@"
 compile requirements/maniskill.lock --extra maniskill --constraint requirements/dev.lock --override requirements/omitted.in "$@" requirements/torch.in
 compile requirements/torch.lock --extra training --constraint requirements/maniskill.lock --override requirements/omitted.in "$@" requirements/torch.in
 "${UV:-uv}" pip compile --quiet --universal --generate-hashes --python-version 3.11 --no-emit-index-url \

@@ -215,6 +215,7 @@ def test_only_commands_of_the_service_bring_server_and_database(checkout: Checko
     checkout.run(str(checkout.root / "vitac"), noun.name, "word")
     wanted = {
         None: ["pip base.lock"],
+        "data": ["pip base.lock"],  # collecting needs no more
         "server": ["pip server.lock"],
         "station": ["pip base.lock", "pip station.lock"],
         "worker": ["pip server.lock", "pip show.lock"],

@@ -1,0 +1,82 @@
+"""Collecting demonstrations: the same bytes however it is done."""
+
+from pathlib import Path
+
+import pytest
+from vitac.evaluator.tracks import find_task
+from vitac.training.demonstrations.collecting import collect, count_outcomes, list_tasks
+from vitac.training.demonstrations.demonstration import (
+    CollectionRejected,
+    DemonstrationKind,
+    read_demonstrations,
+    read_source,
+)
+from vitac.training.demonstrations.expert import Expert, NoExpert
+from vitac.training.streams import StreamRefused, Use, stream
+
+TASK = "lock-opening"
+
+
+@pytest.fixture(scope="module")
+def collected(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return collect(TASK, tmp_path_factory.mktemp("one"), successes=10)
+
+
+def test_collects_until_enough_succeed_and_keeps_what_failed(collected: Path) -> None:
+    found = list(read_demonstrations(collected))
+    assert sum(each.is_success for each in found) == 10
+    assert found[-1].is_success
+    assert [each.kind for each in found[:3]] == [
+        DemonstrationKind.CLEAN,
+        DemonstrationKind.NOISY,
+        DemonstrationKind.CLEAN,
+    ]
+    rows = count_outcomes(collected)
+    assert sum(row["episodes"] for row in rows) == len(found)
+    assert rows[-1]["successes"] < rows[-1]["episodes"], "who is misled fails"
+
+
+def test_processes_make_the_same_bytes(collected: Path, tmp_path: Path) -> None:
+    assert collect(TASK, tmp_path, successes=10, processes=2).read_bytes() == collected.read_bytes()
+
+
+def test_what_a_kill_left_is_continued_to_the_same_bytes(collected: Path, tmp_path: Path) -> None:
+    whole = collected.read_bytes()
+    left = tmp_path / TASK / collected.name
+    left.parent.mkdir()
+    left.write_bytes(whole[: whole.rindex(b"\n", 0, -1) + 100])
+    heard: list[tuple[int, int]] = []
+    collect(TASK, tmp_path, successes=10, report=lambda *numbers: heard.append(numbers))
+    assert left.read_bytes() == whole
+    assert len(heard) == 2, "one episode was lost"
+
+
+def test_other_starts_go_into_another_folder(collected: Path) -> None:
+    with pytest.raises(CollectionRejected, match="another seed"):
+        collect(TASK, collected.parents[1], successes=11, seed=1)
+
+
+def test_starts_are_in_no_official_list(collected: Path) -> None:
+    assert read_source(collected).stream == stream(0, Use.COLLECT)
+    with pytest.raises(StreamRefused):
+        collect(TASK, collected.parents[1], successes=1, seed=-1)
+
+
+@pytest.mark.parametrize(
+    ("line", "problem"), [(b"{}\n", ":2 is no demonstration"), (None, ":2 is episode 2, expected 1")]
+)
+def test_names_the_line_that_is_not_what_was_written(
+    collected: Path, tmp_path: Path, line: bytes | None, problem: str
+) -> None:
+    lines = collected.read_bytes().splitlines(keepends=True)
+    damaged = tmp_path / "demonstrations.jsonl"
+    damaged.write_bytes(b"".join([lines[0], *([line] if line else []), *lines[2:]]))
+    with pytest.raises(CollectionRejected, match=problem):
+        list(read_demonstrations(damaged))
+
+
+def test_every_task_with_an_expert_is_listed_but_not_those_that_need_a_sensor() -> None:
+    assert {"fusion-robust", "lock-opening", "peg-insertion"} < set(list_tasks())
+    assert not {"sensor-design", "pick-cube"} & set(list_tasks())
+    with pytest.raises(NoExpert, match="pick-cube has no expert"):
+        Expert(find_task("pick-cube")[1])

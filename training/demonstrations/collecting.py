@@ -1,0 +1,196 @@
+"""Collects demonstrations of a task into a file: the same bytes however many processes play, also after a kill."""
+
+import fcntl
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import count
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from vitac.evaluator.episodes.provenance import make_manifest
+from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome
+from vitac.evaluator.tracks import find_task, list_tracks, load_track
+
+from ..files import not_saved
+from ..streams import Use, stream
+from .demonstration import (
+    FILE,
+    CollectionRejected,
+    Demonstration,
+    DemonstrationKind,
+    Source,
+    make_line,
+    read_demonstrations,
+)
+from .expert import PLANS, Expert, Plan, add_noise
+
+_KINDS = (
+    *(DemonstrationKind.CLEAN, DemonstrationKind.NOISY) * 4,
+    *(DemonstrationKind.CLEAN, DemonstrationKind.MISLED),
+)
+"""Kinds of ten episodes, one after the other."""
+_SPREAD = (0.05, 0.3)
+"""Range from which the standard deviation of the noise of an episode is drawn."""
+_BIAS = (0.6, 1.6)
+"""Range from which the size of every number of a bias is drawn, at either sign."""
+
+
+def list_tasks() -> list[str]:
+    """Return the names of the tasks that policies play and an expert can; those of Track 3 need a sensor."""
+    tracks = [load_track(name) for name in list_tracks()]
+    return [
+        task.name
+        for track in tracks
+        if not track.has_sensor
+        for task in track.tasks.values()
+        if task.definition.guided_motion is not None
+    ]
+
+
+def count_outcomes(path: Path) -> list[dict[str, Any]]:
+    """Return the numbers of episodes, successes and env steps of every kind of demonstration in a file."""
+    rows: dict[DemonstrationKind, dict[str, Any]] = {
+        kind: {"kind": kind.value, "episodes": 0, "successes": 0, "env_steps": 0} for kind in DemonstrationKind
+    }
+    for each in read_demonstrations(path):
+        counted = {"episodes": 1, "successes": each.is_success, "env_steps": each.actions.shape[0]}
+        rows[each.kind] |= {name: rows[each.kind][name] + number for name, number in counted.items()}
+    return list(rows.values())
+
+
+def _report_nowhere(episodes: int, successes: int) -> None:
+    """Stand in for a listener where there is none."""
+
+
+def collect(
+    task: str,
+    folder: Path,
+    *,
+    successes: int,
+    seed: int = 0,
+    processes: int = 1,
+    report: Callable[[int, int], None] = _report_nowhere,
+) -> Path:
+    """Collect demonstrations until this many are successful, and return the file.
+
+    What is in the file already is not played again, and every episode is on the disk before the next one is awaited.
+
+    Args:
+        task: name of a task that has an expert.
+        folder: the file is in a folder in it that is named after the task.
+        successes: episode by episode until then.
+        seed: of the starts.
+        processes: that play.
+        report: called with the numbers of episodes and of successes after each.
+
+    Raises:
+        NoExpert: the task has none.
+        CollectionRejected: the file is of another seed or version, or is being written by another process.
+        NotSaved: it cannot be written.
+    """
+    track, found = find_task(task)
+    expert = Expert(found)
+    source = Source(manifest=make_manifest(track, found, expert.env), stream=stream(seed, Use.COLLECT))
+    path = folder / task / FILE
+    with _continued(path, source) as file:
+        stored = [each.is_success for each in read_demonstrations(path)]
+        n_episodes, n_successes = len(stored), sum(stored)
+        report(n_episodes, n_successes)
+        if n_successes >= successes:
+            return path
+        for played in _played(expert, source, n_episodes + 1, processes):
+            file.write(make_line(played))
+            file.flush()
+            n_episodes, n_successes = n_episodes + 1, n_successes + played.is_success
+            report(n_episodes, n_successes)
+            if n_successes >= successes:
+                break
+        os.fsync(file.fileno())
+    return path
+
+
+@contextmanager
+def _continued(path: Path, source: Source) -> Iterator[BinaryIO]:
+    """Open a file to write after its last whole line."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a+b") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _drop_partial_line(file)
+            file.seek(0)
+            first = file.readline()
+            if not first:
+                file.write(make_line(source))
+                file.flush()
+            elif first != make_line(source):
+                raise CollectionRejected(
+                    f"{path} was collected with another seed or version, expected those of now; collect into another "
+                    "folder."
+                )
+            yield file
+    except BlockingIOError as error:
+        raise CollectionRejected(f"{path} is being written by another process; wait for it or stop it.") from error
+    except OSError as error:
+        raise not_saved(path, error) from error
+
+
+def _drop_partial_line(file: BinaryIO) -> None:
+    """Remove what a killed process left after the last line end."""
+    file.seek(0)
+    whole = 0
+    for line in file:
+        whole += len(line) if line.endswith(b"\n") else 0
+    file.truncate(whole)
+
+
+def _played(expert: Expert, source: Source, first: int, processes: int) -> Iterator[Demonstration]:
+    """Yield demonstrations in order, without end."""
+    if processes == 1:
+        yield from (_play(expert, source, number) for number in count(first))
+        return
+    global _WORK
+    _WORK = expert, source  # forked: what is loaded here is loaded there
+    with get_context("fork").Pool(processes) as pool:
+        numbers = count(first)
+        running = deque(pool.apply_async(_play_there, (next(numbers),)) for _ in range(2 * processes))
+        while True:
+            yield running.popleft().get()
+            running.append(pool.apply_async(_play_there, (next(numbers),)))
+
+
+_WORK: tuple[Expert, Source]
+"""What the processes of a pool play."""
+
+
+def _play_there(number: int) -> Demonstration:
+    return _play(*_WORK, number)
+
+
+def _play(expert: Expert, source: Source, number: int) -> Demonstration:
+    kind = _KINDS[(number - 1) % len(_KINDS)]
+    played = expert.play({"rng_seed": (source.stream, number)}, _plans(kind, source, number, len(source.task.actions)))
+    return Demonstration(
+        episode=number,
+        kind=kind,
+        shape=str(expert.env.task_scene.shape),
+        outcome=EpisodeOutcome(played.info["end_reason"]),
+        total_reward=played.total_reward,
+        actions=ActionSequence.from_array(played.actions),
+        state_hashes=played.state_hashes,
+    )
+
+
+def _plans(kind: DemonstrationKind, source: Source, number: int, n_actions: int) -> tuple[Plan, ...]:
+    """Return what the expert tries in an episode."""
+    random = np.random.default_rng((source.stream, number, 1))
+    if kind is DemonstrationKind.CLEAN:
+        return PLANS
+    if kind is DemonstrationKind.NOISY:
+        spread, noisy_steps = random.uniform(*_SPREAD), int(random.integers(1, 1 + source.task.max_steps // 4))
+        return add_noise(PLANS, spread=spread, noisy_steps=noisy_steps, seed=(source.stream, number, 2))
+    bias = random.choice((-1.0, 1.0), n_actions) * random.uniform(*_BIAS, n_actions)
+    return (Plan(gain=1.0, measured=False, bias=tuple(bias.tolist())),)

@@ -1,0 +1,140 @@
+"""An expert that knows the truth of one task, and tries plans in the simulation until one succeeds.
+
+Collecting demonstrations uses it, and the benchmarks of the variants.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pkgutil import resolve_name
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from vitac.envs.errors import VitacError
+from vitac.envs.scene.measured_pose import held_pose_mm_deg
+from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator.tracks import Task
+
+_DONE = 0.05
+
+
+class NoExpert(VitacError):
+    """A task says no way to its target; give its definition a `guided_motion`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """How to go to the target.
+
+    Attributes:
+        gain: part of the way that is left, gone in every env step.
+        measured: whether the way begins where the part is measured to be, not where it is commanded to be.
+        last_waits: whether the last number of an action, such as the lift of a key, waits until the others are done.
+        spread: standard deviation of what is added to every number of an action.
+        noisy_steps: number of the first env steps in which it is added; afterwards the expert recovers. None for all.
+        bias: what is added to every action of the episode: the expert goes to a place beside the target.
+        seed: of what is added.
+    """
+
+    gain: float
+    measured: bool
+    last_waits: bool = False
+    spread: float = 0.0
+    noisy_steps: int | None = None
+    bias: tuple[float, ...] = ()
+    seed: tuple[int, ...] = (0,)
+
+
+PLANS = (
+    *(Plan(gain=gain, measured=measured) for gain in (1.0, 0.6, 1.3) for measured in (False, True)),
+    *(Plan(gain=gain, measured=True, last_waits=True) for gain in (1.0, 0.5)),
+    *(Plan(gain=1.0, measured=True, spread=0.3, seed=(seed,)) for seed in range(10)),
+)
+"""What succeeds in nearly every episode, in the order in which it is tried."""
+
+
+def add_noise(plans: Sequence[Plan], *, spread: float, noisy_steps: int, seed: tuple[int, ...]) -> tuple[Plan, ...]:
+    """Return the same plans with noise, each from a generator of its own."""
+    return tuple(
+        replace(plan, spread=spread, noisy_steps=noisy_steps, seed=(*seed, number)) for number, plan in enumerate(plans)
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Played:
+    """An episode that was played by a plan.
+
+    Attributes:
+        info: the last one.
+        actions: shape [env steps, action size].
+        state_hashes: of the reset, and after every env step.
+        total_reward: of all env steps.
+    """
+
+    info: Mapping[str, Any]
+    actions: NDArray[np.float32]
+    state_hashes: tuple[str, ...]
+    total_reward: float
+
+
+class Expert:
+    """Knows the exact offset and the exact parts.
+
+    Args:
+        task: that is played.
+        settings: in place of the task's own.
+
+    Raises:
+        NoExpert: the task says no way to its target.
+    """
+
+    def __init__(self, task: Task, **settings: Any) -> None:
+        if task.definition.guided_motion is None:
+            raise NoExpert(f"{task.name} has no expert, expected a task whose definition has a guided_motion.")
+        self.env: Any = make_environment(task, observation_keys=(), settings=settings)
+        self._way = resolve_name(task.definition.guided_motion)
+
+    def play(self, options: Mapping[str, Any], plans: Sequence[Plan] = PLANS) -> Played:
+        """Play the first plan that succeeds, or the last."""
+        _, start = self.env.reset(options=options)
+        snapshot = self.env.snapshot()
+        for plan in plans:
+            self.env.restore(snapshot)
+            played = self._follow(plan, start)
+            if played.info["is_success"]:
+                break
+        return played
+
+    def _follow(self, plan: Plan, info: Mapping[str, Any]) -> Played:
+        random = np.random.default_rng(plan.seed)
+        actions, state_hashes, total_reward = [], [self.env.state_hash()], 0.0
+        while info["end_reason"] is None:
+            actions.append(self._action(plan, info, random))
+            _, reward, _, _, info = self.env.step(actions[-1])
+            state_hashes.append(self.env.state_hash())
+            total_reward += float(reward)
+        return Played(
+            info=info,
+            actions=np.array(actions, dtype=np.float32).reshape(len(actions), -1),
+            state_hashes=tuple(state_hashes),
+            total_reward=total_reward,
+        )
+
+    def _action(self, plan: Plan, info: Mapping[str, Any], random: np.random.Generator) -> NDArray[np.float32]:
+        way = plan.gain * self._way({}, self._measured(info) if plan.measured else info)
+        if plan.last_waits and np.abs(way[:-1]).max() > _DONE:
+            way[-1] = 0.0
+        if plan.noisy_steps is None or info["steps"] < plan.noisy_steps:
+            way = way + plan.spread * random.standard_normal(len(way))
+        return np.asarray(np.clip(way + np.array(plan.bias or 0.0), -1.0, 1.0), dtype=np.float32)
+
+    def _measured(self, info: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return the info of an insertion with the offset of the peg's lower end in place of the commanded one."""
+        if "gt_offset_mm_deg" not in info:
+            return info  # The info of the lock has measured teeth.
+        scene = self.env.task_scene
+        x_mm, y_mm, _, _, _, theta_deg = held_pose_mm_deg(scene.grasped)
+        target = getattr(scene, "target", None)
+        offset = info["gt_offset_mm_deg"].copy()
+        offset[:3] = x_mm, y_mm - (target.y_mm if target else 0.0), theta_deg
+        return {**info, "gt_offset_mm_deg": offset}
