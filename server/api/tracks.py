@@ -1,10 +1,13 @@
 """Routes that anybody may read: tracks and leaderboards."""
 
+from dataclasses import replace
+from datetime import date
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 
 from ..leaderboards.made_boards import PAGE_ENTRIES, MadeBoard
+from ..leaderboards.search import MAX_TEXT, BoardSearch, Rows
 from ..leaderboards.shown import shown_leaderboard, shown_log_boards, shown_rank_history
 from ..tracks import load_known_track, track_file, track_view, track_views
 from ..views.leaderboards import LeaderboardView, LogBoardsView, TeamRanksView
@@ -20,6 +23,18 @@ router = APIRouter(tags=["tracks"], responses=RESPONSES)
 Stage = Annotated[str | None, Query(description="Name of the stage; by default the one that opened last.")]
 After = Annotated[int, Query(ge=0, le=MAX_NUMBER, description="`next_after` from the previous page.")]
 Limit = Annotated[int, Query(ge=1, le=MAX_PAGE_ENTRIES, description="Number of entries.")]
+
+
+def search_entries(
+    q: Annotated[str, Query(max_length=MAX_TEXT, description="Only teams with this in their name.")] = "",
+    since: Annotated[date | None, Query(description="Only what was submitted on this day (UTC) or later.")] = None,
+    until: Annotated[date | None, Query(description="Only what was submitted on this day (UTC) or earlier.")] = None,
+) -> BoardSearch:
+    """Return what the query of a board searches for; ranks stay those of the whole board."""
+    return BoardSearch(team=q.strip(), since=since, until=until)
+
+
+EntrySearch = Annotated[BoardSearch, Depends(search_entries)]
 UNCHANGED: dict[int | str, dict[str, Any]] = {
     304: {"description": "The client has this revision already (`If-None-Match`)."}
 }
@@ -54,13 +69,16 @@ def get_leaderboard(
     contest: str | None = None,
     task: Annotated[str | None, Query(description="Rank by this task alone; by default by all tasks together.")] = None,
     stage: Stage = None,
+    searched: EntrySearch,
+    rows: Annotated[Rows, Query(description="Entries of teams, baselines, or both.")] = Rows.ALL,
     after: After = 0,
     limit: Limit = PAGE_ENTRIES,
 ) -> Response:
     """Return a page of the standings of a track or of one of its tasks: the best completed evaluation of each team."""
+    search = replace(searched, rows=rows)
     with services.database.reading() as session:
         board = shown_leaderboard(session, principal, track, task=task, stage=stage, contest=contest)
-    return _answer(request, board, after, limit)
+    return _answer(request, board if search.is_empty else MadeBoard(view=search.apply(board.view)), after, limit)
 
 
 @router.get("/competitions/{contest}/leaderboards/{track}/ranks")
@@ -89,13 +107,16 @@ def get_log_boards(
     *,
     contest: str | None = None,
     stage: Stage = None,
+    search: EntrySearch,
     after: After = 0,
     limit: Limit = PAGE_ENTRIES,
 ) -> Response:
     """Return a page of the verified logs of a track, ranked by task, and the 2025 text logs, which are not ranked."""
     with services.database.reading() as session:
         board = shown_log_boards(session, principal, track, stage=stage, contest=contest)
-    return _answer(request, board, after, limit)
+    return _answer(
+        request, board if search.is_empty else MadeBoard(view=search.apply_to_logs(board.view)), after, limit
+    )
 
 
 def _answer(

@@ -147,7 +147,7 @@ def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView |
         generated_at=datetime.now(UTC),
         teams=len(entries),
         entries=entries,
-        baselines=list_baselines(track.name, task) if shown.list_kind is ListKind.PUBLIC else [],
+        baselines=list_baselines(track, task) if shown.list_kind is ListKind.PUBLIC else [],
     )
 
 

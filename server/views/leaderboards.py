@@ -49,7 +49,7 @@ class LeaderboardEntryView(View):
 
 
 class BaselineView(View):
-    """What one of our example submissions reaches in a task on its public list; it has no rank."""
+    """What one of our example submissions reaches on a public list; it has no rank."""
 
     name: str = Field(description="Its folder in `examples/`.")
     episodes: int
@@ -89,7 +89,7 @@ class LeaderboardView(View):
     teams: int = Field(description="Number of all entries.")
     entries: list[LeaderboardEntryView]
     baselines: list[BaselineView] = Field(
-        default=[], description="For comparison, where it ranks a task on a public list."
+        default=[], description="For comparison, where it ranks a public list that our examples have played."
     )
     next_after: int | None = Field(
         default=None, description="Give this as `after` for the next page; null on the last one."

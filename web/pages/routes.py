@@ -1,11 +1,14 @@
 """Mounts the pages on the server's application. Called by `vitac serve`; the server itself does not know the pages."""
 
+import asyncio
 from functools import cache
 
 from fastapi import APIRouter, FastAPI
-from starlette.responses import Response
+from starlette.datastructures import Headers
+from starlette.responses import FileResponse, Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import Scope
+from vitac.server.api.conditional import compressed
 
 from ..documentation.library import ADDRESS, Library
 from ..headers import SecurityHeaders
@@ -39,6 +42,8 @@ UPLOADS = (("POST", upload.ADDRESS),)
 """Pages that take uploads, which have limits of their own."""
 EPISODES = tuple(f"/submissions/{{submission_id}}/{folder}/{{task}}/{{number}}" for folder in episodes.FOLDERS)
 ONE_YEAR_S = 365 * 24 * 3600
+TEXT = (".js", ".css", ".svg")
+"""Ends of the names of static files that are worth compressing."""
 
 
 class VersionedStaticFiles(StaticFiles):
@@ -51,6 +56,10 @@ class VersionedStaticFiles(StaticFiles):
         # After an upgrade a page of before may name a digest that its file no longer has.
         versioned = is_asked and scope["query_string"] == f"v={static_digest(path)}".encode()
         answer.headers["Cache-Control"] = f"public, max-age={ONE_YEAR_S}, immutable" if versioned else "no-cache"
+        if versioned and isinstance(answer, FileResponse) and path.endswith(TEXT):
+            caching = {"Cache-Control": answer.headers["Cache-Control"]}
+            content = await asyncio.to_thread((STATIC / path).read_bytes)
+            return compressed(Headers(scope=scope), content, media_type=str(answer.media_type), headers=caching)
         return answer
 
 

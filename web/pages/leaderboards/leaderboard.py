@@ -12,14 +12,14 @@ from vitac.evaluator.tracks import Track
 from vitac.server.leaderboards.shown import shown_leaderboard, shown_rank_history
 from vitac.server.sharing.descriptions import descriptions_among
 from vitac.server.sharing.public_pages import public_among
-from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView, TeamRanksView
+from vitac.server.views.leaderboards import BaselineView, LeaderboardEntryView, LeaderboardView, TeamRanksView
 
 from ...plots.dates import DatedRate, ranks_by_date, rates_by_date
 from ...plots.figure import Figure
 from ...rendering import steps, words
 from ...site import Site, get_principal, get_site, get_viewer, page
 from ..addresses import AskedBoard
-from .paging import board_page
+from .paging import BoardPage, board_page
 from .tabs import known_track, read_surroundings
 
 PLOTTED = 100
@@ -71,6 +71,7 @@ async def leaderboard(request: Request) -> Response:
         own_names=own_names,
         combined=_is_combined(track, task),
         columns=shown_columns,
+        baselines=_find_baselines(board, values["shown"]),
         rows=[(entry, [_cell(column, entry) for column in shown_columns]) for entry in values["shown"].entries],
         dates=_dates(site, board, own_names),
         ranks_plot=_draw_ranks(site, board, values["ranks"]),
@@ -79,6 +80,11 @@ async def leaderboard(request: Request) -> Response:
         episodes=sum(len(definition.episodes) for definition in counted),
         **values,
     )
+
+
+def _find_baselines(board: LeaderboardView, shown: BoardPage[LeaderboardEntryView]) -> list[BaselineView]:
+    """Return the baselines that a page shows; they follow the last entry."""
+    return shown.search.find_baselines(board.baselines) if shown.number == shown.pages else []
 
 
 def _draw_ranks(site: Site, board: LeaderboardView, ranks: Sequence[TeamRanksView]) -> Figure | None:

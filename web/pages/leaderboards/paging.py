@@ -1,18 +1,16 @@
-"""Boards in pages of fifty, with a search by team. Called by `tracks` and `logs`."""
+"""Boards in pages of fifty, with a search. Called by `leaderboard` and `logs`."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Generic, Protocol, TypeVar
 from urllib.parse import urlencode
 from uuid import UUID
 
 from starlette.requests import Request
-from vitac.server import names
+from vitac.server.leaderboards.search import BoardSearch
 
 PAGE_ENTRIES = 50
-MAX_SEARCH = 64
-LONGEST_KEY = 1024
-"""Of a team's name in lower case, which may be longer than the name."""
 
 
 class Entry(Protocol):
@@ -21,6 +19,10 @@ class Entry(Protocol):
     @property
     def team(self) -> str:
         """Whose it is."""
+
+    @property
+    def submitted_at(self) -> datetime:
+        """When it arrived."""
 
     @property
     def evaluation_id(self) -> UUID:
@@ -42,8 +44,8 @@ class BoardPage(Generic[EntryT]):
         entries: those of the page.
         number: of the page, from 1.
         pages: how many there are.
-        search: the text that teams were searched for; empty: all teams.
-        found: number of entries with that text.
+        search: what was searched for.
+        found: number of entries with that.
         total: number of entries of the whole board.
         own: the visitor's first entry on the whole board.
         own_page: number of the page of all teams that has it.
@@ -55,7 +57,7 @@ class BoardPage(Generic[EntryT]):
     entries: Sequence[EntryT]
     number: int
     pages: int
-    search: str
+    search: BoardSearch
     found: int
     total: int
     own: EntryT | None
@@ -66,7 +68,7 @@ class BoardPage(Generic[EntryT]):
 
     def link(self, number: int) -> str:
         """Return the address of a page of the same search."""
-        asked = ([("q", self.search)] if self.search else []) + ([(self.parameter, str(number))] if number > 1 else [])
+        asked = self.search.query() + ([(self.parameter, str(number))] if number > 1 else [])
         return self._add_query(asked) + (f"#{self.section}" if self.section else "")
 
     @property
@@ -87,17 +89,18 @@ def board_page(
     """Return the page that a request asks for; one that there is not is the nearest one.
 
     Args:
-        request: with `q`, part of a team's name in any case and with any spaces, and `page`, or `page-SECTION` of
-            a section.
+        request: with a search, and `page`, or `page-SECTION` of a section.
         address: of the board.
         entries: all of them.
         own_names: under which the visitor's team may be there.
         section: id of the board, where a page has several.
+
+    Raises:
+        ServiceError: the search cannot be read.
     """
     parameter = f"page-{section}" if section else "page"
-    search = request.query_params.get("q", "").strip()[:MAX_SEARCH]
-    wanted = names.key(search, max_length=MAX_SEARCH)
-    found = [entry for entry in entries if wanted in names.key(entry.team, max_length=LONGEST_KEY)]
+    search = BoardSearch.read(request.query_params)
+    found = search.find(entries)
     pages = max(1, -(-len(found) // PAGE_ENTRIES))
     number = min(pages, max(1, _whole(request.query_params.get(parameter, "1"))))
     place = next((place for place, entry in enumerate(entries) if entry.team in own_names), None)

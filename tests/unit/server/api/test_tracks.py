@@ -71,6 +71,20 @@ def test_a_leaderboard_is_sent_in_pages(service: Service) -> None:
     problem_of(service.client.get(f"/api/v1/leaderboards/{TRACK}?limit=501"), 422, "invalid_request")
 
 
+def test_a_leaderboard_is_searched(service: Service) -> None:
+    for number, token in enumerate((service.token, service.other_token)):
+        evaluated(service, token, f"x = {number}", successes_below(110 + number))
+    address = f"/api/v1/leaderboards/{TRACK}?task={TASK}"
+    found = service.client.get(f"{address}&q=team+a").json()
+    assert [(entry["rank"], entry["team"]) for entry in found["entries"]] == [(2, "Team A")]
+    assert (found["teams"], found["baselines"]) == (2, [])
+    assert service.client.get(f"{address}&until=2020-01-01").json()["entries"] == []
+    baselines = service.client.get(f"{address}&rows=baselines").json()
+    assert (baselines["entries"], len(baselines["baselines"])) == ([], 2)
+    assert service.client.get(f"/api/v1/leaderboards/{TRACK}/logs?q=nobody&since=2020-01-01").json()["text_logs"] == []
+    problem_of(service.client.get(f"{address}&since=yesterday"), 422, "invalid_request")
+
+
 def test_leaderboard_that_a_client_has_is_not_sent_again_until_it_changes(service: Service) -> None:
     address = f"/api/v1/leaderboards/{TRACK}"
     evaluated(service, service.token, "x = 1", successes_below(100))

@@ -1,7 +1,10 @@
 import re
 from pathlib import Path
 
+import pytest
 from service_factories import LOCK, TASK, TRACK
+from vitac.evaluator.scoring.score import interval_of_mean, rate
+from vitac.evaluator.tracks import load_track
 from vitac.server.leaderboards.baselines import list_baselines
 
 
@@ -19,11 +22,37 @@ def test_figures_are_the_measured_ones(repository: Path) -> None:
             f"{one.mean_steps:.2f}",
         )
         for task in (TASK, LOCK)
-        for one in list_baselines(TRACK, task)
+        for one in list_baselines(load_track(TRACK), task)
     ]
     assert len(shown) == 4
     assert set(shown) == set(measured)
 
 
-def test_only_tasks_have_them() -> None:
-    assert list_baselines(TRACK, None) == list_baselines("track_2", TASK) == []
+@pytest.mark.parametrize(("track", "depth"), [("track_2", "stereo"), ("track_2_gt", "exact")])
+def test_figures_of_track_2_are_those_of_its_example(repository: Path, track: str, depth: str) -> None:
+    text = (repository / "examples" / "track_2_fusion" / "README.md").read_text()
+    measured = re.search(rf"^\| {depth} \(`{track}`\) \| (\d+) of (\d+) \| [^|]+ \| ([0-9.]+) \|", text, re.MULTILINE)
+    assert measured
+    [shown] = list_baselines(load_track(track), None)
+    assert (str(shown.successes), str(shown.episodes), f"{shown.mean_steps:.2f}") == measured.groups()
+
+
+def test_all_tasks_together_have_the_mean_of_an_example_that_plays_all() -> None:
+    [shown] = list_baselines(load_track(TRACK), None)
+    assert (shown.name, shown.successes, shown.episodes) == ("track_1_heuristic", 200, 430)
+    assert shown.success_rate == pytest.approx((40 / 270 + 1) / 2)
+    interval = interval_of_mean([rate(40, 270), rate(160, 160)], of=2)
+    assert shown.success_rate_interval == pytest.approx((interval.low, interval.high))
+    assert shown.mean_steps == pytest.approx((4.40 + 6.25) / 2)
+
+
+def test_the_example_of_all_tasks_has_copies_of_those_of_each(repository: Path) -> None:
+    for name in ("peg_insertion", "lock_opening"):
+        single = repository / "examples" / f"{name}_heuristic" / "Track_1" / "policy.py"
+        assert (
+            repository / "examples" / "track_1_heuristic" / "Track_1" / name / "policy.py"
+        ).read_text() == single.read_text()
+
+
+def test_a_track_that_no_example_has_played_has_none() -> None:
+    assert list_baselines(load_track("track_1_peg_robust"), None) == []

@@ -89,3 +89,11 @@ def test_applications_of_one_process_share_their_pages_and_no_content(browser: A
     assert browser.get(f"/submissions/{RUNNING.id}").status_code == 200
     assert other.get(f"/submissions/{RUNNING.id}").status_code == 404
     assert other.get(f"/submissions/{QUEUED.id}").status_code == 200
+
+
+def test_scripts_and_styles_are_sent_compressed(browser: AsgiBrowser) -> None:
+    address = browser.get("/").text.split('rel="stylesheet" href="')[1].split('"')[0]
+    sent = browser.get(address)
+    assert sent.headers["content-encoding"] == "gzip"
+    assert ":root" in sent.text
+    assert int(sent.headers["content-length"]) < len(sent.text) / 3

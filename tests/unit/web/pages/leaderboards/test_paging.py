@@ -4,6 +4,8 @@ from page_fixtures import TASK, a_leaderboard, a_score, an_entry
 from page_service import FixedData
 from starlette.requests import Request
 from visits import sign_in
+from vitac.evaluator.tracks import load_track
+from vitac.server.leaderboards.baselines import list_baselines
 from vitac.server.views.leaderboards import LeaderboardEntryView
 from vitac.web.pages.leaderboards.paging import BoardPage, board_page
 
@@ -41,8 +43,8 @@ def test_search_finds_parts_of_names_in_any_case() -> None:
     page = asked("q=tEAm+00")
     assert (ranks(page), page.found, page.pages) == ([*range(1, 10)], 9, 1)
     assert asked("q=nobody").entries == []
-    assert asked("q=++").search == ""
-    assert len(asked(f"q={'x' * 1000}").search) == 64
+    assert asked("q=++").search.is_empty
+    assert len(asked(f"q={'x' * 1000}").search.team) == 64
 
 
 def test_search_finds_a_name_however_its_spaces_and_accents_are_typed() -> None:
@@ -54,8 +56,8 @@ def test_search_finds_a_name_however_its_spaces_and_accents_are_typed() -> None:
 
 
 def test_links_keep_task_and_search() -> None:
-    page = asked("q=Team+%26")
-    assert page.link(2) == f"/tracks/track_1?task={TASK}&q=Team+%26&page=2"
+    page = asked("q=Team+%26&until=2026-03-31&rows=entries")
+    assert page.link(2) == f"/tracks/track_1?task={TASK}&q=Team+%26&until=2026-03-31&rows=entries&page=2"
     assert asked("").link(1) == f"/tracks/track_1?task={TASK}"
 
 
@@ -87,9 +89,24 @@ def test_the_board_shows_a_page_and_links_the_others(data: FixedData, browser: A
 def test_a_search_without_result_says_so_and_is_escaped(data: FixedData, browser: AsgiBrowser) -> None:
     data.board = a_leaderboard(*ENTRIES)
     html = browser.get('/tracks/track_1?q="<b>').text
-    assert "0 of 150 teams" in html
+    assert "None of 150 teams are shown" in html
     assert "&lt;b&gt;" in html
     assert "<b>" not in html
+
+
+def test_the_form_has_what_was_searched_for_and_a_wrong_day_is_named(data: FixedData, browser: AsgiBrowser) -> None:
+    baselines = list_baselines(load_track("track_1"), TASK)
+    data.board = a_leaderboard(*ENTRIES).model_copy(update={"baselines": baselines})
+    html = browser.get("/tracks/track_1?q=Team+01&since=2020-01-31&rows=entries").text
+    assert "10 of 150 teams are shown: with “<bdi>Team 01</bdi>” in the name, submitted from 2020-01-31 (UTC)." in html
+    for field in ('value="Team 01"', 'value="2020-01-31"', '<option value="entries" selected>'):
+        assert field in html
+    only = browser.get("/tracks/track_1?rows=baselines").text
+    assert "Only the baselines are shown." in only
+    assert (only.count('class="reference"'), only.count('class="leader')) == (2, 0)
+    wrong = browser.get("/tracks/track_1?since=31.1.")
+    assert wrong.status_code == 422
+    assert "Expected a day as 2026-03-31 as since" in wrong.text
 
 
 def test_a_small_board_needs_no_pages_and_no_search(data: FixedData, browser: AsgiBrowser) -> None:
