@@ -282,6 +282,8 @@ class LoadedCopy:
                     shutil.rmtree(entry.path)
                 else:
                     Path(entry.path).unlink()
+            # So that no file is made and removed within the same tick of the file system's clock without a trace.
+            os.utime(folder, ns=(time.time_ns(), 0))
             list(folder.iterdir())  # so that a policy that lists it does not change its time of access
 
 

@@ -26,6 +26,7 @@ from .loaded_copy import LoadedCopy
 from .protocol.action import checked_action, checked_belief
 from .protocol.frames import Answer, AnswerKind, Array, CloudSpec, Question, QuestionKind
 from .shard_time import ShardTime
+from .start_times import StartTimes, default_period_s
 from .verdicts import PolicyFailed, SandboxFailed, VerdictCode
 
 _REPORT_DEADLINE_S: Final = 2.0
@@ -50,6 +51,8 @@ class Isolation:
     episodes: EpisodeIsolation
     process_ids_repeat: bool
     """True where an episode's process id does not tell how many episodes there were before."""
+    episode_period_s: float = 0.0
+    """From the start of an episode to that of the next [s], see `StartTimes`; 0: each starts as soon as it can."""
 
 
 def default_episode_isolation() -> EpisodeIsolation:
@@ -67,9 +70,9 @@ class PolicySession:
         submission_dir: folder that holds submission.yaml and the policy's code.
         entry_point: `module:Class` below it.
         limits: what the policy may use.
-        slot: number of this session among those that run at once in this process.
         packages: sets of packages that its track declares.
         episode_isolation: what keeps episodes apart; by default the strongest and fastest that this platform can do.
+        episode_period_s: from the start of an episode to that of the next [s]; by default what the machine is set to.
 
     Raises:
         PolicyFailed: on entering, the policy does not import or load.
@@ -82,16 +85,16 @@ class PolicySession:
         *,
         entry_point: str = "policy:Policy",
         limits: Limits | None = None,
-        slot: int = 0,
         packages: tuple[PackageSet, ...] = (),
         episode_isolation: EpisodeIsolation | None = None,
+        episode_period_s: float | None = None,
     ) -> None:
         self._submission_dir = submission_dir
         self._entry_point = entry_point
         self._limits = limits or Limits()
-        self._slot = slot
         self._packages = packages
         self._episodes = episode_isolation or default_episode_isolation()
+        self._start_times = StartTimes(default_period_s() if episode_period_s is None else episode_period_s)
         self._exits = contextlib.ExitStack()
         self._sandbox: Sandbox | None = None
         self._loaded: LoadedCopy | None = None
@@ -162,6 +165,7 @@ class PolicySession:
         self._clear_after_last()
         for _ in range(_ATTEMPTS):
             sandbox = self._sandbox or self._start()
+            self._start_times.wait()
             sandbox.output.restart_count()  # before the copy, whose output is to look as if never read or written
             try:
                 process = self._copy()
@@ -204,7 +208,7 @@ class PolicySession:
         self.starts += 1
         try:
             sandbox = self._exits.enter_context(
-                Sandbox(self._submission_dir, limits=self._limits, slot=self._slot, packages=self._packages)
+                Sandbox(self._submission_dir, limits=self._limits, packages=self._packages)
             )  # fmt: skip
             self._load(sandbox)
         except BaseException:
@@ -216,6 +220,7 @@ class PolicySession:
             memory=sandbox.memory_isolation,
             episodes=self._episodes,
             process_ids_repeat=self._loaded is None or self._loaded.process_ids_repeat,
+            episode_period_s=self._start_times.period_s,
         )
         return sandbox
 

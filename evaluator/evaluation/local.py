@@ -188,7 +188,7 @@ class _ShardPool:
 
     def _play(self, order: ShardOrder, slot: int) -> ShardResult:
         records = []
-        given = {"slot": slot, "coefficients": order.coefficients or self._coefficients}
+        given = {"coefficients": order.coefficients or self._coefficients}
         with self._processes.running_shard(order.model_copy(update=given)) as process:
             self._register(slot, process)
             for record in process.records():

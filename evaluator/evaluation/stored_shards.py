@@ -22,7 +22,7 @@ from ..version import platform_class
 _UNUSED_S = 30 * 86400.0
 # What a result depends on is in the name of what is played; these say only where it lies, which process plays it, and
 # what would be learned again.
-_NO_CONTENT = frozenset({"submission", "sensor", "slot", "coefficients"})
+_NO_CONTENT = frozenset({"submission", "sensor", "coefficients"})
 # Begins the name of a file that is being written.
 _UNFINISHED = "unfinished-shard-"
 # Names that are given here; whatever else lies in the folder is not ours to remove.

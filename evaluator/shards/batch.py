@@ -73,7 +73,7 @@ def run_batches(
         with one_at_a_time:
             on_episode(record)
 
-    def play(part: tuple[Episode, ...], slot: int, env: "ManiSkillEnv") -> ShardResult:
+    def play(part: tuple[Episode, ...], env: "ManiSkillEnv") -> ShardResult:
         return run_shard(
             submission_dir=order.submission,
             track=track,
@@ -82,13 +82,12 @@ def run_batches(
             on_episode=finished,
             reading=reading,
             limits=limits,
-            slot=slot,
             failures=failures,
             load_policy=load_policy,
             make_env=lambda *_: env,
         )
 
-    results = batch.play([partial(play, tuple(episodes[index::size]), index) for index in range(size)])
+    results = batch.play([partial(play, tuple(episodes[index::size])) for index in range(size)])
     isolated = next((result for result in results if result.isolation), results[0])
     return isolated.model_copy(update={"end": ShardEnd.BROKEN if is_broken(failures) else ShardEnd.COMPLETE})
 

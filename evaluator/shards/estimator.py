@@ -46,7 +46,7 @@ def run_estimator(
     design = read_design(order.sensor)
     session = EstimatorSession(coefficients, task.definition.action_scale, is_blind=task.player is Player.BLIND)
 
-    def load(_folder: Path, _limits: object, _slot: int) -> nullcontext[EstimatorSession]:
+    def load(_folder: Path, _limits: object) -> nullcontext[EstimatorSession]:
         return nullcontext(session)
 
     figures = _Figures(Measurement(task, design, coefficients), task, shard, order.figures)

@@ -94,7 +94,6 @@ def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnE
         on_episode=on_episode,
         reading=make_reading(ordered.task, load_manifest(order.submission).observation_keys),
         limits=order.limits,
-        slot=order.slot,
         assets_dir=order.assets_dir,
         load_policy=partial(preparation.policy, load),
         make_env=partial(preparation.environment, partial(make_environment, sensor=_find_sensor(order))),

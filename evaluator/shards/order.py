@@ -47,7 +47,6 @@ class ShardOrder(StrictModel):
     secret: Path | None = None
     shard: NonNegativeInt
     episodes: tuple[int, ...] | None = None
-    slot: NonNegativeInt = 0
     limits: Limits = Limits()
     assets_dir: Path | None = None
     sensor: Path | None = None

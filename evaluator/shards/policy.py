@@ -18,11 +18,11 @@ from ..tracks import Episode, Task, Track
 from ..tracks.cut import Shard
 from .result import ShardEnd, ShardResult
 
-LoadPolicy = Callable[[Path, Limits, int], AbstractContextManager[Session]]
+LoadPolicy = Callable[[Path, Limits], AbstractContextManager[Session]]
 
 
 def load_in_sandbox(
-    submission_dir: Path, limits: Limits, slot: int, packages: tuple[PackageSet, ...] = ()
+    submission_dir: Path, limits: Limits, packages: tuple[PackageSet, ...] = ()
 ) -> AbstractContextManager[Session]:
     """Load the policy of a submission in its sandbox, with the sets of packages that its track declares.
 
@@ -31,7 +31,7 @@ def load_in_sandbox(
         SandboxFailed: the isolation could not be set up.
     """
     entry_point = load_manifest(submission_dir).entry_point
-    return PolicySession(submission_dir, entry_point=entry_point, limits=limits, slot=slot, packages=packages)
+    return PolicySession(submission_dir, entry_point=entry_point, limits=limits, packages=packages)
 
 
 def run_shard(
@@ -43,7 +43,6 @@ def run_shard(
     on_episode: Callable[[EpisodeRecord], None],
     reading: Reading | None = None,
     limits: Limits | None = None,
-    slot: int = 0,
     assets_dir: Path | None = None,
     skip: Collection[int] = (),
     failures: list[PolicyFailure] | None = None,
@@ -63,7 +62,6 @@ def run_shard(
         on_episode: gets each record as soon as its episode is over.
         reading: what the policy reads; all that the track lists by default.
         limits: of the policy; the default ones if None.
-        slot: number of this worker on its machine; concurrent runs need different ones.
         assets_dir: folder with the challenge's own meshes; our own generated ones by default.
         skip: episodes that have a record already.
         failures: of the policy in the shard so far, to which this adds; whoever play parts of a shard share them.
@@ -77,7 +75,7 @@ def run_shard(
     env = make_env(task, assets_dir, reading.sent)
     failures = [] if failures is None else failures
     with ExitStack() as stack:
-        policy = _LoadedPolicy(lambda: stack.enter_context(load_policy(submission_dir, limits or Limits(), slot)))
+        policy = _LoadedPolicy(lambda: stack.enter_context(load_policy(submission_dir, limits or Limits())))
         for episode in secret_order(episode for episode in shard.episodes if episode.number not in skip):
             if is_broken(failures):
                 break

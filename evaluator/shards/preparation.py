@@ -50,7 +50,7 @@ class Preparation:
         return self._environment
 
     @contextmanager
-    def policy(self, load: "LoadPolicy", submission_dir: Path, limits: Limits, slot: int) -> Iterator[Session]:
+    def policy(self, load: "LoadPolicy", submission_dir: Path, limits: Limits) -> Iterator[Session]:
         """Give the loaded policy, which `load` loads the first time; it stays loaded when the block is left.
 
         Raises:
@@ -58,7 +58,7 @@ class Preparation:
             SandboxFailed: the isolation could not be set up.
         """
         if self._session is None:
-            self._session = self._exits.enter_context(load(submission_dir, limits, slot))
+            self._session = self._exits.enter_context(load(submission_dir, limits))
         yield self._session
 
     def forget(self) -> None:

@@ -54,7 +54,7 @@ def make_sensor(folder: Path, *, limits: Limits = LIMITS, wall_s: float = WALL_S
         kernels=shared_directory() or Path("/nonexistent"),
         folder=folder,
     )
-    uid = bubblewrap.sandbox_uid(0)
+    uid = bubblewrap.choose_uid()
     with contextlib.ExitStack() as exits:
         filter_file = exits.enter_context(bubblewrap.open_data(seccomp.filter_program()))
         passwd = exits.enter_context(bubblewrap.open_data(bubblewrap.passwd_file(uid)))

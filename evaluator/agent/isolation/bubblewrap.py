@@ -2,6 +2,7 @@
 
 import math
 import os
+import secrets
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -28,7 +29,7 @@ _BACK_PROJECTION: Final = Path(back_projection.__file__)
 DEVICES: Final = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom")
 """Devices that hold nothing, so that a policy may keep them open."""
 _FIRST_UID: Final = 1_000_000_000
-_SLOTS_PER_PROCESS: Final = 64
+_UIDS: Final = 1 << 30
 _NOBODY: Final = 65534
 _INSTALL: Final = (
     "install bubblewrap (Debian, Ubuntu: `apt-get install bubblewrap`; without root: `apt-get download bubblewrap`, "
@@ -96,14 +97,14 @@ def current_user_isolation() -> UserIsolation:
     return UserIsolation.ROOT if os.geteuid() == 0 else UserIsolation.USER_NAMESPACE
 
 
-def sandbox_uid(slot: int) -> int:
-    """Return the uid inside: under root one of its own for each slot of each evaluator process.
+def choose_uid() -> int:
+    """Return the uid inside: under root a random one for each sandbox, which so shows nothing of the machine.
 
     RLIMIT_NPROC counts per uid, so that two policies of one uid could starve each other.
     """
     if current_user_isolation() is UserIsolation.USER_NAMESPACE:
         return _NOBODY
-    return _FIRST_UID + os.getpid() * _SLOTS_PER_PROCESS + slot % _SLOTS_PER_PROCESS
+    return _FIRST_UID + secrets.randbelow(_UIDS)
 
 
 def find_program() -> Path:

@@ -44,17 +44,13 @@ class Sandbox:
     Args:
         submission: folder that the policy is imported from.
         limits: what it may use.
-        slot: number of this sandbox among those that the evaluator's process runs at once.
         packages: sets of packages that its track declares.
     """
 
-    def __init__(
-        self, submission: Path, *, limits: Limits, slot: int = 0, packages: tuple[PackageSet, ...] = ()
-    ) -> None:
+    def __init__(self, submission: Path, *, limits: Limits, packages: tuple[PackageSet, ...] = ()) -> None:
         self._submission = submission
         self._packages = packages
         self.limits = limits
-        self._slot = slot
         self._exits = contextlib.ExitStack()
         self._statuses: dict[int, int] = {}
 
@@ -148,7 +144,7 @@ class Sandbox:
             given_away.callback(os.close, output_write)
             given_away.callback(os.close, status_write)
             given_away.callback(os.close, info_write)
-            uid = bubblewrap.sandbox_uid(self._slot)
+            uid = bubblewrap.choose_uid()
             descriptors = bubblewrap.Descriptors(
                 channel=theirs.fileno(),
                 status=status_write,

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from submissions import submission_folder
 from vitac.evaluator.agent.isolation import tracing
-from vitac.evaluator.agent.isolation.cgroup import MemoryIsolation
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.session import PolicySession
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
@@ -113,8 +112,6 @@ def test_policy_meets_its_verdict(hostile: Hostile, outside: Path, monkeypatch: 
         with PolicySession(outside, limits=hostile.limits) as session:
             if "process_ids" in hostile.name and not session.isolation.process_ids_repeat:
                 pytest.skip("this machine cannot repeat process ids (/proc/sys is read-only); the result says so")
-            if "of_sockets" in hostile.name and session.isolation.memory is MemoryIsolation.WATCHDOG:
-                pytest.skip("only a control group counts the memory of sockets; the result and its page say so")
             check_episodes(session, hostile.expect)
     assert left_behind() == []
 

@@ -21,6 +21,7 @@ from vitac.evaluator.agent.isolation.cgroup import MemoryIsolation
 from vitac.evaluator.agent.isolation.process_tree import descendants
 from vitac.evaluator.agent.limits import MIB, Limits
 from vitac.evaluator.agent.session import EpisodeIsolation, EpisodePolicy, PolicySession
+from vitac.evaluator.agent.start_times import StartTimes
 from vitac.evaluator.agent.verdicts import PolicyFailed, SandboxFailed, VerdictCode
 from worker_fakes import eventually
 
@@ -219,9 +220,7 @@ def test_a_policy_that_leaves_files_is_loaded_anew(make: Make) -> None:
 
 
 def test_an_episodes_processes_end_with_it_also_where_no_other_episode_follows(make: Make) -> None:
-    folder = make(
-        "self.child = subprocess.Popen(['/bin/sleep', '1000'])\nreturn [self.child.pid, 0, 0]", top="import subprocess"
-    )
+    folder = make("return [os.posix_spawn('/bin/sleep', ['sleep', '1000'], {}), 0, 0]", top="import os")
     with PolicySession(folder) as session:
         first = act_once(session)
         assert session._sandbox is not None
@@ -294,6 +293,32 @@ def test_mapped_weights_work(make: Make) -> None:
         assert [act_once(session) for _ in range(2)] == [[0, 1, 2]] * 2
 
 
+def test_each_episode_waits_for_its_start_time(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    waits: list[float] = []
+    monkeypatch.setattr(StartTimes, "wait", lambda times: waits.append(times.period_s))
+    with PolicySession(make("return [0, 0, 0]"), episode_period_s=0.25) as session:
+        act_in_episodes(session, 2)
+        assert session.isolation.episode_period_s == 0.25
+    assert waits == [0.25, 0.25]
+
+
+def test_times_of_temporary_folders_are_zero_so_that_every_change_shows(make: Make) -> None:
+    folder = make("return [os.stat('/tmp').st_mtime_ns, os.stat('/dev/shm').st_mtime_ns, 0]", "import os")
+    assert play_one(folder) == [0, 0, 0]
+
+
+def test_pipes_of_python_work_without_those_of_the_kernel(make: Make) -> None:
+    act = """
+    here, there = multiprocessing.Pipe(duplex=False)
+    there.send(5)
+    read, write = os.pipe()
+    os.write(write, b"abc")
+    os.close(write)
+    return [here.recv(), len(os.read(read, 10)), len(os.read(read, 10)) + os.get_inheritable(read)]
+    """
+    assert play_one(make(act, "import multiprocessing, os")) == [5, 3, 0]
+
+
 def test_threads_and_locks_work_in_a_copy(make: Make) -> None:
     top = "import threading\nLOCK = threading.RLock()\nLOCK.acquire()\nthreading.Thread(target=int).start()"
     act = """
@@ -363,26 +388,11 @@ def test_output_of_one_episode_is_not_shown_for_the_next(make: Make) -> None:
 
 
 def test_two_sessions_do_not_meet(make: Make) -> None:
-    listens = """
-    import socket
-    server = socket.socket(socket.AF_UNIX)
-    server.bind("\\0meet")
-    server.listen()
-    self.server = server
-    open("/tmp/meet", "w").close()
-    """
-    calls = """
-    try:
-        socket.socket(socket.AF_UNIX).connect("\\0meet")
-        return [1, 0, 0]
-    except OSError:
-        return [0, os.path.exists("/tmp/meet"), len(os.listdir("/tmp"))]
-    """
-    first = make("return [0, 0, 0]", reset=listens, name="first")
-    second = make(calls, "import os, socket", name="second")
+    first = make("return [0, 0, 0]", reset="open('/tmp/meet', 'w').close()", name="first")
+    second = make("return [os.path.exists('/tmp/meet'), len(os.listdir('/tmp')), 0]", "import os", name="second")
     with (
         PolicySession(first) as one,
-        PolicySession(second, slot=1) as two,
+        PolicySession(second) as two,
         one.episode(task="t", action_shape=(3,)) as policy,
     ):
         policy.act(OBSERVATION)

@@ -96,12 +96,6 @@ class counts_resets_in_a_shared_mapping_of_zero(Counting):
         self.memory = mmap.mmap(os.open("/dev/zero", os.O_RDWR), 4096)
 
 
-@expects("shared_state", where="load")
-class counts_resets_in_a_socket_pair(Counting):
-    def __init__(self):
-        self.ends = socket.socketpair()
-
-
 @expects("harmless")
 class counts_resets_in_a_temporary_file(CountingInAFile):
     path = "/tmp/count"

@@ -43,7 +43,7 @@ class Policy:
             check("threads", list(threads.map(square, range(8))) == [n * n for n in range(8)])
         done = subprocess.run([sys.executable, "-c", "print(6 * 7)"], capture_output=True, text=True, timeout=8)
         check("subprocess", done.stdout == "42\n")
-        check("shell", subprocess.check_output("ls / | sort | head -n 1; touch /tmp/a; cp -p /tmp/a /tmp/b", shell=True))
+        check("shell", subprocess.check_output("ls /; touch /tmp/a; cp -p /tmp/a /tmp/b", shell=True))
         check("standard input", subprocess.run(["cat"], input=b"x", stdout=subprocess.PIPE).stdout == b"x")
 
     def act(self, observation):

@@ -80,7 +80,7 @@ def test_only_the_same_shard_of_the_same_sensor_and_evaluator_is_found(
     shard = finished(tmp_path)
     stored = StoredShards(tmp_path, of="a")
     stored.store(ORDER, shard.records, shard.result)
-    for same in (ORDER, ORDER.model_copy(update={"submission": Path("/b"), "sensor": Path("/s"), "slot": 3})):
+    for same in (ORDER, ORDER.model_copy(update={"submission": Path("/b"), "sensor": Path("/s")})):
         assert stored.load(same) == shard
     for other in ({"episodes": (1, 2)}, {"shard": 1}, {"task": "lock-opening"}, {"track": "track_3"}):
         assert stored.load(ORDER.model_copy(update=other)) is None

@@ -57,18 +57,16 @@ def solve(_: int, step: int) -> NDArray[np.float32]:
 
 
 class Sessions:
-    """Gives each scene a loaded policy of its own, and notes the slots they were loaded in."""
+    """Gives each scene a loaded policy of its own."""
 
     def __init__(self, answer: Any = solve) -> None:
         self.answer = answer
-        self.slots: list[int] = []
         self.limits: list[Limits] = []
         self.loaded: list[FakeSession] = []
 
     @contextmanager
-    def load(self, _folder: Path, limits: Limits, slot: int) -> Iterator[FakeSession]:
+    def load(self, _folder: Path, limits: Limits) -> Iterator[FakeSession]:
         session = FakeSession(self.answer, plays=("pick-cube", (4,)))
-        self.slots.append(slot)
         self.limits.append(limits)
         self.loaded.append(session)
         with session.load():
@@ -137,7 +135,7 @@ def test_all_episodes_of_a_shard_are_played_with_one_policy_for_each_scene(
     assert sorted(records) == list(range(1, 11))
     assert {(record.outcome, record.env_steps) for record in records.values()} == {(EpisodeOutcome.SUCCESS, 3)}
     assert len({record.state_hashes[0] for record in records.values()}) == 10
-    assert sorted(sessions.slots) == [0, 1, 2, 3]
+    assert len(sessions.loaded) == 4
     assert sorted(session.started for session in sessions.loaded) == [2, 2, 3, 3]
     (simulation,) = simulations
     assert (simulation.size, len(simulation.built), len(simulation.commands)) == (4, 3, 9)

@@ -30,7 +30,6 @@ SHARED = {
     "submission": Path("/other"),
     "track": "track_2",
     "task": "lock-opening",
-    "slot": 1,
     "limits": Limits(open_files=7),
     "assets_dir": Path("/assets"),
     "sensor": Path("/sensor"),
@@ -67,7 +66,7 @@ def test_an_order_survives_its_way_to_the_process() -> None:
     assert ShardOrder.model_validate_json(whole.model_dump_json()) == whole
 
 
-@pytest.mark.parametrize("change", [{"shard": -1}, {"slot": -1}, {"task": None}, {"unknown": 1}])
+@pytest.mark.parametrize("change", [{"shard": -1}, {"task": None}, {"unknown": 1}])
 def test_an_order_that_cannot_be_is_refused(change: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         order(**change)

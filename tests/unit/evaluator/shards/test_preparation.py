@@ -28,7 +28,7 @@ def make_environment(*_: object) -> Any:
 
 
 def open_policy(preparation: Preparation, session: FakeSession) -> Any:
-    with preparation.policy(session.load, Path("one"), Limits(), 0) as opened:
+    with preparation.policy(session.load, Path("one"), Limits()) as opened:
         return opened
 
 
@@ -76,7 +76,7 @@ def test_policy_that_could_not_be_loaded_is_loaded_again_for_the_next_shard(sess
 
     with Preparation() as preparation:
         preparation.begin(order(0))
-        with pytest.raises(PolicyFailed), preparation.policy(refuse, Path("one"), Limits(), 0):
+        with pytest.raises(PolicyFailed), preparation.policy(refuse, Path("one"), Limits()):
             pytest.fail("it was loaded")
         preparation.begin(order(1))
         assert open_policy(preparation, session) is session

@@ -100,7 +100,7 @@ def test_kill_before_the_process_is_forked_keeps_it_from_running(processes: Shar
 def test_one_loaded_process_forks_all_shards(processes: ShardProcesses) -> None:
     parents = set()
     for _ in range(2):
-        with processes.running_shard(order("hang")) as one, processes.running_shard(order("hang", slot=1)) as other:
+        with processes.running_shard(order("hang")) as one, processes.running_shard(order("hang")) as other:
             assert one.pid != other.pid
             parents |= {parent_of(one.pid), parent_of(other.pid)}
     assert len(parents) == 1
@@ -119,7 +119,7 @@ def test_shards_of_one_submission_share_a_process_and_its_loaded_policy(processe
 
 
 @pytest.mark.parametrize(
-    "changes", [{"submission": Path("other")}, {"slot": 1}, {"assets_dir": Path("meshes")}, {"task": "lock-opening"}]
+    "changes", [{"submission": Path("other")}, {"assets_dir": Path("meshes")}, {"task": "lock-opening"}]
 )
 def test_orders_that_need_another_preparation_do_not_share_one(changes: dict[str, object]) -> None:
     assert order("succeed", **changes).preparation() != order("succeed").preparation()

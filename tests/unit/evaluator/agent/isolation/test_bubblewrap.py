@@ -26,7 +26,7 @@ def command(tmp_path: Path, limits: Limits | None = None) -> list[str]:
         submission=tmp_path,
         interpreter=current(),
         limits=limits or Limits(),
-        uid=bubblewrap.sandbox_uid(0),
+        uid=bubblewrap.choose_uid(),
         descriptors=DESCRIPTORS,
     )
 
@@ -62,14 +62,15 @@ def test_user_is_nobody_in_a_namespace_that_makes_no_more(monkeypatch: pytest.Mo
     assert "/usr/bin/setpriv" not in arguments
 
 
-def test_under_root_each_slot_and_process_has_a_uid_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_under_root_each_sandbox_has_a_uid_that_does_not_follow_from_process_ids(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 0)
-    uids = set()
-    for pid in (1, 2, 4_194_304):
-        monkeypatch.setattr(os, "getpid", lambda pid=pid: pid)
-        uids |= {bubblewrap.sandbox_uid(slot) for slot in range(8)}
-    assert len(uids) == 24
+    uids = {bubblewrap.choose_uid() for _ in range(20)}
+    assert len(uids) == 20
+    assert min(uids) >= 10**9
     assert max(uids) < 2**31
+    assert max(uids) - min(uids) > 64 * os.getpid()
 
 
 def test_only_two_folders_are_writeable_and_both_are_sized(as_user: UserIsolation, tmp_path: Path) -> None:
