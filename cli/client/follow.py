@@ -3,11 +3,17 @@
 Called by `status`, `submit` and `demo`.
 """
 
+import sys
 import time
 from collections.abc import Callable
+from typing import TypeVar
 
 from .http import Client, Json
+from .pieces import PAUSES_S, is_transient
 from .progress import EvaluationProgress
+from .refusals import RequestRefused, ServiceUnreachable
+
+AnswerT = TypeVar("AnswerT")
 
 POLL_S = 0.5
 _ENDED = frozenset({"completed", "failed", "cancelled"})
@@ -27,8 +33,27 @@ def follow(
     """Show the progress of an evaluation until it ends, and return its last state."""
     with progress:
         while True:
-            found = client.submission(submission_id)
+            found = ask_patiently(lambda: client.submission(submission_id))
             progress.update(found)
             if has_ended(found):
                 return found
             pause()
+
+
+def ask_patiently(ask: Callable[[], AnswerT], *, pause: Callable[[float], object] = time.sleep) -> AnswerT:
+    """Return what is answered; a service that is down, or starts, is waited for as an upload waits.
+
+    Raises:
+        RequestRefused: the service refuses it.
+        ServiceUnreachable: nothing answered for about a minute.
+    """
+    for number, pause_s in enumerate(PAUSES_S):
+        try:
+            return ask()
+        except (RequestRefused, ServiceUnreachable) as error:
+            if isinstance(error, RequestRefused) and not is_transient(error):
+                raise
+            if number == 0:
+                print(f"{error} Trying again for about a minute.", file=sys.stderr)
+        pause(pause_s)
+    return ask()

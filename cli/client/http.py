@@ -110,6 +110,7 @@ class Client:
         again: bool = False,
         file_name: str | None = None,
         on_position: Callable[[int], None],
+        on_known: Callable[[], object] = lambda: None,
     ) -> Json:
         """Upload an archive or a log with its SHA-256, which the server checks; cuts on the way are mended.
 
@@ -122,6 +123,7 @@ class Client:
             again: run all episodes, also those that were evaluated before.
             file_name: as the user names it; None if the user did not name it.
             on_position: called with the number of bytes sent; after a lost connection it may be lower than before.
+            on_known: called where the team had submitted the content before, so that nothing was started.
         """
         with archive.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
@@ -133,7 +135,10 @@ class Client:
             | ({"again": "true"} if again else {})
             | ({"filename": file_name} if file_name else {})
         )
-        return PieceSender(send=self.send, file=archive, metadata=metadata, on_position=on_position).run()
+        sender = PieceSender(
+            send=self.send, file=archive, metadata=metadata, on_position=on_position, on_known=on_known
+        )
+        return sender.run()
 
     def send(
         self,

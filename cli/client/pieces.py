@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,7 @@ class PieceSender:
         file: what is uploaded.
         metadata: what the service has to know of it, with its `sha256`.
         on_position: called with the number of bytes sent; after a lost connection it may be lower than before.
+        on_known: called where the team had submitted the content before, so that nothing was started.
         pause: waits, in seconds.
     """
 
@@ -53,6 +55,7 @@ class PieceSender:
     file: Path
     metadata: Mapping[str, str]
     on_position: Callable[[int], None]
+    on_known: Callable[[], object] = lambda: None
     pause: Callable[[float], None] = time.sleep
 
     def run(self) -> dict[str, Any]:
@@ -75,14 +78,17 @@ class PieceSender:
                     self._send_rest(place, offset)
                     sent = place
                 # Asked again after a lost answer, the service returns the submission that it has made.
-                return dict(self.send("POST", f"{sent}/submission", timeout_s=CHECKING_TIMEOUT_S).json())
+                answer = self.send("POST", f"{sent}/submission", timeout_s=CHECKING_TIMEOUT_S)
+                if answer.status_code == HTTPStatus.OK and failures == 0:
+                    self.on_known()
+                return dict(answer.json())
             except ServiceUnreachable as error:
                 if failures == len(PAUSES_S):
                     raise
                 if failures == 0:
                     print(f"{error} Trying again for about a minute.", file=sys.stderr)
             except RequestRefused as error:
-                if not _is_transient(error, has_upload=place is not None) or failures == len(PAUSES_S):
+                if not is_transient(error, has_upload=place is not None) or failures == len(PAUSES_S):
                     raise
                 if error.code in MISPLACED:
                     sent = None
@@ -119,7 +125,7 @@ class PieceSender:
                 self.on_position(position)
 
 
-def _is_transient(error: RequestRefused, *, has_upload: bool) -> bool:
+def is_transient(error: RequestRefused, *, has_upload: bool = False) -> bool:
     """Return whether a refusal may go away; what is not found before there is an upload is named wrongly."""
     if error.code == "not_found":
         return has_upload

@@ -7,7 +7,7 @@ from vitac.envs.errors import VitacError
 
 from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, percent, print_json, print_pairs, print_table
-from .follow import follow
+from .follow import ask_patiently, follow
 from .http import Client, Json, make_client
 from .progress import EvaluationProgress, missing_tasks, nobody
 
@@ -33,7 +33,8 @@ def command(
     With --watch the exit code is 0 for a completed evaluation and 1 for one that failed or was cancelled.
     """
     client = make_client(server, token_file)
-    newest = client.submissions() if submission is None else []
+    ask = ask_patiently if watch else lambda ask: ask()
+    newest = ask(client.submissions) if submission is None else []
     if submission is None and (not watch or not newest):
         show_list(newest, as_json=as_json)
         return

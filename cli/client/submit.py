@@ -17,6 +17,7 @@ from .follow import has_ended
 from .http import Client, Json, make_client
 from .packing import pack
 from .progress import missing_tasks, nobody
+from .status import format_time, show_when_ended
 from .upload_kind import find_kind
 
 
@@ -52,6 +53,7 @@ def command(
     kind = kind or find_kind(submission)
     track = track or _find_track(submission, kind)
     note_ignored_folders(submission)
+    known: list[bool] = []
     with packed(submission) as archive, upload_bar(archive.stat().st_size, shown=not as_json) as on_position:
         answer = client.upload(
             archive,
@@ -62,14 +64,13 @@ def command(
             again=again,
             file_name=submission.resolve().name,
             on_position=on_position,
+            on_known=lambda: known.append(True),
         )
     if as_json and not watch:
         print_json(answer)
     if not as_json:
-        describe(client, answer)
+        describe(client, answer, is_known=bool(known))
     if watch:
-        from .status import show_when_ended
-
         show_when_ended(client, answer["id"], as_json=as_json)
 
 
@@ -118,7 +119,7 @@ def upload_bar(total_bytes: int, *, shown: bool) -> Iterator[Callable[[int], Non
         yield lambda position: progress.update(task, completed=position)
 
 
-def describe(client: Client, answer: Json) -> None:
+def describe(client: Client, answer: Json, *, is_known: bool) -> None:
     """Print id, state and page of an accepted submission."""
     evaluation = answer["evaluation"]
     position = evaluation["queue_position"]
@@ -128,10 +129,18 @@ def describe(client: Client, answer: Json) -> None:
     print(f"state       {evaluation['state']}" + (f", number {position} in the queue" if position else ""))
     if waits := nobody(answer):
         print(f"waits       {waits}")
-    if has_ended(answer):
-        print("again       this content was evaluated before; nothing was started (--again runs it)")
+    if is_known:
+        print(
+            f"again       you submitted this content on {format_time(answer['submitted_at'])}; {_explain_known(answer)}"
+        )
     print(f"tasks       {', '.join(answer['tasks'])}")
     if missing := missing_tasks(answer):
         print(f"not played  {missing}")
     print(f"page        {client.server}/submissions/{answer['id']}")
     print("\nSign in with the same token to see the page. `vitac status ID --watch` shows the progress here.")
+
+
+def _explain_known(answer: Json) -> str:
+    if has_ended(answer):
+        return "nothing was started (--again runs it)"
+    return "it is evaluated already, and nothing else was started"

@@ -278,7 +278,7 @@ class FixedData(FixedPlaybacks):
             if content.startswith(b"broken"):
                 raise ServiceError(ProblemCode.ARCHIVE_REJECTED, "The archive is <broken>. Pack it again.")
         self.uploaded.append((announced, content))
-        return next(found for found in self.found if self.may_see(by, found)), True
+        return next(found for found in self.found if self.may_see(by, found)), content != b"known"
 
 
 @dataclass(frozen=True, kw_only=True)

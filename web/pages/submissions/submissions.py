@@ -81,6 +81,7 @@ async def submission(request: Request) -> Response:
         viewer=viewer,
         section="/submissions" if values["is_own"] else "",
         refresh=refresh,
+        is_known="known" in request.query_params and values["is_own"],
         **figures(get_site(request), found, values["titles"], values["episodes"], values["past"]),
         stage_title=find_stage_title(stages, found.stage),
         **values,

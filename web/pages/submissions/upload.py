@@ -1,7 +1,6 @@
 """Upload a submission with a form; a script shows how far it is."""
 
 from collections.abc import AsyncIterator
-from uuid import UUID
 
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
@@ -41,21 +40,22 @@ async def upload(request: Request) -> Response:
         file_name=form.file_name,
     )
     try:
-        submission_id = await _receive(request, viewer.principal, announced, form.pieces)
+        address = await _receive(request, viewer.principal, announced, form.pieces)
     except ServiceError as error:
         await form.discard()
         if not wants_page(request):
             raise
         return await _form(request, viewer, wrong=error.detail, status=error.status)
-    return RedirectResponse(f"/submissions/{submission_id}", status_code=303)
+    return RedirectResponse(address, status_code=303)
 
 
-async def _receive(request: Request, by: Principal, announced: AnnouncedUpload, body: AsyncIterator[bytes]) -> UUID:
+async def _receive(request: Request, by: Principal, announced: AnnouncedUpload, body: AsyncIterator[bytes]) -> str:
+    """Return the address of the submission, which says so where the team had submitted it before."""
     services = get_site(request).services
     check(services, announced)
     with request.app.state.upload_limiter.one(by.account, UPLOADS):
-        made, _ = await receive(services, by, announced, body)
-    return made.id
+        made, is_new = await receive(services, by, announced, body)
+    return f"/submissions/{made.id}{'' if is_new else '?known=yes'}"
 
 
 async def _form(request: Request, viewer: Viewer, *, wrong: str | None = None, status: int = 200) -> Response:

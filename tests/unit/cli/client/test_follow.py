@@ -1,9 +1,11 @@
 from typing import Any, cast
 
 import pytest
-from vitac.cli.client.follow import follow, has_ended
+from vitac.cli.client.follow import ask_patiently, follow, has_ended
 from vitac.cli.client.http import Client
+from vitac.cli.client.pieces import PAUSES_S
 from vitac.cli.client.progress import EvaluationProgress
+from vitac.cli.client.refusals import RequestRefused, ServiceUnreachable
 
 SUBMISSION_ID = "id"
 
@@ -40,3 +42,38 @@ def test_pause_may_stop_following() -> None:
 
     with pytest.raises(KeyboardInterrupt):
         following(Answers("running", "running"), stop)
+
+
+class Down:
+    """Answers after some failures."""
+
+    def __init__(self, failures: int, error: Exception) -> None:
+        self.failures, self.error = failures, error
+
+    def ask(self) -> str:
+        if self.failures:
+            self.failures -= 1
+            raise self.error
+        return "answer"
+
+
+def refusal_with(code: str) -> RequestRefused:
+    return RequestRefused(status=503, code=code, detail="no", request_id=None)
+
+
+@pytest.mark.parametrize("error", [ServiceUnreachable("down"), refusal_with("service_stopping")])
+def test_a_service_that_is_down_is_waited_for_and_given_up_in_the_end(
+    error: Exception, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pauses: list[float] = []
+    assert ask_patiently(Down(3, error).ask, pause=pauses.append) == "answer"
+    assert pauses == list(PAUSES_S[:3])
+    assert capsys.readouterr().err.count("Trying again for about a minute.") == 1
+    with pytest.raises(type(error)):
+        ask_patiently(Down(100, error).ask, pause=pauses.append)
+    assert len(pauses) == 3 + len(PAUSES_S)
+
+
+def test_a_refusal_that_stays_is_not_waited_for() -> None:
+    with pytest.raises(RequestRefused):
+        ask_patiently(Down(1, refusal_with("not_found")).ask, pause=lambda _: pytest.fail("waited"))

@@ -40,13 +40,14 @@ def test_watch_stays_until_the_evaluation_has_ended(service: CliService, tmp_pat
 
 def test_content_that_was_evaluated_before_does_not_look_new(service: CliService, tmp_path: Path) -> None:
     folder = submission_folder(tmp_path / "mine")
-    assert "evaluated before" not in service.run("submit", str(folder)).stdout
+    first = service.run("submit", str(folder))
+    assert "again" not in first.stdout
+    waiting = service.run("submit", str(folder)).stdout
+    assert "again       you submitted this content on 20" in waiting
+    assert "it is evaluated already, and nothing else was started" in waiting
     with service.playing():
         service.run("submit", str(folder), "--watch")
-    assert (
-        "this content was evaluated before; nothing was started (--again runs it)"
-        in service.run("submit", str(folder)).stdout
-    )
+    assert "; nothing was started (--again runs it)" in service.run("submit", str(folder)).stdout
 
 
 def test_an_organizer_submits_for_a_team(service: CliService, tmp_path: Path) -> None:

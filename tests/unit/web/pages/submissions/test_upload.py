@@ -48,6 +48,14 @@ def test_a_file_becomes_a_submission(data: FixedData, browser: AsgiBrowser, name
     assert content == b"PK" * 40_000
 
 
+def test_content_that_was_submitted_before_does_not_look_new(data: FixedData, browser: AsgiBrowser) -> None:
+    sign_in(browser, "Gelbots")
+    answer = send(browser, b"known")
+    assert answer.headers["location"] == f"/submissions/{RUNNING.id}?known=yes"
+    assert "You submitted this content before" in browser.get(answer.headers["location"]).text
+    assert "You submitted this content before" not in browser.get(f"/submissions/{RUNNING.id}").text
+
+
 def test_organizers_name_the_team(data: FixedData, browser: AsgiBrowser) -> None:
     sign_in(browser, "organizers")
     assert 'name="team"' in browser.get(ADDRESS).text
