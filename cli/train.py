@@ -101,7 +101,7 @@ def search(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json
 
 @app.command()
 def reference(
-    task: Annotated[str, typer.Argument(help="peg-insertion or lock-opening.")],
+    task: Annotated[str, typer.Argument(help="peg-insertion, lock-opening, fusion-insertion or sensor-design.")],
     out: Annotated[
         Path, typer.Option("--out", help="Folder for checkpoints, log and submission; an existing one is continued.")
     ],
@@ -109,13 +109,16 @@ def reference(
         int | None, typer.Option(min=1, help="Number of env steps; default: the published one.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the training.")] = 0,
+    sensor: Annotated[
+        Path | None, typer.Option(help="Folder of your own sensor, for sensor-design.", exists=True, file_okay=False)
+    ] = None,
 ) -> None:
     """Train as the challenge did, with PointNet and TD3, or continue; needs the extra `training`."""
     _one_thread()
     from vitac.training.reference.td3 import train_reference
 
     with _going_on_later(out):
-        submission = train_reference(task, out, env_steps=env_steps, seed=seed, tell=_tell)
+        submission = train_reference(task, out, env_steps=env_steps, seed=seed, sensor=sensor, tell=_tell)
     print_pairs({"submission": submission})
 
 

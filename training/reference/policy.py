@@ -1,4 +1,4 @@
-"""Acts by an actor of the challenge's own shape: PointNet encoders of both gels' markers, in torch.
+"""Acts by an actor of the challenge's own shape: PointNet encoders of markers and of seen objects, in torch.
 
 This file is a whole submission with weights beside it: for each task that it plays, `<task>.zip` as Stable-Baselines3
 saves a model, or the `policy.pth` of such a file as `<task>.pth`. Only the state dict is read, as tensors and nothing
@@ -8,7 +8,7 @@ played.
 
 import io
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import pairwise, permutations
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,10 @@ import torch
 from torch import nn
 
 HIDDEN = 256
-FELT = 32  # numbers that the encoder makes of one gel
+FELT, FELT_BY_FUSION, SEEN = 32, 64, 128  # numbers that an encoder makes of one gel, and of one object
+CLOUD_SCALE = 100.0  # metres to centimetres
 OF_ACTOR = "actor."
-NOT_PLAYED = ("mu.", "features_extractor.")  # Stable-Baselines3's own network, which is built and never used
+OURS = "network."  # of a model that this code trained; beside it stands Stable-Baselines3's own network, never used
 
 
 class PointNet(nn.Module):  # type: ignore[misc] # torch is not there when types are checked
@@ -38,6 +39,9 @@ class PointNet(nn.Module):  # type: ignore[misc] # torch is not there when types
 
 class TactileActor(nn.Module):  # type: ignore[misc]
     """Action from both gels' markers and the gripper's motion."""
+
+    observed = ("marker_flow", "relative_motion")
+    not_played = ("mu.", "features_extractor.")  # what Stable-Baselines3 built beside the challenge's actor
 
     def __init__(self, motion: int, actions: int, encoder: type[PointNet] = PointNet) -> None:
         super().__init__()
@@ -58,9 +62,45 @@ class TactileActor(nn.Module):  # type: ignore[misc]
             marker_flow: pixels, shape [b, 2, 2, n, 2]: gel, reference and current, marker, u and v.
             relative_motion: shape [b, motion].
         """
-        moved = marker_flow.permute(0, 1, 3, 2, 4).flatten(-2)
-        felt = self.encoder(moved).flatten(1)
+        felt = self.encoder(marker_points(marker_flow)).flatten(1)
         return torch.tanh(self.head(torch.cat([felt, relative_motion], dim=1)))
+
+
+class FusionActor(nn.Module):  # type: ignore[misc]
+    """Action from both gels' markers and the clouds of peg and hole.
+
+    Not published: in which order what is seen and what is felt enter the head. Here what is seen comes first.
+    """
+
+    observed = ("marker_flow", "object_point_cloud")
+    not_played = ()
+
+    def __init__(self, encoder: type[PointNet] = PointNet) -> None:
+        super().__init__()
+        self.encoder = encoder(4, FELT_BY_FUSION)
+        self.peg, self.hole = encoder(3, SEEN), encoder(3, SEEN)
+        self.norm_of_felt, self.norm_of_seen = nn.LayerNorm(2 * FELT_BY_FUSION), nn.LayerNorm(2 * SEEN)
+        self.head = _perceptron([2 * SEEN + 2 * FELT_BY_FUSION, HIDDEN, HIDDEN, 4], last_relu_after=2)
+
+    def forward(self, marker_flow: Any, object_point_cloud: Any) -> Any:
+        """Return actions of shape [b, 4].
+
+        Args:
+            marker_flow: as for `TactileActor`.
+            object_point_cloud: metres, shape [b, 2, n, 3]: peg and hole.
+        """
+        felt = self.encoder(marker_points(marker_flow)).flatten(1)
+        peg, hole = (CLOUD_SCALE * object_point_cloud).unbind(1)
+        seen = torch.cat([self.peg(peg), self.hole(hole)], dim=1)
+        return torch.tanh(self.head(torch.cat([self.norm_of_seen(seen), self.norm_of_felt(felt)], dim=1)))
+
+
+Actor = TactileActor | FusionActor
+
+
+def marker_points(marker_flow: Any) -> Any:
+    """Return reference and current pixels of each marker, shape [b, 2, n, 4], from shape [b, 2, 2, n, 2]."""
+    return marker_flow.permute(0, 1, 3, 2, 4).flatten(-2)
 
 
 def peg_actor(encoder: type[PointNet] = PointNet) -> TactileActor:
@@ -73,7 +113,12 @@ def lock_actor(encoder: type[PointNet] = PointNet) -> TactileActor:
     return TactileActor(motion=3, actions=2, encoder=encoder)
 
 
-ACTORS = {"peg-insertion": peg_actor, "lock-opening": lock_actor}
+ACTORS: dict[str, Callable[..., Actor]] = {
+    "peg-insertion": peg_actor,
+    "lock-opening": lock_actor,
+    "fusion-insertion": FusionActor,
+    "sensor-design": peg_actor,
+}
 
 
 class Policy:
@@ -89,7 +134,7 @@ class Policy:
                     self.actors[task] = make()
                     load_actor(self.actors[task], read_state(path))
         if not self.actors:
-            raise ValueError(f"No weights are beside {__file__}; expected {' or '.join(ACTORS)} with .zip or .pth.")
+            raise ValueError(f"No weights are beside {__file__}; expected one of {', '.join(ACTORS)} with .zip or .pth.")
 
     def reset(self, task: str) -> None:
         """Begin an episode."""
@@ -99,7 +144,7 @@ class Policy:
 
     def act(self, observation: Mapping[str, Any]) -> Any:
         """Return the actor's action."""
-        seen = [torch.as_tensor(np.asarray(observation[key]))[None] for key in ("marker_flow", "relative_motion")]
+        seen = [torch.as_tensor(np.asarray(observation[key]))[None] for key in self.actor.observed]
         with torch.no_grad():
             return self.actor(*seen)[0].numpy()
 
@@ -127,34 +172,38 @@ def read_state(path: Path) -> Mapping[str, Any]:
     return state
 
 
-def load_actor(actor: TactileActor, state: Mapping[str, Any]) -> None:
+def load_actor(actor: Actor, state: Mapping[str, Any]) -> None:
     """Give an actor the weights of a state dict, its own or one with other names for the same layers.
 
     Only the order and the sizes of an actor's layers are published, not what its modules are called; so layers are
-    matched by their order, with encoder and head either way round. A convolution over points of width 1 is a layer too.
+    matched by their order, with the parts of the actor in any order. A convolution over points of width 1 is a layer
+    too.
 
     Raises:
         ValueError: the sizes are not those of this actor.
     """
-    published = {
-        name.removeprefix(OF_ACTOR): value.squeeze(-1) if value.ndim == 3 else value
-        for name, value in state.items()
-        if name.startswith(OF_ACTOR) and not name.removeprefix(OF_ACTOR).startswith(NOT_PLAYED)
-    }
-    for parts in permutations([("encoder", actor.encoder), ("head", actor.head)]):
-        names = [f"{part}.{name}" for part, module in parts for name in module.state_dict()]
-        own = actor.state_dict()
+    published = {name: value.squeeze(-1) if value.ndim == 3 else value for name, value in _played(actor, state).items()}
+    own = actor.state_dict()
+    names_of = {part: [name for name in own if name.startswith(f"{part}.")] for part, _ in actor.named_children()}
+    for parts in permutations(names_of):
+        names = [name for part in parts for name in names_of[part]]
         if [own[name].shape for name in names] == [value.shape for value in published.values()]:
             actor.load_state_dict(dict(zip(names, published.values(), strict=True)))
             return
-    sizes = ", ".join(f"{name} {tuple(value.shape)}" for name, value in list(published.items())[:4])
     raise ValueError(
-        f"The weights are not those of this actor: expected {_sizes(actor)}, got {sizes or 'no actor'} ..."
+        f"The weights are not those of this actor: expected {_sizes(own)}, got {_sizes(published) or 'no actor'} ..."
     )
 
 
-def _sizes(actor: TactileActor) -> str:
-    return ", ".join(f"{name} {tuple(value.shape)}" for name, value in list(actor.state_dict().items())[:4]) + " ..."
+def _played(actor: Actor, state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the layers that act, of a model that this code trained or of one that the challenge's code did."""
+    layers = {name.removeprefix(OF_ACTOR): value for name, value in state.items() if name.startswith(OF_ACTOR)}
+    ours = {name: value for name, value in layers.items() if name.startswith(OURS)}
+    return ours or {name: value for name, value in layers.items() if not name.startswith(actor.not_played)}
+
+
+def _sizes(state: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} {tuple(value.shape)}" for name, value in list(state.items())[:4])
 
 
 def _perceptron(sizes: list[int], last_relu_after: int) -> Any:

@@ -11,7 +11,7 @@ import io
 import json
 import shutil
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -23,6 +23,10 @@ import numpy as np
 import vitac.envs  # noqa: F401 - registers the environments
 from vitac.envs.errors import VitacError
 from vitac.envs.extras import install_command
+from vitac.envs.tactile.design import SensorDesign
+from vitac.evaluator.sensors.check import accepted_sensor
+from vitac.evaluator.sensors.made import made_sensor
+from vitac.evaluator.tracks import load_track
 
 from ..charts import Charts
 from ..files import Arrays, FileDamaged, load, save, write_bytes, write_text
@@ -44,7 +48,7 @@ try:
     from torch import nn
     from torch.nn import functional
 
-    from .policy import PointNet, TactileActor, lock_actor, peg_actor
+    from .policy import ACTORS, PointNet
 except ModuleNotFoundError as error:
     raise TrainingPackagesMissing(
         f"The challenge's method needs {error.name}, which is not installed. Run it as ./vitac --torch train "
@@ -57,14 +61,20 @@ class UnknownReferenceTask(VitacError):
     """The challenge's method is not known for this task; choose one that the message names."""
 
 
+class SensorMismatch(VitacError):
+    """A sensor was given for a task that has none, or none for one that needs it; the message says which."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Hyperparameters:
     """How a task is trained; the defaults are common to all tasks."""
 
     env_id: str
+    track: str  # of the submission
     env_steps: int  # length of the training
     truths: tuple[str, ...]  # privileged observations that the critics see
     policy_delay: int  # gradient steps of the critics for one of the actor
+    settings: Mapping[str, Any] = field(default_factory=dict)  # of the environment, other than its defaults
     buffer_size: int = 10_000  # transitions in the replay buffer
     learning_starts: int = 1000  # env steps with random actions, before the first gradient step
     env_steps_per_training: int = 2  # env steps between two trainings, and gradient steps of each
@@ -83,10 +93,28 @@ class Hyperparameters:
 
 HYPERPARAMETERS = {
     "peg-insertion": Hyperparameters(
-        env_id="ViTac/PegInsertion-v1", env_steps=400_000, truths=("gt_offset",), policy_delay=5
+        env_id="ViTac/PegInsertion-v1", track="track_1", env_steps=400_000, truths=("gt_offset",), policy_delay=5
     ),
     "lock-opening": Hyperparameters(
-        env_id="ViTac/LockOpening-v1", env_steps=80_000, truths=("key1", "key2"), policy_delay=2
+        env_id="ViTac/LockOpening-v1", track="track_1", env_steps=80_000, truths=("key1", "key2"), policy_delay=2
+    ),
+    "fusion-insertion": Hyperparameters(
+        env_id="ViTac/FusionInsertion-v1",
+        track="track_2",
+        env_steps=100_000,
+        truths=("gt_offset", "relative_motion", "gt_direction"),
+        policy_delay=2,
+        settings={"insertion_depth_mm": 2.0},
+        buffer_size=5000,
+        checkpoint_env_steps=5000,
+    ),
+    "sensor-design": Hyperparameters(
+        env_id="ViTac/PegInsertion-v1",
+        track="track_3",
+        env_steps=200_000,
+        truths=("gt_offset",),
+        policy_delay=5,
+        buffer_size=20_000,
     ),
 }
 CRITIC_LAYERS = (256, 256)
@@ -95,13 +123,13 @@ CRITIC_LAYERS = (256, 256)
 class ChallengeActor(Actor):  # type: ignore[misc] # torch is not there when types are checked
     """The challenge's actor in place of the one of Stable-Baselines3, which stays unused in the state dict."""
 
-    def __init__(self, make_network: Callable[[type[PointNet]], TactileActor], **arguments: Any) -> None:
+    def __init__(self, task: str, **arguments: Any) -> None:
         super().__init__(**arguments)
-        self.network = make_network(CachedPointNet)
+        self.network = ACTORS[task](encoder=CachedPointNet)
 
     def forward(self, obs: Any) -> Any:
         """Return the actions."""
-        return self.network(obs["marker_flow"].float(), obs["relative_motion"].float())
+        return self.network(*(obs[key].float() for key in self.network.observed))
 
 
 class TruthExtractor(BaseFeaturesExtractor):  # type: ignore[misc]
@@ -116,30 +144,23 @@ class TruthExtractor(BaseFeaturesExtractor):  # type: ignore[misc]
         return torch.cat([observations[key].flatten(1) for key in self._keys], dim=1)
 
 
-class TD3PolicyForPointFlowEnv(TD3Policy):  # type: ignore[misc]
-    """Actor, critics and their target networks for peg insertion."""
+class ChallengePolicy(TD3Policy):  # type: ignore[misc]
+    """Actor, critics and their target networks of a task."""
 
-    make_network = staticmethod(peg_actor)
+    def __init__(self, *arguments: Any, task: str, **named: Any) -> None:
+        self._task = task
+        super().__init__(*arguments, **named)
 
     def make_actor(self, features_extractor: Any = None) -> Any:
         """Return an untrained actor."""
         arguments = self._update_features_extractor(self.actor_kwargs, features_extractor)
-        return ChallengeActor(self.make_network, **arguments).to(self.device)
-
-
-class TD3PolicyForLongOpenLockPointFlowEnv(TD3PolicyForPointFlowEnv):
-    """The same for lock opening."""
-
-    make_network = staticmethod(lock_actor)
-
-
-POLICIES = {"peg-insertion": TD3PolicyForPointFlowEnv, "lock-opening": TD3PolicyForLongOpenLockPointFlowEnv}
+        return ChallengeActor(self._task, **arguments).to(self.device)
 
 
 def new_model(task: str, chosen: Hyperparameters, env: Any) -> Any:
     """Return the untrained networks of a task with their optimizers and an empty replay buffer."""
     return TD3(
-        POLICIES[task],
+        ChallengePolicy,
         env,
         learning_rate=chosen.learning_rate,
         buffer_size=chosen.buffer_size,
@@ -153,6 +174,7 @@ def new_model(task: str, chosen: Hyperparameters, env: Any) -> Any:
         target_policy_noise=chosen.target_noise,
         target_noise_clip=chosen.target_noise_clip,
         policy_kwargs={
+            "task": task,
             "net_arch": list(CRITIC_LAYERS),
             "features_extractor_class": TruthExtractor,
             "features_extractor_kwargs": {"keys": chosen.truths},
@@ -226,7 +248,13 @@ def _move_target_networks(model: Any, tau: float) -> None:
 
 
 def train_reference(
-    task: str, folder: Path, *, env_steps: int | None = None, seed: int = 0, tell: Tell = lambda _: None
+    task: str,
+    folder: Path,
+    *,
+    env_steps: int | None = None,
+    seed: int = 0,
+    sensor: Path | None = None,
+    tell: Tell = lambda _: None,
 ) -> Path:
     """Train as the challenge did, or continue a training, and return a submission.
 
@@ -235,10 +263,13 @@ def train_reference(
         folder: a folder for the training: its checkpoints, evaluations, log and state, and `submission/`.
         env_steps: in place of the published number.
         seed: of the training.
+        sensor: folder of the team's own sensor, for the task of Track 3.
         tell: receives lines about the progress.
 
     Raises:
         UnknownReferenceTask: the task is unknown.
+        SensorMismatch: the task needs a sensor, or plays with the challenge's.
+        SensorRejected: the sensor breaks a rule.
         OtherRun: the folder is that of another training or version, or holds more env steps, or another process trains
             there.
         StreamRefused: an official list has the seed of a stream of this training.
@@ -249,17 +280,30 @@ def train_reference(
     if task not in HYPERPARAMETERS:
         raise UnknownReferenceTask(f"The task is '{task}', expected one of {', '.join(HYPERPARAMETERS)}.")
     chosen = replace(HYPERPARAMETERS[task], seed=seed)
+    if (sensor is None) == load_track(chosen.track).has_sensor:
+        needed = "the folder of a sensor" if sensor is None else "no sensor, as all play it with the same one"
+        raise SensorMismatch(f"Expected {needed} for {task}.")
+    made = None if sensor is None else made_sensor(accepted_sensor(sensor))
+    design, digest = (made.design(), made.digest) if made else (None, None)
+    identity = {"task": task, **asdict(chosen), "sensor": digest}
     versions = {name: version(name) for name in ("torch", "stable_baselines3")}
-    with claimed(folder, {"task": task, **asdict(chosen), **versions}, tell), Charts(folder, tell) as charts:
-        training = Training(task, chosen, folder, charts, tell)
+    with claimed(folder, identity | versions, tell), Charts(folder, tell) as charts:
+        training = Training(task, chosen, design, folder, charts, tell)
         training.learn(env_steps or chosen.env_steps)
-        return training.write_submission()
+        return training.write_submission(sensor)
 
 
-def make_env(chosen: Hyperparameters) -> Any:
-    """Return an environment that shows the privileged observations, too."""
-    keys = ("marker_flow", "relative_motion", *chosen.truths)
-    return gymnasium.make(chosen.env_id, disable_env_checker=True, privileged=True, observation_keys=keys)
+def make_env(task: str, chosen: Hyperparameters, design: SensorDesign | None) -> Any:
+    """Return an environment that shows what the actor and the critics see."""
+    keys = dict.fromkeys((*ACTORS[task]().observed, *chosen.truths))
+    return gymnasium.make(
+        chosen.env_id,
+        disable_env_checker=True,
+        privileged=True,
+        observation_keys=tuple(keys),
+        sensor=design,
+        **chosen.settings,
+    )
 
 
 @dataclass(kw_only=True)
@@ -294,6 +338,7 @@ class Training:
     Args:
         task: name of the task.
         chosen: hyperparameters.
+        design: of the team's own sensor, if the task has one.
         folder: of the training.
         charts: for TensorBoard.
         tell: receives lines about the progress.
@@ -302,10 +347,18 @@ class Training:
         FileDamaged: the stored state is damaged.
     """
 
-    def __init__(self, task: str, chosen: Hyperparameters, folder: Path, charts: Charts, tell: Tell) -> None:
+    def __init__(
+        self,
+        task: str,
+        chosen: Hyperparameters,
+        design: SensorDesign | None,
+        folder: Path,
+        charts: Charts,
+        tell: Tell,
+    ) -> None:
         torch.set_num_threads(1)  # the bits must not depend on the number of cores
         self.task, self.chosen, self.folder, self.charts, self.tell = task, chosen, folder, charts, tell
-        self.env, self.held_out_env = make_env(chosen), make_env(chosen)
+        self.env, self.held_out_env = (make_env(task, chosen, design) for _ in range(2))
         self.model = new_model(task, chosen, self.env)
         self.history = History()
         self._losses: dict[str, list[float]] = defaultdict(list)
@@ -497,13 +550,15 @@ class Training:
         self.model.save(file)
         write_bytes(path, file.getvalue())
 
-    def write_submission(self) -> Path:
-        """Make a submission of the model, and return its folder."""
-        track = self.folder / "submission" / "Track_1"
+    def write_submission(self, sensor: Path | None) -> Path:
+        """Make a submission of the model, with the sensor that it was trained on, and return its folder."""
+        track = self.folder / "submission" / load_track(self.chosen.track).folder
+        if sensor is not None:
+            shutil.copytree(sensor, track, dirs_exist_ok=True)
         write_text(
             track / "submission.yaml",
-            f"track: track_1\ntasks: [{self.task}]\nname: challenge's TD3\nentry_point: policy:Policy\n"
-            "observation_keys: [marker_flow, relative_motion]\n",
+            f"track: {self.chosen.track}\ntasks: [{self.task}]\nname: challenge's TD3\nentry_point: policy:Policy\n"
+            f"observation_keys: [{', '.join(self.model.actor.network.observed)}]\n",
         )
         shutil.copyfile(Path(__file__).with_name("policy.py"), track / "policy.py")
         shutil.copyfile(self.folder / f"{self.task}.zip", track / f"{self.task}.zip")

@@ -1,4 +1,4 @@
-"""An environment with the observations of a task of Track 1, whose numbers follow from start and action alone."""
+"""An environment with the observations of a task, whose numbers follow from start and action alone."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,13 +12,14 @@ class ToyTouch(gymnasium.Env[Any, Any]):
 
     Args:
         truths: names of the privileged observations, three numbers each.
-        actions: numbers of an action.
+        actions: numbers of an action; with four the clouds of Track 2 are seen, too.
     """
 
     def __init__(self, truths: Sequence[str], actions: int) -> None:
         self.starts: list[Any] = []
         motion = 4 if actions == 3 else 3
-        shapes = {"marker_flow": (2, 2, 128, 2), "relative_motion": (motion,), **dict.fromkeys(truths, (3,))}
+        clouds = {"object_point_cloud": (2, 128, 3)} if actions == 4 else {}
+        shapes = {"marker_flow": (2, 2, 128, 2), "relative_motion": (motion,), **clouds, **dict.fromkeys(truths, (3,))}
         boxes: dict[str, Any] = {
             key: gymnasium.spaces.Box(-1e3, 1e3, shape, np.float32) for key, shape in shapes.items()
         }

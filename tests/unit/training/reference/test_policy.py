@@ -59,6 +59,20 @@ def test_actors_have_the_published_layers_and_first_weights(
     assert float(found.detach().abs().max()) < 0.1
 
 
+def test_fusion_actor_has_the_published_layers() -> None:
+    actor = ACTORS["fusion-insertion"]()
+    assert linear_shapes(actor.head) == [(256, 384), (256, 256), (4, 256)]
+    assert [tuple(norm.normalized_shape) for norm in (actor.norm_of_seen, actor.norm_of_felt)] == [(256,), (128,)]
+    assert [linear_shapes(each)[-1] for each in (actor.encoder, actor.peg, actor.hole)] == [
+        (64, 256), (128, 256), (128, 256),
+    ]  # fmt: skip
+    flow, clouds = torch.rand(5, 2, 2, 128, 2) * 200, torch.rand(5, 2, 128, 3)
+    found = actor(flow, clouds)
+    assert tuple(found.shape) == (5, 4)
+    assert torch.allclose(actor(flow, clouds[:, :, torch.randperm(128)]), found, atol=1e-5)
+    assert not torch.allclose(actor(flow, clouds.flip(1)), found, atol=1e-5), "peg and hole have encoders of their own"
+
+
 def test_order_of_the_markers_does_not_matter_but_which_gel_does() -> None:
     actor = peg_actor()
     flow, moved = torch.rand(1, 2, 2, 128, 2) * 200, torch.rand(1, 4)
@@ -72,7 +86,8 @@ def renamed(state: dict[str, Any], *, head_first: bool = False) -> dict[str, Any
     names = sorted(state, key=lambda name: name.startswith("encoder") == head_first)
     layers = {f"actor.layer{number}.x": state[name] for number, name in enumerate(names)}
     convolved = {name: value[..., None] if value.ndim == 2 else value for name, value in layers.items()}
-    return {"actor.mu.0.weight": torch.zeros(256, 3), **convolved, "critic.qf0.0.weight": torch.zeros(256, 6)}
+    unused = {} if "peg.points.0.weight" in state else {"actor.mu.0.weight": torch.zeros(256, 3)}
+    return {**unused, **convolved, "critic.qf0.0.weight": torch.zeros(256, 6)}
 
 
 @pytest.mark.parametrize("head_first", [False, True])
@@ -129,7 +144,10 @@ def test_policy_plays_the_tasks_whose_weights_are_there(tmp_path: Path, monkeypa
 
 def test_policy_without_weights_says_what_it_expected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "__file__", str(tmp_path / "policy.py"))
-    with pytest.raises(ValueError, match=r"expected peg-insertion or lock-opening with \.zip or \.pth"):
+    with pytest.raises(
+        ValueError,
+        match=r"expected one of peg-insertion, lock-opening, fusion-insertion, sensor-design with \.zip or \.pth",
+    ):
         Policy()
 
 

@@ -29,8 +29,10 @@ from vitac.training.reference.td3 import (  # noqa: E402
     CLOUDS_AT_ONCE,
     HYPERPARAMETERS,
     CachedPointNet,
+    SensorMismatch,
     UnknownReferenceTask,
     gradient_step,
+    make_env,
     new_model,
     train_reference,
 )
@@ -39,27 +41,31 @@ from vitac.training.streams import StreamRefused, Use, stream  # noqa: E402
 
 
 @pytest.mark.parametrize(
-    ("task", "env_steps", "policy_delay", "truths"),
-    [("peg-insertion", 400_000, 5, ("gt_offset",)), ("lock-opening", 80_000, 2, ("key1", "key2"))],
+    ("task", "env_steps", "buffer_size", "policy_delay", "checkpoint_env_steps", "truths"),
+    [
+        ("peg-insertion", 400_000, 10_000, 5, 2000, ("gt_offset",)),
+        ("lock-opening", 80_000, 10_000, 2, 2000, ("key1", "key2")),
+        ("fusion-insertion", 100_000, 5000, 2, 5000, ("gt_offset", "relative_motion", "gt_direction")),
+        ("sensor-design", 200_000, 20_000, 5, 2000, ("gt_offset",)),
+    ],
 )
-def test_what_differs_by_task(task: str, env_steps: int, policy_delay: int, truths: tuple[str, ...]) -> None:
+def test_what_differs_by_task(
+    task: str, env_steps: int, buffer_size: int, policy_delay: int, checkpoint_env_steps: int, truths: tuple[str, ...]
+) -> None:
     found = HYPERPARAMETERS[task]
-    assert (found.env_steps, found.policy_delay, found.truths) == (env_steps, policy_delay, truths)
-    assert found.env_id == find_task(task)[1].env_id
+    assert (found.env_steps, found.buffer_size, found.policy_delay) == (env_steps, buffer_size, policy_delay)
+    assert (found.checkpoint_env_steps, found.truths) == (checkpoint_env_steps, truths)
+    track, definition = find_task(task)
+    assert (found.track, found.env_id) == (track.name, definition.env_id)
 
 
 @pytest.mark.parametrize("task", HYPERPARAMETERS)
 def test_what_all_tasks_share(task: str) -> None:
     found = HYPERPARAMETERS[task]
-    assert (found.buffer_size, found.learning_starts, found.batch_size) == (10_000, 1000, 128)
+    assert (found.learning_starts, found.batch_size) == (1000, 128)
     assert (found.learning_rate, found.discount, found.tau) == (3e-4, 0.99, 0.005)
     assert (found.target_noise, found.target_noise_clip, found.action_noise) == (0.5, 1.0, 0.5)
-    assert (found.env_steps_per_training, found.checkpoint_env_steps, found.log_interval, found.seed) == (
-        2,
-        2000,
-        10,
-        0,
-    )
+    assert (found.env_steps_per_training, found.log_interval, found.seed) == (2, 10, 0)
 
 
 @pytest.fixture(autouse=True)
@@ -186,25 +192,51 @@ def test_model_is_the_published_one(task: str, actions: int, truth: int) -> None
     assert [name for name in model.policy.state_dict() if name.startswith("actor.mu.")]
 
 
-def test_training_ends_in_a_submission_that_plays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    quick = {"peg-insertion": replace(HYPERPARAMETERS["peg-insertion"], **QUICK)}  # type: ignore[arg-type]
-    monkeypatch.setattr(td3, "HYPERPARAMETERS", quick)
-    monkeypatch.setattr(td3, "make_env", lambda chosen: ToyTouch(chosen.truths, 3))
-    folder = train_reference("peg-insertion", tmp_path / "run", env_steps=12)
-    assert load_manifest(folder / "Track_1").tasks == ("peg-insertion",)
-    assert (tmp_path / "run" / "checkpoints" / "peg-insertion_5_steps.zip").exists()
+@pytest.mark.parametrize(
+    ("task", "actions", "folder"),
+    [("peg-insertion", 3, "Track_1"), ("fusion-insertion", 4, "Track_2"), ("sensor-design", 3, "Track_3")],
+)
+def test_training_ends_in_a_submission_that_plays(
+    task: str, actions: int, folder: str, repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chosen = replace(HYPERPARAMETERS[task], **QUICK)  # type: ignore[arg-type]
+    env = ToyTouch(chosen.truths, actions)
+    monkeypatch.setattr(td3, "HYPERPARAMETERS", {task: chosen})
+    monkeypatch.setattr(td3, "make_env", lambda *_: ToyTouch(chosen.truths, actions))
+    sensor = repository / "examples" / "track_3_dome" / "Track_3" if folder == "Track_3" else None
+    submission = train_reference(task, tmp_path / "run", env_steps=12, sensor=sensor) / folder
+    assert load_manifest(submission).tasks == (task,)
+    assert (submission / "gel.stl").exists() == (sensor is not None)
+    assert (tmp_path / "run" / "checkpoints" / f"{task}_5_steps.zip").exists()
     with (tmp_path / "run" / "progress.csv").open() as file:
         assert "eval/mean_reward" in next(file)
     with np.load(tmp_path / "run" / "evaluations.npz") as evaluations:
         assert evaluations["timesteps"].tolist() == [5, 10]
         assert evaluations["results"].shape == (2, 3)
-    policy = run_path(str(folder / "Track_1" / "policy.py"))["Policy"]()
-    policy.reset("peg-insertion")
-    action = policy.act(
-        {"marker_flow": np.ones((2, 2, 128, 2), np.float32), "relative_motion": np.zeros(4, np.float32)}
-    )
-    assert action.shape == (3,)
+    policy = run_path(str(submission / "policy.py"))["Policy"]()
+    policy.reset(task)
+    action = policy.act(env.reset()[0])
+    assert action.shape == (actions,)
     assert np.abs(action).max() <= 1.0
+
+
+@pytest.mark.parametrize(("task", "sensor"), [("sensor-design", None), ("peg-insertion", Path("sensor"))])
+def test_sensor_is_for_the_task_that_has_one(
+    task: str, sensor: Path | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(td3, "HYPERPARAMETERS", {task: HYPERPARAMETERS[task]})
+    with pytest.raises(SensorMismatch, match=f"Expected .* for {task}"):
+        train_reference(task, tmp_path / "run", sensor=sensor)
+    assert not (tmp_path / "run").exists()
+
+
+def test_actor_and_critics_of_fusion_see_what_is_published() -> None:
+    chosen = HYPERPARAMETERS["fusion-insertion"]
+    env = make_env("fusion-insertion", chosen, None)
+    model = new_model("fusion-insertion", replace(chosen, buffer_size=1), env)
+    assert {"marker_flow", "object_point_cloud"} <= set(env.observation_space.spaces)
+    assert model.critic.q_networks[0][0].in_features == 9 + 4
+    assert env.unwrapped.settings.insertion_depth_mm == 2.0
 
 
 TASK = "peg-insertion"
@@ -229,7 +261,7 @@ class Killed(BaseException):
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(td3, "HYPERPARAMETERS", {TASK: CHOSEN})
-    monkeypatch.setattr(td3, "make_env", lambda chosen: ToyTouch(chosen.truths, 3))
+    monkeypatch.setattr(td3, "make_env", lambda *_: ToyTouch(CHOSEN.truths, 3))
 
 
 def train(folder: Path, env_steps: int = ENV_STEPS) -> list[str]:
@@ -268,7 +300,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(td3, "HYPERPARAMETERS", {TASK: CHOSEN})
-        patched.setattr(td3, "make_env", lambda chosen: ToyTouch(chosen.truths, 3))
+        patched.setattr(td3, "make_env", lambda *_: ToyTouch(CHOSEN.truths, 3))
         lines = train(folder)
     assert len(lines) >= 3
     assert lines[-1].startswith("4")
@@ -400,8 +432,8 @@ def test_episodes_are_learned_from_in_the_order_of_their_numbers_and_each_evalua
 ) -> None:
     made: list[ToyTouch] = []
 
-    def make_env(chosen: Any) -> ToyTouch:
-        made.append(ToyTouch(chosen.truths, 3))
+    def make_env(*_: Any) -> ToyTouch:
+        made.append(ToyTouch(CHOSEN.truths, 3))
         return made[-1]
 
     monkeypatch.setattr(td3, "make_env", make_env)
