@@ -134,7 +134,9 @@ class Policy:
                     self.actors[task] = make()
                     load_actor(self.actors[task], read_state(path))
         if not self.actors:
-            raise ValueError(f"No weights are beside {__file__}; expected one of {', '.join(ACTORS)} with .zip or .pth.")
+            raise ValueError(
+                f"No weights are beside {__file__}; expected one of {', '.join(ACTORS)} with .zip or .pth."
+            )
 
     def reset(self, task: str) -> None:
         """Begin an episode."""
