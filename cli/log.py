@@ -205,7 +205,7 @@ def match(
     track, task = find_task(header.manifest.task)
     with (
         staged(submission) as folder,
-        load_in_sandbox(folder, Limits(), 0, track.packages) as session,
+        load_in_sandbox(folder, Limits(), track.packages) as session,
         compiling_shown(),
     ):
         reading = make_reading(task, load_manifest(folder).observation_keys)
