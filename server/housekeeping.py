@@ -96,7 +96,7 @@ class Housekeeping:
         versions = versions_here()
         if versions != self._declared:
             with self._services.database.transaction() as session:
-                declare(session, versions)
+                declare(session, versions, self._services.settings.outdated_evaluations)
             self._declared = versions
 
     def _sweep_others(self) -> None:

@@ -34,6 +34,13 @@ class Registration(StrEnum):
     CLOSED = "closed"  # organizers only
 
 
+class OutdatedRule(StrEnum):
+    """What becomes of evaluations that began with another evaluator version than the service has."""
+
+    RESTART = "restart"  # they are restarted with the service's, once no worker of theirs takes shards
+    FINISH = "finish"  # workers of their version finish those that run; those that wait are restarted
+
+
 MAIL_SCHEMES = ("smtp", "smtps", "smtp+starttls", "file")
 """Schemes that `mail_url` may have."""
 
@@ -232,6 +239,11 @@ class Settings(BaseSettings):
     worker_heartbeat_s: PositiveFloat = Field(default=2.0, description="How often a worker reports that it is alive.")
     worker_lost_after_s: PositiveFloat = Field(
         default=15.0, description="A worker without a heartbeat for this time is lost."
+    )
+    outdated_evaluations: OutdatedRule = Field(
+        default=OutdatedRule.RESTART,
+        description="What an upgrade of the evaluator does to evaluations that run: `finish` them on workers of the "
+        "version that they began with, or `restart` them with the new one. The server that starts last decides.",
     )
     worker_slots: PositiveInt = Field(default=1, description="Shards that one worker process runs at the same time.")
     finished_jobs_kept_h: PositiveInt = Field(

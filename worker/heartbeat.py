@@ -11,10 +11,10 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 from vitac.evaluator.version import evaluator_version, platform_class
 from vitac.server.db.models import Worker
-from vitac.server.db.schema import installed_revision, newest_revision
+from vitac.server.db.schema import explain_other_schema
 from vitac.server.db.states import WorkerOrder, WorkerState
 from vitac.server.queue import workers
-from vitac.server.queue.declared import declared_versions, explain_other_evaluator
+from vitac.server.queue.declared import declared_versions, explain_left_work, explain_other_evaluator
 from vitac.server.services import Services
 
 from .fitness import explain_unfit, fit_families
@@ -83,28 +83,26 @@ class Heartbeat:
                 return
 
     def _other_schema(self) -> str | None:
-        """Return what is wrong with the schema; None where it is this release's."""
+        """Return why this release cannot work with the schema; None where it can."""
         try:
             with self._services.database.engine.connect() as connection:
-                installed = installed_revision(connection)
+                return explain_other_schema(connection)
         except SQLAlchemyError:  # It is away; the next look will tell.
             return None
-        expected = newest_revision()
-        if installed == expected:
-            return None
-        return f"The database has schema {installed or 'none'}, expected {expected}. Start the worker of its release."
 
     def _beat(self, state: WorkerState) -> None:
         try:
             with self._services.database.transaction() as session:
                 declared = declared_versions(session)
                 disk = workers.measure_disk(self._services.settings.scratch_dir)
-                message = self._message or explain_unfit(declared)
+                leaves = explain_other_evaluator(declared)
+                left = explain_left_work(session) if leaves else None
+                message = self._message or left or explain_unfit(declared)
                 order = workers.heartbeat(session, self.worker_id, state, disk, message)
         except (SQLAlchemyError, OSError) as error:
             logger.warning("heartbeat_failed", error=" ".join(str(error).split())[:200])
         else:
-            if explain_other_evaluator(declared):
+            if leaves and not left:
                 self._on_other_evaluator()
             if order is not None and state is not WorkerState.STOPPED:
                 self._note(order)

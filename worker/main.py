@@ -8,15 +8,17 @@ from contextlib import ExitStack, contextmanager
 
 import structlog
 from sqlalchemy.exc import DBAPIError
+from sqlalchemy.orm import Session
 from vitac.evaluator.shards.process import ShardProcesses
 from vitac.server.db.availability import DatabaseUnreachable
 from vitac.server.db.states import WorkerOrder, WorkerState
 from vitac.server.housekeeping import Housekeeping
-from vitac.server.queue.declared import declared_versions, explain_other_evaluator
+from vitac.server.queue.declared import declared_versions, explain_left_work, explain_other_evaluator
 from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
 from vitac.server.storage.disk_space import is_disk_full
 
+from .alive import sign_of_life
 from .heartbeat import START_PATIENCE_S, Heartbeat
 from .isolation import IsolationReport, probe_isolation
 from .shard_run import StartShard
@@ -63,7 +65,7 @@ def work(
         WorkerRefused: the stay is limited, and this machine may take no shards.
     """
     stopping = threading.Event()
-    with _stopped_by_signals(stopping):
+    with _stopped_by_signals(stopping), sign_of_life(services.settings.state_dir):
         while not stopping.is_set():
             report = probe()
             refusal = _explain_refused(services, report)
@@ -120,8 +122,13 @@ def _explain_refused(services: Services, report: IsolationReport) -> str | None:
     """Return why this worker may take no shard at all; None if it may."""
     if not report.is_sound:
         return f"This machine may not run policies: {' '.join(report.problems)} Run `vitac doctor` here."
-    declared = services.database.retrying(declared_versions, give_up_after_s=START_PATIENCE_S)
-    return explain_other_evaluator(declared)
+    return services.database.retrying(_explain_other_evaluator, give_up_after_s=START_PATIENCE_S)
+
+
+def _explain_other_evaluator(session: Session) -> str | None:
+    """Return why a worker with this evaluator has nothing to do; None if the service has it or leaves it work."""
+    problem = explain_other_evaluator(declared_versions(session))
+    return problem if problem and not explain_left_work(session) else None
 
 
 def _refuse(services: Services, report: IsolationReport, message: str, stopping: threading.Event) -> None:

@@ -207,6 +207,7 @@ class ShardRun(LeasedRun[RunningShard]):
             coefficients=self._coefficients(),
             track=self._lease.track,
             task=self._lease.task,
+            evaluator_version=self._lease.evaluator_version,
             secret=secret,
             shard=self._lease.number,
             episodes=self._lease.episodes,

@@ -49,7 +49,11 @@ app.add_typer(
     help="Submissions: list, show, copies, clear, withdraw-clearance, requeue, cancel, disqualify, reinstate, "
     "remove-description, restore-description.",
 )
-app.add_typer(evaluation.app, name="evaluation", help="Evaluations: list, show, requeue, cancel.")
+app.add_typer(
+    evaluation.app,
+    name="evaluation",
+    help="Evaluations: list, show, unserved, restart, restart-unserved, requeue, cancel.",
+)
 app.add_typer(worker.app, name="worker", help="Workers: list, show, cordon, uncordon, drain.")
 app.add_typer(audit.app, name="audit", help="The audit log: list.")
 app.add_typer(announcement.app, name="announcement", help="Announcements to everybody: publish, list, withdraw.")

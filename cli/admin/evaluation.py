@@ -5,7 +5,7 @@ from uuid import UUID
 
 import typer
 from sqlalchemy.orm import Session
-from vitac.server.evaluations import listing
+from vitac.server.evaluations import listing, superseding
 from vitac.server.principals import CONSOLE
 from vitac.server.submissions import runs
 from vitac.server.submissions.listing import get
@@ -15,7 +15,7 @@ from vitac.server.views.submissions import SubmissionView
 from ..service.database import load_settings, transaction
 from ..terminal.output import AsJson, moment, percent, print_json, print_pairs, print_table
 from .state import known_state
-from .verbs import change
+from .verbs import change, list_records
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -78,6 +78,37 @@ def cancel(session: Session, evaluation: EvaluationId) -> EvaluationDetailView:
     """Cancel an evaluation that waits or runs."""
     runs.cancel_evaluation(session, CONSOLE, listing.find(session, evaluation))
     return listing.show_evaluation(session, load_settings(), evaluation)
+
+
+@list_records(
+    app,
+    *("id", "team", "submission_id", "state", "evaluator_version", "created_at"),
+    none="No evaluation waits for an evaluator that no running worker has.",
+    name="unserved",
+)
+def list_unserved(session: Session) -> list[EvaluationRowView]:
+    """List the evaluations that wait because no running worker has the evaluator with which they began.
+
+    Start a worker of that release, or restart them with the present evaluator.
+    """
+    return listing.list_evaluations(session, superseding.is_unserved(load_settings()), limit=1000)
+
+
+@change(
+    app,
+    question="Restart evaluation {evaluation} with the present evaluator?",
+    done="evaluation {evaluation} begins again with the present evaluator",
+)
+def restart(session: Session, evaluation: EvaluationId) -> SubmissionView:
+    """Restart an evaluation of another evaluator with the present one; it costs its team nothing."""
+    superseding.restart(session, CONSOLE, evaluation)
+    return get(session, load_settings(), CONSOLE, listing.find(session, evaluation).submission_id)
+
+
+@change(app, question="Restart all evaluations whose evaluator no running worker has, with the present one?")
+def restart_unserved(session: Session) -> dict[str, object]:
+    """Restart all evaluations whose evaluator no running worker has with the present one; up to 200 at once."""
+    return {"restarted": superseding.restart_unserved(session, CONSOLE, load_settings())}
 
 
 def _row(row: "EvaluationRowView") -> list[object]:

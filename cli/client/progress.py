@@ -93,8 +93,12 @@ def nobody(found: Json) -> str:
     """Return why no worker takes the evaluation now, in a few words; empty where one does or it has ended."""
     if found["workers"]["alive"] > 0 or found["evaluation"]["state"] not in {"queued", "running"}:
         return ""
-    missing = found["workers"].get("missing_family")
-    return f"no running worker has what {missing} needs" if missing else "no worker is running"
+    workers = found["workers"]
+    if family := workers.get("missing_family"):
+        return f"no running worker has what {family} needs"
+    if evaluator := workers.get("missing_evaluator"):
+        return f"no running worker has evaluator {evaluator}, with which it began"
+    return "no worker is running"
 
 
 def missing_tasks(found: Json) -> str:

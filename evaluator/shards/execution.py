@@ -18,6 +18,7 @@ from ..submission_kinds import SubmissionKind
 from ..tracks import Player, Task, Track
 from ..tracks.cut import Shard, cut
 from ..tracks.sealed import load_played_track, read_secret
+from ..tracks.versions import find_version
 from .batch import run_batches
 from .estimator import run_estimator
 from .log import LogShard, resimulate_log
@@ -29,6 +30,11 @@ from .text_log import resimulate_text_log
 
 if TYPE_CHECKING:
     from vitac.envs.tactile.design import SensorDesign
+
+
+class OtherEvaluator(VitacError):
+    """The process of a shard has another evaluator than the evaluation began with; start its worker again."""
+
 
 OnEpisode = Callable[[EpisodeRecord], None]
 
@@ -70,6 +76,11 @@ def execute(order: ShardOrder, answer: IO[str], preparation: Preparation) -> Non
 
 
 def _make_result(order: ShardOrder, preparation: Preparation, send: Callable[[ShardMessage], None]) -> ShardResult:
+    if order.evaluator_version not in {None, find_version(order.track)}:
+        raise OtherEvaluator(
+            f"Expected evaluator {order.evaluator_version}, got {find_version(order.track)}: the installation was "
+            "replaced under a running worker. Start the worker again."
+        )
     track = load_played_track(order.track, read_secret(order.secret) if order.secret else None)
     task = track.tasks[order.task]
     shard = next(shard for shard in cut(task, order.episodes) if shard.index == order.shard)

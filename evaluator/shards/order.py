@@ -37,13 +37,15 @@ class ShardOrder(StrictModel):
     `submission` is the folder of an unpacked archive, or the file of a log; `secret` the file with the secret of a
     sealed list, without which the public one is played; `sensor` a folder with a sensor of a team's own, or the
     file of a made one. `figures` says of which of the sensor's figures the shard measures a part. `coefficients`
-    are what the standard estimator has learned of the sensor; without them it is calibrated first.
+    are what the standard estimator has learned of the sensor; without them it is calibrated first. A process of another
+    `evaluator_version` than the given one refuses the order.
     """
 
     kind: SubmissionKind
     submission: Path
     track: str
     task: str
+    evaluator_version: str | None = None
     secret: Path | None = None
     shard: NonNegativeInt
     episodes: tuple[int, ...] | None = None

@@ -9,7 +9,7 @@ from typing import TypeVar
 from fastapi import APIRouter, Response
 from sqlalchemy.exc import DBAPIError
 
-from ..db.schema import is_current
+from ..db.schema import explain_other_schema
 from ..errors import ServiceError
 from ..queue.workers import workers_alive
 from ..services import Services
@@ -71,7 +71,8 @@ def _look_at_database(services: Services) -> DatabaseState:
     try:
         with services.database.transaction() as session:
             alive = workers_alive(session, services.settings)
-        migrations = OK if is_current(services.database) else "the schema is not the one of this version"
+        with services.database.engine.connect() as connection:
+            migrations = explain_other_schema(connection) or OK
     except DBAPIError:
         return NOT_KNOWN
     return OK, migrations, WorkersView(alive=alive.alive, last_heartbeat_at=alive.last_heartbeat_at)

@@ -44,7 +44,7 @@ def let_service_work(connection: Connection, role: str, *, tables_are_new: bool)
         "GRANT USAGE ON SCHEMA public TO {}",
         "GRANT SELECT, INSERT, UPDATE, DELETE ON ALL TABLES IN SCHEMA public TO {}",
         "GRANT SELECT, USAGE ON ALL SEQUENCES IN SCHEMA public TO {}",
-        "REVOKE INSERT, UPDATE, DELETE ON alembic_version FROM {}",
+        "REVOKE INSERT, UPDATE, DELETE ON alembic_version, schema_compatibility FROM {}",
         *(f"REVOKE UPDATE, DELETE ON {table} FROM {{}}" for table in APPEND_ONLY),
     ):
         connection.exec_driver_sql(sql.SQL(statement).format(sql.Identifier(role)).as_string())

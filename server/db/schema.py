@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,6 +27,10 @@ if TYPE_CHECKING:
 
 class WrongEncoding(VitacError):
     """The database does not hold text as UTF-8; make another one."""
+
+
+class OtherSchema(VitacError):
+    """A newer release has changed the schema so that this one cannot work with it; start that release."""
 
 
 LOCK_TIMEOUT_S = 5.0
@@ -46,19 +51,24 @@ def upgrade(
 
     Raises:
         WrongEncoding: the database does not hold text as UTF-8.
+        OtherSchema: a newer release has changed the schema, and this one cannot work with it.
         NotTheOwner: something is to be migrated, and this process does not have the owner's address.
         sqlalchemy.exc.OperationalError: another transaction held a table for longer than `lock_timeout_s`, or a
             statement took longer than `statement_timeout_s`.
     """
     with _migrating(database, lock_timeout_s, statement_timeout_s) as connection:
         _require_utf8(connection)
-        is_old = installed_revision(connection) != newest_revision()
+        installed = installed_revision(connection)
+        is_old = installed is None or (knows_revision(installed) and installed != newest_revision())
         if is_old:
             from alembic import command
 
             require_owner(connection)
             connection.rollback()
             command.upgrade(_configuration(connection), "head")
+            _note_oldest(connection)
+        elif problem := explain_other_schema(connection):
+            raise OtherSchema(problem)
         if database.owner_address != database.address:
             let_service_work(connection, service_role(database.address), tables_are_new=is_old)
 
@@ -86,10 +96,31 @@ def _migrating(database: Database, lock_timeout_s: float, statement_timeout_s: f
         yield connection
 
 
-def is_current(database: Database) -> bool:
-    """Return whether the database has exactly the schema that this version works with."""
-    with database.engine.connect() as connection:
-        return installed_revision(connection) == newest_revision()
+def explain_other_schema(connection: Connection) -> str | None:
+    """Return why this release cannot work with the schema; None where it can, as with what a newer one only added."""
+    installed, own = installed_revision(connection), newest_revision()
+    if installed == own:
+        return None
+    advice = "Start the release that has it."
+    if installed is not None and installed > own:
+        oldest = connection.exec_driver_sql("SELECT max(oldest) FROM schema_compatibility").scalar_one()
+        if oldest is not None and oldest <= own:
+            return None
+        advice = f"Only releases from schema {oldest} on work with it: start the newer release."
+    return f"The database has schema {installed or 'none'}, expected {own}. {advice}"
+
+
+def _note_oldest(connection: Connection) -> None:
+    """Store which releases work with the schema: those since the last revision that did more than add."""
+    versions = _migrations() / "versions"
+    oldest = max(
+        path.name[1:5]
+        for path in versions.glob("v*.py")
+        if not import_module(f"vitac.migrations.versions.{path.stem}").__dict__.get("works_with_older", False)
+    )
+    connection.exec_driver_sql("DELETE FROM schema_compatibility")
+    connection.exec_driver_sql("INSERT INTO schema_compatibility VALUES (%s)", (oldest,))
+    connection.commit()
 
 
 def installed_revision(connection: Connection) -> str | None:

@@ -2,7 +2,7 @@
 
 from uuid import UUID
 
-from sqlalchemy import select
+from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session, defer, joinedload
 
 from ..db.models import Evaluation, Shard, Submission
@@ -30,11 +30,14 @@ def find(session: Session, evaluation_id: UUID) -> Evaluation:
     return found
 
 
-def list_evaluations(session: Session, *, state: EvaluationState | None = None, limit: int) -> list[EvaluationRowView]:
-    """Return the newest evaluations (in a state), newest first."""
+def list_evaluations(
+    session: Session, *conditions: ColumnElement[bool], state: EvaluationState | None = None, limit: int
+) -> list[EvaluationRowView]:
+    """Return the newest evaluations (in a state, on conditions), newest first."""
     query = (
         select(Evaluation, count_differing_episodes(), count_copied_episodes())
         .options(defer(Evaluation.log_tail), joinedload(Evaluation.submission).joinedload(Submission.team))
+        .where(*conditions)
         .order_by(Evaluation.created_at.desc(), Evaluation.id)
         .limit(limit)
     )

@@ -1,23 +1,31 @@
-"""Evaluations that wait for an evaluator that no worker runs, as after an upgrade: started again with today's."""
+"""Evaluations of another evaluator than the service has, as after an upgrade: restarted with the service's.
+
+Which ones, says the declared rule: those that no worker can finish, or those that have not begun. Of the others an
+organizer restarts what no worker can finish.
+"""
 
 from collections.abc import Sequence
 from functools import partial
 from uuid import UUID
 
 import structlog
-from sqlalchemy import Text, and_, func, literal, or_, select
+from sqlalchemy import ColumnElement, Text, and_, func, literal, or_, select
 from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import list_tracks, load_track
 from vitac.evaluator.tracks.versions import current_versions, find_version
 from vitac.evaluator.version import evaluator_version
 
+from ..audit import record
 from ..db.advisory_locks import AdvisoryLock, try_lock
 from ..db.models import Evaluation, Submission, Worker
 from ..db.row_locks import try_lock_evaluation, unless_held
-from ..db.states import ACTIVE_EVALUATION_STATES
+from ..db.states import ACTIVE_EVALUATION_STATES, EvaluationState
+from ..errors import ProblemCode, ServiceError
+from ..principals import Principal
+from ..queue.declared import declared_versions, explain_other_evaluator, read_outdated_rule
 from ..queue.workers import is_alive, workers_alive
-from ..settings import Settings
+from ..settings import OutdatedRule, Settings
 from . import lifecycle
 
 logger = structlog.get_logger(__name__)
@@ -27,22 +35,66 @@ BEGUN_AGAIN_AT_ONCE = 200
 
 
 def supersede_outdated(session: Session, settings: Settings) -> int:
-    """Begin the oldest evaluations of versions without a worker again with this process's version; how many.
+    """Restart the oldest evaluations that the declared rule names with this process's version; return how many.
 
-    Only while a worker of this version lives: otherwise nothing would be gained, and two versions of the service side
-    by side would take each other's work away.
+    Only while a worker of this version lives, where nothing would be gained otherwise, and only if it is the declared
+    one: two versions of the service side by side would take each other's work away.
     """
-    if not try_lock(session, AdvisoryLock.SUPERSEDE):
+    if not try_lock(session, AdvisoryLock.SUPERSEDE) or explain_other_evaluator(declared_versions(session)):
         return 0
     if not workers_alive(session, settings, evaluator_version()).alive:
         return 0
-    outdated = _outdated(session, settings)
-    begun = [unless_held(session, partial(_begin_again, session, evaluation_id)) for evaluation_id in outdated]
+    if read_outdated_rule(session) is OutdatedRule.FINISH:
+        found = _outdated(session, Evaluation.state == EvaluationState.QUEUED)
+    else:
+        found = _outdated(session, is_unserved(settings))
+    begun = [unless_held(session, partial(_begin_again, session, evaluation_id)) for evaluation_id in found]
     return begun.count(True)
 
 
-def _outdated(session: Session, settings: Settings) -> Sequence[UUID]:
+def is_unserved(settings: Settings) -> ColumnElement[bool]:
+    """Return the condition that an evaluation is of another evaluator, which no living worker has, and not over."""
     served = select(Worker.evaluator_version).where(is_alive(settings))
+    return and_(
+        Evaluation.state.in_(ACTIVE_EVALUATION_STATES),
+        Evaluation.evaluator_version.not_in(current_versions()),
+        Evaluation.evaluator_version.not_in(served),
+    )
+
+
+def restart(session: Session, by: Principal, evaluation_id: UUID) -> None:
+    """Restart an evaluation of another evaluator with the one that the service has.
+
+    Raises:
+        ServiceError: not an organizer, it has ended, it has this evaluator already, or its task is gone.
+    """
+    by.require_organizer(by.contest)
+    evaluation = session.get_one(Evaluation, evaluation_id)
+    if evaluation_id not in _outdated(session, Evaluation.id == evaluation_id):
+        raise ServiceError(
+            ProblemCode.NOT_REQUEUABLE,
+            f"Evaluation {evaluation_id} is {evaluation.state}, of evaluator {evaluation.evaluator_version}: expected "
+            f"one that waits or runs, of another evaluator than {find_version(evaluation.submission.track)}, with "
+            "tasks that the service still has.",
+        )
+    _begin_again(session, evaluation_id)
+    record(session, by, "evaluation.restart", f"evaluation:{evaluation_id}", {"version": evaluation.evaluator_version})
+
+
+def restart_unserved(session: Session, by: Principal, settings: Settings) -> list[UUID]:
+    """Restart all evaluations whose evaluator no living worker has; return which.
+
+    Raises:
+        ServiceError: not an organizer.
+    """
+    by.require_organizer()
+    found = _outdated(session, is_unserved(settings))
+    for evaluation_id in found:
+        restart(session, by, evaluation_id)
+    return list(found)
+
+
+def _outdated(session: Session, *conditions: ColumnElement[bool]) -> Sequence[UUID]:
     # One whose track file is gone, or no longer has its task, waits until it is back.
     known = [(name, literal(list(load_track(name).tasks), ARRAY(Text))) for name in list_tracks()]
     return session.scalars(
@@ -52,7 +104,7 @@ def _outdated(session: Session, settings: Settings) -> Sequence[UUID]:
             or_(*(and_(Submission.track == name, tasks.contains(Submission.tasks)) for name, tasks in known)),
             Evaluation.state.in_(ACTIVE_EVALUATION_STATES),
             Evaluation.evaluator_version.not_in(current_versions()),
-            Evaluation.evaluator_version.not_in(served),
+            *conditions,
         )
         .order_by(Evaluation.created_at, Evaluation.id)
         .limit(BEGUN_AGAIN_AT_ONCE)

@@ -96,6 +96,7 @@ def state_families(state: OperationsView) -> Iterator[Metric]:
     yield _gauge(
         "vitac_oldest_evaluation_seconds", "Age of the oldest queued evaluation.", queue.oldest_evaluation_s or 0
     )
+    yield _gauge("vitac_evaluations_unserved", "Evaluations whose evaluator no worker has.", queue.evaluations_unserved)
     yield _gauge(
         "vitac_shard_idle_seconds", "Longest time since a running shard stored an episode.", queue.shard_idle_s or 0
     )

@@ -19,6 +19,7 @@ from ..db.states import (
     EvaluationState,
     ShardState,
 )
+from ..evaluations.superseding import is_unserved
 from ..metrics.totals import SeriesKey
 from ..queue.workers import running_shards, worker_view
 from ..settings import Settings
@@ -37,7 +38,7 @@ def operations(session: Session, settings: Settings, counted: Mapping[SeriesKey,
     shards = running_shards(session)
     recent = select(Worker).where(Worker.heartbeat_at > now - WORKERS_SHOWN_FOR).order_by(Worker.host, Worker.pid)
     return OperationsView(
-        queue=_queue(session, now),
+        queue=_queue(session, settings, now),
         storage=_storage(session),
         workers=[
             worker_view(worker, settings, now=now, shards=shards.get(worker.id, ()))
@@ -49,9 +50,10 @@ def operations(session: Session, settings: Settings, counted: Mapping[SeriesKey,
     )
 
 
-def _queue(session: Session, now: datetime) -> QueueView:
+def _queue(session: Session, settings: Settings, now: datetime) -> QueueView:
     shards = _open_rows(session, Shard.state, OPEN_SHARD_STATES, Shard.queued_at)
     progressed_at = session.scalar(select(func.min(Shard.progressed_at)).where(Shard.state == ShardState.RUNNING))
+    unserved = session.scalar(select(func.count()).select_from(Evaluation).where(is_unserved(settings)))
     evaluations = _open_rows(session, Evaluation.state, ACTIVE_EVALUATION_STATES, Evaluation.created_at)
     return QueueView(
         shards_queued=shards.get(ShardState.QUEUED, (0, now))[0],
@@ -61,6 +63,7 @@ def _queue(session: Session, now: datetime) -> QueueView:
         evaluations_queued=evaluations.get(EvaluationState.QUEUED, (0, now))[0],
         evaluations_running=evaluations.get(EvaluationState.RUNNING, (0, now))[0],
         oldest_evaluation_s=_age_s(evaluations.get(EvaluationState.QUEUED), now),
+        evaluations_unserved=unserved or 0,
     )
 
 

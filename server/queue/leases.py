@@ -15,6 +15,7 @@ from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 from vitac.evaluator.shards.result import ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks.versions import find_version
 
 from ..db.models import Evaluation, Shard, SubmissionFile
 from ..db.row_locks import lock_evaluation
@@ -56,12 +57,12 @@ class Lease:
 
 
 def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> Lease | None:
-    """Take a queued shard; None when there is nothing to do (taken, finished, cancelled).
+    """Take a queued shard; None when there is nothing to do (taken, finished, cancelled, of another evaluator).
 
     A running shard is not taken away here: the sweep queues it again when its lease has run out.
     """
     evaluation = _lock_evaluation(session, shard_id)
-    if evaluation is None:
+    if evaluation is None or evaluation.evaluator_version != find_version(evaluation.submission.track):
         return None
     shard = session.get(Shard, shard_id, with_for_update=True, populate_existing=True)
     if shard is None or shard.state is not ShardState.QUEUED:

@@ -164,6 +164,7 @@ def _workers(known: Fleet, evaluator_version: str, track: str, tasks: tuple[str,
     return WorkersView(
         alive=min(alive.values(), default=any_family.alive),
         missing_family=missing if any_family.alive else None,
+        missing_evaluator=None if any_family.alive or not known.alive().alive else evaluator_version,
         last_heartbeat_at=any_family.last_heartbeat_at,
     )
 

@@ -34,6 +34,8 @@ class QueueView(View):
     evaluations_queued: int
     evaluations_running: int
     oldest_evaluation_s: float | None
+    evaluations_unserved: int
+    """Those of another evaluator than the service's that no living worker has."""
 
 
 class StorageView(View):

@@ -17,6 +17,9 @@ class WorkersView(View):
     missing_family: Family | None = Field(
         default=None, description="A family of its tasks that none of the running workers has what it needs for."
     )
+    missing_evaluator: str | None = Field(
+        default=None, description="The evaluator that the evaluation began with, where no running worker has it."
+    )
     last_heartbeat_at: datetime | None
 
 

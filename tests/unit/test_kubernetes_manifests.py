@@ -1,5 +1,8 @@
 """The Kubernetes example is valid in several versions, names settings that exist, and keeps the security model."""
 
+import os
+import subprocess
+import time
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -15,6 +18,8 @@ from vitac.server.db.engine import Database
 from vitac.server.queue.depth import count_open_work
 from vitac.server.settings import Settings
 from vitac.server.submissions import creation
+from vitac.worker.alive import FILE, sign_of_life
+from worker_fakes import eventually
 
 VERSIONS = ("1.30", "1.34", kubernetes_validate.latest_version())
 COMPONENTS = ("server", "worker")
@@ -150,3 +155,32 @@ def test_images_are_of_this_release(manifests: list[dict[str, Any]], repository:
         assert container["image"].endswith(f"/vitac-arena-{component}:{release}")
     base = yaml.safe_load((repository / "docs" / "kubernetes" / "kustomization.yaml").read_text())
     assert {image["newTag"] for image in base["images"]} == {release}
+
+
+def test_probes_of_workers_look_at_the_file_that_a_living_worker_touches(
+    manifests: list[dict[str, Any]], repository: Path, tmp_path: Path
+) -> None:
+    container = pod(manifests, "worker")["containers"][0]
+    compose = yaml.safe_load((repository / "docker-compose.yml").read_text())["services"]["worker"]["healthcheck"]
+    commands = {container[probe]["exec"]["command"][-1] for probe in ("startupProbe", "livenessProbe")}
+    commands.add(compose["test"][-1].replace("$$", "$"))
+    (command,) = commands
+    state = next(mount["mountPath"] for mount in container["volumeMounts"] if mount["name"] == "state")
+    assert f"{state}/{FILE}" in command
+
+    def is_healthy() -> bool:
+        here = command.replace(state, str(tmp_path))
+        return subprocess.run(["sh", "-c", here], stderr=subprocess.DEVNULL).returncode == 0
+
+    assert not is_healthy()
+    with sign_of_life(tmp_path):
+        eventually(is_healthy)
+        minutes_ago = time.time() - 120
+        os.utime(tmp_path / FILE, (minutes_ago, minutes_ago))
+        assert not is_healthy()
+    assert not (tmp_path / FILE).exists()
+
+
+def test_an_image_without_the_player_is_not_built(repository: Path) -> None:
+    lines = (repository / "docker" / "Dockerfile").read_text().splitlines()
+    assert "RUN setup/build_viewer.sh /opt/vitac/bin/python" in lines

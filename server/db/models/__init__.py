@@ -21,7 +21,7 @@ from .evaluations import (
 )
 from .judging import JudgingConflict, JudgingMark
 from .notices import Notice, Webhook
-from .operations import DeclaredEvaluator, MetricTotal, Worker
+from .operations import DeclaredEvaluator, MetricTotal, SchemaCompatibility, Worker
 from .people import Announcement, Appeal, AppealReplay, Question
 from .playbacks import Playback
 from .receipts import Cosignature, ReceiptKey, ReceiptRow, TreeNode
@@ -60,6 +60,7 @@ __all__ = [
     "ReceiptKey",
     "ReceiptRow",
     "Rejudgement",
+    "SchemaCompatibility",
     "SealedList",
     "Shard",
     "Submission",

@@ -8,6 +8,7 @@ from sqlalchemy import BigInteger, Float, Text, func
 from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 from sqlalchemy.orm import Mapped, mapped_column
 
+from ...settings import OutdatedRule
 from ..states import WorkerOrder, WorkerState
 from .base import Base, closed_set
 
@@ -43,12 +44,22 @@ class Worker(Base):
 class DeclaredEvaluator(Base):
     """What the service evaluates with, as its server has said last: a version for each of its tracks.
 
-    Under the empty name stands the version of our own sources, which most tracks have.
+    Under the empty name stands the version of our own sources, which most tracks have. `outdated` is the same in all.
     """
 
     __tablename__ = "declared_evaluators"
     track: Mapped[str] = mapped_column(primary_key=True)
     version: Mapped[str]
+    outdated: Mapped[OutdatedRule] = mapped_column(
+        closed_set(OutdatedRule, "outdated"), default=OutdatedRule.RESTART, server_default=OutdatedRule.RESTART.value
+    )
+
+
+class SchemaCompatibility(Base):
+    """The oldest revision whose processes can work with the schema; one row."""
+
+    __tablename__ = "schema_compatibility"
+    oldest: Mapped[str] = mapped_column(primary_key=True)
 
 
 class MetricTotal(Base):

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from vitac.envs.errors import VitacError
 from vitac.evaluator.agent.isolation import interpreter
 from vitac.evaluator.agent.session import PolicySession
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
@@ -107,6 +108,13 @@ def test_hash_is_the_same_for_workers_order_and_resume(submission: Path, drifted
     with ShardProcesses() as processes, processes.running_shard(order) as process:
         resumed = [one.records[0], *process.records(), one.records[2]]
         assert result_hash(process.result.manifest, resumed) == one.result_hash
+    of_another = order.model_copy(update={"evaluator_version": "1+another"})
+    with (
+        ShardProcesses() as processes,
+        processes.running_shard(of_another) as process,
+        pytest.raises(VitacError, match="Expected evaluator 1\\+another, got 1"),
+    ):
+        list(process.records())
 
 
 @pytest.mark.usefixtures("shared_simulation")

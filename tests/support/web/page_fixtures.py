@@ -449,6 +449,7 @@ def an_operations_view(*workers: WorkerView) -> OperationsView:
             evaluations_queued=2000,
             evaluations_running=2,
             oldest_evaluation_s=3660.0,
+            evaluations_unserved=2,
         ),
         storage=StorageView(uploads=1234, uploads_bytes=5 << 30, database_bytes=700 << 20),
         workers=list(workers),

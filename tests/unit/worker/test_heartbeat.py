@@ -12,7 +12,7 @@ from vitac.worker.isolation import IsolationReport
 
 @pytest.mark.parametrize(
     ("change", "installed"),
-    [("UPDATE alembic_version SET version_num = 'v0001'", "v0001"), ("DELETE FROM alembic_version", "none")],
+    [("UPDATE alembic_version SET version_num = '0001'", "0001"), ("DELETE FROM alembic_version", "none")],
     ids=["older", "emptied"],
 )
 def test_worker_of_another_schema_ends_and_says_which_it_expected(

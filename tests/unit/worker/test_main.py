@@ -20,6 +20,7 @@ from vitac.server.playbacks import work
 from vitac.server.queue.declared import OWN_SOURCES, declare, versions_here
 from vitac.server.queue.workers import workers_alive
 from vitac.server.services import Services
+from vitac.server.settings import OutdatedRule
 from vitac.server.submissions import creation
 from vitac.worker import fitness, main
 from vitac.worker.isolation import IsolationReport
@@ -109,6 +110,7 @@ def test_worker_beside_a_database_that_another_release_upgrades_gives_its_shard_
     def upgrade_meanwhile(_: int) -> None:
         with services.database.transaction() as session:
             session.execute(text("UPDATE alembic_version SET version_num = 'later'"))
+            session.execute(text("UPDATE schema_compatibility SET oldest = 'later'"))
         shards.started[0].killed.wait()
 
     shards = FakeShards(gate=upgrade_meanwhile)
@@ -171,6 +173,27 @@ def test_worker_leaves_its_shard_when_the_service_declares_another_evaluator(
         states = {shard.state for shard in newest_evaluation(session, submission).shards}
         assert workers_alive(session, services.settings).alive == 0
     assert states == {ShardState.QUEUED}
+
+
+def test_worker_finishes_what_began_with_its_evaluator_where_the_service_says_so_and_takes_nothing_afterwards(
+    services: Services, archive_sha256: str
+) -> None:
+    with services.database.transaction() as session:
+        principal = make_principal(session)
+        submission = creation.create(session, principal, make_upload(archive_sha256=archive_sha256))[0]
+        declare(session, versions_here())
+
+    def upgrade_meanwhile(_: int) -> None:
+        with services.database.transaction() as session:
+            declare(session, versions_here() | {OWN_SOURCES: "1+another"}, OutdatedRule.FINISH)
+
+    shards = FakeShards(gate=upgrade_meanwhile)
+    with signalled_when(lambda: any(row.state is WorkerState.REFUSING for row in rows(services))):
+        main.work(services, shards, probe=lambda: SOUND)
+    with services.database.transaction() as session:
+        evaluation = newest_evaluation(session, submission)
+        assert (evaluation.state, evaluation.evaluator_version) == (EvaluationState.COMPLETED, evaluator_version())
+        assert len(shards.started) == len(evaluation.shards)
 
 
 def test_worker_whose_policies_would_see_other_packages_takes_no_shards_of_that_track_and_says_which(

@@ -30,6 +30,7 @@ SHARED = {
     "submission": Path("/other"),
     "track": "track_2",
     "task": "lock-opening",
+    "evaluator_version": "1+another",
     "limits": Limits(open_files=7),
     "assets_dir": Path("/assets"),
     "sensor": Path("/sensor"),

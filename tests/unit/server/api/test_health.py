@@ -13,7 +13,12 @@ def test_healthy_and_ready_service_says_so_without_workers(service: Service) -> 
     assert service.client.get("/health").json()["status"] == "ok"
     answer = service.client.get("/ready")
     assert (answer.status_code, answer.json()["status"]) == (200, "ready")
-    assert answer.json()["workers"] == {"alive": 0, "last_heartbeat_at": None, "missing_family": None}
+    assert answer.json()["workers"] == {
+        "alive": 0,
+        "last_heartbeat_at": None,
+        "missing_family": None,
+        "missing_evaluator": None,
+    }
 
 
 def test_schema_of_another_version_makes_the_service_unready(service: Service) -> None:
@@ -21,7 +26,7 @@ def test_schema_of_another_version_makes_the_service_unready(service: Service) -
         session.execute(text("UPDATE alembic_version SET version_num = '0000'"))
     answer = service.client.get("/ready")
     assert (answer.status_code, answer.json()["database"]) == (503, "ok")
-    assert "not the one of this version" in answer.json()["migrations"]
+    assert "has schema 0000, expected " in answer.json()["migrations"]
 
 
 def test_store_that_cannot_be_written_makes_the_service_unready(service: Service) -> None:

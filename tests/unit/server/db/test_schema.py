@@ -4,6 +4,7 @@ import sys
 import threading
 from collections.abc import Iterator, Mapping
 from enum import StrEnum
+from importlib import import_module
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
@@ -23,9 +24,10 @@ from vitac.server.db import schema
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Base, ReceiptRow
 from vitac.server.db.schema import (
+    OtherSchema,
     WrongEncoding,
+    explain_other_schema,
     installed_revision,
-    is_current,
     knows_revision,
     newest_revision,
     upgrade,
@@ -70,6 +72,11 @@ def downgrade(database: Database, revision: str) -> None:
         command.downgrade(schema._configuration(connection), revision)
 
 
+def is_current(database: Database) -> bool:
+    with database.engine.connect() as connection:
+        return installed_revision(connection) == newest_revision()
+
+
 def rows(database: Database, query: str) -> list[tuple[object, ...]]:
     with database.engine.connect() as connection:
         return [tuple(row) for row in connection.execute(text(query))]
@@ -106,6 +113,28 @@ def test_the_newest_revision_is_the_one_that_all_migrations_lead_to() -> None:
     assert scripts.get_heads() == [newest_revision()]
     revisions = {script.revision for script in scripts.walk_revisions()}
     assert {revision for revision in map("{:04}".format, range(10_000)) if knows_revision(revision)} == revisions
+
+
+def test_each_revision_says_whether_older_processes_may_go_on() -> None:
+    for path in schema._migrations().glob("versions/v*.py"):
+        module = import_module(f"vitac.migrations.versions.{path.stem}")
+        assert module.revision < "0010" or isinstance(module.works_with_older, bool), path.name
+
+
+def test_a_process_works_with_a_newer_schema_that_only_adds_and_refuses_another(empty: Database) -> None:
+    upgrade(empty)
+    with empty.engine.begin() as connection:
+        connection.exec_driver_sql("UPDATE alembic_version SET version_num = '9998'")
+    upgrade(empty)
+    with empty.engine.begin() as connection:
+        assert explain_other_schema(connection) is None
+        connection.exec_driver_sql("UPDATE schema_compatibility SET oldest = '9997'")
+    with pytest.raises(OtherSchema) as refused:
+        upgrade(empty)
+    assert str(refused.value) == (
+        f"The database has schema 9998, expected {newest_revision()}. Only releases from schema 9997 on work with it: "
+        "start the newer release."
+    )
 
 
 def test_a_current_database_is_looked_at_without_alembic(migrated: Database) -> None:

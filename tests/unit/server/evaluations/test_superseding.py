@@ -10,11 +10,15 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Shard, Submission, Worker
 from vitac.server.db.row_locks import lock_evaluation
 from vitac.server.db.states import EvaluationState, WorkerState
+from vitac.server.errors import ServiceError
 from vitac.server.evaluations import lifecycle, superseding
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.superseding import supersede_outdated
-from vitac.server.principals import Principal
+from vitac.server.operations.state import operations
+from vitac.server.principals import CONSOLE, Principal
 from vitac.server.queue import workers
+from vitac.server.queue.declared import OWN_SOURCES, declare, versions_here
+from vitac.server.settings import OutdatedRule
 from vitac.server.submissions import listing
 
 SETTINGS = make_settings()
@@ -103,6 +107,11 @@ def lost_from(patch: pytest.MonkeyPatch, lost: str) -> None:
     patch.setattr(superseding, "list_tracks", lambda: tuple(tracks))
 
 
+def declare_rule(database: Database, rule: OutdatedRule, version: str | None = None) -> None:
+    with database.transaction() as session:
+        declare(session, versions_here() | {OWN_SOURCES: version or evaluator_version()}, rule)
+
+
 def add_worker(database: Database, version: str) -> None:
     worker = Worker(
         host="h",
@@ -129,6 +138,11 @@ def newest(database: Database, submission: Submission) -> Evaluation:
         return newest_evaluation(session, submission)
 
 
+def shards(database: Database, submission: Submission) -> list[Shard]:
+    with database.transaction() as session:
+        return list(newest_evaluation(session, submission).shards)
+
+
 def test_evaluation_of_a_version_that_nobody_runs_is_begun_again(
     database: Database, principal: Principal, outdated: Submission
 ) -> None:
@@ -150,6 +164,50 @@ def test_it_is_left_alone_while_a_worker_of_its_version_lives(database: Database
     add_worker(database, "yesterday")
     assert supersede(database) == 0
     assert newest(database, outdated).state is EvaluationState.RUNNING
+
+
+def test_what_has_begun_is_left_to_its_workers_where_the_service_says_so_and_what_waits_is_not(
+    database: Database, principal: Principal, outdated: Submission
+) -> None:
+    with database.transaction() as session:
+        waits = submit(session, principal, "waits")
+        session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
+    declare_rule(database, OutdatedRule.FINISH)
+    for version in (evaluator_version(), "yesterday"):
+        add_worker(database, version)
+    assert supersede(database) == 1
+    assert newest(database, outdated).state is EvaluationState.RUNNING
+    assert newest(database, waits).evaluator_version == evaluator_version()
+
+
+def test_what_no_worker_can_finish_says_so_and_is_restarted_by_an_organizer_only(
+    database: Database, principal: Principal, outdated: Submission
+) -> None:
+    declare_rule(database, OutdatedRule.FINISH)
+    add_worker(database, evaluator_version())
+    assert supersede(database) == 0
+    with database.transaction() as session:
+        assert listing.get(session, SETTINGS, principal, outdated.id).workers.missing_evaluator == "yesterday"
+        assert operations(session, SETTINGS, {}).queue.evaluations_unserved == 1
+        with pytest.raises(ServiceError, match="organizer"):
+            superseding.restart_unserved(session, principal, SETTINGS)
+        before = newest_evaluation(session, outdated).id
+        assert superseding.restart_unserved(session, CONSOLE, SETTINGS) == [before]
+    with database.transaction() as session:
+        assert operations(session, SETTINGS, {}).queue.evaluations_unserved == 0
+        again = newest_evaluation(session, outdated)
+        with pytest.raises(ServiceError, match="expected one that waits or runs, of another evaluator"):
+            superseding.restart(session, CONSOLE, again.id)
+    play_all(database, outdated)
+    played = {shard.manifest["evaluator_version"] for shard in shards(database, outdated) if shard.manifest}
+    assert (newest(database, outdated).state, played) == (EvaluationState.COMPLETED, {evaluator_version()})
+
+
+def test_only_the_declared_version_restarts_those_of_others(database: Database, outdated: Submission) -> None:
+    declare_rule(database, OutdatedRule.RESTART, "1+tomorrow")
+    add_worker(database, evaluator_version())
+    assert supersede(database) == 0
+    assert newest(database, outdated).evaluator_version == "yesterday"
 
 
 def test_it_is_left_alone_while_nobody_runs_the_new_version(database: Database, outdated: Submission) -> None:

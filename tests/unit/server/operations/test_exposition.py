@@ -105,7 +105,7 @@ def test_scrape_asks_the_database_as_often_for_many_rows_as_for_none(services: S
             session.add(a_worker(pid))
     asked.clear()
     Exposition(services).text()
-    assert len(asked) == for_none <= 10
+    assert len(asked) == for_none <= 11
 
 
 def a_worker(pid: int) -> Worker:
@@ -132,7 +132,7 @@ def seen_worker(host: str, state: WorkerState = WorkerState.READY, *, lost: bool
 def a_state(*workers: Any, **queue: Any) -> OperationsView:
     nothing = {
         "shards_queued": 0, "shards_running": 0, "oldest_shard_s": None, "shard_idle_s": None, "evaluations_queued": 0,
-        "evaluations_running": 0, "oldest_evaluation_s": None,
+        "evaluations_running": 0, "oldest_evaluation_s": None, "evaluations_unserved": 0,
     }  # fmt: skip
     return OperationsView(
         queue=QueueView.model_validate(nothing | queue),
@@ -198,6 +198,7 @@ def test_ages_of_an_empty_queue_are_zero_and_those_of_a_full_one_its_oldest() ->
         a_state(
             shards_queued=4, shards_running=2, oldest_shard_s=8.5, evaluations_queued=3, evaluations_running=1,
             oldest_evaluation_s=9.5,
+            evaluations_unserved=2,
         )
     )  # fmt: skip
     assert (full["vitac_shards", "queued"], full["vitac_shards", "running"]) == (4, 2)

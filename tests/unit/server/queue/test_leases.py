@@ -49,6 +49,12 @@ def test_finished_or_unknown_shard_cannot_be_claimed(database: Database, shard_i
     assert try_claim(database, 10**9) is None
 
 
+def test_a_shard_of_another_evaluator_is_not_claimed(database: Database, shard_id: int) -> None:
+    with database.transaction() as session:
+        session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
+    assert try_claim(database, shard_id) is None
+
+
 def test_worker_that_wakes_up_late_cannot_renew_store_finish_or_hand_back(database: Database, shard_id: int) -> None:
     late = claim(database, shard_id)
     take_away(database, shard_id)

@@ -295,6 +295,17 @@ def test_a_submission_that_no_running_worker_can_play_says_what_is_missing(
     assert "No worker is running" not in html
 
 
+def test_a_submission_whose_evaluator_no_running_worker_has_says_what_will_happen(
+    data: FixedData, browser: AsgiBrowser
+) -> None:
+    workers = QUEUED.workers.model_copy(update={"missing_evaluator": "1+yesterday"})
+    data.found = [QUEUED.model_copy(update={"workers": workers})]
+    sign_in(browser, "Bears")
+    html = browser.get(f"/submissions/{QUEUED.id}").text
+    assert "No running worker has evaluator 1+yesterday, with which this evaluation began." in html
+    assert "No worker is running" not in html
+
+
 def test_cancel_needs_the_sessions_form_token(data: FixedData, browser: AsgiBrowser) -> None:
     sign_in(browser, "Gelbots")
     path = f"/submissions/{RUNNING.id}/cancel"
