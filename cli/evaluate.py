@@ -227,6 +227,8 @@ def _print_summary(evaluation: "Evaluation", manifest: "SubmissionManifest") -> 
         outcomes = [(outcome, count, first[outcome], outcome.sentence) for outcome, count in score.outcomes.items()]
         print_table(("outcome", "episodes", "first", "meaning"), outcomes, none="")
         print(f"`vitac show {evaluation.manifest.task} --policy SUBMISSION --episode N` draws one of them")
+        if score.successes < score.episodes:
+            print("docs/failures.md, which a service shows under /docs/failures, says what each failure usually means")
         if score.forces:
             _print_forces(score.forces)
         _print_failures(evaluation.records)

@@ -71,6 +71,7 @@ def test_prints_score_and_result_hash(submission: Path, tmp_path: Path, capsys: 
     assert "mean env steps of the successes: 3.00" in out
     assert re.search(r"success +4 +1 +The task was solved\.", out), "the first of them is named"
     assert "`vitac show peg-insertion --policy SUBMISSION --episode N` draws one of them" in out
+    assert "docs/failures.md, which a service shows under /docs/failures," in out
     assert f"result hash {content.result_hash}" in out
     assert "4/4" in err
 
