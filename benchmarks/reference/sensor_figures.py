@@ -1,4 +1,4 @@
-"""Measures the figures of the reference gel and writes them to `evaluator/figures/reference.json`.
+"""Measures the figures of the reference gel and writes them to `evaluator/figures/reference.json`, its looks beside.
 
 Usage: python benchmarks/reference/sensor_figures.py. Takes about 80 s of CPU time. Commit the file when the definitions
 of the figures or the physics have changed.
@@ -12,7 +12,7 @@ from multiprocessing import get_context
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.estimator.calibration import calibrate
 from vitac.evaluator.figures.figures import FiguresPart, StartFigures, merged
-from vitac.evaluator.figures.reference import FILE, reference_design
+from vitac.evaluator.figures.reference import FILE, LOOKS, make_reference_looks, reference_design
 from vitac.evaluator.figures.starts import Measurement, measured_episodes
 from vitac.evaluator.tracks import load_track
 
@@ -38,6 +38,7 @@ def main() -> None:
     figures = merged([part], [found.offset for found in TASK.episode_list.starts])
     if figures is None:
         raise SystemExit("expected figures from a whole measurement")
+    LOOKS.write_text(make_reference_looks().model_dump_json() + "\n", encoding="utf-8")
     FILE.write_text(figures.model_dump_json() + "\n", encoding="utf-8")
     print(FILE, figures.digest)
 

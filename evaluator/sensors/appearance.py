@@ -3,12 +3,16 @@
 Nothing of the simulation is loaded.
 """
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
 from ..strict_model import StrictModel
 from .made import MadeSensor
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 Point = tuple[float, float, float]
 
@@ -30,6 +34,8 @@ class Appearance(StrictModel):
     """Tetrahedra with a quality of 0 to 0.1, of 0.1 to 0.2 and so on."""
     markers_px: tuple[tuple[float, float], ...]
     """Where the camera sees the markers of the undeformed gel."""
+    markers_mm: tuple[Point, ...]
+    """Where they are printed on it."""
 
 
 def appearance(made: MadeSensor) -> Appearance:
@@ -57,6 +63,7 @@ def appearance(made: MadeSensor) -> Appearance:
         kinds=tuple(kinds.tolist()),
         qualities=tuple(counts.tolist()),
         markers_px=tuple(_markers_px(made)),
+        markers_mm=_find_markers(made, mesh.nodes_mm[triangles]),
     )
 
 
@@ -65,3 +72,27 @@ def _markers_px(made: MadeSensor) -> list[tuple[float, float]]:
     focal_u, focal_v, centre_u, centre_v = made.camera
     depth_mm = _EYE_TO_BASE_MM + made.facts.thickness_mm
     return [(centre_u - focal_u * x / depth_mm, centre_v - focal_v * y / depth_mm) for x, y in made.markers_mm]
+
+
+def _find_markers(made: MadeSensor, faces: "NDArray[np.float64]") -> tuple[Point, ...]:
+    """Return where the camera's rays through the drawn markers leave the gel, as `attach_along_rays` computes it.
+
+    Args:
+        made: the sensor.
+        faces: corners of the gel's outward faces [mm], shape [f, 3, 3].
+    """
+    import numpy as np
+
+    eye = np.array([0.0, 0.0, -_EYE_TO_BASE_MM])
+    a, b, c = (faces - eye).transpose(1, 0, 2)
+    drawn = [(x, y, made.facts.thickness_mm) for x, y in made.markers_mm]
+    rays = np.array(drawn).reshape(-1, 3) - eye
+    normals = np.cross(b - a, c - a)
+    along = rays @ normals.T
+    weights = np.stack([rays @ np.cross(b, c).T, rays @ np.cross(c, a).T, rays @ np.cross(a, b).T])
+    hits = (along > 0.0) & (weights >= -1e-9 * weights.sum(axis=0)).all(axis=0)
+    distances = np.where(hits, (normals * a).sum(axis=1) / np.where(hits, along, 1.0), np.inf).min(
+        axis=1, initial=np.inf
+    )
+    places = (eye + distances[:, None] * rays)[np.isfinite(distances)]
+    return tuple((x, y, z) for x, y, z in places.round(3).tolist())

@@ -67,9 +67,9 @@ def test_gels_are_turned_by_keys_and_nothing_is_against_accessibility(page: Page
 def test_gel_is_a_still_drawing_without_webgl(page: Page, site: SiteUnderTest) -> None:
     page.add_init_script(NO_WEBGL)
     site.open(page, address(site))
-    expect(page.locator(".player-status")).to_contain_text("no WebGL")
+    expect(page.locator(".player-status").first).to_contain_text("no WebGL")
     expect(page.locator("svg.still polygon").first).to_be_visible()
-    expect(page.locator("canvas.scene")).to_be_hidden()
+    expect(page.locator("canvas.scene").first).to_be_hidden()
 
 
 def test_page_fits_a_phone(page: Page, site: SiteUnderTest) -> None:

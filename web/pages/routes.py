@@ -118,6 +118,7 @@ def pages() -> APIRouter:
         ("/submissions/{submission_id}/output", output.output, "GET"),
         ("/submissions/{submission_id}/sensor", sensors.sensor, "GET"),
         ("/submissions/{submission_id}/sensor/shape", sensors.shape, "GET"),
+        ("/sensors/reference/shape", sensors.reference_shape, "GET"),
         ("/submissions/{submission_id}/document", sensors.document, "GET"),
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
         ("/submissions/{submission_id}/cancel", submissions.cancel, "POST"),

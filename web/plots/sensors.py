@@ -16,11 +16,13 @@ _PICTURE = (320, 240)
 _STILL = (640, 400)
 # From where the still looks at the sensing face: about the vertical, and above the base's plane.
 _AZIMUTH_DEG, _ELEVATION_DEG = -60.0, 40.0
-_PX_PER_MM = 17.0
+_PX_PER_MM = 10.0
+HEIGHT_SCALE = 3.0
+"""How many times as large heights are drawn: a gel is flat, and its relief is what a team designs."""
 
 
 def still(looks: Appearance) -> Markup:
-    """Return the gel as an SVG drawing of 640 x 400: faces that look at the eye, the farthest first."""
+    """Return the gel with its markers as a drawing of 640 x 400: faces that look at the eye, the farthest first."""
     seen = [_seen(point, max(z for _, _, z in looks.vertices_mm)) for point in looks.vertices_mm]
     faces = []
     for corners, kind in zip(looks.triangles, looks.kinds, strict=True):
@@ -30,7 +32,10 @@ def still(looks: Appearance) -> Markup:
         if area < 0.0:
             points = f"{ax:.1f},{ay:.1f} {bx:.1f},{by:.1f} {cx:.1f},{cy:.1f}"
             faces.append((a + b + c, points, KINDS[kind]))
-    return joined(element("polygon", points=points, class_=f"face {kind}") for _, points, kind in sorted(faces))
+    gel = joined(element("polygon", points=points, class_=f"face {kind}") for _, points, kind in sorted(faces))
+    thickness_mm = max(z for _, _, z in looks.vertices_mm)
+    markers = [_seen(point, thickness_mm) for point in looks.markers_mm]
+    return gel + joined(element("circle", class_="marker", cx=x, cy=y, r=2.5) for x, y, _ in markers)
 
 
 def _seen(point: Point, thickness_mm: float) -> tuple[float, float, float]:
@@ -39,7 +44,7 @@ def _seen(point: Point, thickness_mm: float) -> tuple[float, float, float]:
     azimuth, elevation = radians(_AZIMUTH_DEG), radians(_ELEVATION_DEG)
     across = -sin(azimuth) * x + cos(azimuth) * y
     away = cos(azimuth) * x + sin(azimuth) * y
-    height = z - 0.5 * thickness_mm
+    height = HEIGHT_SCALE * (z - 0.5 * thickness_mm)
     up = cos(elevation) * height - sin(elevation) * away
     near = cos(elevation) * away + sin(elevation) * height
     return 0.5 * _STILL[0] + _PX_PER_MM * across, 0.5 * _STILL[1] - _PX_PER_MM * up, near

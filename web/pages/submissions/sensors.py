@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from vitac.evaluator.figures.figures import SensorFigures
-from vitac.evaluator.figures.reference import reference_figures
+from vitac.evaluator.figures.reference import reference_figures, reference_looks
 from vitac.evaluator.figures.table import make_rows
 from vitac.evaluator.sensors.appearance import Appearance, appearance
 from vitac.evaluator.sensors.made import read_made_sensor
@@ -20,8 +20,8 @@ from vitac.server.views.submissions import SensorView
 from vitac.server.visibility import visible
 
 from ...plots.figure import Figure
-from ...plots.sensors import find_largest, marker_picture, quality_histogram, sensitivity_maps, still
-from ...site import Site, get_site, page, require_viewer
+from ...plots.sensors import HEIGHT_SCALE, find_largest, marker_picture, quality_histogram, sensitivity_maps, still
+from ...site import Site, get_site, open_to_all, page, require_viewer
 from ..addresses import as_id
 from ..episodes.page import player_script
 
@@ -74,6 +74,8 @@ async def sensor(request: Request) -> Response:
         viewer=viewer,
         section="/submissions",
         parts=[_part(number, found, largest) for number, found in enumerate(shown, start=1)],
+        reference=None if beside else _reference(),
+        height_scale=HEIGHT_SCALE,
         rows=_rows([found.view.figures for found in shown]),
         beside=beside,
         player_script=player_script(),
@@ -85,8 +87,18 @@ async def shape(request: Request) -> Response:
     viewer = await require_viewer(request)
     submission_id = as_id(request.path_params["submission_id"])
     shown = await _shown_sensor(get_site(request), viewer.principal, submission_id)
-    content = shown.looks.model_dump(mode="json", include={"vertices_mm", "triangles", "kinds"})
-    return JSONResponse(content, headers={"Cache-Control": "private, max-age=3600", "Vary": "Cookie"})
+    return JSONResponse(_shape(shown.looks), headers={"Cache-Control": "private, max-age=3600", "Vary": "Cookie"})
+
+
+@open_to_all
+async def reference_shape(_: Request) -> Response:
+    """Answer with the reference gel, beside which a sensor is shown."""
+    return JSONResponse(_shape(reference_looks()), headers={"Cache-Control": "public, max-age=3600"})
+
+
+def _shape(looks: Appearance) -> dict[str, object]:
+    content = looks.model_dump(mode="json", include={"vertices_mm", "triangles", "kinds", "markers_mm"})
+    return content | {"height_scale": HEIGHT_SCALE}
 
 
 async def document(request: Request) -> Response:
@@ -120,6 +132,11 @@ def _part(number: int, shown: ShownSensor, largest: tuple[float, float]) -> Part
         still=still(shown.looks),
         figures=(marker_picture(key, shown.looks.markers_px), quality_histogram(key, shown.looks.qualities), *maps),
     )
+
+
+def _reference() -> dict[str, object]:
+    looks = reference_looks()
+    return {"still": still(looks), "figure": marker_picture("reference", looks.markers_px)}
 
 
 def _largest(figures: Sequence[SensorFigures | None]) -> tuple[float, float]:

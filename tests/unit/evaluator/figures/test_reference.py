@@ -1,7 +1,12 @@
 import numpy as np
 import pytest
 from vitac.evaluator.figures.figures import FORMAT, Variation
-from vitac.evaluator.figures.reference import reference_design, reference_figures
+from vitac.evaluator.figures.reference import (
+    make_reference_looks,
+    reference_design,
+    reference_figures,
+    reference_looks,
+)
 from vitac.evaluator.figures.touch import touch_figures
 
 
@@ -24,3 +29,7 @@ def test_what_takes_no_episodes_is_as_measured_now() -> None:
         np.array(stored.sensitivity.normal_px_n, dtype=float),
         rtol=1e-3,
     )
+
+
+def test_stored_looks_are_those_of_the_gel_as_it_is_made_now() -> None:
+    assert reference_looks() == make_reference_looks()

@@ -14,6 +14,15 @@ def test_markers_are_where_the_simulation_sees_them(gel: str) -> None:
     np.testing.assert_allclose(appearance(made).markers_px, made.design().rest_pixels, atol=1e-6)
 
 
+@pytest.mark.parametrize("gel", ["ridge", "dome"])
+def test_markers_are_printed_where_the_simulation_has_them(gel: str) -> None:
+    made = a_made_sensor(gel)
+    design = made.design()
+    printed_mm = 1e3 * design.printed_m
+    printed_mm[:, 2] -= 1e3 * design.gel.rest_position_m[:, 2].min()
+    np.testing.assert_allclose(appearance(made).markers_mm, printed_mm, atol=1e-3)
+
+
 def test_faces_are_those_that_are_driven_and_sense() -> None:
     looks, design = appearance(a_made_sensor()), a_made_sensor().design()
     assert len(looks.triangles) == len(looks.kinds) == len(design.gel.surface_triangles)

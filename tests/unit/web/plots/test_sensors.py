@@ -15,7 +15,9 @@ MAP = SensitivityMap(
 
 
 def test_still_shows_the_sensing_side_within_the_drawing_and_never_the_base() -> None:
-    drawn = str(still(appearance(a_made_sensor("dome"))))
+    looks = appearance(a_made_sensor("dome"))
+    drawn = str(still(looks))
+    assert drawn.count('class="marker"') == len(looks.markers_mm) > 0
     classes = re.findall(r'class="face (\w+)"', drawn)
     assert {"sensing", "other"} == set(classes)
     points = [tuple(map(float, pair.split(","))) for pair in re.findall(r"[-\d.]+,[-\d.]+", drawn)]

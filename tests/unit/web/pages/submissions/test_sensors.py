@@ -39,7 +39,9 @@ def test_page_shows_gel_mesh_markers_maps_and_figures(shown: AsgiBrowser) -> Non
     ):
         assert said in html
     assert html.count('<polygon points="') > 50
-    assert 'class="players"' in html
+    assert 'data-shape="/sensors/reference/shape"' in html, "the reference gel stands beside it"
+    assert "Heights are drawn 3 times as large." in html
+    assert set(shown.get("/sensors/reference/shape").json()) == set(shown.get(f"{ADDRESS}/shape").json())
 
 
 def test_two_sensors_stand_side_by_side(shown: AsgiBrowser) -> None:
@@ -54,7 +56,7 @@ def test_two_sensors_stand_side_by_side(shown: AsgiBrowser) -> None:
 def test_shape_for_the_script_has_vertices_triangles_and_kinds(shown: AsgiBrowser) -> None:
     answer = shown.get(f"{ADDRESS}/shape")
     found = answer.json()
-    assert set(found) == {"vertices_mm", "triangles", "kinds"}
+    assert set(found) == {"vertices_mm", "triangles", "kinds", "markers_mm", "height_scale"}
     assert len(found["triangles"]) == len(found["kinds"])
     assert max(max(row) for row in found["triangles"]) == len(found["vertices_mm"]) - 1
     assert answer.headers["vary"] == "Cookie"
