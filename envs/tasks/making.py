@@ -12,17 +12,35 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from .ending import EndReason
 from .registry import task_definitions
+from .settings import SettingsError, UnknownSetting
 
 AnyEnv = gymnasium.Env[Any, Any]
 AnyInfo = dict[str, Any]
 
 
+class UnexpectedArgument(SettingsError, TypeError):
+    """`make` got a keyword argument that the task does not have; the message has Python's own words and the nearest.
+
+    A `TypeError`, because libraries that try arguments of their own, as TorchRL does, look for one.
+    """
+
+
 def make(env_id: str, **arguments: Any) -> AnyEnv:
-    """Return the environment of a task, with infos of one shape where the task says which entries differ."""
+    """Return the environment of a task, with infos of one shape where the task says which entries differ.
+
+    Raises:
+        UnexpectedArgument: the task has no such argument.
+    """
     task = task_definitions()[env_id]
     module, _, name = task.environment.partition(":")
-    env: AnyEnv = getattr(import_module(module), name)(**arguments)
+    try:
+        env: AnyEnv = getattr(import_module(module), name)(**arguments)
+    except UnknownSetting as unknown:
+        raise UnexpectedArgument(
+            f"{env_id} got an unexpected keyword argument '{unknown.name}'; {unknown.hint}"
+        ) from None
     return EqualInfoShapes(env, task.info_lengths) if task.info_lengths else env
 
 
@@ -53,6 +71,34 @@ class EqualInfoShapes(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Rec
 
     def _filled(self, info: AnyInfo) -> AnyInfo:
         return info | {name: _filled_up(info[name], length) for name, length in self._lengths.items()}
+
+
+class NumericInfos(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
+    """Makes an info one of numbers and arrays, each always of one type, as data sets and TorchRL need it.
+
+    `end_reason` is 0 while an episode is running, afterwards the position in `EndReason`, from 1. The solver's reports
+    are left out.
+    """
+
+    def __init__(self, env: AnyEnv) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, AnyInfo]:
+        """Start an episode."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return observation, _numeric(info)
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, AnyInfo]:
+        """Play one env step."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return observation, reward, terminated, truncated, _numeric(info)
+
+
+def _numeric(info: AnyInfo) -> AnyInfo:
+    reason = info["end_reason"]
+    number = 0 if reason is None else 1 + list(EndReason).index(EndReason(reason))
+    return {name: value for name, value in info.items() if name != "step_reports"} | {"end_reason": number}
 
 
 def _filled_up(numbers: NDArray[np.float64], length: int) -> NDArray[np.float64]:

@@ -13,6 +13,19 @@ class SettingsError(VitacError):
     """A task setting is unknown or out of range; the message names it and what it may be."""
 
 
+class UnknownSetting(SettingsError):
+    """A setting is not one of the task's; the message names the nearest one.
+
+    Attributes:
+        name: of the setting.
+        hint: which one may be meant.
+    """
+
+    def __init__(self, name: str, hint: str) -> None:
+        self.name, self.hint = name, hint
+        super().__init__(f"Unknown setting '{name}'; {hint}")
+
+
 def read_task_settings(kind: type[Settings], overrides: dict[str, Any]) -> Settings:
     """Return the settings with some values replaced.
 
@@ -23,7 +36,7 @@ def read_task_settings(kind: type[Settings], overrides: dict[str, Any]) -> Setti
     known = {field.name: getattr(defaults, field.name) for field in fields(defaults)}  # type: ignore[arg-type]
     for name, value in overrides.items():
         if name not in known:
-            raise SettingsError(f"Unknown setting '{name}'; {nearest(name, known)}")
+            raise UnknownSetting(name, nearest(name, known))
         _check_type(name, value, known[name])
     return kind(**overrides)
 

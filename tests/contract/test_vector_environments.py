@@ -8,7 +8,8 @@ import gymnasium
 import numpy as np
 import pytest
 import vitac.envs
-from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+from vitac.envs.tasks.making import NumericInfos
 from vitac.envs.tasks.task_env import ActionError
 from vitac.envs.tasks.vector_env import ForkedVectorEnv
 
@@ -86,6 +87,34 @@ def test_starts_that_were_asked_for_are_kept_by_autoreset() -> None:
     starts = [outcome[-1]["gt_offset_mm_deg"][outcome[-1]["steps"] == 0] for outcome in outcomes]
     assert sum(len(start) for start in starts) > 4
     assert np.abs(np.concatenate(starts)[:, :2]).max() <= 3.0
+
+
+@pytest.mark.parametrize("mode", ["SameStep", "Disabled"])
+def test_our_environments_start_the_next_episode_as_asked_and_as_gymnasiums_do(mode: str) -> None:
+    runs = []
+    for env in (
+        gymnasium.make_vec("ViTac/PegInsertion-v1", 2, autoreset_mode=mode, **ARGUMENTS),
+        gymnasium.make_vec(
+            "ViTac/PegInsertion-v1", 2, "sync", vector_kwargs={"autoreset_mode": AutoresetMode(mode)}, **ARGUMENTS
+        ),
+    ):
+        env.reset(seed=4)
+        observed, _, _, truncated, info = env.step(np.zeros((2, 3), dtype=np.float32))
+        assert truncated.all()
+        last = info["final_obs"][1] if mode == "SameStep" else {key: value[1] for key, value in observed.items()}
+        if mode == "Disabled":
+            observed, _ = env.reset(options={"reset_mask": truncated})
+        runs.append((observed["marker_flow"].tolist(), last["marker_flow"].tolist()))
+        env.close()
+    assert runs[0] == runs[1]
+
+
+def test_wrappers_are_put_around_each_environment() -> None:
+    wrappers = (NumericInfos, gymnasium.wrappers.FlattenObservation)
+    with vector("ViTac/PegInsertion-v1", None, 2, env_wrappers=wrappers) as env:
+        observation, info = env.reset(seed=0)
+    assert observation.shape == (2, 2 * 2 * 128 * 2 + 4)
+    assert info["end_reason"].tolist() == [0, 0]
 
 
 def test_our_processes_are_forked_after_loading() -> None:

@@ -1,5 +1,6 @@
 """Where a peg is commanded to be, relative to its hole."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from math import sqrt
 
@@ -25,7 +26,7 @@ class PegOffset:
 
     def magnitude(self) -> float:
         """Return the euclidean norm of the numbers in mm and degrees, the error e of the reward."""
-        return sqrt(sum(value * value for value in self.as_tuple()))
+        return norm(self.as_tuple())
 
     def as_array(self) -> NDArray[np.float64]:
         """Return x [mm], y [mm], theta [deg] and what a task adds to them, shape [3] or more."""
@@ -34,6 +35,11 @@ class PegOffset:
     def as_tuple(self) -> tuple[float, ...]:
         """Return the same numbers; `dataclasses.astuple` copies each deeply, which takes thirty times as long."""
         return tuple(vars(self).values())
+
+
+def norm(values: Iterable[float]) -> float:
+    """Return the euclidean norm."""
+    return sqrt(sum(value * value for value in values))
 
 
 def is_beyond(value: float, largest: float) -> bool:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import vitac.envs
 from fake_scene import FakeScene
-from vitac.envs.tasks.making import EqualInfoShapes, make
+from vitac.envs.tasks.ending import EndReason
+from vitac.envs.tasks.making import EqualInfoShapes, NumericInfos, UnexpectedArgument, make
 from vitac.envs.tasks.registry import task_definitions
 
 PEG, LOCK = "ViTac/PegInsertion-v1", "ViTac/LockOpening-v1"
@@ -79,3 +80,21 @@ def test_environment_can_be_made_again_from_its_specification() -> None:
     again: Any = gymnasium.make(env.spec, disable_env_checker=True)
     assert again.unwrapped.settings.max_steps == 3
     assert vitac.envs.ENVIRONMENTS[PEG].endswith(type(again.unwrapped).__name__)
+
+
+def test_unknown_argument_is_refused_in_pythons_words_with_the_nearest() -> None:
+    with pytest.raises(
+        UnexpectedArgument, match=r"an unexpected keyword argument 'max_step'; did you mean 'max_steps'\?"
+    ):
+        gymnasium.make(PEG, max_step=3)
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):  # the words TorchRL looks for
+        make(LOCK, frameskip=1)
+
+
+def test_numeric_infos_have_entries_of_one_type() -> None:
+    env = NumericInfos(make(PEG, max_steps=1))
+    first, last = infos(env, {"shape": "cuboid"})
+    assert {name: type(value) for name, value in first.items()} == {name: type(value) for name, value in last.items()}
+    assert "step_reports" not in first
+    assert first["end_reason"] == 0
+    assert list(EndReason)[last["end_reason"] - 1] is EndReason.STEPS
