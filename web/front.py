@@ -1,6 +1,6 @@
 """What the front page shows to everybody; made by `pages.home`, cached for some seconds by `site`."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from uuid import UUID
@@ -46,6 +46,9 @@ class Front:
     Attributes:
         cards: the tracks.
         news: the newest entries of boards, with their tracks.
+        ranks_before: ranks of their teams before them, by evaluation; teams that were on no board have none.
+        running: number of evaluations that run now.
+        waiting: number of evaluations in the queue.
         public: submissions among them that everybody may see.
         cup: the competition, if there is one.
         said: the newest announcements.
@@ -54,6 +57,9 @@ class Front:
 
     cards: Sequence[TrackCard]
     news: Sequence[tuple[Track, LeaderboardEntryView]]
+    ranks_before: Mapping[UUID, int]
+    running: int
+    waiting: int
     public: Collection[UUID]
     cup: CompetitionView | None
     said: Sequence[AnnouncementView]

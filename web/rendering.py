@@ -4,7 +4,7 @@ Called by `site`.
 """
 
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, partial
 from hashlib import sha256
 from pathlib import Path
 
@@ -41,6 +41,7 @@ def environment() -> Environment:
     jinja.filters.update(
         percent=percent,
         timestamp=timestamp,
+        deadline=partial(timestamp, is_deadline=True),
         steps=steps,
         env_steps=counted_env_steps,
         duration=duration,
@@ -100,13 +101,17 @@ def steps(mean: float | None) -> str:
     return "–" if mean is None else f"{mean:.2f}"
 
 
-def timestamp(moment: datetime | None) -> Markup:
-    """Format an aware time as a `<time>` element in UTC, to the minute."""
+def timestamp(moment: datetime | None, *, is_deadline: bool = False) -> Markup:
+    """Format an aware time as a `<time>` element in UTC, to the minute; `locale.js` shows the reader's own time.
+
+    A deadline, or another time that something hangs on, keeps its UTC time beside that.
+    """
     if moment is None:
         return Markup("–")
     utc = moment.astimezone(UTC)
+    kind = "nowrap deadline" if is_deadline else "nowrap"
     return Markup(  # noqa: S704 - digits only
-        f'<time class="nowrap" datetime="{utc:%Y-%m-%dT%H:%M:%SZ}">{utc:%Y-%m-%d %H:%M} UTC</time>'
+        f'<time class="{kind}" datetime="{utc:%Y-%m-%dT%H:%M:%SZ}">{utc:%Y-%m-%d %H:%M} UTC</time>'
     )
 
 
@@ -123,7 +128,7 @@ def duration(seconds: float | None) -> str:
 
 
 def remaining(seconds: float) -> str:
-    """Format the time until an instant: `12 days 3 h`, `3 h 05 min`, `5 min`; `local-times.js` does the same."""
+    """Format the time until an instant: `12 days 3 h`, `3 h 05 min`, `5 min`; `locale.js` does the same."""
     minutes = max(0, int(seconds // 60))
     days, hours, minutes = minutes // 1440, minutes // 60 % 24, minutes % 60
     if days:

@@ -1,5 +1,6 @@
 """How far evaluations are: finished episodes, place in the queue, time to the end; read once for all that are shown."""
 
+from collections import Counter
 from collections.abc import Collection, Mapping
 from datetime import timedelta
 from types import MappingProxyType
@@ -22,6 +23,13 @@ EpisodeCounts = Mapping[str, tuple[int, int]]
 _NONE: EpisodeCounts = MappingProxyType({})
 _TURN = (Evaluation.turn, Evaluation.created_at, Evaluation.id)
 """The order of the queue."""
+
+
+def count_open(session: Session) -> Counter[EvaluationState]:
+    """Return how many evaluations wait and run now."""
+    is_open = Evaluation.state.in_(ACTIVE_EVALUATION_STATES)
+    rows = session.execute(select(Evaluation.state, func.count()).where(is_open).group_by(Evaluation.state)).tuples()
+    return Counter(dict(rows.all()))
 
 
 def make_progress_view(evaluation: Evaluation, submission: Submission, counts: EpisodeCounts = _NONE) -> ProgressView:

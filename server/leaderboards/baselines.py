@@ -32,6 +32,7 @@ _FIGURES = (
     _Figures("track_1", "lock-opening", "lock_opening_heuristic", 160, 160, 6.25),
     _Figures("track_2", "fusion-insertion", "track_2_fusion", 150, 150, 23.80),
     _Figures("track_2_gt", "fusion-insertion-gt", "track_2_fusion", 150, 150, 23.80),
+    _Figures("track_3", "sensor-standard", "track_3_dome", 26, 270, 4.19),
 )
 _COMBINED = {"track_1_heuristic": ("peg_insertion_heuristic", "lock_opening_heuristic")}
 """Examples of all tasks of a track, and those of single tasks that they are copies of."""

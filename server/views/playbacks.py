@@ -68,6 +68,15 @@ class EpisodeChoiceView(View):
     outcome: EpisodeOutcome
 
 
+class StillView(View):
+    """An episode of a result whose playback has a still; `key` is that of the playback."""
+
+    task: str
+    episode: int
+    outcome: EpisodeOutcome
+    key: str
+
+
 class PublicEpisodeView(View):
     """A finished episode of a public submission, with its playback."""
 

@@ -1,6 +1,7 @@
 """A real browser (Debian's chromium, driven by playwright) and pages with fixed content served on this machine."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 from page_fixtures import (
@@ -28,6 +29,7 @@ from vitac.server.db.states import EvaluationState, Role
 from vitac.server.views.evaluations import VerdictView
 from vitac.server.views.leaderboards import LeaderboardView
 from vitac.server.views.submissions import EpisodeOutputView
+from vitac.web.recent import Recent
 from waiting import LIMIT_S
 
 expect.set_options(timeout=1000 * LIMIT_S)
@@ -96,7 +98,9 @@ def site() -> Iterator[SiteUnderTest]:
             a_submission("Gelbots", EvaluationState.CANCELLED, name="stopped", done=12),
         ],
     )
-    with serving(an_application(data)) as (host, port):
+    application = an_application(data)
+    application.state.site = replace(application.state.site, front=Recent(kept_s=0.0))
+    with serving(application) as (host, port):
         yield SiteUnderTest(address=f"http://{host}:{port}", data=data)
 
 

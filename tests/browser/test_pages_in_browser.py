@@ -1,10 +1,12 @@
 import re
+from datetime import datetime
 from pathlib import Path
 from typing import Literal
+from zoneinfo import ZoneInfo
 
 import checked_pages
 import pytest
-from browser_checks import DESK, PHONE, ZOOMED, Complaints, violations
+from browser_checks import DESK, PHONE, ZOOMED, Complaints, violations, wordless
 from checked_pages import WITH_SCENES, unchecked
 from fastapi import APIRouter
 from page_fixtures import a_finished_cup, a_leaderboard, a_score, a_submission, a_worker, an_entry, an_operations_view
@@ -34,6 +36,8 @@ def test_pages_are_accessible_fit_and_raise_no_error(page: Page, site: SiteUnder
     for path in site.paths():
         site.open(page, path)
         expect(page.get_by_role("heading", level=1)).to_be_visible()
+        assert wordless(page) == [], path
+        assert page.evaluate("document.getAnimations().length") == 0, f"{path} moves"
         for scheme, size in LOOKS:
             page.emulate_media(color_scheme=scheme)
             resize(page, size)
@@ -105,6 +109,14 @@ def test_a_running_evaluation_moves_on_without_a_reload_and_ends_with_its_score(
     replace(site.data, a_submission("Gelbots", EvaluationState.COMPLETED, name="runs"))
     expect(page.get_by_text("Rank 2 of 4")).to_be_visible()
     expect(page.get_by_role("button", name="Cancel this evaluation")).to_have_count(0)
+
+
+def test_a_running_state_pulses_unless_the_reader_wants_no_motion(page: Page, site: SiteUnderTest) -> None:
+    site.enter(page)
+    site.open(page, site.path_of("runs"))
+    assert page.evaluate("document.getAnimations().length") == 1
+    page.emulate_media(reduced_motion="reduce")
+    assert page.evaluate("document.getAnimations().length") == 0
 
 
 def test_a_change_of_state_is_announced(page: Page, site: SiteUnderTest) -> None:
@@ -259,6 +271,47 @@ def test_the_script_shows_how_far_an_upload_is_and_when_it_was_cut(page: Page, s
 def replace(data: FixedData, changed: SubmissionView) -> None:
     """Puts a new state of a submission in the place of the old one."""
     data.found[:] = [changed if found.name == changed.name else found for found in data.found]
+
+
+def test_the_front_page_shows_what_happens_meanwhile(page: Page, site: SiteUnderTest) -> None:
+    page.emulate_media(reduced_motion="reduce")
+    page.clock.install()
+    site.open(page, "/")
+    expect(page.get_by_text("2 evaluations run now, 1 in the queue.")).to_be_visible()
+    expect(page.locator("#news li")).to_have_count(4)
+    page.evaluate("window.sameDocument = true")
+    site.data.board = a_leaderboard(an_entry(1, "Newcomers", a_score((84, 84, 84), 4.0)))
+    page.clock.run_for(15_000)
+    expect(page.locator("#news li")).to_contain_text(["of Newcomers:"])
+    assert page.evaluate("window.sameDocument") is True
+
+
+def test_times_and_decimals_are_written_as_the_reader_does(browser: Browser, site: SiteUnderTest) -> None:
+    context = browser.new_context(locale="de-DE", timezone_id="Asia/Tokyo")
+    page = context.new_page()
+    complaints = Complaints(page)
+    site.open(page, "/tracks/track_1")
+    time = page.locator(".when time").first
+    moment = datetime.fromisoformat(time.get_attribute("datetime") or "")
+    expect(time).to_have_attribute("title", f"{moment:%Y-%m-%d %H:%M} UTC")
+    expect(time).to_contain_text(f"{moment.astimezone(ZoneInfo('Asia/Tokyo')):%H:%M}")
+    expect(page.locator(".rate-number").first).to_have_text(re.compile(r"^\d+,\d\s%$"))
+    expect(page.locator(".footer")).to_contain_text("Times are yours (Asia/Tokyo)")
+    expect(page.get_by_text(site.data.board.evaluator_version)).to_have_count(1)
+    assert complaints.heard == []
+    context.close()
+
+
+def test_what_an_event_brings_is_in_the_readers_own_time_too(browser: Browser, site: SiteUnderTest) -> None:
+    context = browser.new_context(timezone_id="Asia/Tokyo", locale="de-DE")
+    page = context.new_page()
+    site.enter(page)
+    site.open(page, site.path_of("waits"))
+    last = page.locator("#live time")
+    expect(last).to_have_attribute("title", re.compile("UTC$"))
+    replace(site.data, a_submission("Gelbots", EvaluationState.COMPLETED, name="waits"))
+    expect(page.locator(".facts dd").first).to_contain_text(re.compile(r"\d,\d\s%"))
+    context.close()
 
 
 def test_paper_has_what_is_to_read_and_no_controls(page: Page, site: SiteUnderTest) -> None:

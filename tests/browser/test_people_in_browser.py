@@ -119,8 +119,8 @@ def test_a_schedule_is_shown_in_the_readers_own_time(page: Page, service: CliSer
     complaints = Complaints(page)
     page.context.new_cdp_session(page).send("Emulation.setTimezoneOverride", {"timezoneId": "Asia/Tokyo"})
     page.goto(f"{service.address}/competition")
-    schedule = page.locator(".schedule time")
-    own = page.locator(".schedule time + .sub")
+    schedule = page.locator("time.deadline")
+    own = page.locator("time.deadline + .sub")
     assert schedule.count() > 0
     expect(own).to_have_count(schedule.count())
     moment = schedule.first.get_attribute("datetime")

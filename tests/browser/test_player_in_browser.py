@@ -119,6 +119,17 @@ def test_a_scene_in_motion_is_drawn_less_sharply_and_in_full_once_it_rests(still
     assert float(still_page.get_by_label("Env step", exact=True).input_value()) >= found["time"]
 
 
+def test_the_camera_flies_to_a_view_and_is_there_at_once_where_no_motion_is_wanted(still_page: Page) -> None:
+    drawn = {}
+    for motion, view in (("no-preference", "above"), ("reduce", "left")):
+        still_page.emulate_media(reduced_motion=motion)  # type: ignore[arg-type]
+        before = counted(still_page)["pictures"]
+        still_page.get_by_label("View").select_option(view)
+        wait_for_rest(still_page)
+        drawn[motion] = counted(still_page)["pictures"] - before
+    assert drawn["reduce"] <= 2 < drawn["no-preference"], "one in motion, and one in full resolution"
+
+
 def test_a_state_that_never_comes_fails_with_what_was_seen(still_page: Page) -> None:
     with pytest.raises(AssertionError, match=r"expected another state within 0\.1 s, got \d"):
         until(still_page, lambda: counted(still_page)["pictures"], lambda pictures: pictures < 0, limit_s=0.1)

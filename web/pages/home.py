@@ -1,21 +1,25 @@
 """The front page: what this is, an episode to play, what happened recently, and the tracks with their state."""
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
+from uuid import UUID
 
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
-from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks import Track, load_track
 from vitac.server.contest.view import competition_view
+from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.leaderboards.shown import shown_leaderboard
+from vitac.server.evaluations.progress import count_open
+from vitac.server.leaderboards.shown import shown_leaderboard, shown_rank_history
 from vitac.server.messages import announcements
 from vitac.server.playbacks.recent import newest_public_episode
 from vitac.server.principals import VISITOR
 from vitac.server.sharing.public_pages import public_among
 from vitac.server.tracks import is_challenge_track
 from vitac.server.views.contest import CompetitionView
-from vitac.server.views.leaderboards import LeaderboardView
+from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
 
 from ..front import Front, TrackCard
 from ..rendering import STATIC
@@ -47,7 +51,11 @@ def _front(session: Session, site: Site) -> Front:
     cup = _competition(session)
     ranked = [(load_track(name), entry) for name, board in boards.items() for entry in board.entries if entry.rank]
     news = sorted(ranked, key=lambda new: new[1].evaluated_at, reverse=True)[:NEWS]
+    open_now = count_open(session)
     return Front(
+        ranks_before=_find_ranks_before(session, news),
+        running=open_now[EvaluationState.RUNNING],
+        waiting=open_now[EvaluationState.QUEUED],
         cards=[_card(name, board, cup) for name, board in boards.items()],
         news=news,
         public=public_among(session, [entry.submission_id for _, entry in news]),
@@ -55,6 +63,14 @@ def _front(session: Session, site: Site) -> Front:
         said=announcements.shown(session)[:ANNOUNCEMENTS],
         episode=newest_public_episode(session, site.services.settings),
     )
+
+
+def _find_ranks_before(session: Session, news: Sequence[tuple[Track, LeaderboardEntryView]]) -> dict[UUID, int]:
+    """Return which rank each team had before its new entry, by the entry's evaluation."""
+    histories = {track.name: shown_rank_history(session, VISITOR, track.name) for track, _ in news}
+    ranks = {(name, team.submission_id): team.ranks for name, teams in histories.items() for team in teams}
+    before = {entry.evaluation_id: ranks.get((track.name, entry.submission_id), ()) for track, entry in news}
+    return {evaluation: found[-2].rank for evaluation, found in before.items() if len(found) > 1}
 
 
 async def example(_: Request) -> Response:

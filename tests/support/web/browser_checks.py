@@ -9,7 +9,7 @@ PHONE = {"width": 375, "height": 740}
 DESK = {"width": 1280, "height": 800}
 ZOOMED = {"width": 720, "height": 450}  # a window of 1440 px at 200 %
 CHECKED = {
-    "runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"],
+    "runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"],
     "resultTypes": ["violations"],  # every rule is run; the parts that pass, thousands on a page, are not written out
 }
 
@@ -45,6 +45,15 @@ MEASURE_EACH_LOOK = """places => {
 So it is measured where text of one look stands first: its own colours and font, and those of all that it stands in.
 """
 
+WORDLESS = """() => {
+    const all = [...document.querySelectorAll("svg, canvas, img")];
+    const pictures = all.filter((one) => !one.closest("[aria-hidden=true]"));
+    const named = (one) => (one.getAttribute("aria-label") ?? one.getAttribute("alt") ?? "").trim();
+    const plots = [...document.querySelectorAll("figure.plot")];
+    return [...pictures.filter((one) => !named(one)), ...plots.filter((one) => !one.querySelector("tbody tr"))]
+        .map((one) => one.outerHTML.slice(0, 120));
+}"""
+
 
 class Complaints:
     """What the browser complains about while a page is open, but for answers that a test asked for."""
@@ -67,3 +76,9 @@ def violations(page: Page) -> list[str]:
     page.evaluate(MEASURE_EACH_LOOK, PLACES_PER_LOOK)
     found: list[dict[str, Any]] = page.evaluate("options => axe.run(options).then(found => found.violations)", CHECKED)
     return [f"{rule['id']}: {node['html'][:200]} {node['failureSummary']}" for rule in found for node in rule["nodes"]]
+
+
+def wordless(page: Page) -> list[str]:
+    """Pictures that neither have words nor are hidden beside what they repeat, and plots without a table."""
+    found: list[str] = page.evaluate(WORDLESS)
+    return found

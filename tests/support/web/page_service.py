@@ -5,6 +5,7 @@ Whoever asks with a session of `FixedDatabase` gets what `FixedData` says; every
 
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import AsyncIterator, Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -27,13 +28,14 @@ from vitac.server.appeals import appeals
 from vitac.server.contest import view as contest
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode, ServiceError, not_found, token_missing
+from vitac.server.evaluations import progress
 from vitac.server.leaderboards import shown
 from vitac.server.limiter import WindowLimiter
 from vitac.server.members import members, registration
 from vitac.server.messages import announcements
 from vitac.server.metrics import totals
 from vitac.server.operations import state
-from vitac.server.playbacks import asking, comparisons, files, recent
+from vitac.server.playbacks import asking, comparisons, files, recent, stills
 from vitac.server.principals import VISITOR, Principal
 from vitac.server.publishing import archive
 from vitac.server.queue import workers
@@ -343,6 +345,7 @@ for _module, _name, _data_of in (
     (submission_detail, "read_detail", lambda data: data.submission),
     (listing, "get", lambda data: data.get),
     (listing, "list_submissions", lambda data: data.submissions),
+    (progress, "count_open", lambda data: lambda: Counter(each.evaluation.state for each in data.found)),
     (shown, "shown_rank_history", lambda data: lambda *_, **__: data.ranks),
     (appeals, "takes_appeals", lambda data: lambda *_: data.takes_appeals),
     (comparison, "compare_results", lambda data: data.compare),
@@ -353,6 +356,7 @@ for _module, _name, _data_of in (
     (asking, "shown_episode", lambda data: data.shown_episode),
     (asking, "ask", lambda data: data.ask),
     (asking, "playback_view", playback_of),
+    (stills, "list_stills", lambda data: lambda *_: data.stills),
     (comparisons, "list_choices", lambda _: lambda *_: ()),
     (recent, "newest_public_episode", lambda data: lambda _: data.public_one),
     (announcements, "shown", lambda data: lambda: data.said),

@@ -18,7 +18,7 @@ from vitac.evaluator.tracks import find_task
 from vitac.server.db.states import PlaybackState
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 from vitac.server.playbacks.files import PlaybackFile
-from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView, StoryMomentView
+from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView, StillView, StoryMomentView
 from vitac.web.pages.episodes.page import EpisodeAddress
 
 KEY = "5eed" * 16
@@ -97,6 +97,7 @@ class FixedPlaybacks:
     files: dict[EpisodeAddress, Mapping[PlaybackFile, bytes]] = field(default_factory=dict)
     asked: list[EpisodeAddress] = field(default_factory=list)
     refuses_playbacks: bool = False
+    stills: list[StillView] = field(default_factory=list)
 
     def show(self, submission_id: UUID, shown: ShownEpisodeView) -> str:
         """Adds an episode, with real files if it is made; the path of its page."""

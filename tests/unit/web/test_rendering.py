@@ -19,6 +19,7 @@ def test_writes_times_in_utc_with_a_machine_readable_value() -> None:
     assert 'datetime="2026-11-21T00:30:05Z"' in html
     assert ">2026-11-21 00:30 UTC</time>" in html
     assert rendering.timestamp(in_berlin.astimezone(UTC)) == html
+    assert 'class="nowrap deadline"' in rendering.timestamp(in_berlin, is_deadline=True)
 
 
 @pytest.mark.parametrize(

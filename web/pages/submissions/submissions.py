@@ -9,16 +9,19 @@ from typing import Any, cast
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
+from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import UnknownTrack, load_track
 from vitac.server.api.streams import OpenStreams
 from vitac.server.appeals.appeals import takes_appeals
 from vitac.server.contest.view import competition_list_view, track_stages
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from vitac.server.errors import TRACK_REMOVED
+from vitac.server.playbacks.stills import list_stills
 from vitac.server.submissions import runs
 from vitac.server.submissions.listing import list_submissions
 from vitac.server.submissions.watch import Changes
 from vitac.server.views.evaluations import TaskProgressView
+from vitac.server.views.playbacks import StillView
 from vitac.server.views.scores import PracticeScoreView, TaskScoreView
 from vitac.server.views.submissions import EpisodeView, RankView, SubmissionView
 
@@ -75,6 +78,8 @@ async def submission(request: Request) -> Response:
     refresh = request.query_params.get("refresh") != "off"
     found: SubmissionView = values["submission"]
     stages = await get_site(request).read(lambda session: track_stages(session, found.track)) if found.stage else ()
+    by, is_complete = get_principal(viewer), found.evaluation.state is EvaluationState.COMPLETED
+    stills = await get_site(request).read(lambda session: list_stills(session, by, found.id)) if is_complete else ()
     return page(
         request,
         "submission.html",
@@ -84,8 +89,15 @@ async def submission(request: Request) -> Response:
         is_known="known" in request.query_params and values["is_own"],
         **figures(get_site(request), found, values["titles"], values["episodes"], values["past"]),
         stage_title=find_stage_title(stages, found.stage),
+        stills=_choose_stills(stills),
         **values,
     )
+
+
+def _choose_stills(stills: Sequence[StillView]) -> list[StillView]:
+    """Return a success and a failure, where there are stills of them."""
+    found = {still.outcome is EpisodeOutcome.SUCCESS: still for still in reversed(stills)}
+    return [found[success] for success in (True, False) if success in found]
 
 
 async def _page_of_removed_track(request: Request, viewer: Viewer | None) -> Response:

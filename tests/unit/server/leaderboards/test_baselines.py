@@ -37,6 +37,14 @@ def test_figures_of_track_2_are_those_of_its_example(repository: Path, track: st
     assert (str(shown.successes), str(shown.episodes), f"{shown.mean_steps:.2f}") == measured.groups()
 
 
+def test_figures_of_track_3_are_those_of_its_example(repository: Path) -> None:
+    text = (repository / "examples" / "track_3_dome" / "README.md").read_text()
+    measured = re.search(r"solves (\d+) of the (\d+) public episodes .* in ([0-9.]+) env steps", text)
+    assert measured
+    [shown] = list_baselines(load_track("track_3"), "sensor-standard")
+    assert (str(shown.successes), str(shown.episodes), f"{shown.mean_steps:.2f}") == measured.groups()
+
+
 def test_all_tasks_together_have_the_mean_of_an_example_that_plays_all() -> None:
     [shown] = list_baselines(load_track(TRACK), None)
     assert (shown.name, shown.successes, shown.episodes) == ("track_1_heuristic", 200, 430)

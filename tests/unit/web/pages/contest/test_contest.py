@@ -52,7 +52,7 @@ def test_a_visitor_sees_schedule_rules_prizes_and_commitment(data: FixedData, br
     ):
         assert text in html, text
     assert "collected by the organizers" in html
-    assert "local-times" in html
+    assert 'class="nowrap deadline" datetime="2031-02-01T12:00:00Z"' in html
 
 
 def test_what_closes_or_opens_next_is_counted_down_once_for_tracks_that_share_it() -> None:

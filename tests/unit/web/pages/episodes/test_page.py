@@ -55,7 +55,7 @@ def test_an_episode_of_maniskill_is_a_film_that_plays_only_when_it_is_asked_for(
     assert f'src="{path}/playback/still?v={KEY}"' in html
     assert "<details" in html.partition(f'src="{path}/playback/film?v={KEY}"')[0]
     assert "whose states were compared with the recorded ones" in html
-    for absent in ("<canvas", "Space plays", "3D player", "Make the playback", "drawn from (0)"):
+    for absent in ("<canvas", "Keys of the player", "3D player", "Make the playback", "drawn from (0)"):
         assert absent not in html
     answer = visitor.get(f"{path}/playback/film?v={KEY}")
     assert (answer.content, answer.headers["content-type"]) == (b"RIFF film", "image/webp")

@@ -13,6 +13,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import TRACK_REMOVED
 from vitac.server.views.evaluations import DifferingEpisodeView, EvaluationView, PackagesView
+from vitac.server.views.playbacks import StillView
 from vitac.web.pages.submissions import submissions
 from vitac.web.plots.map import EpisodeMap, episode_map
 
@@ -354,3 +355,19 @@ def test_text_log_says_why_it_cannot_be_verified(data: FixedData, browser: AsgiB
     for shown in ("cannot be verified", "1.20", "90.0 %", "and 10 more"):
         assert shown in html
     assert "<b>step 2</b>" not in html
+
+
+def test_a_result_begins_with_stills_that_lead_to_a_success_and_a_failure(
+    data: FixedData, browser: AsgiBrowser
+) -> None:
+    ends = {4: EpisodeOutcome.TACTILE, 9: EpisodeOutcome.SUCCESS, 11: EpisodeOutcome.STEPS, 12: EpisodeOutcome.SUCCESS}
+    data.stills[:] = [
+        StillView(task=TASK, episode=number, outcome=end, key="5eed" * 16) for number, end in ends.items()
+    ]
+    sign_in(browser, "Gelbots")
+    html = browser.get(f"/submissions/{COMPLETED.id}").text
+    shown = re.findall(r'<li><a href="([^"]+)"><img class="drawn" src="\1/playback/still\?v=(?:5eed){16}"', html)
+    assert shown == [f"/submissions/{COMPLETED.id}/episodes/{TASK}/{number}" for number in (9, 4)]
+    assert html.index("Mean env steps") < html.index('class="stills"') < html.index('class="maps"')
+    data.stills.clear()
+    assert 'class="stills"' not in browser.get(f"/submissions/{COMPLETED.id}").text
