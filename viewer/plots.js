@@ -81,11 +81,14 @@ function allSeries({ header, arrays, times }) {
     series.push({ title: "Contact force [N]", times, lines, goal, isLimit: true });
   }
   if (arrays.heights_mm) {
-    const names = Array.from({ length: arrays.heights_mm.shape[1] }, (_, at) => `${at + 1}`);
-    const lines = columns(arrays.heights_mm, names);
+    const lines = columns(arrays.heights_mm, numbered(arrays.heights_mm));
     series.push({ title: capital(header.heights_title), first: 0, lines, goal: header.heights_goal_mm });
   }
   return series;
+}
+
+function numbered({ shape }) {
+  return Array.from({ length: shape[1] }, (_, at) => `${at + 1}`);
 }
 
 function columns({ values, shape }, names) {
@@ -99,6 +102,9 @@ function table({ header, arrays, lastStep }) {
   const heading = ["Env step", ...header.actions.map((action) => action.name), "Reward", "Left [mm]", "Right [mm]"];
   const forces = arrays.forces_n && largestForces(arrays);
   if (forces) heading.push("Largest force [N]");
+  const heights = arrays.heights_mm ? columns(arrays.heights_mm, numbered(arrays.heights_mm)) : [];
+  const [above] = capital(header.heights_title ?? " ").split(" [");
+  heading.push(...heights.map(({ name }) => `${above} ${name} [mm]`));
   const actions = columns(arrays.action_values, header.actions.map((action) => action.name));
   const motions = columns(arrays.surface_motions_mm, ["left", "right"]);
   const rows = Array.from({ length: lastStep }, (_, at) =>
@@ -110,6 +116,7 @@ function table({ header, arrays, lastStep }) {
       element("td", {}, short(arrays.rewards.values[at])),
       ...motions.map((motion) => element("td", {}, short(motion.values[at + 1]))),
       ...(forces ? [element("td", {}, short(forces[at + 1]))] : []),
+      ...heights.map((height) => element("td", {}, short(height.values[at + 1]))),
     ),
   );
   const head = element("thead", {}, element("tr", {}, ...heading.map((text) => element("th", { scope: "col" }, text))));

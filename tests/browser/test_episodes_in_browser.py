@@ -198,6 +198,7 @@ def test_values_stand_in_a_table_too(site: SiteUnderTest, page: Page) -> None:
     page.get_by_text("Values of every env step").click()
     expect(page.get_by_role("columnheader")).to_have_text(
         ["Env step", "x", "y", "theta", "Reward", "Left [mm]", "Right [mm]", "Largest force [N]"]
+        + [f"Peg above plate {corner} [mm]" for corner in range(1, 5)]
     )
     expect(page.get_by_role("rowheader")).to_have_text(["1", "2", "3"])
     assert violations(page) == []
