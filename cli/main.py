@@ -78,6 +78,7 @@ NOUNS = (
     Noun(
         name="admin", module="admin.app", summary="Manage teams, submissions, evaluations and workers.", extra=_SERVER
     ),
+    Noun(name="compile", module="compile", summary="Compile the physics, for images and read-only installations."),
     Noun(name="sandbox", module="sandbox", summary="Print what a policy runs with: packages, BLAS, threads, CPU."),
     Noun(name="doctor", module="doctor", summary="Test the sandbox on this machine."),
 )

@@ -1,5 +1,7 @@
 """Gymnasium environments and the tactile simulation under them; importing this package registers the `ViTac/*` ids."""
 
+from importlib.metadata import version
+
 import gymnasium
 
 from .tasks.registry import task_definitions
@@ -15,3 +17,10 @@ for _id in ENVIRONMENTS:
             vector_entry_point="vitac.envs.tasks.vector_env:ForkedVectorEnv",
             kwargs={"env_id": _id},
         )
+
+
+def __getattr__(name: str) -> str:
+    """Return the version of the distribution as `__version__`, which only an installation has."""
+    if name == "__version__":
+        return version("vitac-arena")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

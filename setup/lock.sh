@@ -21,7 +21,7 @@ compile requirements/station.lock --extra station --constraint requirements/dev.
 compile requirements/data.lock --extra data --constraint requirements/dev.lock "$@"
 compile requirements/maniskill.lock --extra maniskill --constraint requirements/dev.lock --override requirements/omitted.in "$@" requirements/torch.in
 compile requirements/torch.lock --extra training --constraint requirements/maniskill.lock --override requirements/omitted.in "$@" requirements/torch.in
-compile requirements/compat.lock --extra compat --override requirements/omitted.in "$@" requirements/torch.in requirements/compat.in
+compile requirements/compat.lock --extra compat --constraint requirements/base.lock --override requirements/omitted.in "$@" requirements/torch.in requirements/compat.in
 "${UV:-uv}" pip compile --quiet --universal --generate-hashes --python-version 3.11 --no-emit-index-url \
   --custom-compile-command setup/lock.sh --output-file requirements/node.lock "$@" requirements/node.in
 python3 setup/package_sets.py

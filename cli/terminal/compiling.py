@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import threading
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
 from vitac.envs.kernel_cache.folders import shared_directory
-from vitac.envs.kernel_cache.progress import CompileProgress
+from vitac.envs.kernel_cache.progress import STARTED_LOG, CompileProgress
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -62,9 +63,12 @@ def compiling_shown(bar: Progress | None = None) -> Iterator[None]:
 
     thread = threading.Thread(target=watch, name=_WHAT, daemon=True)
     thread.start()
+    announcing = logging.getLogger(STARTED_LOG)
+    announcing.disabled = True
     try:
         yield
     finally:
+        announcing.disabled = False
         ended.set()
         thread.join()
 

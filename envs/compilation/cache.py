@@ -1,7 +1,9 @@
 """Machine code on disk, found by what it was compiled from: a folder for each module and digest of its sources."""
 
 import logging
+import os
 import pickle
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,11 @@ class _SourceLocator(_CacheLocator):
 
     def get_cache_path(self) -> str:
         return str(self._folder)
+
+    def ensure_cache_path(self) -> None:
+        """Make the folder, which Numba asks for before it reads, where the one above it can be written to."""
+        if os.access(cache_directory(), os.W_OK):
+            super().ensure_cache_path()
 
     def get_source_stamp(self) -> str:
         return self._digest
@@ -73,7 +80,13 @@ class KernelCache(FunctionCache):
             super().save_overload(sig, data)
             remove_unused(Path(self.cache_path).parent)
         except OSError as error:
-            _LOG.warning("Compiled kernels cannot be stored in %s (%s); continuing without.", self.cache_path, error)
+            _warn_not_stored(Path(self.cache_path).parent, str(error))
+
+
+@cache
+def _warn_not_stored(directory: Path, reason: str) -> None:
+    """Say it once for each reason, not for every kernel."""
+    _LOG.warning("Compiled kernels cannot be stored in %s (%s); continuing without.", directory, reason)
 
 
 # What reading a file raises that was cut off, is no pickle, or belongs to another user.

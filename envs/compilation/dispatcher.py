@@ -1,6 +1,7 @@
 """A kernel's machine code: looked for in our cache, and compiled in turn with other processes."""
 
 import logging
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import make_concrete_template
 
 from ..kernel_cache.folders import cache_directory
-from ..kernel_cache.progress import CompileProgress
+from ..kernel_cache.progress import STARTED_LOG, CompileProgress
 from ..kernel_cache.turns import CompilingTurn
 from .cache import KernelCache
 from .libraries import EntryLibrary, PartLibrary
@@ -97,6 +98,7 @@ class _EntryCompiler(_FunctionCompiler):
 
 def _lower(kernel: Any, args: tuple[Any, ...], library: Any, **flags: bool) -> Any:
     """Compile into a library with Numba's own stages."""
+    _announce()
     chosen = compiler.Flags()
     kernel.targetdescr.options.parse_as_flags(chosen, kernel.targetoptions)
     for name, value in flags.items():
@@ -117,3 +119,11 @@ def _lower(kernel: Any, args: tuple[Any, ...], library: Any, **flags: bool) -> A
     _TURN.tell(CompileProgress(**_COUNTS))
     _LOG.info("Compiled %s.%s", kernel.py_func.__module__, kernel.py_func.__qualname__)
     return lowered
+
+
+@cache
+def _announce() -> None:
+    """Say once in a process why nothing happens for a while."""
+    logging.getLogger(STARTED_LOG).warning(
+        "Compiling the physics into %s, once for each version and kind of CPU: up to half a minute.", cache_directory()
+    )

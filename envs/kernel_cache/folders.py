@@ -1,5 +1,6 @@
 """Where compiled kernels are stored, and when unused ones are removed."""
 
+import logging
 import os
 import shutil
 import tempfile
@@ -8,6 +9,9 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
+from ..errors import VitacError
+
+_LOG = logging.getLogger("vitac.envs.compilation")
 _NAME = "kernels"
 # A folder that no process has read or written for this time [s] is removed.
 _UNUSED_S = 30 * 86400.0
@@ -15,10 +19,24 @@ _UNUSED_S = 30 * 86400.0
 _USE_NOTED_S = 86400.0
 
 
+class CacheNotWritable(VitacError):
+    """Compiled kernels cannot be stored in the folder for them; the message names it. Set `VITAC_CACHE_DIR`."""
+
+
 @cache
 def cache_directory() -> Path:
-    """Return the folder of compiled kernels: the one that processes share, else a private temporary one."""
-    return shared_directory() or _private_directory()
+    """Return the folder of compiled kernels: the one that processes share, else a private temporary one.
+
+    A shared folder that `vitac compile` has filled is only read where it cannot be written to.
+    """
+    if shared := shared_directory() or _read_only_directory():
+        return shared
+    _LOG.warning(
+        "Compiled kernels cannot be stored in %s: every process compiles for itself, for half a minute. Name a folder "
+        "that can be written to in VITAC_CACHE_DIR, or fill it once with `vitac compile`.",
+        cache_root(),
+    )
+    return _private_directory()
 
 
 def shared_directory() -> Path | None:
@@ -57,6 +75,12 @@ def cache_root() -> Path:
         return Path(explicit)
     home_cache = os.environ.get("XDG_CACHE_HOME")
     return (Path(home_cache) if home_cache else Path.home() / ".cache") / "vitac"
+
+
+def _read_only_directory() -> Path | None:
+    """Return the shared folder if it holds compiled kernels."""
+    directory = cache_root() / _NAME
+    return directory if next(directory.glob("*/*.nbi"), None) else None
 
 
 def _private_directory() -> Path:

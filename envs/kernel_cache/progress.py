@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Self
 
 LOCK_FILE = "compiling.lock"
+STARTED_LOG = "vitac.envs.compilation.started"
+"""Logger of the line that a process writes when it begins to compile, for commands that show progress themselves."""
 # All texts are equally long, so that each covers the one before it.
 _TEXT = re.compile(r" *(\d+) of +(\d+) kernels in process +(\d+)\n")
 

@@ -10,6 +10,7 @@ A sensor is calibrated in a copy of its own, which takes half a minute; meanwhil
 
 import ctypes
 import gc
+import logging
 import os
 import select
 import selectors
@@ -25,6 +26,7 @@ from typing import NoReturn
 
 import numpy as np
 from vitac.envs.errors import VitacError
+from vitac.envs.kernel_cache.progress import STARTED_LOG
 from vitac.envs.maniskill.definition import is_maniskill
 
 from ..episodes.episode import make_environment
@@ -274,6 +276,7 @@ def main() -> None:
     """Serve until the process that started this one closes its end or dies."""
     # Whatever prints to stdout must not mix with the output of the process that started this one.
     os.dup2(2, 1)
+    logging.getLogger(STARTED_LOG).disabled = True  # commands show how far it is themselves
     with socket.socket(fileno=int(sys.argv[1])) as control:
         host = SimulationHost(control)
         if LOAD_ALL in sys.argv[2:]:

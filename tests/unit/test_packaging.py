@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import vitac.envs
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from vitac.cli.main import NOUNS
@@ -109,6 +110,10 @@ def test_wheel_holds_every_module_and_data_file(repository: Path, tmp_path: Path
     with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
         held = {name.removeprefix("vitac/") for name in wheel.namelist() if name.startswith("vitac/")}
     assert held == {path.as_posix() for path in shipped_files(repository)}
+
+
+def test_the_environments_say_the_version_of_the_distribution(project: dict[str, Any]) -> None:
+    assert vitac.envs.__version__ == project["project"]["version"]
 
 
 def test_server_imports_without_simulation_or_learning_libraries(repository: Path) -> None:
@@ -220,7 +225,9 @@ def test_larger_lock_extends_the_smaller_one(repository: Path, smaller: str, lar
     assert {name: held.get(name) for name in locked(repository, smaller)} == locked(repository, smaller)
 
 
-@pytest.mark.parametrize("profile", ["base", "server", "show", "station", "dev", "maniskill", "torch", "node"])
+@pytest.mark.parametrize(
+    "profile", ["base", "server", "show", "station", "dev", "maniskill", "torch", "compat", "node"]
+)
 def test_lock_has_a_hash_for_every_package_and_names_no_index(repository: Path, profile: str) -> None:
     text = (repository / "requirements" / f"{profile}.lock").read_text()
     pinned = re.findall(r"^\S+==.*\\\n    --hash=sha256:[0-9a-f]{64}", text, re.MULTILINE)
@@ -241,7 +248,8 @@ def test_packages_of_the_player_have_a_hash_and_name_no_registry(repository: Pat
 
 
 @pytest.mark.parametrize(
-    ("addition", "extra", "others"), [("maniskill", "maniskill", ("dev", "torch")), ("torch", "training", ("dev",))]
+    ("addition", "extra", "others"),
+    [("maniskill", "maniskill", ("dev", "torch")), ("torch", "training", ("dev",)), ("compat", "compat", ("base",))],
 )
 def test_the_lock_of_an_addition_has_no_torch_and_agrees_with_all_others_on_what_they_share(
     repository: Path, project: dict[str, Any], addition: str, extra: str, others: tuple[str, ...]
@@ -260,7 +268,7 @@ def test_the_lock_of_an_addition_has_no_torch_and_agrees_with_all_others_on_what
 def test_the_build_of_torch_for_cpus_is_one_that_the_extras_take(repository: Path, project: dict[str, Any]) -> None:
     pinned = re.search(r"^torch=(\S+)$", (repository / "setup" / "additions.sh").read_text(), re.MULTILINE)
     assert pinned
-    for extra in ("torch", "training"):
+    for extra in ("torch", "training", "compat"):
         (wanted,) = (
             requirement
             for requirement in map(Requirement, project["project"]["optional-dependencies"][extra])

@@ -25,6 +25,7 @@ NOT_RUN = {
     r"vitac (serve|worker)\b": "run until they are stopped; a server runs beside this test",
     r"vitac doctor\b": "its exit code is about the machine; tests of the sandbox run all its checks",
     r"vitac scale\b|VITAC_DATABASE_URL": "needs Slurm; benchmarks/slurm.py runs it",
+    r"vitac compile\b": "takes half a minute; tests/unit/cli/test_compile.py says what it plays",
     r"vitac login\b": "asks for a token; tests/unit/cli/client does",
     r"vitac --(maniskill|torch)\b": "downloads gigabytes; tests/integration/maniskill and tests/unit/training do",
     r"vitac train\b": "takes minutes; tests/unit/examples/test_train_a_policy.py trains in miniature",

@@ -1,11 +1,11 @@
-"""What nobody uses any more is removed from the cache."""
+"""What nobody uses any more is removed from the cache; a filled one that cannot be written to is read."""
 
 import os
 import time
 from pathlib import Path
 
 import pytest
-from vitac.envs.kernel_cache.folders import note_use, remove_unused
+from vitac.envs.kernel_cache.folders import cache_directory, note_use, remove_unused
 
 DAY_S = 86400.0
 
@@ -47,3 +47,30 @@ def test_a_folder_of_another_user_is_no_error(tmp_path: Path, monkeypatch: pytes
     used = folder(tmp_path / "a-0", 31)
     monkeypatch.setattr(os, "utime", refuse)
     note_use(used)
+
+
+@pytest.fixture
+def unwritable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of kernels, which this process may only read."""
+    directory = tmp_path / "kernels"
+    directory.mkdir()
+    monkeypatch.setenv("VITAC_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != directory)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    return directory
+
+
+def test_a_filled_folder_that_cannot_be_written_to_is_read(unwritable: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder(unwritable / "a-0", 0)
+    (unwritable / "a-0" / "kernel.nbi").touch()
+    assert cache_directory.__wrapped__() == unwritable
+    assert caplog.messages == []
+
+
+def test_an_empty_folder_that_cannot_be_written_to_is_named_with_the_remedy(
+    unwritable: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert cache_directory.__wrapped__().parent.name.startswith("vitac-")
+    (message,) = caplog.messages
+    assert message.startswith(f"Compiled kernels cannot be stored in {unwritable.parent}: every process compiles")
+    assert "vitac compile" in message
