@@ -6,10 +6,12 @@ import { drawScale } from "./colours.js";
 import { fetchFile } from "./container.js";
 import { element } from "./elements.js";
 import { Episode } from "./episode.js";
+import { Film } from "./film.js";
 import { showGel } from "./gel.js";
 import { Plots } from "./plots.js";
 import { Sections } from "./sections.js";
 import { drawFlow, magnification } from "./sensors.js";
+import { askedStep, Sharing } from "./sharing.js";
 import { Stage } from "./stage.js";
 import { Transport } from "./transport.js";
 
@@ -31,7 +33,8 @@ class Player {
     this.section = section;
     this.episode = episode;
     this.stage = this.#stage();
-    this.panels = section.querySelector(".panels");
+    this.measured = document.querySelector(`[data-measured="${section.id}"]`) ?? section;
+    this.panels = this.#place("panels");
     this.legend = this.stage && this.#legend();
     this.flows = ["left", "right"].map((side) => this.#panel(`${side} sensor, marker flow ×${factor}`, "flow"));
     this.sections = new Sections(episode, {
@@ -39,7 +42,7 @@ class Player {
       upright: this.#panel(`${episode.header.held_name} and ${episode.header.fixed_name}, section`, "flow"),
     });
     this.factor = factor;
-    this.plots = new Plots(section.querySelector(".plots"), episode, [...section.querySelectorAll("[data-env-step]")]);
+    this.plots = new Plots(this.#place("plots"), episode, this.#moments());
     this.cameras = cameras && this.#cameras(cameras);
     this.shown = {};
   }
@@ -68,7 +71,17 @@ class Player {
     const [own, others] = [this.episode, other].map(({ arrays }) => arrays.held_vertices_mm.values);
     if (own.length !== others.length || own.some((value, at) => value !== others[at])) return;
     this.stage?.addGhost(other);
-    this.section.querySelector(".legend").append(element("span", {}, "Blue: the held part of the other episode"));
+    this.measured.querySelector(".legend").append(element("span", {}, "Blue: the held part of the other episode"));
+  }
+
+  /** Where something is drawn; a page that shows only the scene has no place for it. */
+  #place(name) {
+    return this.measured.querySelector(`.${name}`) ?? element("div");
+  }
+
+  /** Env steps that are marked. */
+  #moments() {
+    return [...this.measured.querySelectorAll("[data-env-step]")].map(({ dataset }) => Number(dataset.envStep));
   }
 
   /** The scene, or the still picture where the browser has no WebGL. */
@@ -104,7 +117,7 @@ class Player {
   #legend() {
     const canvas = element("canvas", { class: "scale", "aria-hidden": "true" });
     const text = element("span");
-    this.section.querySelector(".legend").append(text, canvas, ...this.#legendOfForces());
+    this.measured.querySelector(".legend").append(text, canvas, ...this.#legendOfForces());
     return { canvas, text };
   }
 
@@ -146,10 +159,17 @@ async function start() {
   if (players.length === 2) players[0].addGhost(players[1].episode);
   const transport = new Transport(form, length, (time, options) => players.forEach((player) => player.show(time, options, largest)));
   for (const moment of document.querySelectorAll("[data-env-step]")) {
-    moment.addEventListener("click", () => transport.moveTo(Number(moment.dataset.envStep)));
+    const step = Number(moment.dataset.envStep);
+    moment.addEventListener("click", () => transport.moveTo(step));
+    transport.mark(step, moment.querySelector(".moment").classList[1]);
   }
+  new Sharing(form.querySelector("[data-share]"), () => transport.time);
+  transport.moveTo(askedStep());
   reveal("player");
-  if (players.some((player) => player.stage)) reveal("scene");
+  const seen = players.filter((player) => player.stage);
+  if (!seen.length) return;
+  new Film(form.querySelector("[data-film]"), seen, transport);
+  reveal("scene");
 }
 
 /** Shows the controls and the help that do nothing without the player, or without its 3D scene. */

@@ -8,10 +8,10 @@ const COLOURS = 6;
 const BOX = { left: 40, right: 292, top: 22, bottom: 106 };
 
 export class Plots {
-  /** `moments` are elements that mark an env step. */
+  /** `moments` are env steps that are marked. */
   constructor(parent, episode, moments) {
     this.episode = episode;
-    this.marked = new Set(moments.map(({ dataset }) => Number(dataset.envStep)));
+    this.marked = new Set(moments);
     this.cursors = [];
     this.shown = undefined;
     for (const series of allSeries(episode)) parent.append(this.#plot(series));

@@ -1,5 +1,8 @@
 // The controls that all players of a page share: time, speed, colours, and the keyboard.
 
+import { element } from "./elements.js";
+
+const THUMB_PX = 16; // of the slider, which its middle cannot leave
 const PLACES = 1000; // of the slider that playing moves it to; finer ones nobody sees
 const EDITED = "input, select, textarea, button, summary, a, canvas";
 
@@ -20,6 +23,7 @@ export class Transport {
     back.addEventListener("click", () => this.moveTo(Math.ceil(this.time - 1e-6) - 1));
     forward.addEventListener("click", () => this.moveTo(Math.floor(this.time + 1e-6) + 1));
     for (const name of ["quantity", "view", "cut", "xray", "forces"]) form.elements[name].addEventListener("change", () => this.#show());
+    form.querySelectorAll("details.menu").forEach(operate);
     form.addEventListener("submit", (event) => event.preventDefault());
     document.addEventListener("keydown", (event) => this.#byKey(event));
     form.hidden = false;
@@ -29,6 +33,13 @@ export class Transport {
   moveTo(time) {
     this.time = Math.min(this.length, Math.max(0, time));
     this.#show();
+  }
+
+  /** Marks an env step on the time line as a moment of a kind. */
+  mark(step, kind) {
+    const mark = element("span", { class: `moment ${kind}`, "aria-hidden": "true" });
+    mark.style.left = `calc(${0.5 * THUMB_PX}px + (100% - ${THUMB_PX}px) * ${step / this.length})`;
+    this.form.elements.time.parentElement.append(mark);
   }
 
   toggle() {
@@ -44,7 +55,7 @@ export class Transport {
     if (!this.isPlaying) return;
     const passed = this.lastFrame === undefined ? 0 : (now - this.lastFrame) / 1000;
     this.lastFrame = now;
-    this.moveTo(this.time + passed * Number(this.form.elements.speed.value));
+    this.moveTo(this.time + passed * this.speed);
     if (this.time >= this.length) this.toggle();
     else requestAnimationFrame((next) => this.#frame(next));
   }
@@ -64,15 +75,37 @@ export class Transport {
     }
   }
 
+  /** Env steps in a second. */
+  get speed() {
+    return Number(this.form.elements.speed.value);
+  }
+
+  /** Draws another time than the one that it is. */
+  drawAt(time) {
+    const { quantity, view, cut, xray, forces } = this.form.elements;
+    const layers = { isCutOpen: cut.checked, isXray: xray.checked, hasForces: forces.checked };
+    this.draw(time, { quantity: quantity.value, view: view.value, ...layers });
+  }
+
   #show() {
-    const { time, quantity, view, cut, xray, forces } = this.form.elements;
+    const { time } = this.form.elements;
     if (!this.isPlaying || Math.abs(this.time - time.value) * PLACES >= this.length) time.value = this.time;
     const text = `${this.time.toFixed(1)} of ${this.length}`;
     if (text !== this.output.textContent) {
       this.output.textContent = text;
       time.setAttribute("aria-valuetext", `env step ${text}`);
     }
-    const layers = { isCutOpen: cut.checked, isXray: xray.checked, hasForces: forces.checked };
-    this.draw(this.time, { quantity: quantity.value, view: view.value, ...layers });
+    this.drawAt(this.time);
   }
+}
+
+/** Shows all of a menu that opens, and closes it by Escape and by a press elsewhere. */
+function operate(menu) {
+  menu.addEventListener("toggle", () => menu.open && menu.lastElementChild.scrollIntoView({ block: "nearest" }));
+  document.addEventListener("pointerdown", ({ target }) => (menu.open &&= menu.contains(target)));
+  menu.addEventListener("keydown", ({ key }) => {
+    if (key !== "Escape") return;
+    menu.open = false;
+    menu.querySelector("summary").focus();
+  });
 }

@@ -32,6 +32,7 @@ export class View {
     canvas.addEventListener("keydown", (event) => this.#turnByKey(event));
     this.resolution = new Resolution();
     this.drawnPart = 0;
+    this.isHeld = false;
     this.frame = undefined; // that is asked for
     this.lastFrame = undefined;
     this.whenStill = undefined;
@@ -39,13 +40,31 @@ export class View {
     canvas.addEventListener("webglcontextrestored", () => this.#fit()); // after a driver's restart the canvas is empty
   }
 
+  /** Whether nothing is drawn but pictures that are asked for. */
+  holdStill(isHeld) {
+    this.isHeld = isHeld;
+    if (!isHeld) this.#fit();
+  }
+
+  /** The canvas with a picture of a size for this moment: the next one comes into it, too. */
+  picture(width, height) {
+    this.renderer.setPixelRatio(PIXELS_ACROSS);
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.renderer.render(this.scene, this.camera);
+    return this.canvas;
+  }
+
   /** Draws before the browser shows its next frame, once for all that changes until then. */
   draw() {
+    if (this.isHeld) return;
     this.frame ??= requestAnimationFrame((now) => this.#inMotion(now));
   }
 
   #inMotion(now) {
     this.frame = undefined;
+    if (this.isHeld) return;
     if (this.lastFrame !== undefined) this.resolution.took(now - this.lastFrame);
     this.lastFrame = now;
     this.#render(this.resolution.part);
@@ -54,7 +73,7 @@ export class View {
   }
 
   #still() {
-    if (this.frame !== undefined) return; // it moves on, but slowly
+    if (this.frame !== undefined || this.isHeld) return; // it moves on, but slowly
     this.lastFrame = undefined;
     this.resolution.rest();
     if (this.drawnPart !== 1) this.#render(1);
@@ -130,6 +149,7 @@ export class View {
   #fit() {
     const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
     if (!width || !height) return;
+    if (this.isHeld) return;
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
     this.drawnPart = 0;

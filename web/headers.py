@@ -1,7 +1,7 @@
 """Security headers on every page. Called by `routes.install`.
 
 Pages load only our own static files, so the policy forbids everything else: no inline script or style, no frames, no
-other origin.
+other origin. The embedded player alone may stand in frames of other sites.
 """
 
 from starlette.datastructures import MutableHeaders
@@ -28,6 +28,11 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
+EMBEDDED = {
+    "Content-Security-Policy": CONTENT_SECURITY_POLICY.replace("frame-ancestors 'none'", "frame-ancestors *"),
+    "Cross-Origin-Resource-Policy": "cross-origin",
+}
+"""What an answer sets itself that may stand in frames of other sites."""
 
 
 class SecurityHeaders:
@@ -44,6 +49,8 @@ class SecurityHeaders:
                 headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
                     headers.setdefault(name, value)
+                if headers["Content-Security-Policy"] == EMBEDDED["Content-Security-Policy"]:
+                    del headers["X-Frame-Options"]
             await send(message)
 
         await self.app(scope, receive, send_with_headers if scope["type"] == "http" else send)

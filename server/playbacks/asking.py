@@ -23,7 +23,7 @@ from ..db.states import OPEN_PLAYBACK_STATES, PlaybackState, ShardState
 from ..errors import ProblemCode, ServiceError, not_found
 from ..evaluations.episode_store import find_shown_key
 from ..evaluations.history import newest_evaluation
-from ..principals import Principal
+from ..principals import VISITOR, Principal
 from ..queue.jobs import enqueue_playback, queue_name
 from ..queue.workers import fleet
 from ..settings import Settings
@@ -64,6 +64,15 @@ def find_episode(
     if episode is None:
         raise not_found("episode", f"{number} of {task} of submission {submission_id}")
     return episode
+
+
+def is_public(session: Session, submission_id: UUID, task: str, number: int, *, practice: bool = False) -> bool:
+    """Return whether everybody may see an episode; the arguments are those of `find_episode`."""
+    try:
+        find_episode(session, VISITOR, submission_id, task, number, practice=practice)
+    except ServiceError:
+        return False
+    return True
 
 
 def find_playback(session: Session, episode: EpisodeResult) -> Playback | None:

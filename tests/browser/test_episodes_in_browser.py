@@ -2,19 +2,25 @@ import io
 import re
 from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 from browser_checks import DESK, PHONE, violations
+from fastapi import FastAPI
 from page_fixtures import a_submission
 from PIL import Image
 from played_episodes import a_playback, a_shown_episode, guided
 from playwright.sync_api import Browser, Locator, Page, Route, expect
 from real_browser import NO_WEBGL, SOFTWARE_WEBGL, launched
+from service_client import serving
 from site_under_test import SiteUnderTest
+from starlette.responses import HTMLResponse
 from vitac.server.db.states import EvaluationState, PlaybackState
 from vitac.web.pages.episodes.page import player_script
-from waiting import until, wait_for_rest
+from waiting import resize, until, wait_for_rest
 
 pytestmark = pytest.mark.slow
 
@@ -63,6 +69,10 @@ def open_player(site: SiteUnderTest, page: Page, path: str) -> None:
     expect(page.get_by_role("form", name="Playback")).to_be_visible()
 
 
+def open_layers(page: Page) -> None:
+    page.get_by_text("Layers and speed").click()
+
+
 def seen(place: Locator) -> bytes:
     """A picture of what all scenes of the page show when they have come to rest."""
     wait_for_rest(place.page)
@@ -103,6 +113,75 @@ def test_an_episode_is_seen_in_3d_with_what_was_measured(
     assert violations(page) == []
 
 
+@pytest.mark.parametrize("size", [{"width": 1280, "height": 800}, {"width": 1280, "height": 900}, PHONE])
+def test_controls_stand_below_the_scene(site: SiteUnderTest, page: Page, size: dict[str, int]) -> None:
+    resize(page, size)
+    open_player(site, page, made(site))
+    stage, controls = (page.locator(part).bounding_box() for part in (".stage", "form.transport"))
+    assert stage
+    assert controls
+    assert stage["y"] + stage["height"] <= controls["y"]
+    if size is not PHONE:
+        assert controls["y"] + controls["height"] <= size["height"], "both in the first window"
+        assert stage["height"] > 0.5 * size["height"]
+
+
+def test_the_code_that_is_shared_plays_the_moment_in_a_page_of_another_site(site: SiteUnderTest, page: Page) -> None:
+    site.data.set_public(site.data.visitors[0], submission_id(site), public=True)
+    open_player(site, page, f"{made(site)}?step=1.5")
+    expect_time(page, "1.5")
+    page.get_by_text("Share", exact=True).click()
+    expect(page.get_by_label("Link to this moment")).to_have_value(re.compile(r"/submissions/.*\?step=1\.5$"))
+    code = page.get_by_label("For a page of yours").input_value()
+    page.context.clear_cookies()
+    paper = FastAPI()
+    paper.add_route("/", lambda _: HTMLResponse(f"<link rel=icon href=data:,>{code}"))
+    with serving(paper) as (_, port):
+        page.goto(f"http://localhost:{port}/")
+        frame = page.frame_locator("iframe")
+        expect(frame.get_by_role("form", name="Playback")).to_be_visible()
+        expect(frame.get_by_label("Env step", exact=True)).to_have_value("1.5")
+        expect(frame.locator("canvas.scene")).to_be_visible()
+    assert page.context.cookies() == []
+
+
+def record_film(page: Page) -> None:
+    open_layers(page)
+    page.get_by_label("Speed").select_option("4")
+    page.get_by_text("Film", exact=True).click()
+    page.get_by_label("Width").select_option("640")
+    page.get_by_role("button", name="Record a film").click()
+
+
+def test_a_film_has_every_picture_from_the_start_to_the_end(site: SiteUnderTest, page: Page, tmp_path: Path) -> None:
+    open_player(site, page, made(site))
+    with page.expect_download(timeout=600e3) as downloaded:
+        record_film(page)
+    assert downloaded.value.suggested_filename == "done_episode_5_trapezoid_x_-4.00_mm_y_-2.00_mm_turned_+2.00deg.webm"
+    downloaded.value.save_as(tmp_path / "film.webm")
+    film = cv2.VideoCapture(str(tmp_path / "film.webm"))
+    pictures = [picture for read, picture in iter(film.read, (False, None)) if read]
+    assert len(pictures) == film.get(cv2.CAP_PROP_FRAME_COUNT) == 38  # 3 env steps at 4/s and half a second, at 30/s
+    assert film.get(cv2.CAP_PROP_FPS) == 30
+    assert pictures[0].shape[1] == 640
+    moved = [int(np.abs(one.astype(int) - pictures[-1]).max()) for one in pictures]
+    assert moved[0] > 40 > max(moved[-14:]), "the end is shown for half a second"
+
+
+def test_recording_is_cancelled_and_is_refused_in_words_by_a_browser_without_an_encoder(
+    site: SiteUnderTest, page: Page
+) -> None:
+    open_player(site, page, made(site))
+    record_film(page)
+    expect(page.get_by_role("progressbar", name="Recorded part")).to_be_visible()
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.get_by_text("Cancelled.")).to_be_visible()
+    wait_for_rest(page)
+    page.evaluate("delete window.VideoEncoder")
+    page.get_by_role("button", name="Record a film").click()
+    expect(page.get_by_text("There is no film: this browser does not encode films")).to_be_visible()
+
+
 def test_cameras_show_colour_and_depth_of_the_env_step(site: SiteUnderTest, page: Page) -> None:
     open_player(site, page, made(site, FUSION, 7))
     pictures = [page.get_by_role("img", name=name) for name in ("camera, colour", "camera, depth")]
@@ -131,8 +210,10 @@ def test_playing_goes_to_the_end_at_the_chosen_speed_and_starts_again(site: Site
     page.clock.pause_at(HOUR_S)
     play = page.locator("form.transport [name=play]")
     output = page.locator("form.transport output")
+    open_layers(page)
     page.get_by_label("Speed").select_option("4")
     play.click()
+    expect(page.get_by_label("Speed")).to_be_hidden()
     expect(play).to_have_text("Pause")
     page.clock.run_for(500)
     expect(output).to_have_text(re.compile(r"^(1\.9|2\.0) of 3"))
@@ -182,13 +263,17 @@ def test_the_scene_is_turned_by_the_pointer_cut_open_and_coloured_by_displacemen
     page.mouse.move(box["x"] + 250, box["y"] + 120, steps=4)
     page.mouse.up()
     pictures.append(seen(scene))
+    open_layers(page)
     page.get_by_label("Cut open").uncheck()
+    page.keyboard.press("Escape")
     pictures.append(seen(scene))
     assert len(set(pictures)) == 3
     page.keyboard.press("End")
     expect(page.get_by_text("Displacement: 0 to")).to_contain_text("mm")
     before = colours(scene)
+    open_layers(page)
     page.get_by_label("Gels").select_option("pressure")
+    page.keyboard.press("Escape")
     expect(page.get_by_text("Contact pressure: 0 to")).to_contain_text("kPa")
     assert colours(scene) != before
 
@@ -212,6 +297,7 @@ def test_two_episodes_play_side_by_side(site: SiteUnderTest, page: Page) -> None
     expect(page.locator("canvas.scene")).to_have_count(2)
     expect(page.get_by_role("form", name="Playback")).to_be_visible()
     left, right = page.locator(".player").all()
+    one, other = page.locator(".measured").all()
     first, second = (player.bounding_box() for player in (left, right))
     assert first is not None
     assert second is not None
@@ -220,7 +306,10 @@ def test_two_episodes_play_side_by_side(site: SiteUnderTest, page: Page) -> None
     page.keyboard.press("End")
     after = [seen(player.locator("canvas.scene")) for player in (left, right)]
     assert all(one != other for one, other in zip(before, after, strict=True))
-    expect(left.get_by_text("Displacement: 0 to")).to_have_text(right.get_by_text("Displacement: 0 to").inner_text())
+    expect(one.get_by_text("Displacement: 0 to")).to_have_text(other.get_by_text("Displacement: 0 to").inner_text())
+    for part in ("canvas.scene", ".legend", ".story", ".panels", ".plots"):
+        tops = {place["y"] for place in (found.bounding_box() for found in page.locator(part).all()) if place}
+        assert len(tops) == 1, f"{part} of both stand side by side"
     assert violations(page) == []
 
 
@@ -243,14 +332,17 @@ def test_a_browser_without_webgl_shows_the_still_and_the_plots(site: SiteUnderTe
     expect(page.locator("img.still")).to_be_visible()
     expect(page.locator("canvas.scene")).to_be_hidden()
     expect(page.get_by_role("img", name="over the env steps")).to_have_count(5)
-    parts = [page.locator(part).bounding_box() for part in (".stage", ".moments", ".panels", ".plots")]
+    parts = [page.locator(part).bounding_box() for part in (".stage", ".transport", ".story", ".moments", ".panels")]
     for above, below in pairwise(part for part in parts if part):
         assert 0 <= below["y"] - above["y"] - above["height"] < 40, "no gap where the scale of colours would stand"
     expect(page.get_by_text("Space plays and pauses")).to_be_visible()
     for without_effect in ("Displacement: 0 to", "With the scene focused"):
         expect(page.get_by_text(without_effect)).to_be_hidden()
+    open_layers(page)
+    expect(page.get_by_label("Speed")).to_be_visible()
     for without_effect in ("Gels", "Cut open"):
         expect(page.get_by_label(without_effect)).to_be_hidden()
+    page.get_by_role("heading", level=1).click()
     page.keyboard.press("End")
     expect_time(page, "3")
 

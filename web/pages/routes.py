@@ -30,6 +30,7 @@ from . import (
 )
 from .contest import archive
 from .contest import contest as competition
+from .episodes import embedded
 from .episodes import page as episodes
 from .files import boards
 from .files import submissions as tables
@@ -138,6 +139,16 @@ def pages() -> APIRouter:
             for address in EPISODES
             for path, page, method in (
                 ("", episodes.episode, "GET"),
+                ("/playback", episodes.playback, "GET"),
+                ("/playback", episodes.ask, "POST"),
+                ("/playback/{file}", episodes.playback_file, "GET"),
+            )
+        ),
+        *(
+            (episodes.EMBED + address + path, embedded.without_session(page), method)
+            for address in EPISODES
+            for path, page, method in (
+                ("", embedded.embedded, "GET"),
                 ("/playback", episodes.playback, "GET"),
                 ("/playback", episodes.ask, "POST"),
                 ("/playback/{file}", episodes.playback_file, "GET"),

@@ -32,6 +32,8 @@ from ..addresses import as_id
 
 FOLDERS = ("episodes", "practice")
 """Addresses of episodes below a submission's page: of its result, and of the public list played beside a sealed one."""
+EMBED = "/embed"
+"""Before an episode's address: its player alone, for frames of other sites."""
 PLAYER = "playback.js"
 ONE_YEAR_S = 365 * 24 * 3600
 _PICTURES = {PlaybackFile.STILL: "image/png", PlaybackFile.FILM: "image/webp"}
@@ -115,11 +117,11 @@ class Player:
 async def episode(request: Request) -> Response:
     """Show an episode, beside another one if the address names one; nothing is computed by looking."""
     viewer = await get_viewer(request)
-    place = _place(request)
-    players = [await _player(request, viewer, place)]
+    place = read_place(request)
+    players = [await make_player(request, viewer, place)]
     beside = request.query_params.get("beside", "").strip()
     if beside:
-        players.append(await _player(request, viewer, _episode_beside(place, beside)))
+        players.append(await make_player(request, viewer, _episode_beside(place, beside)))
     task = load_track(players[0].shown.track).task(place.task)
     return page(
         request,
@@ -130,6 +132,7 @@ async def episode(request: Request) -> Response:
         all_filmed=all(player.is_filmed for player in players),
         beside=beside,
         choices=() if place.practice else await _choices(request, viewer, place),
+        embed=EMBED + _address(place) if await _is_public(request, viewer, place) else "",
         is_practice=place.practice,
         title=f"{task.title}, episode {place.number}",
         neighbours=_neighbours(place, task),
@@ -146,19 +149,20 @@ async def ask(request: Request) -> Response:
     fields = await read_form(request)
     if viewer is not None:
         require_form_token(request, fields, viewer)
-    place = _place(request)
+    place = read_place(request)
     asked = await _ask_for_playback(request, viewer, place)
     if "text/html" not in request.headers.get("accept", ""):
         return _state(asked)
     beside = fields.get("beside", "")
-    return RedirectResponse(f"{_address(place)}?beside={beside}" if _is_place(beside) else _address(place), 303)
+    shown = request.url.path.removesuffix("/playback")
+    return RedirectResponse(f"{shown}?beside={beside}" if _is_place(beside) else shown, 303)
 
 
 @open_to_all
 async def playback(request: Request) -> Response:
     """Answer how far a playback is, as JSON, for the page's script."""
     viewer = await get_viewer(request)
-    shown = await _shown_episode(request, viewer, _place(request))
+    shown = await _shown_episode(request, viewer, read_place(request))
     if shown.playback is None:
         raise HTTPException(404)
     return _state(shown.playback)
@@ -172,7 +176,7 @@ async def playback_file(request: Request) -> Response:
         file = PlaybackFile(request.path_params["file"])
     except ValueError as error:
         raise HTTPException(404) from error
-    content = await _read_file(request, viewer, _place(request), file)
+    content = await _read_file(request, viewer, read_place(request), file)
     is_named = "v" in request.query_params
     headers = {
         "Cache-Control": f"private, max-age={ONE_YEAR_S}, immutable" if is_named else "no-cache",
@@ -205,14 +209,26 @@ def player_script() -> str | None:
     return PLAYER if (STATIC / PLAYER).is_file() else None
 
 
-async def _player(request: Request, viewer: Viewer | None, place: EpisodeAddress) -> Player:
-    return Player(address=_address(place), shown=await _shown_episode(request, viewer, place))
+async def make_player(request: Request, viewer: Viewer | None, place: EpisodeAddress, prefix: str = "") -> Player:
+    """Return an episode as the viewer may see it; `prefix` stands before the address of its page."""
+    return Player(address=prefix + _address(place), shown=await _shown_episode(request, viewer, place))
 
 
 async def _choices(request: Request, viewer: Viewer | None, place: EpisodeAddress) -> tuple[EpisodeChoiceView, ...]:
     by = get_principal(viewer)
     return await get_site(request).ask(
         lambda session: comparisons.list_choices(session, by, place.submission_id, place.task, place.number)
+    )
+
+
+async def _is_public(request: Request, viewer: Viewer | None, place: EpisodeAddress) -> bool:
+    """Return whether everybody may see an episode that the viewer sees."""
+    if viewer is None:
+        return True
+    return await get_site(request).read(
+        lambda session: asking.is_public(
+            session, place.submission_id, place.task, place.number, practice=place.practice
+        )
     )
 
 
@@ -262,12 +278,13 @@ def _state(found: PlaybackView) -> JSONResponse:
     )
 
 
-def _place(request: Request) -> EpisodeAddress:
+def read_place(request: Request) -> EpisodeAddress:
+    """Return the episode that the address of a request names."""
     values = request.path_params
     if not _is_number(values["number"]):
         raise HTTPException(404)
     submission_id = as_id(values["submission_id"])
-    practice = request.url.path.split("/")[3] == FOLDERS[1]
+    practice = f"/{values['submission_id']}/{FOLDERS[1]}/" in request.url.path
     return EpisodeAddress(
         submission_id=submission_id, task=values["task"], number=int(values["number"]), practice=practice
     )

@@ -1,0 +1,149 @@
+// Records the scenes of a page as a film, picture by picture: as sharp and as even on a slow machine as on a fast one.
+
+import { webm } from "./webm.js";
+
+const PER_S = 30;
+const LAST_S = 0.5; // for which the end is shown
+const CAPTION_PX = 44;
+const KEY_EVERY = 60;
+const WAITING = 3; // pictures that the encoder may have before it
+const BITS_PER_PIXEL = 0.12;
+const CODECS = [
+  ["vp09.00.40.08", "V_VP9"],
+  ["vp8", "V_VP8"],
+];
+
+export class Film {
+  /** `menu` holds the controls; `players` are filmed as `transport` has them drawn. */
+  constructor(menu, players, transport) {
+    this.menu = menu;
+    this.players = players;
+    this.transport = transport;
+    this.status = menu.querySelector("[role=status]");
+    this.progress = menu.querySelector("progress");
+    this.button = menu.querySelector("button");
+    this.cancelled = undefined; // aborts the recording in progress
+    this.button.addEventListener("click", () => (this.cancelled ? this.cancelled.abort() : this.#record()));
+  }
+
+  async #record() {
+    this.cancelled = new AbortController();
+    this.button.textContent = "Cancel";
+    this.status.textContent = "";
+    this.progress.hidden = false;
+    const filmed = this.players.map(({ stage }) => stage);
+    if (this.transport.isPlaying) this.transport.toggle();
+    try {
+      filmed.forEach((stage) => stage.holdStill(true));
+      const film = await this.#film(filmed, this.cancelled.signal);
+      this.#save(film);
+    } catch (error) {
+      this.status.textContent = this.cancelled.signal.aborted ? "Cancelled." : `There is no film: ${error.message}`;
+    }
+    filmed.forEach((stage) => stage.holdStill(false));
+    this.transport.moveTo(this.transport.time);
+    this.cancelled = undefined;
+    this.button.textContent = "Record a film";
+    this.progress.hidden = true;
+  }
+
+  /** Resolves to the file and its length [s]. */
+  async #film(stages, signal) {
+    const { length } = this.transport;
+    const speed = this.transport.speed;
+    const pictures = Math.round((length / speed + LAST_S) * PER_S);
+    const canvas = this.#canvas(stages);
+    const { encoder, codec, chunks } = await encoderFor(canvas);
+    try {
+      for (let at = 0; at < pictures; at += 1) {
+        const time = Math.min(length, (at * speed) / PER_S);
+        this.transport.drawAt(time);
+        this.#compose(canvas, stages, time);
+        const picture = new VideoFrame(canvas, { timestamp: (at * 1e6) / PER_S, duration: 1e6 / PER_S });
+        encoder.encode(picture, { keyFrame: at % KEY_EVERY === 0 });
+        picture.close();
+        this.progress.value = at / pictures;
+        do await new Promise((resolve) => setTimeout(resolve));
+        while (encoder.encodeQueueSize > WAITING && !signal.aborted && encoder.state === "configured");
+        signal.throwIfAborted();
+      }
+      await encoder.flush();
+    } finally {
+      if (encoder.state !== "closed") encoder.close();
+    }
+    const seconds = pictures / PER_S;
+    return { seconds, file: webm({ codec, width: canvas.width, height: canvas.height, durationMs: 1000 * seconds, chunks }) };
+  }
+
+  /** Scenes one beside another, as wide to their heights as the page shows them, over a line of words. */
+  #canvas(stages) {
+    const width = Number(this.menu.querySelector("select").value) / stages.length;
+    const heights = stages.map(({ canvas: { parentElement: room } }) => even((width * room.clientHeight) / room.clientWidth));
+    const canvas = document.createElement("canvas");
+    Object.assign(canvas, { width: width * stages.length, height: Math.max(...heights) + CAPTION_PX });
+    return canvas;
+  }
+
+  #compose(canvas, stages, time) {
+    const context = canvas.getContext("2d");
+    const [width, height] = [canvas.width / stages.length, canvas.height - CAPTION_PX];
+    const room = getComputedStyle(stages[0].canvas.parentElement);
+    context.fillStyle = room.backgroundColor;
+    context.fillRect(0, 0, canvas.width, canvas.height);
+    context.fillStyle = room.color;
+    context.font = `20px ${room.fontFamily}`;
+    context.textBaseline = "middle";
+    const moment = `env step ${time.toFixed(1)} of ${this.transport.length}`;
+    const end = canvas.width - 16 - context.measureText(moment).width;
+    const line = height + 0.5 * CAPTION_PX;
+    stages.forEach((stage, at) => {
+      context.drawImage(stage.picture(width, height), at * width, 0, width, height);
+      const left = at * width + 16;
+      const right = at === stages.length - 1 ? end : (at + 1) * width;
+      context.fillText(this.players[at].section.dataset.heading, left, line, right - left - 16);
+    });
+    context.fillText(moment, end, line);
+  }
+
+  #save({ file, seconds }) {
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(file);
+    link.download = `${this.players.map(({ section }) => fileName(section.dataset.heading)).join("_beside_")}.webm`;
+    link.textContent = link.download;
+    this.status.replaceChildren(link, `, ${seconds.toFixed(1)} s, ${(file.size / 1e6).toFixed(1)} MB`);
+    link.click();
+  }
+}
+
+async function encoderFor({ width, height }) {
+  if (typeof VideoEncoder === "undefined") throw new Error("this browser does not encode films, or does so at addresses with https only.");
+  const settings = { width, height, framerate: PER_S, bitrate: Math.round(BITS_PER_PIXEL * width * height * PER_S), latencyMode: "quality" };
+  for (const [codec, name] of CODECS) {
+    const { supported } = await VideoEncoder.isConfigSupported({ codec, ...settings });
+    if (!supported) continue;
+    const chunks = [];
+    const encoder = new VideoEncoder({
+      output: (chunk) => {
+        const data = new Uint8Array(chunk.byteLength);
+        chunk.copyTo(data);
+        chunks.push({ timeMs: chunk.timestamp / 1000, isKey: chunk.type === "key", data });
+      },
+      error: () => {}, // it is closed then, and refuses the next picture
+    });
+    encoder.configure({ codec, ...settings });
+    return { encoder, codec: name, chunks };
+  }
+  throw new Error("this browser encodes neither VP9 nor VP8.");
+}
+
+function even(length) {
+  return 2 * Math.round(0.5 * length);
+}
+
+/** A heading as the name of a file. */
+function fileName(heading) {
+  return heading
+    .replaceAll("−", "-")
+    .replaceAll("°", "deg")
+    .replaceAll(/[^\p{L}\p{N}.+-]+/gu, "_");
+}
