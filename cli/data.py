@@ -1,15 +1,19 @@
 """`vitac data`: collects demonstrations of an expert, and makes, checks and describes data sets of them."""
 
 import sys
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
+from .terminal.existing import existing
 from .terminal.output import AsJson, print_json, print_table
 
 app = typer.Typer(no_args_is_help=True)
 
+Form = Literal["lerobot-v3.0", "lerobot-v2.1", "minari"]
+DataSet = Annotated[Path, typer.Argument(callback=existing, help="Folder of the data set.")]
 Processes = Annotated[int, typer.Option(min=1, help="Processes that play episodes.")]
 
 
@@ -33,8 +37,9 @@ def collect(
 
     rows = []
     for task in tasks or list_tasks():
-        with compiling_shown(), _Counter(task, successes) as counter:
-            path = collect_task(task, out, successes=successes, seed=seed, processes=processes, report=counter.show)
+        with compiling_shown(), _Counter() as counter:
+            report = partial(counter.show_collected, task, successes)
+            path = collect_task(task, out, successes=successes, seed=seed, processes=processes, report=report)
         rows += [{"task": task, **row, "file": str(path)} for row in count_outcomes(path)]
     if as_json:
         print_json({"demonstrations": rows})
@@ -43,21 +48,112 @@ def collect(
         print_table(columns, [[row[column.replace(" ", "_")] for column in columns] for row in rows], none="none")
 
 
-class _Counter:
-    """A line on a terminal that says how far collecting is."""
+@app.command()
+def export(
+    collection: Annotated[Path, typer.Argument(callback=existing, help="Folder of a task, or of several.")],
+    to: Annotated[Path, typer.Option("--to", help="New folder; of several tasks each gets one in it.")],
+    form: Annotated[Form, typer.Option("--format", help="Format of the data set.")] = "lerobot-v3.0",
+    key: Annotated[
+        list[str] | None,
+        typer.Option(help="Observation key to store, repeated; default: coloured pictures and all that is small."),
+    ] = None,
+    only_successes: Annotated[bool, typer.Option(help="Leave failures out.")] = False,
+    processes: Processes = 1,
+) -> None:
+    """Play demonstrations again, compare every state, and write what was seen as a data set with a card."""
+    from vitac.training.demonstrations.demonstration import FILE
+    from vitac.training.demonstrations.exporting import Format
+    from vitac.training.demonstrations.exporting import export as export_task
 
-    def __init__(self, task: str, successes: int) -> None:
-        self._task, self._successes = task, successes
+    is_one = (collection / FILE).exists()
+    files = [collection / FILE] if is_one else sorted(collection.glob(f"*/{FILE}"))
+    if not files:
+        raise typer.BadParameter(f"{collection} holds no demonstrations; make some with `vitac data collect`.")
+    for file in files:
+        folder = to if is_one else to / file.parent.name
+        with _Counter() as counter:
+            export_task(
+                file,
+                folder,
+                Format(form),
+                keys=key,
+                only_successes=only_successes,
+                processes=processes,
+                report=partial(counter.show_played, folder),
+            )
+        print(folder)
+
+
+@app.command("import")
+def import_(
+    folder: DataSet,
+    to: Annotated[Path, typer.Option("--to", help="Folder, in which the task gets one.")],
+) -> None:
+    """Read the demonstrations back from a LeRobotDataset that was exported here, exactly as they were collected."""
+    from vitac.training.demonstrations.lerobot.reading import import_lerobot
+
+    print(import_lerobot(folder, to))
+
+
+@app.command()
+def check(
+    folder: DataSet,
+    replay: Annotated[int, typer.Option(min=0, help="Play this number of random episodes again.")] = 0,
+    processes: Processes = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Name what is broken in a LeRobotDataset or a collection, by file and row; exit code 1 if anything is.
+
+    A LeRobotDataset may be anybody's; `--replay` needs one that was exported here.
+    """
+    from vitac.training.demonstrations.demonstration import FILE
+    from vitac.training.demonstrations.lerobot.checking import check_lerobot
+    from vitac.training.demonstrations.replaying import read_folder
+    from vitac.training.demonstrations.replaying import replay as replay_some
+
+    is_collection = (folder / FILE).exists()
+    faults = [] if is_collection else [str(fault) for fault in check_lerobot(folder)]
+    replayed = 0
+    if not faults and (replay or is_collection):
+        source, demonstrations = read_folder(folder)
+        with _Counter() as counter:
+            report = partial(counter.show_played, folder)
+            replayed = replay_some(source, demonstrations, count=replay, processes=processes, report=report)
+    if as_json:
+        print_json({"faults": faults, "replayed": replayed})
+    else:
+        print("\n".join(faults) or f"no fault found; {replayed} episodes replayed")
+    if faults:
+        raise typer.Exit(1)
+
+
+@app.command()
+def card(
+    folder: Annotated[Path, typer.Argument(callback=existing, help="Folder of a task's demonstrations or a data set.")],
+) -> None:
+    """Print what a data set is: who acted, from which starts, with which success, and its licence."""
+    from vitac.training.demonstrations.card import make_card_of
+
+    print(make_card_of(folder))
+
+
+class _Counter:
+    """A line on a terminal that says how far a command is."""
 
     def __enter__(self) -> "_Counter":
         return self
 
-    def show(self, episodes: int, successes: int) -> None:
-        """Show these numbers."""
-        if sys.stderr.isatty():
-            text = f"{self._task}: {successes} of {self._successes} successes in {episodes} episodes"
-            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+    def show_collected(self, task: str, wanted: int, episodes: int, successes: int) -> None:
+        """Show how many demonstrations there are."""
+        self._show(f"{task}: {successes} of {wanted} successes in {episodes} episodes")
+
+    def show_played(self, folder: Path, episodes: int) -> None:
+        """Show how many episodes were played again."""
+        self._show(f"{folder.name}: played {episodes} episodes again")
 
     def __exit__(self, *_: object) -> None:
+        self._show("")
+
+    def _show(self, text: str) -> None:
         if sys.stderr.isatty():
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)

@@ -208,6 +208,14 @@ def test_each_command_adds_its_packages_and_later_commands_keep_them(checkout: C
     assert checkout.calls == ["venv", "pip base.lock", "pip show.lock", "pip dev.lock"]
 
 
+@pytest.mark.parametrize(("verb", "locks"), [("export", ["base", "data"]), ("collect", ["base"])])
+def test_data_sets_bring_what_writes_them_but_collecting_does_not(
+    checkout: Checkout, verb: str, locks: list[str]
+) -> None:
+    checkout.run(str(checkout.root / "vitac"), "data", verb, "folder")
+    assert checkout.calls == ["venv", *(f"pip {lock}.lock" for lock in locks)]
+
+
 @pytest.mark.parametrize(
     "noun", [noun for noun in NOUNS if noun.name not in {"show", "serve", "demo"}], ids=lambda noun: noun.name
 )

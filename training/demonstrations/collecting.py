@@ -2,11 +2,10 @@
 
 import fcntl
 import os
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from itertools import count
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -27,6 +26,7 @@ from .demonstration import (
     read_demonstrations,
 )
 from .expert import PLANS, Expert, Plan, add_noise
+from .ordered_pool import map_in_order
 
 _KINDS = (
     *(DemonstrationKind.CLEAN, DemonstrationKind.NOISY) * 4,
@@ -97,12 +97,14 @@ def collect(
     source = Source(manifest=make_manifest(track, found, expert.env), stream=stream(seed, Use.COLLECT))
     path = folder / task / FILE
     with _continued(path, source) as file:
-        stored = [each.is_success for each in read_demonstrations(path)]
-        n_episodes, n_successes = len(stored), sum(stored)
+        stored = list(read_demonstrations(path))
+        n_episodes, n_successes = len(stored), sum(each.is_success for each in stored)
+        if stored and stored[-1].episode != n_episodes:
+            raise CollectionRejected(f"{path} leaves episodes out, expected all; collect into another folder.")
         report(n_episodes, n_successes)
         if n_successes >= successes:
             return path
-        for played in _played(expert, source, n_episodes + 1, processes):
+        for played in map_in_order(partial(_play, expert, source), count(n_episodes + 1), processes):
             file.write(make_line(played))
             file.flush()
             n_episodes, n_successes = n_episodes + 1, n_successes + played.is_success
@@ -145,29 +147,6 @@ def _drop_partial_line(file: BinaryIO) -> None:
     for line in file:
         whole += len(line) if line.endswith(b"\n") else 0
     file.truncate(whole)
-
-
-def _played(expert: Expert, source: Source, first: int, processes: int) -> Iterator[Demonstration]:
-    """Yield demonstrations in order, without end."""
-    if processes == 1:
-        yield from (_play(expert, source, number) for number in count(first))
-        return
-    global _WORK
-    _WORK = expert, source  # forked: what is loaded here is loaded there
-    with get_context("fork").Pool(processes) as pool:
-        numbers = count(first)
-        running = deque(pool.apply_async(_play_there, (next(numbers),)) for _ in range(2 * processes))
-        while True:
-            yield running.popleft().get()
-            running.append(pool.apply_async(_play_there, (next(numbers),)))
-
-
-_WORK: tuple[Expert, Source]
-"""What the processes of a pool play."""
-
-
-def _play_there(number: int) -> Demonstration:
-    return _play(*_WORK, number)
 
 
 def _play(expert: Expert, source: Source, number: int) -> Demonstration:

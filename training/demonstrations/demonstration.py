@@ -97,17 +97,19 @@ def read_demonstrations(path: Path) -> Iterator[Demonstration]:
     """
     with path.open("rb") as file:
         file.readline()
-        for number, line in enumerate(file, start=1):
+        last = 0
+        for number, line in enumerate(file, start=2):
             try:
                 found = Demonstration.model_validate_json(line)
             except ValidationError as error:
                 raise CollectionRejected(
-                    f"{path}:{number + 1} is no demonstration ({error.errors()[0]['msg']}); collect again into "
+                    f"{path}:{number} is no demonstration ({error.errors()[0]['msg']}); collect again into "
                     "another folder."
                 ) from error
-            if found.episode != number:
+            if found.episode <= last:
                 raise CollectionRejected(
-                    f"{path}:{number + 1} is episode {found.episode}, expected {number}; collect again into another "
-                    "folder."
+                    f"{path}:{number} is episode {found.episode}, expected one after {last}; collect again into "
+                    "another folder."
                 )
+            last = found.episode
             yield found

@@ -62,17 +62,17 @@ def test_starts_are_in_no_official_list(collected: Path) -> None:
         collect(TASK, collected.parents[1], successes=1, seed=-1)
 
 
-@pytest.mark.parametrize(
-    ("line", "problem"), [(b"{}\n", ":2 is no demonstration"), (None, ":2 is episode 2, expected 1")]
-)
-def test_names_the_line_that_is_not_what_was_written(
-    collected: Path, tmp_path: Path, line: bytes | None, problem: str
-) -> None:
+def test_names_the_line_that_is_not_what_was_written(collected: Path, tmp_path: Path) -> None:
     lines = collected.read_bytes().splitlines(keepends=True)
-    damaged = tmp_path / "demonstrations.jsonl"
-    damaged.write_bytes(b"".join([lines[0], *([line] if line else []), *lines[2:]]))
-    with pytest.raises(CollectionRejected, match=problem):
-        list(read_demonstrations(damaged))
+    damaged = tmp_path / TASK / collected.name
+    damaged.parent.mkdir()
+    for second, problem in ((b"{}\n", ":3 is no demonstration"), (lines[1], ":3 is episode 1, expected one after 1")):
+        damaged.write_bytes(b"".join([*lines[:2], second, *lines[3:]]))
+        with pytest.raises(CollectionRejected, match=problem):
+            list(read_demonstrations(damaged))
+    damaged.write_bytes(b"".join([lines[0], *lines[2:]]))
+    with pytest.raises(CollectionRejected, match="leaves episodes out"):
+        collect(TASK, tmp_path, successes=11)
 
 
 def test_every_task_with_an_expert_is_listed_but_not_those_that_need_a_sensor() -> None:

@@ -1,0 +1,104 @@
+"""Data sets of real demonstrations: replayed while they are written, and read back."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from vitac.cli.main import main
+from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.training.demonstrations.collecting import collect
+from vitac.training.demonstrations.demonstration import FILE, make_line, read_demonstrations, read_source
+from vitac.training.demonstrations.exporting import FolderExists, Format, export
+from vitac.training.demonstrations.frames import DemonstrationDiffers
+from vitac.training.demonstrations.replaying import read_folder, replay
+
+pytest.importorskip("pyarrow", reason="needs the extra `data`")
+
+TASK = "lock-opening"
+KEYS = ("relative_motion", "marker_flow")
+
+
+def nothing(_: int) -> None:
+    pass
+
+
+@pytest.fixture(scope="module")
+def collection(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return collect(TASK, tmp_path_factory.mktemp("collection"), successes=4)
+
+
+def run(*arguments: object) -> int | str | None:
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return ended.value.code
+
+
+def test_processes_write_the_same_data_set_and_it_gives_the_collection_back(collection: Path, tmp_path: Path) -> None:
+    for processes in (1, 2):
+        folder = tmp_path / str(processes)
+        export(collection, folder, Format.LEROBOT_3_0, keys=KEYS, processes=processes, report=nothing)
+    data = "data/chunk-000/file-000.parquet"
+    assert (tmp_path / "1" / data).read_bytes() == (tmp_path / "2" / data).read_bytes()
+    assert run("data", "import", tmp_path / "1", "--to", tmp_path / "back") == 0
+    assert (tmp_path / "back" / TASK / FILE).read_bytes() == collection.read_bytes()
+    with pytest.raises(FolderExists):
+        export(collection, tmp_path / "1", Format.LEROBOT_3_0, report=nothing)
+
+
+def test_minari_reads_what_was_seen_and_makes_the_environment(collection: Path, tmp_path: Path) -> None:
+    minari = pytest.importorskip("minari", reason="needs the extra `data`")
+    export(collection, tmp_path / "set", Format.MINARI, keys=KEYS, report=nothing)
+    found = minari.MinariDataset(tmp_path / "set" / "data")
+    first = next(read_demonstrations(collection))
+    episode = found[0]
+    np.testing.assert_array_equal(episode.actions, first.actions.to_array())
+    assert [each.decode() for each in episode.infos["state_hash"]] == list(first.state_hashes)
+    env = found.recover_environment()
+    observation, _ = env.reset(options=dict(first.options(read_source(collection))))
+    for key in KEYS:
+        np.testing.assert_array_equal(observation[key], episode.observations[key][0])
+
+
+def test_only_successes_leave_the_episodes_of_failures_out(collection: Path, tmp_path: Path) -> None:
+    lines = collection.read_bytes().splitlines(keepends=True)
+    failure = next(each for each in read_demonstrations(collection)).model_copy(
+        update={"outcome": EpisodeOutcome.STEPS}
+    )
+    mixed = tmp_path / FILE
+    mixed.write_bytes(lines[0] + make_line(failure) + b"".join(lines[2:]))
+    export(mixed, tmp_path / "set", Format.LEROBOT_2_1, keys=KEYS, only_successes=True, report=nothing)
+    _, kept = read_folder(tmp_path / "set")
+    assert [each.episode for each in kept] == [each.episode for each in read_demonstrations(mixed) if each.is_success]
+    assert "Failures are left out" in (tmp_path / "set" / "README.md").read_text()
+
+
+def test_another_action_is_found_by_its_state(collection: Path, tmp_path: Path) -> None:
+    source, demonstrations = read_folder(collection.parent)
+    assert replay(source, demonstrations, count=2, report=nothing) == 2
+    first, second = demonstrations[:2]
+    changed = first.model_copy(update={"state_hashes": (*first.state_hashes[:-1], second.state_hashes[-1])})
+    last = first.actions.shape[0]
+    with pytest.raises(DemonstrationDiffers, match=f"Episode 1 of {TASK} has another state after env step {last}"):
+        replay(source, [changed], count=1, report=nothing)
+
+
+@pytest.mark.slow
+def test_fifty_random_demonstrations_replay_by_hash_after_a_round_trip(tmp_path: Path) -> None:
+    played = 0
+    for task, successes in ((TASK, 25), ("peg-insertion", 25), ("fusion-insertion", 2)):
+        collection = collect(task, tmp_path / "collection", successes=successes, processes=2)
+        keys = ["rgb_picture"] if task == "fusion-insertion" else list(KEYS)
+        export(collection, tmp_path / task, Format.LEROBOT_3_0, keys=keys, processes=2, report=nothing)
+        assert run("data", "check", tmp_path / task, "--replay", 1) == 0
+        source, demonstrations = read_folder(tmp_path / task)
+        played += replay(source, demonstrations, count=25, seed=1, processes=2, report=nothing)
+    assert played > 50
+
+
+def test_card_says_where_it_comes_from(collection: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("data", "card", collection.parent) == 0
+    card = capsys.readouterr().out
+    assert card.startswith("---\nlicense: apache-2.0\n")
+    assert f"`vitac data collect {TASK} --successes 4 --seed 0 --out DIR`" in card
+    assert read_source(collection).manifest.mesh_hash in card
+    assert "| clean | 2 | 2 | 100.0 [34.2, 100.0] |" in card

@@ -1,0 +1,98 @@
+"""What was seen in a demonstration: it is played again, and its states are compared with those of its collection."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from math import prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from vitac.envs.errors import VitacError
+from vitac.envs.observable import Observable
+from vitac.envs.tasks.definition import chosen_observables
+from vitac.evaluator.tracks import Task
+
+from .demonstration import Demonstration, Source
+
+_MOST_NUMBERS = 2048
+"""Size of an observable above which it is seen only when it is asked for."""
+
+
+class DemonstrationDiffers(VitacError):
+    """A demonstration led to other states than when it was collected; play it with the version that collected it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Frames:
+    """An episode of n env steps as it was seen.
+
+    Attributes:
+        demonstration: that was played.
+        observations: by key, each with n + 1 entries.
+        actions: shape [n, action size].
+        rewards: shape [n].
+    """
+
+    demonstration: Demonstration
+    observations: dict[str, NDArray[Any]]
+    actions: NDArray[np.float32]
+    rewards: NDArray[np.float32]
+
+
+def choose_observables(task: Task, keys: Collection[str] | None) -> tuple[Observable[Any], ...]:
+    """Return the observables with these keys, by default coloured pictures and all that have few numbers.
+
+    Raises:
+        UnknownObservationKey: the task does not have one.
+    """
+    listed = task.definition.observables
+    if keys is not None:
+        return chosen_observables(listed, keys)
+    return tuple(entry for entry in listed if is_coloured_picture(entry) or prod(entry.shape) <= _MOST_NUMBERS)
+
+
+def is_coloured_picture(entry: Observable[Any]) -> bool:
+    """Return whether an observable is one picture in red, green and blue."""
+    return entry.dtype == "uint8" and len(entry.shape) == 3 and entry.shape[-1] == 3
+
+
+def make_observed_environment(task: Task, observables: Collection[Observable[Any]]) -> Any:
+    """Return an environment of a task that observes these, privileged ones included."""
+    import gymnasium
+    import vitac.envs  # noqa: F401 - registers the environment ids
+
+    keys = [entry.name for entry in observables]
+    arguments: dict[str, Any] = {"observation_keys": keys, **task.environment_arguments}
+    return gymnasium.make(task.env_id, disable_env_checker=True, privileged=True, **arguments).unwrapped
+
+
+def play_again(env: Any, source: Source, demonstration: Demonstration) -> Frames:
+    """Play a demonstration again and return what was seen.
+
+    Raises:
+        DemonstrationDiffers: a state is another one.
+    """
+    observation, _ = env.reset(options=demonstration.options(source))
+    actions, seen, rewards = demonstration.actions.to_array(), [observation], []
+    _compare(env, source, demonstration, 0)
+    for env_step, action in enumerate(actions, start=1):
+        observation, reward, *_ = env.step(action)
+        _compare(env, source, demonstration, env_step)
+        seen.append(observation)
+        rewards.append(reward)
+    return Frames(
+        demonstration=demonstration,
+        observations={key: np.stack([each[key] for each in seen]) for key in observation},
+        actions=actions,
+        rewards=np.array(rewards, dtype=np.float32),
+    )
+
+
+def _compare(env: Any, source: Source, demonstration: Demonstration, env_step: int) -> None:
+    if env.state_hash() != demonstration.state_hashes[env_step]:
+        made = source.manifest
+        raise DemonstrationDiffers(
+            f"Episode {demonstration.episode} of {made.task} has another state after env step {env_step} than when it "
+            f"was collected, with evaluator {made.evaluator_version} on {made.platform_class}. Play it there, or "
+            "collect again."
+        )

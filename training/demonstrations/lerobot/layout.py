@@ -1,0 +1,145 @@
+"""Where a LeRobotDataset has its files, and what its columns are; versions 2.1 and 3.0.
+
+The format is described in the documentation of LeRobot, under "LeRobotDataset v3.0".
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from vitac.envs.observable import Observable
+from vitac.evaluator.tracks import Task
+
+from ..frames import is_coloured_picture
+
+INFO = Path("meta/info.json")
+STATS = Path("meta/stats.json")
+FILES_OF_A_CHUNK = 1000
+STATE_HASH = "state_hash"
+
+
+class Version(StrEnum):
+    """A version of the format."""
+
+    V2_1 = "v2.1"
+    """One file for every episode."""
+    V3_0 = "v3.0"
+    """Many episodes in a file."""
+
+    @property
+    def episodes_of_a_file(self) -> int:
+        """How many episodes are in a file that we write."""
+        return 1 if self is Version.V2_1 else 50
+
+    @property
+    def data_path(self) -> str:
+        """Name of a file with a table."""
+        if self is Version.V2_1:
+            return "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
+        return "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+
+    @property
+    def video_path(self) -> str:
+        """Name of a file with a video."""
+        if self is Version.V2_1:
+            return "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4"
+        return "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+
+
+def format_path(template: str, number: int, video_key: str = "", chunk_size: int = FILES_OF_A_CHUNK) -> str:
+    """Return the name of the file with this number, counted over all chunks from 0."""
+    chunk, within = divmod(number, chunk_size)
+    return template.format(
+        chunk_index=chunk, file_index=within, episode_chunk=chunk, episode_index=number, video_key=video_key
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Feature:
+    """A column of the table, or a video.
+
+    Attributes:
+        name: of the column.
+        dtype: of its numbers; "string" or "video" where it has none.
+        shape: of an entry; (1,) for a single number.
+        names: of the numbers of an entry, or of the axes of a picture.
+        key: of the observation that it holds, if any.
+    """
+
+    name: str
+    dtype: str
+    shape: tuple[int, ...]
+    names: Sequence[str] | None = None
+    key: str | None = None
+
+    def describe(self, fps: float) -> dict[str, Any]:
+        """Return the entry of `info.json`."""
+        described = {"dtype": self.dtype, "shape": list(self.shape), "names": self.names and list(self.names)}
+        if self.dtype != "video":
+            return described
+        height_px, width_px, channels = self.shape
+        video: dict[str, Any] = {"fps": fps, "height": height_px, "width": width_px, "channels": channels}
+        video |= {"codec": "mpeg4", "pix_fmt": "yuv420p", "is_depth_map": False}
+        return {**described, "info": {**{f"video.{name}": value for name, value in video.items()}, "has_audio": False}}
+
+
+INDICES = (
+    Feature(name="timestamp", dtype="float32", shape=(1,)),
+    Feature(name="frame_index", dtype="int64", shape=(1,)),
+    Feature(name="episode_index", dtype="int64", shape=(1,)),
+    Feature(name="index", dtype="int64", shape=(1,)),
+    Feature(name="task_index", dtype="int64", shape=(1,)),
+)
+"""Columns that every data set has."""
+
+
+def list_features(task: Task, observables: Sequence[Observable[Any]]) -> tuple[Feature, ...]:
+    """Return all columns of a task: what is seen, done, found, and the indices."""
+    actions = [component.name for component in task.actions]
+    return (
+        *(_observed(entry) for entry in observables),
+        Feature(name="action", dtype="float32", shape=(len(actions),), names=actions),
+        Feature(name="next.reward", dtype="float32", shape=(1,)),
+        Feature(name="next.done", dtype="bool", shape=(1,)),
+        Feature(name="next.success", dtype="bool", shape=(1,)),
+        Feature(name=STATE_HASH, dtype="string", shape=(1,)),
+        *INDICES,
+    )
+
+
+def _observed(entry: Observable[Any]) -> Feature:
+    if is_coloured_picture(entry):
+        name, axes = f"observation.images.{entry.name}", ("height", "width", "channels")
+        return Feature(name=name, dtype="video", shape=entry.shape, names=axes, key=entry.name)
+    if entry.privileged:
+        name = f"privileged.{entry.name}"
+    else:
+        name = "observation.state" if entry.name == "relative_motion" else f"observation.{entry.name}"
+    return Feature(name=name, dtype=entry.dtype, shape=entry.shape, key=entry.name)
+
+
+def make_info(
+    version: Version, features: Sequence[Feature], *, fps: float, episodes: int, frames: int, files: int
+) -> Mapping[str, Any]:
+    """Return the content of `info.json`."""
+    videos = sum(feature.dtype == "video" for feature in features)
+    chunks = -(-files // FILES_OF_A_CHUNK)
+    own = {"total_videos": videos * episodes, "total_chunks": chunks} if version is Version.V2_1 else {}
+    sizes = {} if version is Version.V2_1 else {"data_files_size_in_mb": 100, "video_files_size_in_mb": 200}
+    return {
+        "codebase_version": version.value,
+        "robot_type": "vitac-arena",
+        "total_episodes": episodes,
+        "total_frames": frames,
+        "total_tasks": 1,
+        **own,
+        "chunks_size": FILES_OF_A_CHUNK,
+        **sizes,
+        "fps": fps,
+        "splits": {"train": f"0:{episodes}"},
+        "data_path": version.data_path,
+        "video_path": version.video_path if videos else None,
+        "features": {feature.name: feature.describe(fps) for feature in features},
+    }
