@@ -1,6 +1,7 @@
 import threading
 
 import pytest
+from argon2 import extract_parameters
 from vitac.server.errors import ServiceError
 from vitac.server.members import passwords
 
@@ -34,3 +35,7 @@ def test_few_wait_for_the_thread_and_further_ones_are_refused() -> None:
     ended.set()
     assert all(work.result() for work in works)
     assert thread.run(lambda: "again") == "again"
+
+
+def test_an_account_without_a_password_is_checked_as_long_as_another() -> None:
+    assert extract_parameters(passwords._NOBODYS_HASH) == extract_parameters(passwords.hashed("correct horse battery"))
