@@ -69,6 +69,7 @@ class ProblemCode(StrEnum):
     UNKNOWN_TASK = "unknown_task"
     UNKNOWN_TEAM = "unknown_team"
     UNKNOWN_TRACK = "unknown_track"
+    UNKNOWN_WITNESS = "unknown_witness"
     UNSUPPORTED_CONTENT_TYPE = "unsupported_content_type"
     UNSUPPORTED_SUBMISSION_KIND = "unsupported_submission_kind"
     UPLOAD_CONFLICT = "upload_conflict"
@@ -137,6 +138,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.UNKNOWN_TASK: HTTPStatus.NOT_FOUND,
         ProblemCode.UNKNOWN_TEAM: HTTPStatus.NOT_FOUND,
         ProblemCode.UNKNOWN_TRACK: HTTPStatus.NOT_FOUND,
+        ProblemCode.UNKNOWN_WITNESS: HTTPStatus.FORBIDDEN,
         ProblemCode.UNSUPPORTED_CONTENT_TYPE: HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
         ProblemCode.UNSUPPORTED_SUBMISSION_KIND: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.UPLOAD_CONFLICT: HTTPStatus.CONFLICT,

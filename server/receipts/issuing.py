@@ -1,8 +1,9 @@
 """Receipts in the database: one more of a submission or a result, and what is read of them."""
 
 import secrets
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import UTC, datetime
+from functools import cache, partial
 from typing import Any
 from uuid import UUID
 
@@ -15,7 +16,7 @@ from ..db.models import Cosignature, Evaluation, ReceiptRow, Submission
 from ..transparency.entries import EntryKind, LogEntry
 from ..transparency.log import append, make_checkpoint, parse_entry, read_log_key, read_tree
 from ..transparency.merkle import Tree
-from ..transparency.notes import InclusionProof
+from ..transparency.notes import Checkpoint, InclusionProof
 from .receipt import (
     MODELS,
     AnyReceipt,
@@ -66,7 +67,7 @@ def list_entries(
 
 
 def receipts_of_board(session: Session, stage: Stage, kind: SubmissionKind) -> Sequence[Receipt | SubmissionReceipt]:
-    """Return the receipts of a stage's submissions and of all their results, on its boards or not, without proofs."""
+    """Return the receipts of a stage's submissions and of all their results, on its boards or not."""
     board = board_name(stage.contest, stage.track, stage.name, kind)
     submission_id = func.coalesce(ReceiptRow.submission_id, Evaluation.submission_id)
     found = _receipts(
@@ -75,7 +76,6 @@ def receipts_of_board(session: Session, stage: Stage, kind: SubmissionKind) -> S
         .outerjoin(Evaluation, Evaluation.id == ReceiptRow.evaluation_id)
         .outerjoin(Submission, Submission.id == submission_id)
         .where(or_(and_(stage.submissions, Submission.kind == kind), ReceiptRow.board == board)),
-        proven=False,
     )
     return [receipt for receipt in found if not isinstance(receipt, EndReceipt)]
 
@@ -95,7 +95,7 @@ def receipt_of_arrival(session: Session, submission_id: UUID) -> SubmissionRecei
 
 def receipts_of_ends(session: Session) -> Sequence[EndReceipt]:
     """Return the receipts of the competition's end, one for each time that its winners were decided."""
-    found = _receipts(session, select(ReceiptRow).where(ReceiptRow.stands_for == EntryKind.END), proven=False)
+    found = _receipts(session, select(ReceiptRow).where(ReceiptRow.stands_for == EntryKind.END))
     return [receipt for receipt in found if isinstance(receipt, EndReceipt)]
 
 
@@ -104,10 +104,11 @@ def new_salt() -> str:
     return secrets.token_hex(_SALT_BYTES)
 
 
-def _receipts(session: Session, query: Select[ReceiptRow], *, proven: bool = True) -> list[AnyReceipt]:
+def _receipts(session: Session, query: Select[ReceiptRow]) -> list[AnyReceipt]:
     rows = session.scalars(query.where(ReceiptRow.stands_for.in_(MODELS)).order_by(ReceiptRow.number)).all()
     tree, public_key = read_tree(session), read_log_key(session).public_key.hex()
-    return [_receipt(row, public_key, _prove(session, tree, row.number) if proven else ()) for row in rows]
+    checkpoint = cache(partial(make_checkpoint, session, tree))  # many receipts are proven by few
+    return [_receipt(row, public_key, _prove(session, tree, row.number, checkpoint)) for row in rows]
 
 
 def _receipt(row: ReceiptRow, public_key: str, proofs: Iterable[InclusionProof]) -> AnyReceipt:
@@ -125,15 +126,14 @@ def _receipt(row: ReceiptRow, public_key: str, proofs: Iterable[InclusionProof])
     )
 
 
-def _prove(session: Session, tree: Tree, number: int) -> Iterator[InclusionProof]:
+def _prove(
+    session: Session, tree: Tree, number: int, checkpoint: Callable[[int], Checkpoint]
+) -> Iterator[InclusionProof]:
     """Yield the proof by the newest checkpoint, and by the first of each witness that covers the entry."""
     signed = select(func.min(Cosignature.size)).where(Cosignature.size >= number).group_by(Cosignature.witness)
     for size in sorted({tree.size, *session.scalars(signed)}, reverse=True):
-        yield InclusionProof(
-            index=number - 1,
-            hashes=tuple(tree.prove_inclusion(number - 1, size)),
-            checkpoint=make_checkpoint(session, tree, size),
-        )
+        hashes = tuple(tree.prove_inclusion(number - 1, size))
+        yield InclusionProof(index=number - 1, hashes=hashes, checkpoint=checkpoint(size))
 
 
 def _describe_submission(submission: Submission, issued_at: datetime) -> dict[str, Any]:

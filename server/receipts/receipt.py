@@ -166,10 +166,7 @@ def board_name(contest: str, track: str, stage: str, kind: SubmissionKind) -> st
 
 
 class SignedContent(StrictModel, Generic[ContentT]):
-    """An entry of the log with the content that it stands for, and proofs that it is in the log.
-
-    An export holds the whole log instead of proofs.
-    """
+    """An entry of the log with the content that it stands for, and proofs that it is in the log."""
 
     format: Literal["vitac-receipt-2"] = "vitac-receipt-2"
     entry: LogEntry

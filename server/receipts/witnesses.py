@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 from sqlalchemy import func, select
 from sqlalchemy.dialects.postgresql import insert
@@ -12,7 +13,7 @@ from ..contest.stages import Stage
 from ..db.models import Competition, Cosignature, ReceiptRow
 from ..errors import ProblemCode, ServiceError
 from ..transparency.log import count_entries, make_checkpoint, parse_entry, read_log_key, read_tree
-from ..transparency.notes import Checkpoint, NoteRejected, VerifierKey
+from ..transparency.notes import Checkpoint, NoteRejected, Signature, VerifierKey
 from ..views.receipts import WitnessView
 
 _CLOCK_DIFFERENCE = timedelta(minutes=5)
@@ -47,22 +48,37 @@ def add_cosignatures(session: Session, text: str) -> int:
             f"This service has signed a log of {checkpoint.size} entries that is not the beginning of the one that it "
             f"has now, of {tree.size}. Keep both checkpoints: they prove it.",
         )
-    latest = datetime.now(UTC) + _CLOCK_DIFFERENCE
-    rows = {
-        str(key): {"witness": str(key), "size": checkpoint.size, "signature": line.content, "signed_at": at}
+    rows: list[dict[str, Any]] = [
+        {"witness": str(key), "size": checkpoint.size, "signature": line.content, "signed_at": signed_at}
         for key in list_witnesses(session)
         for line in checkpoint.signatures
-        if (seconds := checkpoint.read_cosignature(key, line)) is not None
-        and (at := datetime.fromtimestamp(seconds, UTC)) <= latest
-    }
+        if (signed_at := _read_time(checkpoint, key, line)) is not None
+    ]
     if not rows:
         raise ServiceError(
-            ProblemCode.FORBIDDEN,
-            "No line is signed by a witness that a competition of this service names. Send the organizers the key that "
-            "`vitac witness key` prints, and set the clock.",
+            ProblemCode.UNKNOWN_WITNESS,
+            f"No competition of this service names the witness {_name_signers(checkpoint)}. Send the organizers the "
+            "key that `vitac witness key` prints: they put it into the competition file.",
         )
-    session.execute(insert(Cosignature).values(list(rows.values())).on_conflict_do_nothing())
-    return len(rows)
+    latest = datetime.now(UTC) + _CLOCK_DIFFERENCE
+    of_now = [row for row in rows if row["signed_at"] <= latest]
+    if not of_now:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST,
+            f"Expected a signature of now, got one of {rows[0]['signed_at']:%Y-%m-%d %H:%M}Z: set the clock.",
+        )
+    session.execute(insert(Cosignature).values(of_now).on_conflict_do_nothing())
+    return len(of_now)
+
+
+def _read_time(checkpoint: Checkpoint, key: VerifierKey, line: Signature) -> datetime | None:
+    seconds = checkpoint.read_cosignature(key, line)
+    return None if seconds is None else datetime.fromtimestamp(seconds, UTC)
+
+
+def _name_signers(checkpoint: Checkpoint) -> str:
+    """Return whose lines a checkpoint has besides that of its log."""
+    return " or ".join(line.name for line in checkpoint.signatures if line.name != checkpoint.origin) or "of no line"
 
 
 def list_witness_views(session: Session) -> list[WitnessView]:

@@ -11,7 +11,7 @@ from sqlalchemy import text
 from sqlalchemy.orm import Session
 from vitac.server.contest.definition import CompetitionDefinition
 from vitac.server.db.engine import Database
-from vitac.server.errors import ServiceError
+from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import CONSOLE
 from vitac.server.prizes.finishing import finalize
 from vitac.server.receipts.issuing import receipts_of_submission
@@ -68,9 +68,12 @@ def test_signatures_of_strangers_of_tomorrow_and_of_another_history_are_refused(
     with database.transaction() as session:
         put_in_place(session, open_now(witnessed_cup(1, SECOND)))
         submit(session, make_principal(session))
-        for note in (signed(session), signed(session, WITNESS), signed(session, SECOND, at=9_999_999_999)):
-            with pytest.raises(ServiceError, match="No line is signed by a witness"):
+        for note, named in ((signed(session), "of no line"), (signed(session, WITNESS), WITNESS.name)):
+            with pytest.raises(ServiceError, match=f"No competition .* names the witness {named}") as refused:
                 add_cosignatures(session, str(note))
+            assert refused.value.code is ProblemCode.UNKNOWN_WITNESS, "no hint about tokens follows"
+        with pytest.raises(ServiceError, match="Expected a signature of now, got one of 2286-11-20 17:46Z: set the"):
+            add_cosignatures(session, str(signed(session, SECOND, at=9_999_999_999)))
         with pytest.raises(ServiceError, match="Expected a checkpoint"):
             add_cosignatures(session, "hello")
         with pytest.raises(ServiceError, match="of another log"):

@@ -1,4 +1,5 @@
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from made_receipts import KEY, PUBLIC_KEY
 from vitac.server.transparency.merkle import EMPTY_ROOT, ProofRejected, hash_leaf
 from vitac.server.transparency.notes import (
@@ -16,6 +17,24 @@ from vitac.server.transparency.notes import (
 
 GO_KEY = "PeterNeumann+c74f20a3+ARpc2QcUPDhMQegwxbzhKqiBfsVkmqq/LDE4izWy10TW"
 """From the documentation of Go's signed notes (golang.org/x/mod/sumdb/note), which the standard is of."""
+WITNESS_KEY = "remora.n621.de+da77ade7+BOvN63jn/bLvkieywe8R6UYAtVtNbZpXh34x7onlmtw2"
+"""A public witness's, from the tests of github.com/transparency-dev/formats."""
+PUBLISHED = """\
+example.com/behind-the-sofa
+20852163
+CsUYapGGPo4dkMgIAUqom/Xajj7h2fB2MPA3j2jxq2I=
+
+\N{EM DASH} example.com/behind-the-sofa Az3grlgtzPICa5OS8npVmf1Myq/5IZniMp+ZJurmRDeOoRDe4URYN7u5/Zhcyv2q1gGzGku9nTo+zyWE+xeMcTOAYQ8=
+\N{EM DASH} witness.example.com/w1 jWbPPwAAAABkGFDLEZMHwSRaJNiIDoe9DYn/zXcrtPHeolMI5OWXEhZCB9dlrDJsX3b2oyin1nPZqhf5nNo0xUe+mbIUBkBIfZ+qnA==
+"""  # noqa: E501
+"""Example of c2sp.org/tlog-cosignature, which gives no keys, and below the message that is signed."""
+PUBLISHED_MESSAGE = """\
+cosignature/v1
+time 1679315147
+example.com/behind-the-sofa
+20852163
+CsUYapGGPo4dkMgIAUqom/Xajj7h2fB2MPA3j2jxq2I=
+"""
 LOG_KEY = make_log_key(bytes.fromhex(PUBLIC_KEY))
 EMPTY = sign_checkpoint(KEY, size=0, root=EMPTY_ROOT)
 WITNESS = VerifierKey(name="ants.example/v", kind=OF_WITNESS, public_key=LOG_KEY.public_key)
@@ -24,6 +43,22 @@ WITNESS = VerifierKey(name="ants.example/v", kind=OF_WITNESS, public_key=LOG_KEY
 def test_a_published_key_is_read_and_written_as_it_is() -> None:
     key = VerifierKey.parse(GO_KEY)
     assert (key.name, key.kind, key.id.hex(), str(key)) == ("PeterNeumann", OF_LOG, "c74f20a3", GO_KEY)
+
+
+def test_a_published_key_of_a_witness_is_read_and_written_as_it_is() -> None:
+    key = VerifierKey.parse(WITNESS_KEY)
+    assert (key.name, key.kind, key.id.hex(), str(key)) == ("remora.n621.de", OF_WITNESS, "da77ade7", WITNESS_KEY)
+
+
+def test_a_published_cosignature_has_the_form_of_ours() -> None:
+    published = Checkpoint.parse(PUBLISHED)
+    assert str(published) == PUBLISHED
+    line = published.signatures[1]
+    assert (line.name, line.key_id.hex(), len(line.content)) == ("witness.example.com/w1", "8d66cf3f", 72)
+    ours = cosign(KEY, line.name, published, int.from_bytes(line.content[:8]))
+    assert ours.content[:8] == line.content[:8]
+    signed_by = Ed25519PublicKey.from_public_bytes(bytes.fromhex(PUBLIC_KEY))
+    signed_by.verify(ours.content[8:], PUBLISHED_MESSAGE.encode())
 
 
 @pytest.mark.parametrize(
