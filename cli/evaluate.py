@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from vitac.evaluator.evaluation.local import Evaluation
     from vitac.evaluator.scoring.forces import ForceSummary
     from vitac.evaluator.scoring.score import Rate
+    from vitac.evaluator.shards.host_process import HostProcess
     from vitac.evaluator.submission.manifest import SubmissionManifest
     from vitac.evaluator.tracks import Track
 
@@ -58,24 +59,31 @@ def command(
     ] = None,
 ) -> None:
     """Evaluate a submission here, with the same records, score and result hash as the service."""
-    from vitac.evaluator.submission.manifest import load_manifest
-    from vitac.evaluator.submission.sources import staged, submission_digest
-
     request = _Request(
         task=task, episodes=parse_episodes(episodes), workers=workers, assets=assets, secret=secret, sensor=sensor
     )
     outputs = _Outputs(json=json, log=log, printed=output, team=team)
     outputs.check()
-    request.check(submission)
-    note_ignored_folders(submission)
-    with staged(submission) as folder:
-        manifest = load_manifest(folder)
-        digest = submission_digest(submission)
-        evaluation = request.evaluate(folder, manifest)
+    evaluation, manifest, digest = _evaluate(request, submission)
     outputs.write(evaluation, manifest, digest)
     _print_summary(evaluation, manifest)
     if evaluation.failure:
         raise typer.Exit(1)
+
+
+def _evaluate(request: "_Request", submission: Path) -> "tuple[Evaluation, SubmissionManifest, str]":
+    """Return the evaluation of a submission, its manifest and its digest; the simulation is loaded meanwhile."""
+    from vitac.evaluator.shards.host_process import HostProcess
+
+    with HostProcess(loads_all=True) as host:
+        from vitac.evaluator.submission.manifest import load_manifest
+        from vitac.evaluator.submission.sources import staged, submission_digest
+
+        request.check(submission)
+        note_ignored_folders(submission)
+        with staged(submission) as folder:
+            manifest = load_manifest(folder)
+            return request.evaluate(folder, manifest, host), manifest, submission_digest(submission)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,8 +115,8 @@ class _Request:
         if self.sensor is not None:
             accepted_sensor(self.sensor)
 
-    def evaluate(self, folder: Path, manifest: "SubmissionManifest") -> "Evaluation":
-        """Evaluate an unpacked submission, with a progress bar."""
+    def evaluate(self, folder: Path, manifest: "SubmissionManifest", host: "HostProcess") -> "Evaluation":
+        """Evaluate an unpacked submission in processes that a host forks, with a progress bar."""
         from vitac.envs.assets import assets_dir_from_environment
         from vitac.evaluator.evaluation.local import evaluate
 
@@ -127,6 +135,7 @@ class _Request:
                 secret=self.secret,
                 sensor=folder if self.sensor is None and track.has_sensor else self.sensor,
                 on_episode=progress.advance,
+                host=host,
             )
 
 

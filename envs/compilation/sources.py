@@ -3,6 +3,7 @@
 import ast
 import hashlib
 import platform
+import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -13,6 +14,8 @@ import numpy as np
 
 _ENVS = Path(__file__).parent.parent
 _PACKAGE = "vitac.envs"
+_IMPORT = re.compile(r"^[ \t]*((?:from [\w.]+ )?import (?:\([^)]*\)|[\w., *]+))", re.MULTILINE)
+"""Parsing whole modules takes a sixth of the time in which an evaluation starts."""
 
 
 def source_digest(module: Path, envs: Path = _ENVS) -> str:
@@ -59,11 +62,16 @@ def _file_digest(path: Path) -> bytes:
     return hashlib.sha256(read_source(path)).digest()
 
 
+def find_imports(module: Path) -> list[ast.stmt]:
+    """Return the imports anywhere in a module."""
+    return ast.parse("\n".join(_IMPORT.findall(read_source(module).decode()))).body
+
+
 @cache
 def _imports(module: Path, envs: Path) -> frozenset[Path]:
     """Return the files of `vitac.envs` that a module names in its imports."""
     paths: set[Path] = set()
-    for node in ast.walk(ast.parse(read_source(module))):
+    for node in find_imports(module):
         if isinstance(node, ast.ImportFrom):
             paths.update(_list_source_files(node, module, envs))
         elif isinstance(node, ast.Import):

@@ -16,6 +16,7 @@ from ..estimator.regression import Coefficients
 from ..figures.figures import FigureChoice, FiguresPart
 from ..scoring.failures import breaking_failure
 from ..scoring.score import Score, score
+from ..shards.host_process import HostProcess
 from ..shards.order import ShardOrder
 from ..shards.process import ShardProcess, ShardProcesses
 from ..shards.result import ShardEnd, ShardResult
@@ -70,6 +71,7 @@ def evaluate(
     coefficients: Coefficients | None = None,
     stored: StoredShards | None = None,
     on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
+    host: HostProcess | None = None,
 ) -> Evaluation:
     """Evaluate a submission in processes of its own, one shard at a time in each.
 
@@ -87,6 +89,7 @@ def evaluate(
         coefficients: of the standard estimator for the sensor; it is calibrated without them.
         stored: finished shards, which are not played again; new ones are added.
         on_episode: gets each record, in the order in which episodes end.
+        host: has begun to load the simulation; one is started where it is None.
 
     Raises:
         UnknownEpisodes: an episode is not in the list.
@@ -111,7 +114,7 @@ def evaluate(
         for shard in shards
     ]
     records = []
-    with ShardProcesses() as processes:
+    with ShardProcesses(host) as processes:
         pool = _ShardPool(processes, orders, min(workers, len(orders)), stored)
         with closing(pool.run()) as finished:
             for record in finished:

@@ -24,9 +24,6 @@ PROCESS_ID: Final = struct.Struct("<q")
 WAITS: Final = PROCESS_ID.pack(0)
 """The host's word, instead of an introduction, that the process will be forked after the calibration of its sensor."""
 
-LOAD_ALL: Final = "load-all"
-"""Argument of a host that loads the simulation of every task while it has nothing else to do."""
-
 _OF_ONE_SHARD: Final = frozenset({"secret", "shard", "episodes", "skip", "earlier_failures", "coefficients"})
 """Which episodes are played, and from where they are taken; environment and policy are the same for all lists."""
 

@@ -10,43 +10,35 @@ import os
 import select
 import signal
 import socket
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from types import MappingProxyType
 from typing import BinaryIO, Self
 
 from pydantic import ValidationError
-from vitac.envs.errors import VitacError
 
 from ..episodes.records import EpisodeRecord
-from .order import LOAD_ALL, PROCESS_ID, WAITS, ShardMessage, ShardOrder
+from .host_process import HostProcess, ShardProcessFailed
+from .order import PROCESS_ID, WAITS, ShardMessage, ShardOrder
 from .result import ShardResult
 
-COMMAND = (sys.executable, "-P", "-m", "vitac.evaluator.shards.host")
 IDLE_KEPT_S = 3.0
 """How long a process waits for another shard of its submission; meanwhile its policy takes memory."""
 CLOSING_LIMIT_S = 5.0
 """A process that does not end by itself within this time is killed."""
 
-_ONE_THREAD = MappingProxyType(
-    dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-)
-
-
-class ShardProcessFailed(VitacError):
-    """The process of a shard ended without a result: the machine, the sandbox or the simulation broke. Run it again."""
-
 
 class ShardProcesses:
-    """Starts processes of shards, any number at once, from any thread. Leaving the block ends all of them."""
+    """Starts processes of shards, any number at once, from any thread. Leaving the block ends all of them.
 
-    def __init__(self) -> None:
+    Args:
+        host: forks the first ones; one is started where it is None.
+    """
+
+    def __init__(self, host: HostProcess | None = None) -> None:
         self._lock = threading.Lock()
-        self._newest: _Host | None = None
-        self._hosts: set[_Host] = set()
+        self._newest = host
+        self._hosts = {host} if host else set()
         self._idle: dict[ShardProcess, threading.Timer] = {}
 
     def __enter__(self) -> Self:
@@ -66,7 +58,7 @@ class ShardProcesses:
         """
         with self._lock:
             if self._newest is None:
-                self._newest = _Host(loads_all=True)
+                self._newest = HostProcess(loads_all=True)
                 self._hosts.add(self._newest)
 
     @contextmanager
@@ -90,7 +82,7 @@ class ShardProcesses:
     def _start(self, order: ShardOrder) -> "ShardProcess":
         host = self._join_host()
         try:
-            return host.start_shard(order)
+            return ShardProcess(host, order, *host.fork_shard())
         except BaseException:
             self._leave_host(host, is_working=False)
             raise
@@ -131,16 +123,16 @@ class ShardProcesses:
             timer.cancel()
         return timer is not None
 
-    def _join_host(self) -> "_Host":
+    def _join_host(self) -> HostProcess:
         """Return the newest host, or a new one if there is none that works."""
         with self._lock:
             if self._newest is None or not self._newest.is_alive():
-                self._newest = _Host()
+                self._newest = HostProcess()
                 self._hosts.add(self._newest)
             self._newest.shards += 1
             return self._newest
 
-    def _leave_host(self, host: "_Host", *, is_working: bool) -> None:
+    def _leave_host(self, host: HostProcess, *, is_working: bool) -> None:
         """Use another host from now on if this one did not fork; end it when its last shard has ended."""
         with self._lock:
             host.shards -= 1
@@ -149,60 +141,6 @@ class ShardProcesses:
             if host is not self._newest and host.shards == 0:
                 host.end()
                 self._hosts.discard(host)
-
-
-class _Host:
-    """A running `host` and the socket on which it gets orders.
-
-    Args:
-        loads_all: whether it loads the simulation of every task while it waits for the first order.
-    """
-
-    def __init__(self, *, loads_all: bool = False) -> None:
-        self.shards = 0
-        """Number of shards that were ordered from it and have not been closed."""
-        self._control, theirs = socket.socketpair(type=socket.SOCK_SEQPACKET)
-        with theirs:
-            try:
-                self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
-                    [*COMMAND, str(theirs.fileno()), *([LOAD_ALL] if loads_all else [])],
-                    stdin=subprocess.DEVNULL,
-                    env=os.environ | _ONE_THREAD,
-                    pass_fds=[theirs.fileno()],
-                    start_new_session=True,
-                )
-            except OSError as error:
-                self._control.close()
-                raise ShardProcessFailed(f"The simulation could not be started: {error.strerror}.") from error
-
-    def is_alive(self) -> bool:
-        """Return whether it can still be asked."""
-        return self._process.poll() is None
-
-    def start_shard(self, order: ShardOrder) -> "ShardProcess":
-        """Order the process of a shard; it is forked once the simulation is loaded.
-
-        Raises:
-            ShardProcessFailed: the host has ended.
-        """
-        connection, theirs = socket.socketpair()
-        exit_pipe, exit_end = os.pipe()
-        try:
-            socket.send_fds(self._control, [b"\n"], [theirs.fileno(), exit_end])
-        except OSError as error:
-            connection.close()
-            os.close(exit_pipe)
-            raise ShardProcessFailed(f"A shard could not be started: {error.strerror}.") from error
-        finally:
-            theirs.close()
-            os.close(exit_end)
-        return ShardProcess(self, order, connection, exit_pipe)
-
-    def end(self) -> None:
-        """End it, and its shards with it."""
-        self._control.close()
-        self._process.kill()
-        self._process.wait()
 
 
 class ShardProcess:
@@ -216,7 +154,12 @@ class ShardProcess:
     """
 
     def __init__(
-        self, host: _Host, order: ShardOrder, connection: socket.socket, exit_pipe: int, fork: "_Fork | None" = None
+        self,
+        host: HostProcess,
+        order: ShardOrder,
+        connection: socket.socket,
+        exit_pipe: int,
+        fork: "_Fork | None" = None,
     ) -> None:
         self.host = host
         self.order = order

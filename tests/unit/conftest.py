@@ -8,7 +8,7 @@ import pytest
 def fake_command(repository: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, str]:
     """What starts shard processes in this test, which have neither simulation nor sandbox."""
     command = (sys.executable, str(repository / "tests" / "support" / "evaluation" / "fake_shard_process.py"))
-    monkeypatch.setattr("vitac.evaluator.shards.process.COMMAND", command)
+    monkeypatch.setattr("vitac.evaluator.shards.host_process.COMMAND", command)
     return command
 
 

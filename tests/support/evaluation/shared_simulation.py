@@ -4,10 +4,11 @@ Each evaluation by itself spends a second on that; a worker, too, keeps it from 
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 import pytest
 from vitac.evaluator.evaluation import local
+from vitac.evaluator.shards import host_process
 from vitac.evaluator.shards.process import ShardProcesses
 
 
@@ -35,4 +36,5 @@ def loaded_once() -> Iterator[SharedProcesses]:
 
 def evaluate_with(processes: SharedProcesses, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have `evaluate` take its processes of shards from there."""
-    monkeypatch.setattr(local, "ShardProcesses", lambda: processes)
+    monkeypatch.setattr(local, "ShardProcesses", lambda _: processes)
+    monkeypatch.setattr(host_process, "HostProcess", lambda **_: nullcontext())

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 import service
 from vitac.evaluator.agent.isolation import bubblewrap, process_tree
-from vitac.evaluator.shards.process import COMMAND
+from vitac.evaluator.shards.host_process import COMMAND
 from worker_fakes import eventually
 
 BURNING_S = 0.3

@@ -16,7 +16,7 @@ from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.sensors.check import accepted_sensor, check_sensor
 from vitac.evaluator.sensors.limits import sensor_limits
 from vitac.evaluator.sensors.made import made_sensor
-from vitac.evaluator.shards import process as shard_process
+from vitac.evaluator.shards import host_process
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -151,7 +151,7 @@ def test_evaluate_refuses_a_broken_sensor_before_it_plays(run: Run, folder: Path
 def test_evaluate_plays_the_estimator_with_and_without_sight_of_the_markers(
     run: Run, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(shard_process, "COMMAND", short_calibration.COMMAND)
+    monkeypatch.setattr(host_process, "COMMAND", short_calibration.COMMAND)
     monkeypatch.setattr(sensor_command, "_stored_shards_folder", lambda: tmp_path / "kept")
     out_file = tmp_path / "report.json"
     command = ("evaluate", folder, "--episodes", "1:2", "--workers", 1, "--json", out_file, "--figures", "quick")
@@ -177,7 +177,7 @@ def test_evaluate_plays_the_estimator_with_and_without_sight_of_the_markers(
     assert report["not_measured"] == [*reasons, "The CPU time of an episode is not there: no start was measured."]
     assert "\n".join(report["not_measured"]) in out
     # Nothing is played again: the second run would find no process to play in.
-    monkeypatch.setattr(shard_process, "COMMAND", (sys.executable, "-c", "raise SystemExit(1)"))
+    monkeypatch.setattr(host_process, "COMMAND", (sys.executable, "-c", "raise SystemExit(1)"))
     assert run(*command)[:2] == (0, out)
     assert json.loads(out_file.read_text()) == report
     code, _, _ = run(*command, "--fresh")

@@ -31,8 +31,8 @@ from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FiguresPart
 from vitac.evaluator.package_sets import digest_of_packages
+from vitac.evaluator.shards.host_process import ShardProcessFailed
 from vitac.evaluator.shards.order import ShardOrder
-from vitac.evaluator.shards.process import ShardProcessFailed
 from vitac.evaluator.shards.result import ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.contest import sealing

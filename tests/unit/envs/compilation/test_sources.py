@@ -1,11 +1,12 @@
 """A kernel's digest covers exactly what its machine code is made from."""
 
+import ast
 import shutil
 from pathlib import Path
 
 import pytest
 import vitac.envs
-from vitac.envs.compilation.sources import imported_modules, source_digest
+from vitac.envs.compilation.sources import find_imports, imported_modules, source_digest
 
 FOLDER = Path(vitac.envs.__file__).parent
 SOURCES = {
@@ -63,3 +64,11 @@ def test_a_circle_of_imports_ends(tmp_path: Path) -> None:
     (tmp_path / "a.py").write_text("from . import b\n")
     (tmp_path / "b.py").write_text("from .a import x\n")
     assert imported_modules(tmp_path / "a.py", tmp_path) == {tmp_path / "a.py", tmp_path / "b.py"}
+
+
+def test_all_imports_of_our_modules_are_seen() -> None:
+    """They are found by their first words; a module may name them in a way of its own."""
+    for module in FOLDER.rglob("*.py"):
+        imports = (ast.Import, ast.ImportFrom)
+        parsed = {ast.unparse(node) for node in ast.walk(ast.parse(module.read_bytes())) if isinstance(node, imports)}
+        assert {ast.unparse(node) for node in find_imports(module)} == parsed, module

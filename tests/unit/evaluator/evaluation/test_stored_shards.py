@@ -11,7 +11,7 @@ from vitac.evaluator.evaluation import stored_shards
 from vitac.evaluator.evaluation.local import Evaluation, evaluate
 from vitac.evaluator.evaluation.stored_shards import FinishedShard, StoredShards
 from vitac.evaluator.figures.figures import FigureChoice
-from vitac.evaluator.shards import process as shard_process
+from vitac.evaluator.shards import host_process
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
@@ -51,7 +51,7 @@ def test_ended_evaluation_goes_on_where_it_was(tmp_path: Path, monkeypatch: pyte
     assert len(list(tmp_path.iterdir())) == 1
     whole = play(tmp_path)
     assert len(list(tmp_path.iterdir())) == 2
-    monkeypatch.setattr(shard_process, "COMMAND", (sys.executable, "-c", "raise SystemExit(1)"))
+    monkeypatch.setattr(host_process, "COMMAND", (sys.executable, "-c", "raise SystemExit(1)"))
     stored = StoredShards(tmp_path, of="digest of a sensor")
     again = evaluate(
         submission_dir=Path("elsewhere"),

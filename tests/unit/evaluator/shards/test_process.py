@@ -11,8 +11,9 @@ import pytest
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.shards import process as shard_process
+from vitac.evaluator.shards.host_process import HostProcess, ShardProcessFailed
 from vitac.evaluator.shards.order import ShardOrder
-from vitac.evaluator.shards.process import ShardProcess, ShardProcesses, ShardProcessFailed
+from vitac.evaluator.shards.process import ShardProcess, ShardProcesses
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks import load_track
 from worker_fakes import eventually
@@ -371,9 +372,9 @@ def test_leaving_the_block_ends_the_process(processes: ShardProcesses) -> None:
 
 def test_process_dies_with_its_parent(fake_command: tuple[str, str]) -> None:
     code = (
-        "from vitac.evaluator.shards import process as shard_process\n"
+        "from vitac.evaluator.shards import host_process, process as shard_process\n"
         "from vitac.evaluator.shards.order import ShardOrder\n"
-        f"shard_process.COMMAND = {fake_command!r}\n"
+        f"host_process.COMMAND = {fake_command!r}\n"
         f"order = ShardOrder.model_validate_json({order('hang').model_dump_json()!r})\n"
         "with shard_process.ShardProcesses() as processes, processes.running_shard(order) as process:\n"
         "    print(process.pid, flush=True)\n"
@@ -386,3 +387,11 @@ def test_process_dies_with_its_parent(fake_command: tuple[str, str]) -> None:
     ended, _, _ = select.select([child], [], [], 30)
     os.close(child)
     assert ended, "the child outlived its parent"
+
+
+def test_a_host_that_was_started_before_forks_the_first_shards(fake_command: tuple[str, str]) -> None:
+    host = HostProcess(loads_all=True)
+    with ShardProcesses(host) as processes, processes.running_shard(order("succeed")) as process:
+        assert process.host is host
+        assert len(list(process.records())) == 3
+    assert not host.is_alive()
