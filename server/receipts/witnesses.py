@@ -48,12 +48,12 @@ def add_cosignatures(session: Session, text: str) -> int:
             f"This service has signed a log of {checkpoint.size} entries that is not the beginning of the one that it "
             f"has now, of {tree.size}. Keep both checkpoints: they prove it.",
         )
-    rows: list[dict[str, Any]] = [
-        {"witness": str(key), "size": checkpoint.size, "signature": line.content, "signed_at": signed_at}
+    rows: dict[str, dict[str, Any]] = {
+        str(key): {"witness": str(key), "size": checkpoint.size, "signature": line.content, "signed_at": signed_at}
         for key in list_witnesses(session)
         for line in checkpoint.signatures
         if (signed_at := _read_time(checkpoint, key, line)) is not None
-    ]
+    }
     if not rows:
         raise ServiceError(
             ProblemCode.UNKNOWN_WITNESS,
@@ -61,11 +61,12 @@ def add_cosignatures(session: Session, text: str) -> int:
             "key that `vitac witness key` prints: they put it into the competition file.",
         )
     latest = datetime.now(UTC) + _CLOCK_DIFFERENCE
-    of_now = [row for row in rows if row["signed_at"] <= latest]
+    of_now = [row for row in rows.values() if row["signed_at"] <= latest]
     if not of_now:
+        early = min(row["signed_at"] for row in rows.values())
         raise ServiceError(
             ProblemCode.INVALID_REQUEST,
-            f"Expected a signature of now, got one of {rows[0]['signed_at']:%Y-%m-%d %H:%M}Z: set the clock.",
+            f"Expected a signature of now, got one of {early:%Y-%m-%d %H:%M}Z: set the clock.",
         )
     session.execute(insert(Cosignature).values(of_now).on_conflict_do_nothing())
     return len(of_now)

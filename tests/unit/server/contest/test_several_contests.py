@@ -81,6 +81,8 @@ def test_each_contest_has_its_own_boards_quotas_and_sealed_lists(both: Database)
             name: receipts_of_board(session, Contest.find(session, name).stage(TRACK, FIRST), SubmissionKind.MODEL)
             for name in made
         }
+        for receipt in signed[CLASS]:
+            receipt.require_valid()  # by itself, as it is in an export
         assert [receipt.content.submission for receipt in signed[MAIN]] == [made[MAIN].id]
         assert [receipt.content.submission for receipt in signed[CLASS]] == [made[CLASS].id, other.id]
         assert signed[MAIN][0].entry.board != signed[CLASS][0].entry.board

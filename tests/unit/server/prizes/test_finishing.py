@@ -116,6 +116,7 @@ def test_the_final_winners_stay_whatever_happens_to_the_boards(played: Database)
         entry = newest_entries(session)[0]
         assert entry.action == "competition.finalize"
         (signed,) = receipts_of_ends(session)
+        signed.require_valid()
         assert signed.end.winners == winning_entries(Contest.read(session))
         assert [winner.submission for winner in signed.end.winners] == [UUID(winner.submission) for winner in final]
         assert [winner["team"] for winner in entry.after["winners"]] == list(SUCCESSES)
