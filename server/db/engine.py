@@ -172,6 +172,7 @@ def is_connection_loss(error: DBAPIError) -> bool:
     # No state: the connection broke or could not be made. 57P01-3: shutdown, crash, starting. 08: connection errors.
     is_operational = type(error.orig).__name__ in {
         "OperationalError",
+        "ConnectionTimeout",
         "AdminShutdown",
         "CrashShutdown",
         "CannotConnectNow",

@@ -5,7 +5,8 @@ All servers of a service show the same figures, except those named `vitac_server
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
 from prometheus_client.core import GaugeMetricFamily
@@ -23,6 +24,8 @@ from ..views.operations import OperationsView
 from ..views.receipts import WitnessView
 from .state import operations
 
+LIMIT_S = 3.0
+"""A database that does not answer within this time counts as down: whoever scrapes waits for 10 s."""
 KEPT_S = 5.0
 """How long one answer serves all requests: several Prometheus servers cost the database no more than one."""
 
@@ -35,6 +38,7 @@ class Exposition:
     def __init__(self, services: Services, clock: Callable[[], float] = time.monotonic) -> None:
         self._services = services
         self._clock = clock
+        self._reader = ThreadPoolExecutor(1, "metrics")
         self._lock = threading.Lock()
         self._made_at = float("-inf")
         self._text = b""
@@ -52,12 +56,11 @@ class Exposition:
 
     def _families(self) -> list[Metric]:
         disk = measure_disk(self._services.settings.state_dir)
+        reading = self._reader.submit(self._read)
         try:
-            with self._services.database.transaction() as session:
-                counted = totals(session)
-                state = operations(session, self._services.settings, counted)
-                witnesses = list_witness_views(session)
-        except DBAPIError:
+            counted, state, witnesses = reading.result(LIMIT_S)
+        except (DBAPIError, TimeoutError):
+            reading.cancel()  # unless it hangs: then the next one waits for its thread
             return [_gauge("vitac_database_up", "Whether the database answers.", 0), *server_families(disk)]
         return [
             _gauge("vitac_database_up", "Whether the database answers.", 1),
@@ -66,6 +69,11 @@ class Exposition:
             *witness_families(witnesses),
             *total_families(counted),
         ]
+
+    def _read(self) -> tuple[dict[SeriesKey, float], OperationsView, Sequence[WitnessView]]:
+        with self._services.database.transaction() as session:
+            counted = totals(session)
+            return counted, operations(session, self._services.settings, counted), list_witness_views(session)
 
 
 class _Families:

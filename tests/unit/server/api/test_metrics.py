@@ -1,7 +1,10 @@
+import threading
 from pathlib import Path
 
+import pytest
 from service_client import Service, bearer, problem_of, running_service
 from vitac.server.db.engine import Database
+from vitac.server.operations import exposition
 
 TOKEN = "for-prometheus-only"  # noqa: S105 - of this test
 
@@ -32,3 +35,16 @@ def test_token_of_the_settings_needs_no_database(database: Database, tmp_path: P
     with running_service(database, tmp_path, metrics_token=TOKEN) as service:
         object.__setattr__(service.services, "database", Database("postgresql://nobody@/none?host=/nowhere"))
         assert "vitac_database_up 0.0" in service.client.get("/metrics", headers=bearer(TOKEN)).text
+
+
+def test_metrics_say_within_seconds_that_the_database_stands_still(
+    database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = threading.Event()
+    monkeypatch.setattr(exposition, "LIMIT_S", 0.05)
+    monkeypatch.setattr(exposition, "operations", lambda *_: answers.wait(10.0))
+    with running_service(database, tmp_path, metrics_token=TOKEN) as service:
+        found = service.client.get("/metrics", headers=bearer(TOKEN)).text
+        answers.set()
+    assert "vitac_database_up 0.0" in found
+    assert "vitac_server_disk_bytes" in found

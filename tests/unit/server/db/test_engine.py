@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sqlalchemy import Text, cast, literal, select, text
 from sqlalchemy.dialects.postgresql import JSONB
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import DBAPIError, OperationalError
 from sqlalchemy.orm import Session
 from vitac.server.db import engine
 from vitac.server.db.engine import Database, is_cancelled, is_connection_loss, sqlalchemy_url
@@ -193,3 +193,8 @@ def test_reading_refuses_changes_of_rows_that_would_be_lost(database: Database) 
 def test_address_gets_the_driver_and_keeps_password_and_socket_folder(scheme: str) -> None:
     address = f"{scheme}://user:pass%40word@/name?host=%2Ftmp%2Fx"
     assert sqlalchemy_url(address) == "postgresql+psycopg://user:pass%40word@/name?host=%2Ftmp%2Fx"
+
+
+def test_a_server_that_takes_connections_and_says_nothing_is_unavailable() -> None:
+    error = OperationalError("SELECT 1", {}, psycopg.errors.ConnectionTimeout("connection timeout expired"))
+    assert is_connection_loss(error)
