@@ -32,7 +32,10 @@ def check(sensor: FolderOrStl, as_json: AsJson = False) -> None:
     """Check a sensor against every rule; a bare STL gets the default camera and markers."""
     from vitac.evaluator.sensors.check import check_sensor
 
-    found = check_sensor(sensor)
+    from .terminal.compiling import compiling_shown
+
+    with compiling_shown():
+        found = check_sensor(sensor)
     if as_json:
         print_json({"ok": found.ok, "digest": _digest(found), "findings": [asdict(it) for it in found.findings]})
     else:
@@ -62,10 +65,13 @@ def mesh(
     from vitac.evaluator.sensors.check import accepted_sensor
     from vitac.evaluator.sensors.cost import expected_cpu_s
 
+    from .terminal.compiling import compiling_shown
+
     if mesher is Mesher.FTETWILD:
         _mesh_with_ftetwild(sensor, as_json=as_json)
         return
-    found = accepted_sensor(sensor)
+    with compiling_shown():
+        found = accepted_sensor(sensor)
     assert found.meshed is not None  # noqa: S101 - of every accepted sensor
     meshed = found.meshed
     facts = {
@@ -112,10 +118,13 @@ def show(
     from vitac.envs.drawing.files import Destination, Frame
     from vitac.evaluator.sensors.check import accepted_sensor
 
+    from .terminal.compiling import compiling_shown
+
     destination = Destination.from_path(out)
     if destination.format is not destination.format.PNG:
         raise typer.BadParameter("expected FILE.png.", param_hint="--out")
-    found = accepted_sensor(sensor)
+    with compiling_shown():
+        found = accepted_sensor(sensor)
     assert found.design is not None  # noqa: S101 - of every accepted sensor
     picture = draw_design(found.design, title=sensor.resolve().name, width_px=width)
     for path in destination.write([Frame(picture=picture, name="sensor")]):

@@ -1,6 +1,7 @@
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,6 +13,7 @@ import short_calibration
 from PIL import Image
 from vitac.cli import main as cli
 from vitac.cli import sensor as sensor_command
+from vitac.cli.terminal import compiling
 from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.sensors.check import accepted_sensor, check_sensor
 from vitac.evaluator.sensors.limits import sensor_limits
@@ -50,6 +52,21 @@ def test_check_prints_every_rule_with_value_and_limit(run: Run, folder: Path) ->
     assert "2 to 8 mm" in out
     assert "48 of 48 attached" in out
     assert out.splitlines()[-1].startswith("The sensor follows all rules. Mesh digest ")
+
+
+@pytest.mark.parametrize("verb", ["check", "mesh"])
+def test_compiling_is_shown_while_a_sensor_is_checked(
+    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch, verb: str
+) -> None:
+    """The kernels that place markers are compiled in the first command."""
+
+    @contextmanager
+    def shown() -> Iterator[None]:
+        print("compiling", file=sys.stderr)
+        yield
+
+    monkeypatch.setattr(compiling, "compiling_shown", shown)
+    assert run(verb, folder)[2] == "compiling\n"
 
 
 def test_check_of_a_bare_stl_as_json(run: Run, folder: Path) -> None:
