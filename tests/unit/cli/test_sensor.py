@@ -62,7 +62,7 @@ def test_compiling_is_shown_while_a_sensor_is_checked(
 
     @contextmanager
     def shown() -> Iterator[None]:
-        print("compiling", file=sys.stderr)
+        sys.stderr.write("compiling\n")
         yield
 
     monkeypatch.setattr(compiling, "compiling_shown", shown)

@@ -3,7 +3,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
-from service_factories import TASK, make_principal, make_score, submit_scored
+from service_factories import TASK, make_principal, make_score, make_settings, submit_scored
 from sqlalchemy.orm import Session
 from vitac.server.audit import newest_entries
 from vitac.server.db.engine import Database
@@ -13,11 +13,12 @@ from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.sharing.descriptions import describe, descriptions_among, find_description, remove, restore
 from vitac.server.sharing.public_pages import set_public
-from vitac.server.team_data import erase
+from vitac.server.team_data import erase, export
 from vitac.server.views.descriptions import DescriptionView
 
 from competitions import make_competition, open_now, put_in_place
 
+SETTINGS = make_settings(database_url="postgresql:///elsewhere")
 CODE = "https://github.com/bears/policy"
 JUDGE = Principal(role=Role.JUDGE)
 
@@ -159,8 +160,10 @@ def test_nothing_is_shown_to_others_while_teams_are_anonymous(one: Described) ->
     assert one.seen_by(one.owner) == one.seen_by(CONSOLE) == written
 
 
-def test_it_goes_with_the_data_of_an_erased_team(one: Described) -> None:
-    one.write(text="By the Bears.", code=CODE)
-    erase(one.session, CONSOLE, one.session.get_one(Team, one.submission.team_id))
+def test_it_is_among_the_data_of_its_team_and_goes_with_them(one: Described) -> None:
+    written = one.write(text="By the Bears.", code=CODE)
+    team = one.session.get_one(Team, one.submission.team_id)
+    assert [found.description for found in export(one.session, SETTINGS, CONSOLE, team).submissions] == [written]
+    erase(one.session, CONSOLE, team)
     one.session.refresh(one.submission)
     assert one.submission.description is None
