@@ -12,6 +12,7 @@ from played_episodes import a_playback, a_shown_episode, guided
 from playwright.sync_api import Browser, Page, expect
 from real_browser import SOFTWARE_WEBGL, launched
 from site_under_test import SiteUnderTest
+from tab_key import press_tab_through
 from waiting import LIMIT_S, PIXELS_AT_REST, resize, until, wait_for_rest
 
 pytestmark = pytest.mark.slow
@@ -117,6 +118,10 @@ def test_a_scene_in_motion_is_drawn_less_sharply_and_in_full_once_it_rests(still
     assert found["pixels"] < 0.99 * PIXELS_AT_REST
     wait_for_rest(still_page)
     assert float(still_page.get_by_label("Env step", exact=True).input_value()) >= found["time"]
+
+
+def test_tab_reaches_scene_and_controls_and_none_covers_another(still_page: Page) -> None:
+    assert press_tab_through(still_page) == {"left": [], "hidden": []}
 
 
 def test_the_camera_flies_to_a_view_and_is_there_at_once_where_no_motion_is_wanted(still_page: Page) -> None:

@@ -70,15 +70,16 @@ class Complaints:
 
 
 def violations(page: Page) -> list[str]:
-    """Rules of accessibility that a page breaks, each with the part of the page that does."""
+    """Rules of accessibility that a page breaks, each with the part of the page that does.
+
+    Ours: a picture has words or repeats what stands beside it, and a plot has a table.
+    """
     if not page.evaluate("'axe' in window"):
         page.evaluate(AXE_SCRIPT)
     page.evaluate(MEASURE_EACH_LOOK, PLACES_PER_LOOK)
     found: list[dict[str, Any]] = page.evaluate("options => axe.run(options).then(found => found.violations)", CHECKED)
-    return [f"{rule['id']}: {node['html'][:200]} {node['failureSummary']}" for rule in found for node in rule["nodes"]]
-
-
-def wordless(page: Page) -> list[str]:
-    """Pictures that neither have words nor are hidden beside what they repeat, and plots without a table."""
-    found: list[str] = page.evaluate(WORDLESS)
-    return found
+    wordless = [f"wordless: {part}" for part in page.evaluate(WORDLESS)]
+    broken = [
+        f"{rule['id']}: {node['html'][:200]} {node['failureSummary']}" for rule in found for node in rule["nodes"]
+    ]
+    return broken + wordless

@@ -89,7 +89,7 @@ def test_the_board_shows_a_page_and_links_the_others(data: FixedData, browser: A
 def test_a_search_without_result_says_so_and_is_escaped(data: FixedData, browser: AsgiBrowser) -> None:
     data.board = a_leaderboard(*ENTRIES)
     html = browser.get('/tracks/track_1?q="<b>').text
-    assert "None of 150 teams are shown" in html
+    assert "in the name: none of 150." in html
     assert "&lt;b&gt;" in html
     assert "<b>" not in html
 
@@ -98,7 +98,9 @@ def test_the_form_has_what_was_searched_for_and_a_wrong_day_is_named(data: Fixed
     baselines = list_baselines(load_track("track_1"), TASK)
     data.board = a_leaderboard(*ENTRIES).model_copy(update={"baselines": baselines})
     html = browser.get("/tracks/track_1?q=Team+01&since=2020-01-31&rows=entries").text
-    assert "10 of 150 teams are shown: with “<bdi>Team 01</bdi>” in the name, submitted from 2020-01-31 (UTC)." in html
+    assert (
+        "Searched for teams with “<bdi>Team 01</bdi>” in the name, submitted from 2020-01-31 (UTC): 10 of 150." in html
+    )
     for field in ('value="Team 01"', 'value="2020-01-31"', '<option value="entries" selected>'):
         assert field in html
     only = browser.get("/tracks/track_1?rows=baselines").text
