@@ -20,7 +20,7 @@ LOOKED_AT = 100
 
 
 def newest_public_episode(session: Session, settings: Settings) -> PublicEpisodeView | None:
-    """Return the episode of a public submission whose playback was asked for last and is made; None without one."""
+    """Return the solved episode of a public submission whose playback was asked for last and is made; or None."""
     newest = (
         select(Playback.episode_id, Playback.asked_at)
         .where(Playback.scene_sha256.is_not(None), Playback.evaluator_version.in_(current_versions()))
@@ -34,7 +34,7 @@ def newest_public_episode(session: Session, settings: Settings) -> PublicEpisode
         .select_from(newest)
         .join(EpisodeResult, EpisodeResult.id == newest.c.episode_id)
         .join(Submission, played)
-        .where(Submission.is_public)
+        .where(Submission.is_public, EpisodeResult.success)
         .order_by(newest.c.asked_at.desc(), Submission.submitted_at, Submission.id)
         .limit(LOOKED_AT)
     ).all()

@@ -7,7 +7,7 @@ from asked_playbacks import SETTINGS, Played, played
 from service_factories import TASK, complete_scored, make_score, sha256
 from sqlalchemy import update
 from sqlalchemy.orm import Session
-from vitac.server.db.models import Playback, Submission
+from vitac.server.db.models import EpisodeResult, Playback, Submission
 from vitac.server.db.states import PlaybackState
 from vitac.server.playbacks import recent
 from vitac.server.playbacks.recent import newest_public_episode
@@ -115,3 +115,14 @@ def test_films_are_not_played_on_the_front_page(team_a: Played) -> None:
     make(team_a, 1, minutes=1)
     make(team_a, 2, minutes=2, file="film_sha256")
     assert number_of(newest(team_a)) == 1
+
+
+def test_what_failed_is_not_what_the_front_page_plays(team_a: Played) -> None:
+    for number in (2, 3):
+        make(team_a, number, minutes=number)
+    show(team_a)
+    complete(team_a)
+    with team_a.database.transaction() as session:
+        failed = {"success": False, "outcome": "tactile"}
+        session.execute(update(EpisodeResult).where(EpisodeResult.episode == 3).values(**failed))
+    assert number_of(newest(team_a)) == 2
