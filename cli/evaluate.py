@@ -57,6 +57,12 @@ def command(
     output: Annotated[
         Path | None, typer.Option(help="Write what the policy printed in each episode to this file.")
     ] = None,
+    station: Annotated[
+        str | None, typer.Option(help="Play on a station instead: its file, or `twin` for a simulated one; unranked.")
+    ] = None,
+    pictures: Annotated[
+        Path | None, typer.Option(help="With --station: write pictures of both gels and a page of them here.")
+    ] = None,
 ) -> None:
     """Evaluate a submission here, with the same records, score and result hash as the service."""
     request = _Request(
@@ -64,6 +70,13 @@ def command(
     )
     outputs = _Outputs(json=json, log=log, printed=output, team=team)
     outputs.check()
+    if station is not None:
+        from .rehearsal import rehearse_submission
+
+        request.check(submission)
+        note_ignored_folders(submission)
+        rehearse_submission(submission, station, request.episodes, json=json, pictures=pictures)
+        return
     evaluation, manifest, digest = _evaluate(request, submission)
     outputs.write(evaluation, manifest, digest)
     _print_summary(evaluation, manifest)

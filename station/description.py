@@ -1,5 +1,6 @@
 """The file that describes a station: its devices, their addresses and calibrations, and its limits."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -141,6 +142,63 @@ class Limits(StrictModel):
     """The stage stops if whoever commands it was not heard for this long."""
 
 
+class Place(StrictModel):
+    """A pose of the stage."""
+
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    rotation_deg: float = 0.0
+
+
+class Release(StrEnum):
+    """Who lets a station move again that has stopped."""
+
+    OPERATOR = "operator"
+    """A person, after a look at it."""
+    AUTOMATIC = "automatic"
+    """Nobody: for twins, which break nothing."""
+
+
+class Procedure(StrictModel):
+    """Where trials take place, and how; the defaults are the challenge's."""
+
+    shape: Word
+    """Peg and hole that are mounted."""
+    hole: Place
+    """Where a peg stands on the plate, centred over its hole and turned with it."""
+    garage: Place
+    """Where the gripper closes on the peg."""
+    safe_z_mm: float
+    """Height at which the stage goes from garage to hole."""
+    lateral_mm: PositiveFloat = 5.0
+    """Height above the plate for motions with the peg beside the hole."""
+    start_mm: PositiveFloat = 1.0
+    """Height above the plate at which the descent begins."""
+    z_step_mm: PositiveFloat = 0.125
+    """Descent of every env step, as in simulation."""
+    step_mm_s: PositiveFloat = 3.0
+    """Speed of env steps; between trials the stage moves at the limit."""
+    descent_mm: PositiveFloat = 2.0
+    """Length of the descent until a gel must have met the plate."""
+    descent_mm_s: PositiveFloat = 0.4
+    descent_timeout_s: PositiveFloat = 4.275
+    """Without contact after this part of the descent the start counts as not blocked."""
+    push_mm: PositiveFloat = 3.0
+    """Length of the push test."""
+    push_mm_s: PositiveFloat = 1.5
+    picture_s: PositiveFloat = 0.04
+    """Time between pictures of the tactile cameras; waits are counted in pictures."""
+    latency_s: Annotated[float, Field(ge=0)] = 0.12
+    """By how much pictures are late; waits are longer by it."""
+    open_position: Byte = 100
+    """Position of the open gripper; one further closed holds a peg."""
+    grip_force: Byte = 50
+    release: Release = Release.OPERATOR
+    free_gb: PositiveFloat = 1.0
+    """Free space on the disk that a trial needs."""
+
+
 class StationDescription(StrictModel):
     """A station."""
 
@@ -152,6 +210,8 @@ class StationDescription(StrictModel):
     stage: Stage
     gripper: Gripper
     limits: Limits
+    procedure: Procedure | None = None
+    """How trials are played; without it a station can only be checked."""
 
     @model_validator(mode="after")
     def _check_devices(self) -> Self:

@@ -44,6 +44,7 @@ class Guard:
         gripper: activated.
         force_torque: its stream has started.
         clock: the time that heartbeats are counted by.
+        by_fault: whether a device's fault stopped it, rather than a limit.
     """
 
     limits: Limits
@@ -51,6 +52,7 @@ class Guard:
     gripper: Gripper
     force_torque: ForceTorqueSensor
     clock: Callable[[], float] = monotonic
+    by_fault: bool = False
     _reason: str | None = None
     _heard_s: float = 0.0
     _over: Event = field(default_factory=Event)
@@ -87,7 +89,7 @@ class Guard:
         """
         check_target(self.limits, target)
         check_speed(self.limits, speed_mm_s, rotation_deg_s)
-        self._check_released()
+        self.check_released()
         status = self.stage.status()
         if status.state is not StageState.IDLE:
             raise DeviceFault(f"Expected a stage at rest, got {status.state}. Wait for it, or home it after an alarm.")
@@ -95,25 +97,36 @@ class Guard:
         self.stage.start_move(target, feed=feed_of(status.pose, target, speed_mm_s, rotation_deg_s))
         if self._reason is not None:  # stopped before the controller had the motion, so the hold did nothing
             self.stage.hold()
-            self._check_released()
+            self.check_released()
 
     def wait(self) -> StageStatus:
         """Return when the motion has ended; raise StationStopped if it was stopped, DeviceFault in alarm."""
         while True:
-            self._check_released()
+            self.check_released()
             status = self.stage.status()
             if status.state is StageState.ALARM:
-                self.stop("The stage is in alarm.")
+                self.stop("The stage is in alarm.", by_fault=True)
                 raise DeviceFault("The stage is in alarm: clear its way, then home it.")
             if status.state is StageState.IDLE:
-                self._check_released()
+                self.check_released()
                 return status
             self._over.wait(CONTROL_PERIOD_S / 4)
+
+    def end_motion(self) -> StageStatus:
+        """End the motion where the stage is, as a procedure does that has found what it looked for."""
+        self.check_released()
+        self.stage.hold()
+        while self.stage.status().is_moving:
+            self._over.wait(CONTROL_PERIOD_S / 4)
+        with self._stopping:
+            if self._reason is None:
+                self.stage.forget_motion()
+        return self.wait()
 
     def grip(self, position: int, *, speed: int, force: int) -> None:
         """Start to open or close the gripper, within the limits."""
         check_grip(self.limits, position, speed, force)
-        self._check_released()
+        self.check_released()
         self.gripper.start_move(position, speed=speed, force=force)
 
     def see_markers(self, movement_px: NDArray[np.float64]) -> None:
@@ -123,11 +136,17 @@ class Guard:
         except LimitPassed as error:
             self.stop(str(error))
 
-    def stop(self, reason: str) -> None:
-        """Hold the stage at once; the first reason counts. The gripper holds on to what it has."""
+    def stop(self, reason: str, *, by_fault: bool = False) -> None:
+        """Hold the stage at once; the first reason counts. The gripper holds on to what it has.
+
+        Args:
+            reason: a sentence.
+            by_fault: whether a device failed, rather than a limit was passed.
+        """
         with self._stopping:
             is_first, self._reason = self._reason is None, self._reason or reason
             if is_first:
+                self.by_fault = by_fault
                 try:
                     self.stage.hold()
                 except DeviceFault as error:
@@ -142,7 +161,8 @@ class Guard:
             self.beat()
             self._reason = None
 
-    def _check_released(self) -> None:
+    def check_released(self) -> None:
+        """Raise StationStopped while the station is stopped."""
         if self._reason is not None:
             raise StationStopped(f"The station is stopped: {self._reason} Make it safe, then release it.")
 
@@ -154,7 +174,7 @@ class Guard:
             except LimitPassed as error:
                 self.stop(str(error))
             except DeviceFault as error:
-                self.stop(str(error))
+                self.stop(str(error), by_fault=True)
                 self._over.wait(CONTROL_PERIOD_S)
             silent_s = self.clock() - self._heard_s
             if silent_s > self.limits.heartbeat_s:

@@ -37,6 +37,8 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "peg_insertion_trai
 MAX_SLOTS = 4
 WORKER_START_LIMIT_S = 120.0
 POLL_S = 0.25
+TRIALS = (1, 4, 7)
+"""Episodes with the cuboid, whose hole the twin has."""
 WARM_UP = "import sys; from vitac.cli.demo.physics import warm_up; warm_up(sys.argv[1])"
 LOG = "demo.log"
 
@@ -56,6 +58,9 @@ def command(
         int | None, typer.Option(min=0, max=65535, help="Port; if it is taken, a free one is used.")
     ] = None,
     submission: Annotated[Path, typer.Option(help="Submission to evaluate.")] = EXAMPLE,
+    station: Annotated[
+        bool, typer.Option("--station", help="Play three trials on a simulated station instead, without the service.")
+    ] = False,
 ) -> None:
     """Start the service, evaluate the example submission on it and show the leaderboard.
 
@@ -65,6 +70,9 @@ def command(
         raise DemoRefused(f"No submission found at {submission}. Run the demo in a checkout, or give --submission.")
     from vitac.evaluator.submission.sources import read_manifest_file
 
+    if station:
+        _play_on_a_twin(submission, load_settings().state_dir / "station")
+        return
     settings = load_settings(port=port, worker_slots=min(usable_cores(), MAX_SLOTS))
     display = DemoDisplay()
     display.title(version("vitac-arena"))
@@ -85,6 +93,14 @@ def command(
         except Interrupted:
             display.interrupted()
             raise typer.Exit(130) from None
+
+
+def _play_on_a_twin(submission: Path, pictures: Path) -> None:
+    """Play three trials on a twin in a process of its own, and say where its gels are shown."""
+    from ..rehearsal import rehearse_submission
+
+    rehearse_submission(submission, "twin", TRIALS, json=None, pictures=pictures)
+    print(f"Both gels at every env step: {(pictures / 'index.html').resolve().as_uri()}")
 
 
 @dataclass(frozen=True, kw_only=True)

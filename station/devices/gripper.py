@@ -17,6 +17,7 @@ _COMMAND_REGISTER: Final = 0x03E8
 _STATUS_REGISTER: Final = 0x07D0
 _ACTIVATE, _GO = 0x01, 0x08
 _ANSWER_S: Final = 0.2
+_RETRIES: Final = 3
 _ACTIVATION_S: Final = 10.0
 _POLL_S: Final = 0.01
 _ACTIVATED: Final = 3
@@ -63,7 +64,7 @@ class Gripper:
         self._place = f"{port}, unit {unit}"
         self._unit = unit
         self._request: int | None = None
-        self._line = ModbusSerialClient(port, baudrate=_BAUD, timeout=_ANSWER_S, retries=1)
+        self._line = ModbusSerialClient(port, baudrate=_BAUD, timeout=_ANSWER_S, retries=_RETRIES)
         if not self._line.connect():
             raise DeviceNotFound(f"No gripper at {port}: expected a serial port. Check its cable and `port`.")
 

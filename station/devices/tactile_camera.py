@@ -1,5 +1,8 @@
 """Driver of a tactile camera: a GelSight Mini is a UVC camera, read with OpenCV."""
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -11,6 +14,7 @@ from .device import DeviceFault, DeviceNotFound
 Picture = NDArray[np.uint8]
 
 _SYSTEM_CAMERAS: Final = Path("/sys/class/video4linux")
+_STREAM_OPTIONS: Final = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 _ANSWER_MS: Final = 2000
 _FROZEN_PICTURES: Final = 10
 """A camera's noise makes every picture differ, so equal ones are a frozen stream."""
@@ -76,6 +80,19 @@ def find_camera(serial_number: str, cameras: Path = _SYSTEM_CAMERAS) -> str:
     )
 
 
+@contextmanager
+def _short_buffer() -> Iterator[None]:
+    """Have OpenCV open streams that hold few old pictures; it takes this from the environment only."""
+    before = os.environ.get(_STREAM_OPTIONS)
+    os.environ[_STREAM_OPTIONS] = "recv_buffer_size;8192"
+    try:
+        yield
+    finally:
+        del os.environ[_STREAM_OPTIONS]
+        if before is not None:
+            os.environ[_STREAM_OPTIONS] = before
+
+
 def _open(address: str, name: str) -> Any:
     import cv2
 
@@ -84,7 +101,8 @@ def _open(address: str, name: str) -> Any:
         capture = cv2.VideoCapture(address, cv2.CAP_V4L2)
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # the newest picture rather than an old one
     else:
-        capture = cv2.VideoCapture(address, cv2.CAP_FFMPEG, options)
+        with _short_buffer():
+            capture = cv2.VideoCapture(address, cv2.CAP_FFMPEG, options)
     if not capture.isOpened():
         raise DeviceNotFound(f"The {name} at {address} cannot be opened. Is it plugged in, and used by nothing else?")
     return capture

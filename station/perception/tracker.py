@@ -36,6 +36,10 @@ class MarkerFlow(NamedTuple):
         """Return the largest movement of a marker."""
         return float(np.hypot(*(self.current - self.reference).T).max(initial=0.0))
 
+    def mean_movement_px(self) -> float:
+        """Return the mean movement of the markers."""
+        return float(np.hypot(*(self.current - self.reference).T).mean()) if len(self.current) else 0.0
+
     def is_contact(self) -> bool:
         """Say whether a marker has moved, by the challenge's rule without depth."""
         return self.largest_movement_px() > _CONTACT_PX

@@ -21,6 +21,8 @@ class ForceTorqueFault(StrEnum):
     """It sends no frames."""
     DAMAGED = "damaged"
     """Every second frame has a wrong sum."""
+    UNREACHABLE = "unreachable"
+    """The network is cut: connections end at once."""
 
 
 def _identity() -> Matrix:
@@ -46,11 +48,11 @@ class ForceTorqueTwin:
     _rate_hz: float = 100.0
     _streams: bool = False
     _over: Event = field(default_factory=Event)
+    _connection: socket.socket | None = None
 
     def __enter__(self) -> Self:
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._server.getsockname()[1]
-        self._connection: socket.socket | None = None
         self._thread = Thread(target=self._serve, name="twin of the force/torque box", daemon=True)
         self._thread.start()
         return self
@@ -62,17 +64,21 @@ class ForceTorqueTwin:
     def cut(self) -> None:
         """Cut the network: close the connection and accept no other."""
         self._over.set()
-        for each in (self._connection, self._server):
-            if each is not None:
-                try:
-                    each.shutdown(socket.SHUT_RDWR)
-                except OSError:
-                    continue  # it was closed already
+        _shut(self._connection)
+        _shut(self._server)
+
+    def cut_for_a_while(self) -> None:
+        """Cut the network until the fault is taken away."""
+        self.faults.add(ForceTorqueFault.UNREACHABLE)
+        _shut(self._connection)
 
     def _serve(self) -> None:
         while not self._over.is_set():
             try:
                 self._connection, _ = self._server.accept()
+                if ForceTorqueFault.UNREACHABLE in self.faults:
+                    self._connection.close()
+                    continue
                 self._connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._talk(self._connection)
             except OSError:
@@ -124,3 +130,11 @@ class ForceTorqueTwin:
         total = (sum(values) + bool(is_damaged)) & 0xFF
         self.sent += 1
         connection.sendall(struct.pack(">2sHH", b"\xaa\x55", 27, self.sent & 0xFFFF) + values + bytes((total,)))
+
+
+def _shut(connection: socket.socket | None) -> None:
+    if connection is not None:
+        try:
+            connection.shutdown(socket.SHUT_RDWR)
+        except OSError:
+            return  # it was closed already

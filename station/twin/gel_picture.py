@@ -54,6 +54,18 @@ class GelCamera:
             darkness: of each marker, shape [n]; a worn one is paler.
             tilt: slope of the gel's face, which shifts the light.
         """
+        shading = self._shading(tilt)
+        noise = self.noise * generator.standard_normal(shading.shape, dtype=np.float32)
+        return self.expose(shading, markers_px, darkness, noise)
+
+    def expose(
+        self,
+        shading: NDArray[np.float32],
+        markers_px: NDArray[np.float64],
+        darkness: NDArray[np.float64] | None,
+        noise: NDArray[np.float32],
+    ) -> NDArray[np.uint8]:
+        """Return a picture of a lit gel, shape [height, width, 3], with its markers and with noise of that shape."""
         import cv2
 
         light = np.ones((self.height, self.width), np.float32)
@@ -64,9 +76,7 @@ class GelCamera:
             centre = (round(u * (1 << _SUBPIXEL_BITS)), round(v * (1 << _SUBPIXEL_BITS)))
             cv2.circle(light, centre, radius, 1.0 - float(depth), -1, cv2.LINE_8, _SUBPIXEL_BITS)
         blurred = cv2.GaussianBlur(light, (0, 0), self.defocus_px * scale_x, sigmaY=self.defocus_px * scale_y)
-        shaded = self._shading(tilt) * blurred[..., None]
-        noisy = shaded + self.noise * generator.standard_normal(shaded.shape, dtype=np.float32)
-        return np.asarray(np.clip(np.rint(noisy), 0, 255), dtype=np.uint8)
+        return np.asarray(np.clip(np.rint(shading * blurred[..., None] + noise), 0, 255), dtype=np.uint8)
 
     def from_cut(self, positions_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return where positions of the cut picture are in the camera's, shape [n, 2] [pixel]."""
@@ -78,6 +88,16 @@ class GelCamera:
         columns = self.width - 2 * (self.width // _BORDER)
         rows = self.height - 2 * (self.height // _BORDER) - _MORE_ROWS_AT_THE_TOP
         return columns / _WIDTH_PX, rows / _HEIGHT_PX
+
+    def framed(self, surface: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return a cut picture with what the camera sees beyond its borders: the same as at them."""
+        import cv2
+
+        left, top = self.width // _BORDER, self.height // _BORDER + _MORE_ROWS_AT_THE_TOP
+        middle = cv2.resize(surface, (self.width - 2 * left, self.height - 2 * top + _MORE_ROWS_AT_THE_TOP))
+        bottom = top - _MORE_ROWS_AT_THE_TOP
+        framed = cv2.copyMakeBorder(middle, top, bottom, left, left, cv2.BORDER_REPLICATE)
+        return np.asarray(framed, dtype=np.float32)
 
     def _shading(self, tilt: tuple[float, float]) -> NDArray[np.float32]:
         x = np.linspace(-1, 1, self.width, dtype=np.float32)[None, :]

@@ -13,6 +13,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from .bench import GARAGE, HOLE, Bench
 from .force_torque import ForceTorqueTwin
 from .gripper import GripperTwin
 from .pictures import CameraTwin
@@ -28,6 +29,13 @@ _LIMITS: Final[dict[str, Any]] = {
     "force_n": 20,
     "torque_nm": 1,
     "gripper": {"force": 100},
+}
+_PLAYING_LIMITS: Final[dict[str, Any]] = {
+    "workspace": {"x_mm": [-60, 15], "y_mm": [-15, 15], "z_mm": [-48, 0], "rotation_deg": [-20, 20]},
+    "speed_mm_s": 5,
+    "force_n": 60,
+    "reading_s": 5.0,  # its process shares cores with the station
+    "heartbeat_s": 5.0,
 }
 
 
@@ -59,18 +67,49 @@ def twin_station(*, picture_period_s: float = 0.04) -> Iterator[TwinStation]:
     with ExitStack() as stack:
         left, right = (stack.enter_context(_camera(picture_period_s)) for _ in range(2))
         box = stack.enter_context(ForceTorqueTwin())
-        stage, gripper = StageTwin(), GripperTwin()
-        lines = {"stage": stack.enter_context(Terminal(stage)), "gripper": stack.enter_context(Terminal(gripper))}
-        described = {
-            "name": "twin",
-            "left": _describe_camera("28F0-GX7F", left),
-            "right": _describe_camera("28W2-TRN5", right),
-            "force_torque": _describe_force_torque("FT-1", box),
-            "stage": _describe_stage(lines["stage"], stage),
-            "gripper": {"port": lines["gripper"].port},
-            "limits": deepcopy(_LIMITS),
+        yield _at_lines(stack, left, right, box, StageTwin(), GripperTwin())
+
+
+@contextmanager
+def playing_station(bench: Bench) -> Iterator[TwinStation]:
+    """Start twins that behave by the physics of a bench; they end with the context."""
+    with ExitStack() as stack:
+        left, right = (stack.enter_context(camera) for camera in bench.cameras)
+        box = stack.enter_context(bench.box)
+        stack.enter_context(bench)
+        station = _at_lines(stack, left, right, box, bench.stage, bench.gripper)
+        station.description["limits"] |= _PLAYING_LIMITS
+        station.description["procedure"] = {
+            "shape": str(bench.shape),
+            "hole": _describe_place(HOLE),
+            "garage": _describe_place(GARAGE),
+            "safe_z_mm": -20.0,
+            "picture_s": bench.period_s,
+            "release": "automatic",
+            "latency_s": 0.12 + 2 * bench.period_s,
         }
-        yield TwinStation(left, right, box, stage, gripper, lines, described)
+        yield station
+
+
+def _at_lines(
+    stack: ExitStack,
+    left: CameraTwin,
+    right: CameraTwin,
+    box: ForceTorqueTwin,
+    stage: StageTwin,
+    gripper: GripperTwin,
+) -> TwinStation:
+    lines = {"stage": stack.enter_context(Terminal(stage)), "gripper": stack.enter_context(Terminal(gripper))}
+    described = {
+        "name": "twin",
+        "left": _describe_camera("28F0-GX7F", left),
+        "right": _describe_camera("28W2-TRN5", right),
+        "force_torque": _describe_force_torque("FT-1", box),
+        "stage": _describe_stage(lines["stage"], stage),
+        "gripper": {"port": lines["gripper"].port},
+        "limits": deepcopy(_LIMITS),
+    }
+    return TwinStation(left, right, box, stage, gripper, lines, described)
 
 
 @cache
@@ -87,6 +126,10 @@ def _camera(period_s: float) -> CameraTwin:
 def _describe_camera(serial_number: str, camera: CameraTwin) -> dict[str, Any]:
     calibration = {"serial_number": serial_number, "markers": len(marker_grid())}
     return {"serial_number": serial_number, "stream": camera.stream, "calibration": calibration}
+
+
+def _describe_place(axes: tuple[float, float, float, float]) -> dict[str, float]:
+    return dict(zip(("x_mm", "y_mm", "z_mm", "rotation_deg"), axes, strict=True))
 
 
 def _describe_force_torque(serial_number: str, box: ForceTorqueTwin) -> dict[str, Any]:

@@ -1,11 +1,15 @@
 """Twin of a tactile camera: an HTTP server that sends pictures as motion JPEG, which OpenCV reads like a camera."""
 
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
+from fcntl import ioctl
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from socket import SO_SNDBUF, SOL_SOCKET, socket
 from threading import Event, Thread
-from typing import Self
+from time import sleep
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +17,11 @@ from numpy.typing import NDArray
 Picture = NDArray[np.uint8]
 _BOUNDARY = "picture"
 _QUALITY = 95
+_SENT_AHEAD_BYTES: Final = 16_384
+"""Less than a picture."""
+_SIOCOUTQ: Final = 0x5411
+"""Linux: asks for the bytes that the other side has not received."""
+_POLL_S: Final = 5e-4
 
 
 class CameraFault(StrEnum):
@@ -32,11 +41,13 @@ class CameraTwin:
         picture: gives the next picture, shape [height, width, 3], blue first.
         period_s: time between pictures.
         faults: what is broken now.
+        streams: number of readers.
     """
 
     picture: Callable[[], Picture]
     period_s: float = 0.04
     faults: set[CameraFault] = field(default_factory=set)
+    streams: int = 0
     _over: Event = field(default_factory=Event)
 
     def __enter__(self) -> Self:
@@ -52,12 +63,24 @@ class CameraTwin:
         self._server.server_close()
 
     @property
+    def is_over(self) -> bool:
+        """Whether it has ended."""
+        return self._over.is_set()
+
+    @property
     def stream(self) -> str:
         """Address of the stream."""
         return f"http://127.0.0.1:{self._server.server_address[1]}/stream.mjpg"
 
     def send(self, write: Callable[[bytes], object]) -> None:
         """Write parts until the stream ends."""
+        self.streams += 1
+        try:
+            self._send(write)
+        finally:
+            self.streams -= 1
+
+    def _send(self, write: Callable[[bytes], object]) -> None:
         import cv2
 
         jpeg = b""
@@ -72,15 +95,26 @@ class CameraTwin:
 def _handler(twin: CameraTwin) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
+            self.connection.setsockopt(SOL_SOCKET, SO_SNDBUF, _SENT_AHEAD_BYTES)
             self.send_response(200)
             self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={_BOUNDARY}")
             self.end_headers()
             try:
-                twin.send(self.wfile.write)
+                twin.send(self._write)
             except OSError:
                 return  # the driver closed the stream
+
+        def _write(self, part: bytes) -> None:
+            """Write a part, and wait until the reader has taken nearly all of it: it is to get no old pictures."""
+            self.wfile.write(part)
+            while not twin.is_over and _unsent_bytes(self.connection):
+                sleep(_POLL_S)
 
         def log_message(self, *_: object) -> None:
             """Write nothing for each request."""
 
     return Handler
+
+
+def _unsent_bytes(connection: socket) -> int:
+    return int(struct.unpack("i", ioctl(connection, _SIOCOUTQ, b"\0\0\0\0"))[0])

@@ -14,7 +14,7 @@ Positions = NDArray[np.float64]
 _MIDDLE_PX: Final = (160.0, 120.0)
 _LIGHT_PX: Final = 60.0
 """Mean movement of the markers at which the light has shifted by the half width of the picture."""
-_WORN: Final = 0.35
+WORN_DARKNESS: Final = 0.35
 """Darkness that is left of a worn marker."""
 _GLARE_PICTURES: Final = 3
 
@@ -96,7 +96,7 @@ class PressedGel:
         worn, dazzled = chosen[: self.worn], chosen[self.worn : self.worn + self.dazzled]
         for number in range(self.press.pictures):
             darkness = np.full(len(rest_px), self.camera.darkness)
-            darkness[worn] *= _WORN
+            darkness[worn] *= WORN_DARKNESS
             if 0 <= number - self.press.pictures // 2 < _GLARE_PICTURES:
                 darkness[dazzled] = 0.0
             markers_px = self.press.markers(rest_px, number)

@@ -112,6 +112,11 @@ class StageTwin:
     _line: str = ""
     _lock: Lock = field(default_factory=Lock)
 
+    def axes(self) -> Axes:
+        """Return where its encoders say it is."""
+        with self._lock:
+            return self._now()[0]
+
     def receive(self, data: bytes) -> bytes:
         """Obey real-time bytes at once and lines when they are complete."""
         with self._lock:

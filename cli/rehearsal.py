@@ -1,0 +1,135 @@
+"""`vitac evaluate --station`: plays a submission on a station or its twin, and shows the outcome of each trial."""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from .terminal.output import print_table
+
+if TYPE_CHECKING:
+    from vitac.station.description import StationDescription
+    from vitac.station.eyes import Sight
+    from vitac.station.records import TrialRecord
+    from vitac.station.rehearsal import RehearsalReport
+
+_PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Trials</title>
+<style>body{{font:15px system-ui;margin:2em;max-width:64em}}img{{width:28em;display:block}}
+figure{{display:inline-block;margin:.5em}}</style>
+<h1>{title}</h1>{body}</html>
+"""
+
+
+def rehearse_submission(
+    submission: Path, named: str, episodes: Sequence[int] | None, *, json: Path | None, pictures: Path | None
+) -> None:
+    """Play a submission's trials on the station of a file, or on `twin`; print and write what came of them."""
+    from vitac.evaluator.submission.manifest import load_manifest
+    from vitac.evaluator.submission.sources import staged, submission_digest
+    from vitac.evaluator.tracks import load_track
+    from vitac.station.rehearsal import RehearsalReport, found_station, rehearse
+    from vitac.station.trials import Player
+
+    album = Album(pictures) if pictures else None
+    folder = pictures or (json.absolute().parent if json else Path.cwd())
+    with staged(submission) as staged_folder, found_station(named) as description:
+        manifest = load_manifest(staged_folder)
+        with Player(
+            description=description,
+            folder=folder,
+            make_safe=make_safe(description),
+            show=album.show if album else no_pictures,
+        ) as player:
+            trials = rehearse(
+                player, staged_folder, load_track(manifest.track), episodes=episodes, on_trial=print_trial
+            )
+        report = RehearsalReport.from_trials(
+            trials,
+            station=description.name,
+            submission=manifest.name,
+            submission_digest=submission_digest(submission),
+            track=manifest.track,
+            task="peg-insertion",
+        )
+    if json:
+        json.write_text(report.model_dump_json(indent=1) + "\n", encoding="utf-8")
+    if album:
+        album.write_page(report)
+    print_report(report)
+    if report.without_result:
+        raise typer.Exit(1)
+
+
+def print_trial(trial: "TrialRecord") -> None:
+    """Print a line for each attempt at a trial."""
+    for number, attempt in enumerate(trial.attempts, start=1):
+        steps = attempt.actions.shape[0]
+        reason = f" {attempt.reason}" if attempt.reason else ""
+        print(
+            f"trial {trial.episode}, attempt {number}: {attempt.outcome} after {steps} env steps.{reason}", flush=True
+        )
+
+
+def print_report(report: "RehearsalReport") -> None:
+    """Print how often each outcome occurred, and the rate of what counts."""
+    found = Counter(trial.outcome for trial in report.trials)
+    rows = [(outcome, count, "yes" if outcome.counts else "no", outcome.sentence) for outcome, count in found.items()]
+    print_table(("outcome", "trials", "counts", "meaning"), rows, none="")
+    if report.rate:
+        low, high = report.rate.interval.low, report.rate.interval.high
+        print(
+            f"{report.rate.successes} of {report.rate.episodes} trials with a result succeeded, "
+            f"{report.rate.success_rate:.1%} (95 % interval {low:.1%} to {high:.1%})"
+        )
+    if report.without_result:
+        print(f"{report.without_result} trials have no result: none of their attempts counted. Play them again.")
+
+
+class Album:
+    """Pictures of both gels in a folder, and a page that shows them."""
+
+    def __init__(self, folder: Path) -> None:
+        """Make the folder."""
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder = folder
+        self._names: dict[int, list[str]] = {}
+
+    def show(self, episode: int, attempt: int, word: str, sight: "Sight") -> None:
+        """Write the pictures of the left and the right gel, side by side."""
+        import cv2
+        import numpy as np
+
+        name = f"trial-{episode}-attempt-{attempt}-{word}.png"
+        cv2.imwrite(str(self._folder / name), np.hstack(sight.pictures))
+        self._names.setdefault(episode, []).append(name)
+
+    def write_page(self, report: "RehearsalReport") -> None:
+        """Write the page."""
+        body = "".join(
+            f"<h2>Trial {trial.episode}: {escape(trial.outcome.sentence)}</h2>"
+            + "".join(
+                f'<figure><img src="{name}" alt="{name.removesuffix(".png")}, left and right gel">'
+                f"<figcaption>{name.removesuffix('.png')}</figcaption></figure>"
+                for name in self._names.get(trial.episode, ())
+            )
+            for trial in report.trials
+        )
+        title = f"{escape(report.submission)} on {escape(report.station)}"
+        (self._folder / "index.html").write_text(_PAGE.format(title=title, body=body), encoding="utf-8")
+
+
+def no_pictures(_episode: int, _attempt: int, _word: str, _sight: "Sight") -> None:
+    """Show nothing."""
+
+
+def make_safe(description: "StationDescription") -> "Callable[[str], None]":
+    """Return who lets the station move again after a stop: time at a twin, otherwise the operator at this terminal."""
+    from vitac.station.description import Release
+    from vitac.station.trials import wait_a_moment
+
+    if description.procedure is not None and description.procedure.release is Release.AUTOMATIC:
+        return wait_a_moment
+    return lambda reason: print(input(f"{reason}\nMake the station safe, then press Enter. "), end="")

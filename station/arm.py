@@ -1,0 +1,134 @@
+"""The motions of trials: over plate and garage, with and without a peg. All of them go through the guard."""
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+from vitac.envs.errors import VitacError
+
+from .description import Place
+from .devices.device import DeviceFault
+from .devices.gripper import Grasp, GripperStatus
+from .devices.stage import Pose
+from .eyes import Sight
+from .opened import OpenStation
+
+Offset = tuple[float, float, float]
+
+_SETTLE_S: Final = 0.1
+_GRIP_S: Final = 5.0
+_CLOSED: Final = 255
+
+
+class NoPeg(VitacError):
+    """The gripper holds no peg; put it into its garage."""
+
+
+class Arm:
+    """Stage and gripper of an open station."""
+
+    def __init__(self, station: OpenStation) -> None:
+        self._station = station
+        self._guard, self._procedure, self._limits = station.guard, station.procedure, station.description.limits
+
+    def pose(self) -> Pose:
+        """Return where the encoders say the stage is."""
+        return self._station.stage.status().pose
+
+    def height_mm(self, above_mm: float) -> float:
+        """Return the stage's z at which the peg is this far above the plate."""
+        return self._procedure.hole.z_mm + above_mm
+
+    def place(self, offset: Offset, z_mm: float) -> Pose:
+        """Return the stage's pose at an offset of the peg from its hole: x [mm], y [mm], angle [deg]."""
+        hole, (x, y, theta_deg) = self._procedure.hole, offset
+        angle = math.radians(hole.rotation_deg)
+        along = math.cos(angle) * x - math.sin(angle) * y, math.sin(angle) * x + math.cos(angle) * y
+        return Pose(hole.x_mm + along[0], hole.y_mm + along[1], z_mm, hole.rotation_deg + theta_deg)
+
+    def start(self, target: Pose, speed_mm_s: float | None = None) -> None:
+        """Start a motion, as fast as the limits allow where nothing else is said."""
+        speed = min(speed_mm_s or math.inf, self._limits.speed_mm_s)
+        self._guard.move(target, speed_mm_s=speed, rotation_deg_s=self._limits.rotation_deg_s)
+
+    def go(self, target: Pose, speed_mm_s: float | None = None) -> None:
+        """Move there; return at rest."""
+        self.start(target, speed_mm_s)
+        self._guard.wait()
+
+    def go_until(self, target: Pose, speed_mm_s: float, found: Callable[[Sight, Pose], bool]) -> Sight | None:
+        """Move there until something is found, and return what was seen then; None if it was not found."""
+        self.start(target, speed_mm_s)
+        while True:
+            sight, status = self._station.eyes.see(), self._station.stage.status()
+            self._guard.check_released()
+            if found(sight, status.pose):
+                self._guard.end_motion()
+                return sight
+            if not status.is_moving:
+                return None
+
+    def lift(self, z_mm: float) -> None:
+        """Go straight up to a height; stay where the stage is higher."""
+        pose = self.pose()
+        if pose.z_mm < z_mm:
+            self.go(pose._replace(z_mm=z_mm))
+
+    def settle(self, wait_s: float = _SETTLE_S) -> Sight:
+        """Wait, and return what is seen then.
+
+        Raises:
+            NoPeg: the gripper has lost its peg.
+        """
+        sight = self._wait(wait_s)
+        self.check_peg()
+        return sight
+
+    def holds_peg(self) -> bool:
+        """Say whether the fingers have closed on something."""
+        return self._is_holding(self._station.gripper.status())
+
+    def _is_holding(self, status: GripperStatus) -> bool:
+        self._station.gripper.check_fault(status)
+        return status.grasp is Grasp.MET_OBJECT_CLOSING and status.position > self._procedure.open_position
+
+    def check_peg(self) -> None:
+        """Raise NoPeg where the peg is gone, DeviceFault where the fingers move by themselves."""
+        status = self._station.gripper.status()
+        if self._is_holding(status):
+            return
+        if status.grasp is Grasp.MOVING:
+            raise DeviceFault("The gripper reports that its fingers move, though it was not asked to. Free them.")
+        raise NoPeg("The gripper has lost its peg. Put it back into the garage.")
+
+    def fetch(self) -> None:
+        """Take the peg from its garage, and put it there before where the gripper holds it."""
+        garage, safe_mm = self._procedure.garage, self._procedure.safe_z_mm
+        self.lift(safe_mm)
+        if not self.holds_peg():
+            self._grip(self._procedure.open_position)
+        self.go(_pose(garage, safe_mm))
+        self.go(_pose(garage, garage.z_mm))
+        if self.holds_peg():
+            self._grip(self._procedure.open_position)
+        self._wait(_SETTLE_S)
+        self._station.eyes.start_again()
+        self._grip(_CLOSED)
+        sight = self._wait(_SETTLE_S)
+        if not (self.holds_peg() and sight.left.is_contact() and sight.right.is_contact()):
+            self._grip(self._procedure.open_position)
+            raise NoPeg("The gripper closed on nothing in the garage. Put the peg into it.")
+        self.lift(safe_mm)
+
+    def _wait(self, wait_s: float) -> Sight:
+        """Wait, and as long again as pictures are late."""
+        wait_s += self._procedure.latency_s
+        return self._station.eyes.wait(math.ceil(wait_s / self._procedure.picture_s))
+
+    def _grip(self, position: int) -> None:
+        self._guard.grip(position, speed=255, force=self._procedure.grip_force)
+        self._station.gripper.wait(timeout_s=_GRIP_S)
+
+
+def _pose(place: Place, z_mm: float) -> Pose:
+    return Pose(place.x_mm, place.y_mm, z_mm, place.rotation_deg)

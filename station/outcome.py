@@ -1,0 +1,54 @@
+"""How a trial can end, and which ends are repeated."""
+
+from enum import StrEnum
+from typing import Final
+
+
+class TrialOutcome(StrEnum):
+    """How an attempt at a trial ended. The first five are the policy's and count; after the others it is repeated."""
+
+    SUCCESS = "success"
+    STEPS = "steps"
+    TACTILE = "tactile"
+    ERROR = "error"
+    POLICY_FAILED = "policy_failed"
+    NOT_BLOCKED = "not_blocked"
+    NO_PEG = "no_peg"
+    STOPPED = "stopped"
+    DEVICE_FAULT = "device_fault"
+    REFUSED = "refused"
+
+    @property
+    def counts(self) -> bool:
+        """Whether it is a result of the policy."""
+        return self in _COUNTED
+
+    @property
+    def sentence(self) -> str:
+        """What the word means."""
+        return _SENTENCES[self]
+
+
+ATTEMPTS: Final = 3
+"""So often a trial is tried; if none of them counts, the trial has no result and the evaluation no score."""
+_COUNTED: Final = frozenset(
+    {
+        TrialOutcome.SUCCESS,
+        TrialOutcome.STEPS,
+        TrialOutcome.TACTILE,
+        TrialOutcome.ERROR,
+        TrialOutcome.POLICY_FAILED,
+    }
+)
+_SENTENCES: Final = {
+    TrialOutcome.SUCCESS: "The peg is in its hole and passed the push test.",
+    TrialOutcome.STEPS: "All env steps were used up.",
+    TrialOutcome.TACTILE: "A marker moved further than the limit of over-force.",
+    TrialOutcome.ERROR: "An action led out of the range of offsets; nothing moved.",
+    TrialOutcome.POLICY_FAILED: "The policy crashed, broke a limit or answered wrongly; nothing moved.",
+    TrialOutcome.NOT_BLOCKED: "The descent met no plate, so the start was not blocked.",
+    TrialOutcome.NO_PEG: "The gripper holds no peg, or lost it.",
+    TrialOutcome.STOPPED: "A limit of the station was passed and everything stopped.",
+    TrialOutcome.DEVICE_FAULT: "A device did not answer or reported a fault.",
+    TrialOutcome.REFUSED: "The station was not ready.",
+}

@@ -1,0 +1,96 @@
+"""What must be so before a trial moves anything: each with its limit, and a reason where it is not."""
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from vitac.envs.errors import VitacError
+
+from .devices.stage import StageState
+from .opened import OpenStation
+
+_VISIBLE_MARKERS = 0.9
+"""Part of the calibrated markers that must be followed."""
+_GB = 1e9
+
+
+class PreflightRefused(VitacError):
+    """The station is not ready for a trial; the message says what is missing, and nothing has moved."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing that was measured before a trial.
+
+    Attributes:
+        name: of the quantity.
+        value: that was found.
+        limit: what was expected, in words.
+        is_good: whether it was so.
+        remedy: what to do if not.
+    """
+
+    name: str
+    value: str
+    limit: str
+    is_good: bool
+    remedy: str
+
+    def __str__(self) -> str:
+        """Return a sentence."""
+        return f"{self.name}: expected {self.limit}, got {self.value}. {self.remedy}"
+
+
+def check_ready(station: OpenStation, folder: Path) -> list[Finding]:
+    """Return what was measured before a trial whose records go to a folder.
+
+    Raises:
+        PreflightRefused: something is not as it must be.
+    """
+    findings = list(_measure(station, folder))
+    bad = [str(each) for each in findings if not each.is_good]
+    if bad:
+        raise PreflightRefused(" ".join(bad))
+    return findings
+
+
+def _measure(station: OpenStation, folder: Path) -> Iterator[Finding]:
+    gripper, stage = station.gripper.status(), station.stage.status()
+    yield Finding(
+        name="Gripper",
+        value="active" if gripper.is_activated else "not active",
+        limit="active",
+        is_good=gripper.is_activated and not gripper.fault,
+        remedy="Activate it.",
+    )
+    yield Finding(
+        name="Stage",
+        value=str(stage.state),
+        limit="Idle",
+        is_good=stage.state is StageState.IDLE,
+        remedy="Clear its way and home it.",
+    )
+    yield from _measure_gels(station)
+    free_gb, needed_gb = shutil.disk_usage(folder).free / _GB, station.procedure.free_gb
+    yield Finding(
+        name="Free disk",
+        value=f"{free_gb:.1f} GB",
+        limit=f"at least {needed_gb} GB",
+        is_good=free_gb >= needed_gb,
+        remedy="Remove old records.",
+    )
+
+
+def _measure_gels(station: OpenStation) -> Iterator[Finding]:
+    sight, description = station.eyes.see(), station.description
+    sides = {"Left": (sight.left, description.left), "Right": (sight.right, description.right)}
+    for side, (flow, camera) in sides.items():
+        found, markers = len(flow.current), camera.calibration.markers
+        yield Finding(
+            name=f"{side} gel",
+            value=f"{found} markers",
+            limit=f"at least {_VISIBLE_MARKERS:.0%} of {markers} markers",
+            is_good=found >= _VISIBLE_MARKERS * markers,
+            remedy="Clean it, or replace and calibrate it.",
+        )

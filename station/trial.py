@@ -1,0 +1,290 @@
+"""Plays one trial on a station by the challenge's procedure (challenge-facts 10)."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from vitac.envs.errors import VitacError
+from vitac.evaluator.agent.verdicts import PolicyFailed
+from vitac.evaluator.episodes.episode import OpenSession, Policy
+from vitac.evaluator.episodes.reading import Reading
+from vitac.evaluator.tracks import Episode, Task
+
+from .arm import Arm, NoPeg, Offset
+from .devices.device import DeviceFault
+from .devices.stage import Pose
+from .eyes import Sight
+from .guard import StationStopped
+from .limits import LimitPassed
+from .opened import OpenStation
+from .outcome import TrialOutcome
+from .perception.observation import NoMarkerFollowed, marker_flow
+from .preflight import PreflightRefused, check_ready
+
+_STILL_PICTURES: Final = 30
+_THRESHOLD_PX: Final = 0.15
+_THRESHOLD_FACTOR: Final = 1.25
+_CONTACT_FACTOR: Final = 1.25
+_REGRASP_FACTOR: Final = 2.5
+_REGRASPS: Final = 3
+_RELAXED_FACTOR: Final = 3.0
+_LARGE_MOVEMENT_PX: Final = 1.5
+_PUSH_FACTOR: Final = 5.0
+_SUCCESS_DEPTH_MM: Final = 0.35
+_LARGEST_RADIUS_MM: Final = 12.0
+_LARGEST_THETA_DEG: Final = 15.0
+_PAUSE_S: Final = 0.5
+
+Pair = tuple[float, float]
+
+
+class NotBlocked(VitacError):
+    """The descent met nothing; the start is repeated, as the fixed offset stays what it is."""
+
+
+@dataclass(kw_only=True)
+class Attempt:
+    """What one attempt at a trial left behind.
+
+    Attributes:
+        outcome: how it ended.
+        reason: in a sentence, where the outcome alone does not say it.
+        actions: that the policy gave.
+        encoders: pose of the stage at the start and after each env step: x, y, z [mm], rotation [deg].
+        movement_px: mean movement of the markers of both gels at those times.
+        thresholds_px: movement of both gels that is more than noise.
+        failure: of the policy.
+        output: what the policy printed.
+        policy_s: CPU time of the policy.
+    """
+
+    outcome: TrialOutcome = TrialOutcome.REFUSED
+    reason: str = ""
+    actions: list[NDArray[np.float32]] = field(default_factory=list)
+    encoders: list[Pose] = field(default_factory=list)
+    movement_px: list[Pair] = field(default_factory=list)
+    thresholds_px: Pair = (0.0, 0.0)
+    failure: PolicyFailed | None = None
+    output: str = ""
+    policy_s: float = 0.0
+
+
+class Trial:
+    """Attempts at one episode of the peg task.
+
+    Args:
+        station: open and safe.
+        task: what is played.
+        episode: its fixed start.
+        reading: what the policy observes.
+        open_session: gives the loaded policy.
+        folder: where records are written.
+        show: called with a word and what is seen, for pictures.
+    """
+
+    def __init__(
+        self,
+        station: OpenStation,
+        *,
+        task: Task,
+        episode: Episode,
+        reading: Reading,
+        open_session: OpenSession,
+        folder: Path,
+        show: Callable[[str, Sight], None] = lambda _word, _sight: None,
+    ) -> None:
+        self._station, self._arm = station, Arm(station)
+        self._task, self._reading, self._open_session = task, reading, open_session
+        self._told = task.station_of or task.name
+        x_mm, y_mm, theta_deg = episode.offset
+        self._start: Offset = (x_mm, y_mm, theta_deg)
+        self._folder, self._show = folder, show
+        self._generator = np.random.default_rng((episode.list_seed, episode.number))
+        self._z_step_mm = station.procedure.z_step_mm
+        self._attempt = Attempt()
+
+    def play(self) -> Attempt:
+        """Play it, and lift the peg off the plate unless the station is stopped."""
+        attempt = self._attempt = Attempt()
+        try:
+            attempt.outcome = self._play()
+        except PolicyFailed as failed:
+            attempt.outcome, attempt.reason, attempt.failure = TrialOutcome.POLICY_FAILED, failed.message, failed
+        except (NotBlocked, NoPeg, NoMarkerFollowed, PreflightRefused, StationStopped, LimitPassed, DeviceFault) as why:
+            attempt.outcome, attempt.reason = self._outcome_of(why), str(why)
+        self._retreat()
+        return attempt
+
+    def _play(self) -> TrialOutcome:
+        check_ready(self._station, self._folder)
+        self._grasp()
+        contact_mm = self._descend()
+        self._arm.go(self._arm.pose()._replace(z_mm=contact_mm - self._z_step_mm))
+        with self._open_session().episode(task=self._told, action_shape=(len(self._task.actions),)) as policy:
+            try:
+                return self._insert(policy, contact_mm)
+            finally:
+                self._attempt.output, self._attempt.policy_s = policy.output, policy.cpu_s
+
+    def _grasp(self) -> None:
+        """Hold the peg at the height beside the hole, grasped again where it has moved between the gels."""
+        arm, station = self._arm, self._station
+        for _ in range(_REGRASPS):
+            if station.thresholds_px is None or not arm.holds_peg():
+                arm.fetch()
+                station.thresholds_px = self._measure_noise()
+            self._go_beside()
+            if not self._exceeds(arm.settle(_PAUSE_S), _REGRASP_FACTOR):
+                break
+            station.thresholds_px = None
+        else:
+            raise NoPeg(f"The peg still moves between the gels after {_REGRASPS} grasps. Clean gels and peg.")
+        self._attempt.thresholds_px = station.thresholds_px
+        station.eyes.start_again()
+        arm.settle(_PAUSE_S)
+
+    def _go_beside(self) -> None:
+        """Go over the start, first at the safe height where the stage is not near the hole."""
+        arm, procedure = self._arm, self._station.procedure
+        beside = arm.place(self._start, arm.height_mm(procedure.lateral_mm))
+        if math.dist(arm.pose()[:2], beside[:2]) > 2 * _LARGEST_RADIUS_MM:
+            arm.lift(procedure.safe_z_mm)
+            arm.go(beside._replace(z_mm=procedure.safe_z_mm))
+        else:
+            arm.lift(beside.z_mm)
+        arm.go(beside)
+
+    def _measure_noise(self) -> Pair:
+        """Return the thresholds of both gels from still pictures, the peg held in free air."""
+        self._station.eyes.start_again()
+        seen = [self._station.eyes.see().movement_px() for _ in range(_STILL_PICTURES)]
+        left, right = np.maximum(_THRESHOLD_PX, _THRESHOLD_FACTOR * np.mean(seen, axis=0)).tolist()
+        return left, right
+
+    def _descend(self) -> float:
+        """Come down until a gel feels the plate, and return the stage's height there [mm]."""
+        arm, procedure = self._arm, self._station.procedure
+        start = arm.place(self._start, arm.height_mm(procedure.start_mm))
+        arm.go(start)
+        last_mm = start.z_mm - procedure.descent_timeout_s * procedure.descent_mm_s
+        lowest = start._replace(z_mm=start.z_mm - procedure.descent_mm)
+        sight = arm.go_until(
+            lowest,
+            procedure.descent_mm_s,
+            lambda seen, pose: pose.z_mm <= last_mm or self._exceeds(seen, _CONTACT_FACTOR),
+        )
+        if sight is None or not self._exceeds(sight, _CONTACT_FACTOR):
+            raise NotBlocked(f"No gel felt the plate within {procedure.descent_timeout_s} s of the descent.")
+        self._show("contact", sight)
+        return arm.pose().z_mm
+
+    def _insert(self, policy: Policy, contact_mm: float) -> TrialOutcome:
+        """Play env steps until the trial has ended."""
+        attempt, arm, offset = self._attempt, self._arm, self._start
+        sight = self._look()
+        while len(attempt.actions) < self._task.max_steps:
+            action = policy.act(self._observe(sight))
+            offset = self._moved(offset, action)
+            attempt.actions.append(np.array(action, dtype=np.float32))
+            if math.hypot(*offset[:2]) > _LARGEST_RADIUS_MM or abs(offset[2]) > _LARGEST_THETA_DEG:
+                return TrialOutcome.ERROR
+            speed_mm_s = self._station.procedure.step_mm_s
+            arm.go(arm.place(offset, arm.pose().z_mm), speed_mm_s)
+            depth_mm = (len(attempt.actions) + 1) * self._z_step_mm
+            arm.go(arm.place(offset, contact_mm - depth_mm), speed_mm_s)
+            sight = self._look()
+            self._show(f"step-{len(attempt.actions)}", sight)
+            if sight.is_over_force():
+                return TrialOutcome.TACTILE
+            if depth_mm > _SUCCESS_DEPTH_MM and self._is_relaxed() and self._passes_push_test(sight):
+                return TrialOutcome.SUCCESS
+        return TrialOutcome.STEPS
+
+    def _look(self) -> Sight:
+        sight = self._arm.settle()
+        self._attempt.encoders.append(self._arm.pose())
+        self._attempt.movement_px.append(sight.movement_px())
+        return sight
+
+    def _observe(self, sight: Sight) -> dict[str, NDArray[np.float32]]:
+        """Return what the policy reads: markers as in simulation, motion from the stage's encoders."""
+        first, now = np.array(self._attempt.encoders[0]), np.array(self._attempt.encoders[-1])
+        x_mm, y_mm, z_mm, rotation_deg = (now - first).tolist()
+        values = {
+            "relative_motion": np.array((x_mm, y_mm, rotation_deg, z_mm), dtype=np.float32),
+            "marker_flow": marker_flow(sight.left, sight.right, self._generator),
+        }
+        return {name: values[name] for name in self._reading.sent}
+
+    def _moved(self, offset: Offset, action: NDArray[np.float32]) -> Offset:
+        """Return the offset after an action: scaled, clipped, turned by the angle before, as in simulation."""
+        scale = np.array([component.scale for component in self._task.actions])
+        dx, dy, dtheta = np.clip(action * scale, -scale, scale).tolist()
+        x, y, theta_deg = offset
+        angle = math.radians(theta_deg)
+        turned = math.cos(angle) * dx - math.sin(angle) * dy, math.sin(angle) * dx + math.cos(angle) * dy
+        return x + turned[0], y + turned[1], theta_deg + dtheta
+
+    def _is_relaxed(self) -> bool:
+        """Return whether both gels feel as little as a peg in its hole lets them."""
+        largest_px = max(max(pair) for pair in self._attempt.movement_px)
+        factor = _RELAXED_FACTOR * max(1.0, largest_px / _LARGE_MOVEMENT_PX)
+        now_px = self._attempt.movement_px[-1]
+        return all(now < factor * limit for now, limit in zip(now_px, self._attempt.thresholds_px, strict=True))
+
+    def _passes_push_test(self, before: Sight) -> bool:
+        """Push the peg down; return to the height before where a gel feels that it is stuck."""
+        arm, procedure, start = self._arm, self._station.procedure, self._arm.pose()
+        limits_px = [_PUSH_FACTOR * max(value, _THRESHOLD_PX) for value in before.movement_px()]
+        is_stuck = arm.go_until(
+            start._replace(z_mm=start.z_mm - procedure.push_mm),
+            procedure.push_mm_s,
+            lambda seen, _: any(now > limit for now, limit in zip(seen.movement_px(), limits_px, strict=True)),
+        )
+        if is_stuck:
+            arm.go(start)
+        return not is_stuck
+
+    def _exceeds(self, sight: Sight, factor: float) -> bool:
+        thresholds_px = self._station.thresholds_px or (_THRESHOLD_PX, _THRESHOLD_PX)
+        return any(now > factor * limit for now, limit in zip(sight.movement_px(), thresholds_px, strict=True))
+
+    def _outcome_of(self, error: VitacError) -> TrialOutcome:
+        """Return what ended the attempt: over-force is the policy's doing, everything else the station's."""
+        seen = self._station.eyes.latest
+        if isinstance(error, StationStopped):
+            if self._station.guard.by_fault:
+                return TrialOutcome.DEVICE_FAULT
+            if self._attempt.encoders and seen and seen.is_over_force():
+                return TrialOutcome.TACTILE
+        return next((outcome for kind, outcome in _OUTCOMES.items() if isinstance(error, kind)), TrialOutcome.STOPPED)
+
+    def _retreat(self) -> None:
+        """Lift the peg off the plate unless the station is stopped for another reason than over-force."""
+        guard, eyes, attempt = self._station.guard, self._station.eyes, self._attempt
+        is_over_force = attempt.outcome is TrialOutcome.TACTILE
+        eyes.stops_on_movement = not is_over_force  # the markers have to move back
+        try:
+            if is_over_force:
+                guard.release()
+                self._station.thresholds_px = None  # the peg is to be grasped again
+            if guard.reason is None and attempt.encoders:
+                self._arm.lift(self._arm.height_mm(self._station.procedure.lateral_mm))
+            if is_over_force:
+                eyes.start_again()
+        except (StationStopped, LimitPassed, DeviceFault) as error:
+            attempt.reason = f"{attempt.reason} The peg was not lifted: {error}".strip()
+        eyes.stops_on_movement = True
+
+
+_OUTCOMES: Final = {
+    NotBlocked: TrialOutcome.NOT_BLOCKED,
+    NoPeg: TrialOutcome.NO_PEG,
+    PreflightRefused: TrialOutcome.REFUSED,
+    DeviceFault: TrialOutcome.DEVICE_FAULT,
+    NoMarkerFollowed: TrialOutcome.DEVICE_FAULT,
+}

@@ -1,0 +1,299 @@
+"""The twin's world: a clock that advances with the pictures, and meanwhile peg, gels, plate and what is broken."""
+
+import logging
+from collections import deque
+from dataclasses import dataclass, field
+from math import dist
+from threading import Condition, Event, Thread
+from time import monotonic
+from typing import Final, Self
+
+import numpy as np
+from vitac.envs.assets import Meshes
+from vitac.envs.errors import VitacError
+from vitac.envs.geometry.pegs import PegShape
+
+from .faults import Fault, FaultScript
+from .force_torque import ForceTorqueTwin
+from .gel_view import GelView, Picture
+from .grasp import Axes, HeldPeg, Wrench
+from .gripper import GripperFault, GripperTwin
+from .hidden import HiddenSettings
+from .pictures import CameraFault, CameraTwin
+from .stage import StageFault, StageTwin
+
+_logger = logging.getLogger(__name__)
+
+HOLE: Final[Axes] = (0.0, 0.0, -40.0, 0.0)
+"""Where the stage is while a centred peg stands on the plate."""
+GARAGE: Final[Axes] = (-55.0, 0.0, -30.0, 0.0)
+"""Where the stage is while the gripper can close on the peg."""
+PEG_AT: Final = 180
+"""Position of the gripper at which its gels meet the peg."""
+_NEAR_MM: Final = 2.0
+_LET_GO: Final = 5
+"""Positions by which the gripper opens until the peg is free."""
+_FORCE_NOISE_N: Final = 0.05
+_TOUCH_N: Final = 0.3
+_SPIKE_N: Final = 500.0
+_READER_S: Final = 5.0
+"""The clock waits no longer than this for a reader of pictures."""
+_LOOK_S: Final = 0.02
+_NO_WRENCH: Final[Wrench] = (0.0,) * 6
+
+
+@dataclass
+class Backlash:
+    """An axis that follows with play, and loses a part of its way.
+
+    Attributes:
+        play_mm: when it turns round.
+        lost: part of each way.
+    """
+
+    play_mm: float
+    lost: float = 0.0
+    _at: float = 0.0
+    _commanded: float = 0.0
+    _lost_mm: float = 0.0
+
+    def follow(self, commanded: float) -> float:
+        """Return where the axis really is."""
+        self._lost_mm += self.lost * (commanded - self._commanded)
+        self._commanded = commanded
+        half = 0.5 * self.play_mm
+        self._at = min(max(self._at, commanded - half), commanded + half)
+        return self._at - self._lost_mm
+
+    def find_steps(self) -> None:
+        """Count from the switch again, as homing does."""
+        self._lost_mm = 0.0
+
+
+@dataclass(kw_only=True)
+class Bench:
+    """The world of a twin; use it in `with`, which lets its time pass.
+
+    Attributes:
+        hidden: what it is really like.
+        shape: of peg and hole.
+        period_s: time between pictures.
+        speed: how much faster than real time it may run; what the computer can do where None.
+        script: what breaks.
+        now_s: its time.
+        contacts: how often the peg has touched the plate.
+    """
+
+    hidden: HiddenSettings
+    shape: PegShape = PegShape.CUBOID
+    period_s: float = 0.04
+    speed: float | None = 1.0
+    script: FaultScript = field(default_factory=FaultScript)
+    now_s: float = 0.0
+    contacts: int = 0
+
+    def __post_init__(self) -> None:
+        self._meshes = Meshes()
+        self.stage = StageTwin(clock=self.time_s)
+        self.gripper = GripperTwin(clock=self.time_s, object_at=None)
+        self.box = ForceTorqueTwin(wrench=self._measure_wrench)
+        self.views = [GelView(self._meshes.gel(), sensor) for sensor in (self.hidden.left, self.hidden.right)]
+        late = 1 + round(self.hidden.latency_s / self.period_s)
+        self._seen: list[deque[Picture]] = [deque(maxlen=late) for _ in self.views]
+        self.cameras = [CameraTwin(picture=_Reader(self, side), period_s=1e-3) for side in range(2)]
+        lost = self.hidden.lost_steps
+        self._axes = [Backlash(self.hidden.backlash_mm, lost) for _ in range(2)] + [Backlash(self.hidden.backlash_mm)]
+        self.held: HeldPeg | None = None
+        self._is_in_garage, self._is_touching = True, False
+        self._wrench: Wrench = _NO_WRENCH
+        self._waiting = list(self.script.faults)
+        self._running: list[tuple[float, Fault]] = []
+        self._generator = np.random.default_rng(self.hidden.left.seed + self.hidden.right.seed)
+        self._number, self._taken = 0, [0, 0]
+        self._changed, self._over = Condition(), Event()
+        # Kernels are loaded now: later, none of the twin's lines would answer meanwhile.
+        self._look(HeldPeg(self.shape, self._in_world(GARAGE), self.hidden, self._meshes))
+        self._let_go()
+
+    def __enter__(self) -> Self:
+        self.advance()
+        self._thread = Thread(target=self._run, name="bench of the twin", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        with self._changed:
+            self._changed.notify_all()
+        self._thread.join()
+
+    def time_s(self) -> float:
+        """Return the time that its devices move by."""
+        return self.now_s
+
+    def take(self, side: int) -> Picture:
+        """Return the next picture of a camera, as soon as there is one."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._taken[side] < self._number or self._over.is_set(), _READER_S)
+            self._taken[side] = self._number
+            self._changed.notify_all()
+            return self._seen[side][0]
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether nothing is broken."""
+        return not self._running
+
+    def begin(self, fault: Fault, for_s: float) -> None:
+        """Break something for a while."""
+        self._running.append((self.now_s + for_s, fault))
+        _logger.info("%s begins at %.2f s", fault, self.now_s)
+        left = self.cameras[0]
+        match fault:
+            case Fault.UNPLUGGED_CAMERA:
+                left.faults.add(CameraFault.UNPLUGGED)
+            case Fault.FROZEN_STREAM:
+                left.faults.add(CameraFault.FROZEN)
+            case Fault.STUCK_GRIPPER:
+                self.gripper.faults.add(GripperFault.STUCK)
+            case Fault.STAGE_ALARM:
+                self.stage.faults.add(StageFault.ALARM)
+            case Fault.NETWORK_CUT:
+                self.box.cut_for_a_while()
+            case Fault.DROPPED_PEG:
+                self._let_go()
+            case Fault.TORN_GEL | Fault.FORCE_SPIKE:
+                pass  # read where pictures and forces are made
+
+    def mend(self, fault: Fault) -> None:
+        """Mend what was broken; a person puts a dropped peg back."""
+        _logger.info("%s ends at %.2f s", fault, self.now_s)
+        for camera in self.cameras:
+            camera.faults.clear()
+        self.gripper.faults.clear()
+        self.stage.faults.clear()
+        self.box.faults.clear()
+        self._is_in_garage = self._is_in_garage or self.held is None
+
+    def _run(self) -> None:
+        due_s = monotonic()
+        while not self._over.is_set():
+            due_s = max(due_s + self.period_s / (self.speed or np.inf), monotonic() - self.period_s)
+            self._over.wait(max(due_s - monotonic(), 0.0) if any(self._readers()) else self.period_s)
+            self._await_readers()
+            self.advance()
+
+    def _await_readers(self) -> None:
+        """Wait until each reader has the last pictures; one that leaves says nothing, so look again and again."""
+        end_s = monotonic() + _READER_S
+        with self._changed:
+            while not self._is_taken() and monotonic() < end_s:
+                self._changed.wait(_LOOK_S)
+
+    def _readers(self) -> list[bool]:
+        return [bool(camera.streams) and not camera.faults for camera in self.cameras]
+
+    def _is_taken(self) -> bool:
+        taken = zip(self._readers(), self._taken, strict=True)
+        return self._over.is_set() or all(number == self._number for is_read, number in taken if is_read)
+
+    def advance(self) -> None:
+        """Let one period pass and take both pictures."""
+        self.now_s += self.period_s
+        self._move()
+        self._break_and_mend()
+        if self._number and not any(self._readers()):
+            return
+        is_torn = any(fault is Fault.TORN_GEL for _, fault in self._running)
+        drift_px = self.hidden.drift_px_h * self.now_s / 3600.0
+        torn = (is_torn, False)
+        pictures = [view.picture(drift_px=drift_px, is_torn=gone) for view, gone in zip(self.views, torn, strict=True)]
+        with self._changed:
+            for seen, picture in zip(self._seen, pictures, strict=True):
+                seen.append(picture)
+            self._number += 1
+            self._changed.notify_all()
+
+    def _move(self) -> None:
+        *linear, rotation_deg = self.stage.axes()
+        x, y, z = (axis.follow(value) for axis, value in zip(self._axes, linear, strict=True))
+        if linear == [0.0, 0.0, 0.0]:
+            for axis in self._axes:
+                axis.find_steps()
+        at = (x, y, z, rotation_deg)
+        is_between = self.held is not None or (self._is_in_garage and dist(at[:3], GARAGE[:3]) < _NEAR_MM)
+        self.gripper.object_at = PEG_AT if is_between else None
+        position = self.gripper.position()
+        if self.held is None and is_between and position >= PEG_AT:
+            self._grasp(at)
+        elif self.held is not None and position < PEG_AT - _LET_GO:
+            self._let_go()
+            self._is_in_garage = dist(at[:3], GARAGE[:3]) < _NEAR_MM
+        if self.held is not None:
+            self._carry(self.held, at)
+
+    def _grasp(self, at: Axes) -> None:
+        try:
+            self.held = HeldPeg(self.shape, self._in_world(at), self.hidden, self._meshes)
+        except VitacError as error:
+            _logger.warning("The twin's gripper could not close on the peg: %s", error)
+        else:
+            self._is_in_garage = False
+            self._look(self.held)
+
+    def _let_go(self) -> None:
+        self.held, self._wrench, self._is_touching = None, _NO_WRENCH, False
+        self.gripper.object_at = None
+        for view in self.views:
+            view.look_at_rest()
+
+    def _carry(self, held: HeldPeg, at: Axes) -> None:
+        if not held.follow(self._in_world(at)):
+            return
+        self._wrench = held.wrench()
+        is_touching = dist(self._wrench[:3], (0.0, 0.0, 0.0)) > _TOUCH_N
+        if is_touching and not self._is_touching:
+            self.contacts += 1
+        # The peg must be clear of the plate before it can touch it again.
+        self._is_touching = is_touching or (self._is_touching and at[2] < HOLE[2] + _NEAR_MM)
+        self._look(held)
+
+    def _look(self, held: HeldPeg) -> None:
+        body_m = held.scene.held_vertices_m(np.arange(len(held.scene.held.mesh.vertices_m)))
+        for side, view in enumerate(self.views):
+            view.look(
+                held.scene.gel_nodes_m(side), held.scene.sensor_pose(side), body_m, held.scene.held.mesh.triangles
+            )
+
+    def _in_world(self, at: Axes) -> Axes:
+        """Return the place of the stage from the hole: what the station's file does not know."""
+        x_mm, y_mm, turn_deg = self.hidden.origin
+        x, y, z, rotation_deg = (value - hole for value, hole in zip(at, HOLE, strict=True))
+        return x + x_mm, y + y_mm, z - self.hidden.plate_mm, rotation_deg + turn_deg
+
+    def _break_and_mend(self) -> None:
+        for fault in [each for each in self._waiting if each.contact <= self.contacts]:
+            self._waiting.remove(fault)
+            self.begin(fault.fault, fault.for_s)
+        over = [each for each in self._running if each[0] <= self.now_s]
+        self._running = [each for each in self._running if each not in over]
+        for _, each in over:
+            self.mend(each)
+
+    def _measure_wrench(self) -> Wrench:
+        if any(fault is Fault.FORCE_SPIKE for _, fault in self._running):
+            return (0.0, 0.0, _SPIKE_N, 0.0, 0.0, 0.0)
+        noise = self._generator.normal(0.0, _FORCE_NOISE_N, 3).tolist()
+        x, y, z = (force + each for force, each in zip(self._wrench, noise, strict=False))
+        return (x, y, z, *self._wrench[3:])
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Takes the pictures of one camera."""
+
+    bench: Bench
+    side: int
+
+    def __call__(self) -> Picture:
+        return self.bench.take(self.side)

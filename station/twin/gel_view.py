@@ -1,0 +1,139 @@
+"""What the camera of one tactile sensor of a twin sees: its gel as it is deformed, with the markers printed on it."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from vitac.envs.fem.model.mesh import GelMesh
+from vitac.envs.scene.gripper import SensorPose
+from vitac.envs.tactile.camera import CHALLENGE_CAMERA, camera_frame, project
+from vitac.envs.tactile.design import SensorDesign
+from vitac.envs.tactile.markers import interpolated
+from vitac.envs.tactile.thickness import eye_distance_m
+from vitac.envs.vision.tactile_picture import TactileCamera
+
+from .gel_picture import GelCamera
+from .hidden import HiddenSensor
+from .pressed_gel import WORN_DARKNESS, marker_grid
+
+FloatArray = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+_MIDDLE_PX: Final = np.array((160.0, 120.0))
+_WIDTH, _HEIGHT = 448, 338
+_CORNER_PX: Final = 200.0
+_NO_BODY: Final = (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
+_UNMOVED_M: Final = 1e-7
+_TORN_PX: Final = 70.0
+"""Radius of what a tear takes out of the picture."""
+_TORN_AT_PX: Final = np.array((190.0, 110.0))
+
+
+class GelView:
+    """A camera behind a gel with printed markers.
+
+    Attributes:
+        markers: how many there are.
+    """
+
+    def __init__(self, gel: GelMesh, sensor: HiddenSensor) -> None:
+        self._gel, self._sensor = gel, sensor
+        self._generator = np.random.default_rng(sensor.seed)
+        self._camera = GelCamera(width=_WIDTH, height=_HEIGHT, defocus_px=sensor.defocus_px)
+        self._noise = self._generator.normal(0.0, sensor.noise, (2 * _HEIGHT, 2 * _WIDTH, 3)).astype(np.float32)
+        self._seen_m: FloatArray | None = None
+        self._surface_camera = TactileCamera(gel)
+        self._eye_m = eye_distance_m(gel)
+        self._attach()
+        self.look_at_rest()
+
+    def look_at_rest(self) -> None:
+        """See the gel without anything at it."""
+        at_rest = SensorPose(rotation=np.eye(3), centre_m=np.zeros(3))
+        self.look(self._gel.rest_position_m, at_rest, *_NO_BODY)
+
+    def look(self, nodes_m: FloatArray, pose: SensorPose, body_m: FloatArray, triangles: NDArray[np.int64]) -> None:
+        """See the gel as it is now.
+
+        Args:
+            nodes_m: positions of its nodes in the world, shape [n, 3].
+            pose: of the sensor.
+            body_m: vertices of what it touches, in the world, shape [v, 3].
+            triangles: of that, shape [t, 3].
+        """
+        gel_m, held_m = (
+            camera_frame(np.ascontiguousarray(points_m), pose.rotation, pose.centre_m, self._eye_m)
+            for points_m in (nodes_m, body_m)
+        )
+        if self._seen_m is not None and np.abs(gel_m - self._seen_m).max() < _UNMOVED_M:
+            return
+        self._seen_m = gel_m
+        seen = self._surface_camera.picture(gel_m, held_m, triangles, np.zeros((0, 2)))
+        cut = self._through_lens(seen)
+        self._surface, self._torn = self._camera.framed(cut), _tear(cut)
+        self._markers_px = self._lens(project(interpolated(gel_m, self._corners, self._weights), CHALLENGE_CAMERA))
+
+    def picture(self, *, drift_px: float = 0.0, is_torn: bool = False) -> Picture:
+        """Take a picture of the camera, blue first.
+
+        Args:
+            drift_px: by which the markers have left their places.
+            is_torn: whether a part of the gel is gone.
+        """
+        markers_px, darkness, surface = self._markers_px + drift_px, self._darkness, self._surface
+        if is_torn:
+            is_whole = np.linalg.norm(markers_px - _TORN_AT_PX, axis=1) > _TORN_PX
+            markers_px, darkness = markers_px[is_whole], darkness[is_whole]
+            surface = self._camera.framed(self._torn)
+        rows, columns = self._generator.integers((_HEIGHT, _WIDTH)).tolist()
+        noise = self._noise[rows : rows + _HEIGHT, columns : columns + _WIDTH]
+        return self._camera.expose(surface, markers_px, darkness, noise)
+
+    @property
+    def markers(self) -> int:
+        """Number of printed markers."""
+        return len(self._corners)
+
+    def _attach(self) -> None:
+        """Print the markers of the challenge's grid, each a little beside its place, and wear some of them off."""
+        grid_px = marker_grid()
+        grid_px += self._generator.uniform(-self._sensor.misprint_px, self._sensor.misprint_px, grid_px.shape)
+        focal = np.array(CHALLENGE_CAMERA[:2])
+        top_m = float(self._gel.rest_position_m[:, 2].max()) + self._eye_m
+        in_camera_m = (grid_px - CHALLENGE_CAMERA[2:]) * top_m / focal
+        triangles = self._gel.surface_triangles
+        design = SensorDesign(
+            gel=self._gel,
+            sensing_triangles=triangles[self._gel.sensing[triangles].all(axis=1)],
+            camera=CHALLENGE_CAMERA,
+            markers_mm=-1e3 * in_camera_m,
+        )
+        found = design.attachment
+        attached = found.faults == 0
+        self._corners, self._weights = triangles[found.triangles[attached]], found.weights[attached]
+        self._darkness = np.full(len(self._corners), self._camera.darkness)
+        self._darkness[self._generator.permutation(len(self._corners))[: self._sensor.worn]] *= WORN_DARKNESS
+
+    def _lens(self, positions_px: FloatArray) -> FloatArray:
+        """Return where the camera really sees places of the cut picture, as it is mounted and distorts."""
+        arm = positions_px - _MIDDLE_PX
+        arm = arm * (1.0 + self._sensor.distortion * (arm**2).sum(axis=1, keepdims=True) / _CORNER_PX**2)
+        angle = np.radians(self._sensor.turn_deg)
+        turned = arm @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        moved: FloatArray = turned + _MIDDLE_PX + self._sensor.shift_px
+        return moved
+
+    def _through_lens(self, surface: Picture) -> Picture:
+        """Return the surface under the sensor's light, moved as its camera is mounted."""
+        import cv2
+
+        turn = cv2.getRotationMatrix2D((160.0, 120.0), -self._sensor.turn_deg, 1.0)
+        turn[:, 2] += np.array(self._sensor.shift_px)
+        moved = cv2.warpAffine(surface, turn, (320, 240), borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(np.clip(moved * self._sensor.light, 0, 255), dtype=np.uint8)
+
+
+def _tear(surface: Picture) -> Picture:
+    v, u = np.mgrid[: surface.shape[0], : surface.shape[1]]
+    is_gone = np.hypot(u - _TORN_AT_PX[0], v - _TORN_AT_PX[1]) < _TORN_PX
+    return np.where(is_gone[..., None], np.uint8(25), surface)

@@ -1,0 +1,105 @@
+"""What a twin is really like: drawn from a secret and read by the twin alone, not by station, service or policies."""
+
+import hashlib
+from typing import Final
+
+import numpy as np
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
+from vitac.evaluator.strict_model import StrictModel
+
+Pair = tuple[float, float]
+
+
+class HiddenSensor(StrictModel):
+    """One tactile sensor: how its camera is mounted and what its gel has become."""
+
+    shift_px: Pair = (0.0, 0.0)
+    """Of the whole picture, as the camera is mounted."""
+    turn_deg: float = 0.0
+    """Of the picture about its middle."""
+    distortion: float = 0.0
+    """Relative distance from the middle that the lens adds at the corner of the cut picture."""
+    light: PositiveFloat = 1.0
+    """Factor of the brightness."""
+    noise: NonNegativeFloat = 2.0
+    """Standard deviation of a colour's value."""
+    defocus_px: PositiveFloat = 1.0
+    misprint_px: NonNegativeFloat = 1.0
+    """Largest distance of a printed marker from its grid."""
+    worn: NonNegativeInt = 0
+    """Number of pale markers."""
+    seed: NonNegativeInt = 0
+    """Of the places of markers and the noise."""
+
+
+class HiddenSettings(StrictModel):
+    """A twin; the defaults are public, those of rehearsals."""
+
+    gel_friction: PositiveFloat = 1.0
+    """Coefficient of a gel against the peg."""
+    plate_friction: NonNegativeFloat = 0.3
+    """Coefficient of the peg against the plate."""
+    youngs_modulus_pa: PositiveFloat = 3e5
+    indentation_mm: float = Field(default=0.875, gt=0, le=1.5)
+    """How far the closed gripper presses each gel into the peg."""
+    grasp_x_mm: float = 0.0
+    """Where the gripper grasps the peg, beside its middle."""
+    grasp_z_mm: float = 0.0
+    """Where it grasps the peg, above the place that the station expects."""
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where the hole really is, from the place in the station's file: x [mm], y [mm], angle [deg]."""
+    plate_mm: float = 0.0
+    """How much higher the plate is than the station expects."""
+    backlash_mm: NonNegativeFloat = 0.0
+    """Play of each linear axis when it turns round."""
+    lost_steps: NonNegativeFloat = 0.0
+    """Part of each way along x and y that is lost though it is counted."""
+    latency_s: NonNegativeFloat = 0.04
+    """Time by which the pictures of both cameras are late."""
+    drift_px_h: NonNegativeFloat = 0.0
+    """Speed at which markers leave their places as the sensors warm up."""
+    left: HiddenSensor = HiddenSensor(seed=1)
+    right: HiddenSensor = HiddenSensor(seed=2)
+
+
+PUBLIC_SETTINGS: Final = HiddenSettings()
+"""A twin without surprises, for rehearsals."""
+
+
+def draw_hidden(secret: bytes) -> HiddenSettings:
+    """Draw a twin from a secret; the same secret gives the same twin."""
+    generator = np.random.default_rng(int.from_bytes(hashlib.sha256(secret).digest()))
+
+    def between(low: float, high: float) -> float:
+        return float(generator.uniform(low, high))
+
+    return HiddenSettings(
+        gel_friction=between(0.8, 1.2),
+        plate_friction=between(0.15, 0.45),
+        youngs_modulus_pa=between(2.4e5, 3.8e5),
+        indentation_mm=between(0.7, 1.0),
+        grasp_x_mm=between(-0.8, 0.8),
+        grasp_z_mm=between(-0.3, 0.3),
+        origin=(between(-0.2, 0.2), between(-0.2, 0.2), between(-0.3, 0.3)),
+        plate_mm=between(-0.2, 0.2),
+        backlash_mm=between(0.0, 0.04),
+        lost_steps=between(0.0, 5e-4),
+        latency_s=between(0.02, 0.12),
+        drift_px_h=between(0.0, 1.0),
+        left=_draw_sensor(generator),
+        right=_draw_sensor(generator),
+    )
+
+
+def _draw_sensor(generator: np.random.Generator) -> HiddenSensor:
+    shift_u, shift_v, turn, lens, light, noise, defocus = generator.uniform(-1.0, 1.0, 7).tolist()
+    return HiddenSensor(
+        shift_px=(4.0 * shift_u, 4.0 * shift_v),
+        turn_deg=1.5 * turn,
+        distortion=0.03 * lens,
+        light=1.0 + 0.15 * light,
+        noise=2.5 + 1.5 * noise,
+        defocus_px=1.2 + 0.4 * defocus,
+        worn=int(generator.integers(0, 6)),
+        seed=int(generator.integers(1, 2**31)),
+    )

@@ -1,0 +1,186 @@
+"""Trials at a twin, by policies that know where the hole is: every way in which an attempt can end."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from vitac.evaluator.agent.protocol.frames import CloudSpec
+from vitac.evaluator.agent.session import Isolation
+from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
+from vitac.evaluator.episodes.episode import Policy
+from vitac.evaluator.episodes.reading import Observation, make_reading
+from vitac.evaluator.strict_model import validate
+from vitac.evaluator.tracks import Episode, load_track
+from vitac.station.description import StationDescription
+from vitac.station.opened import NoProcedure, OpenStation, open_station
+from vitac.station.outcome import TrialOutcome
+from vitac.station.trial import Attempt, Trial
+from vitac.station.twin.bench import HOLE
+from vitac.station.twin.faults import Fault
+from vitac.station.twin.hidden import HiddenSettings
+from vitac.station.twin.laboratory import TwinStation
+from vitac.station.twin.process import RunningTwin, twin_process
+
+TASK = load_track("track_1").tasks["peg-insertion"]
+START = (2.0, -1.5, 3.0)
+Act = Callable[[Observation, int], NDArray[np.float32]]
+
+
+class Scripted:
+    """A policy in this process, in place of one in the sandbox."""
+
+    isolation: Isolation | None = None
+    cpu_s = channel_s = 0.0
+    output = ""
+
+    def __init__(self, act: Act) -> None:
+        self._act, self.seen = act, list[Observation]()
+
+    def begin_shard(self) -> None:
+        """Nothing is counted."""
+
+    @contextmanager
+    def episode(
+        self, *, task: str, action_shape: tuple[int, ...], clouds: Sequence[CloudSpec] = ()
+    ) -> Iterator[Policy]:
+        assert (task, action_shape, clouds) == ("peg-insertion", (3,), ())
+        yield self
+
+    def act(self, observation: Observation) -> NDArray[np.float32]:
+        self.seen.append(observation)
+        return self._act(observation, len(self.seen))
+
+
+def to_the_hole(observation: Observation, number: int) -> NDArray[np.float32]:
+    """Go to the hole at once: the public twin's is where its file says."""
+    del observation
+    x, y, theta_deg = START
+    angle = np.radians(theta_deg)
+    along = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
+    return np.array((-along[0] / 2, -along[1] / 2, -theta_deg / 4), np.float32) * (number == 1)
+
+
+def away(observation: Observation, number: int) -> NDArray[np.float32]:
+    del observation, number
+    return np.array((1.0, -1.0, 0.0), np.float32)
+
+
+def nowhere(observation: Observation, number: int) -> NDArray[np.float32]:
+    del observation, number
+    return np.zeros(3, np.float32)
+
+
+@pytest.fixture(scope="module")
+def twin() -> Iterator[RunningTwin]:
+    with twin_process(HiddenSettings(latency_s=0.0), period_s=0.2) as running:
+        running.description["limits"] |= {"reading_s": 30.0, "heartbeat_s": 30.0}
+        yield running
+
+
+@pytest.fixture
+def station(twin: RunningTwin) -> Iterator[OpenStation]:
+    while not twin.is_whole():
+        Event().wait(0.05)
+    with open_station(validate(StationDescription, twin.description, "station.yaml")) as opened:
+        yield opened
+
+
+@pytest.fixture
+def play(station: OpenStation, tmp_path: Path) -> Callable[..., tuple[Attempt, Scripted]]:
+    """Plays an attempt from a start, with a policy."""
+
+    def play_trial(act: Act, start: tuple[float, float, float] = START) -> tuple[Attempt, Scripted]:
+        session = Scripted(act)
+        episode = Episode(number=1, shape="cuboid", offset=start, offset_option="offset_mm_deg", list_seed=0)
+        trial = Trial(
+            station,
+            task=TASK,
+            episode=episode,
+            reading=make_reading(TASK),
+            open_session=lambda: session,
+            folder=tmp_path,
+        )
+        return trial.play(), session
+
+    return play_trial
+
+
+Play = Callable[..., tuple[Attempt, Scripted]]
+
+
+@pytest.mark.slow
+def test_peg_that_goes_to_its_hole_passes_the_push_test_and_is_lifted(play: Play, station: OpenStation) -> None:
+    attempt, session = play(to_the_hole)
+    assert attempt.outcome is TrialOutcome.SUCCESS, attempt.reason
+    first, *_, last = attempt.encoders
+    assert first[:2] == pytest.approx(START[:2], abs=0.01)  # the fixed offset was really used
+    assert last[:2] == pytest.approx((0.0, 0.0), abs=0.02)
+    assert station.stage.status().pose.z_mm > HOLE[2] + 4
+    seen = session.seen[-1]
+    assert seen["marker_flow"].shape == (2, 2, 128, 2)
+    assert seen["relative_motion"][:3] == pytest.approx([-2.0, 1.5, -3.0], abs=0.02)
+    assert seen["relative_motion"][3] == pytest.approx(-0.125 * (len(session.seen) - 1), abs=0.01)
+
+
+@pytest.mark.slow
+def test_start_over_the_hole_is_not_blocked(play: Play) -> None:
+    attempt, session = play(nowhere, (0.0, 0.0, 0.0))
+    assert attempt.outcome is TrialOutcome.NOT_BLOCKED
+    assert session.seen == []
+
+
+@pytest.mark.slow
+def test_action_out_of_range_moves_nothing(play: Play, station: OpenStation) -> None:
+    attempt, _ = play(away, (11.5, 0.0, 0.0))
+    assert attempt.outcome is TrialOutcome.ERROR
+    assert len(attempt.encoders) == len(attempt.actions) == 1
+    assert station.stage.status().pose[:2] == pytest.approx((11.5, 0.0))
+
+
+@pytest.mark.slow
+def test_action_that_is_no_number_fails_the_policy_and_moves_nothing(play: Play, station: OpenStation) -> None:
+    def nan(observation: Observation, number: int) -> NDArray[np.float32]:
+        raise PolicyFailed(VerdictCode.NON_FINITE_ACTION, "The action holds NaN.")
+
+    attempt, _ = play(nan)
+    assert (attempt.outcome, attempt.reason) == (TrialOutcome.POLICY_FAILED, "The action holds NaN.")
+    assert attempt.actions == []
+    assert station.stage.status().pose[:2] == pytest.approx(START[:2])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fault", "outcome", "reason"),
+    [
+        (Fault.DROPPED_PEG, TrialOutcome.NO_PEG, "lost its peg"),
+        (Fault.STAGE_ALARM, TrialOutcome.DEVICE_FAULT, "limit switch"),
+        (Fault.FORCE_SPIKE, TrialOutcome.STOPPED, "Force "),
+        (Fault.FROZEN_STREAM, TrialOutcome.DEVICE_FAULT, "is frozen"),
+        (Fault.UNPLUGGED_CAMERA, TrialOutcome.DEVICE_FAULT, "stopped sending"),
+        (Fault.NETWORK_CUT, TrialOutcome.DEVICE_FAULT, "force/torque box"),
+        (Fault.STUCK_GRIPPER, TrialOutcome.DEVICE_FAULT, "gripper"),
+    ],
+)
+def test_fault_has_its_own_outcome_and_the_next_attempt_plays(
+    play: Play, twin: RunningTwin, fault: Fault, outcome: TrialOutcome, reason: str
+) -> None:
+    def break_it(observation: Observation, number: int) -> NDArray[np.float32]:
+        twin.begin(fault, for_s=3.0)
+        return nowhere(observation, number)
+
+    attempt, _ = play(break_it)
+    assert (attempt.outcome, attempt.outcome.counts) == (outcome, False), attempt.reason
+    assert reason in attempt.reason
+
+
+def test_station_without_a_procedure_cannot_play(twins: TwinStation) -> None:
+    described = twins.description
+    with (
+        pytest.raises(NoProcedure, match="has no `procedure`"),
+        open_station(validate(StationDescription, described, "station.yaml")),
+    ):
+        pass

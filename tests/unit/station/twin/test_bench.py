@@ -1,0 +1,144 @@
+"""The world of a twin, advanced by hand: what its devices are told moves gels, peg and markers."""
+
+import struct
+
+import numpy as np
+import pytest
+from vitac.station.perception.assignment import find_centres
+from vitac.station.perception.markers import cut_picture
+from vitac.station.twin.bench import GARAGE, HOLE, PEG_AT, Backlash, Bench
+from vitac.station.twin.faults import Fault, FaultScript, ScriptedFault
+from vitac.station.twin.force_torque import ForceTorqueFault
+from vitac.station.twin.gripper import GripperFault, checksum
+from vitac.station.twin.hidden import PUBLIC_SETTINGS, HiddenSettings, draw_hidden
+from vitac.station.twin.pictures import CameraFault
+from vitac.station.twin.stage import StageFault
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench(hidden=PUBLIC_SETTINGS, period_s=0.1)
+
+
+def grip(bench: Bench, position: int) -> None:
+    registers = (0x0900, position, 0xFF00)
+    request = struct.pack(">BBHHB3H", 9, 0x10, 0x03E8, 3, 6, *registers)
+    bench.gripper.receive(request + checksum(request))
+
+
+def go(bench: Bench, *axes: float, speed_mm_s: float = 50.0) -> None:
+    words = " ".join(f"{name}{value}" for name, value in zip("XYZA", axes, strict=True))
+    bench.stage.receive(f"G90 G1 {words} F{60 * speed_mm_s}\n".encode())
+    while bench.stage.axes() != axes:
+        bench.advance()
+    bench.advance()
+
+
+def fetch(bench: Bench) -> None:
+    go(bench, *GARAGE)
+    grip(bench, 255)
+    for _ in range(6):
+        bench.advance()
+
+
+def centres(bench: Bench) -> list[np.ndarray]:
+    pictures = [view.picture() for view in bench.views]
+    return [find_centres(cut_picture(picture)) for picture in pictures]
+
+
+def test_gripper_closes_on_the_peg_in_its_garage_and_both_gels_show_it(bench: Bench) -> None:
+    before = centres(bench)
+    fetch(bench)
+    assert bench.held is not None
+    assert round(bench.gripper.position()) == PEG_AT
+    for still, pressed in zip(before, centres(bench), strict=True):
+        assert len(pressed) >= 0.9 * len(still)
+        nearest = np.linalg.norm(pressed[:, None] - still[None], axis=2).min(axis=1)
+        assert np.median(nearest) > 1.0
+
+
+def test_gripper_closes_on_nothing_elsewhere(bench: Bench) -> None:
+    go(bench, -20.0, 0.0, -30.0, 0.0)
+    grip(bench, 255)
+    for _ in range(6):
+        bench.advance()
+    assert bench.held is None
+    assert round(bench.gripper.position()) == 255
+
+
+def test_plate_is_felt_beside_the_hole_and_not_over_it_and_a_script_breaks_what_it_names_then() -> None:
+    spike = ScriptedFault(fault=Fault.FORCE_SPIKE, contact=1, for_s=0.3)
+    bench = Bench(hidden=PUBLIC_SETTINGS, period_s=0.1, script=FaultScript(faults=(spike,)))
+    fetch(bench)
+    go(bench, *GARAGE[:2], -20.0, 0.0)
+    go(bench, 4.0, -2.0, -20.0, 5.0)
+    assert abs(bench.box.wrench()[2]) < 1.0
+    go(bench, 4.0, -2.0, HOLE[2] - 0.3, 5.0)
+    assert bench.box.wrench()[2] == 500.0
+    for _ in range(4):
+        bench.advance()
+    assert 2.0 < bench.box.wrench()[2] < 60.0
+    go(bench, 4.0, -2.0, HOLE[2] + 5.0, 5.0)
+    go(bench, *HOLE)
+    go(bench, *HOLE[:2], HOLE[2] - 1.0, 0.0)
+    assert abs(bench.box.wrench()[2]) < 1.0
+    assert bench.contacts == 1
+    assert bench.held is not None
+    assert bench.held.depth_mm() == pytest.approx(1.0, abs=0.2)
+
+
+def test_dropped_peg_leaves_the_gels_at_rest_until_a_person_puts_it_back(bench: Bench) -> None:
+    before = centres(bench)
+    fetch(bench)
+    bench.begin(Fault.DROPPED_PEG, 1.0)
+    for _ in range(5):
+        bench.advance()
+    assert bench.held is None
+    assert round(bench.gripper.position()) == 255
+    assert [len(each) for each in centres(bench)] == [len(each) for each in before]
+    grip(bench, 0)
+    for _ in range(10):
+        bench.advance()
+    fetch(bench)
+    assert bench.held is not None
+
+
+def test_torn_gel_has_lost_markers(bench: Bench) -> None:
+    (left, _), torn = centres(bench), bench.views[0].picture(is_torn=True)
+    assert len(find_centres(cut_picture(torn))) < 0.9 * len(left)
+
+
+@pytest.mark.parametrize(
+    ("fault", "device", "expected"),
+    [
+        (Fault.UNPLUGGED_CAMERA, "cameras", CameraFault.UNPLUGGED),
+        (Fault.FROZEN_STREAM, "cameras", CameraFault.FROZEN),
+        (Fault.STUCK_GRIPPER, "gripper", GripperFault.STUCK),
+        (Fault.STAGE_ALARM, "stage", StageFault.ALARM),
+        (Fault.NETWORK_CUT, "box", ForceTorqueFault.UNREACHABLE),
+    ],
+)
+def test_fault_of_a_device_begins_and_ends(bench: Bench, fault: Fault, device: str, expected: object) -> None:
+    broken = getattr(bench, device)[0] if device == "cameras" else getattr(bench, device)
+    bench.begin(fault, 1.0)
+    assert broken.faults == {expected}
+    for _ in range(11):
+        bench.advance()
+    assert broken.faults == set()
+
+
+def test_axis_follows_with_play_and_loses_steps_until_it_is_homed() -> None:
+    axis = Backlash(play_mm=0.2, lost=0.01)
+    assert axis.follow(10.0) == pytest.approx(9.9 - 0.1)
+    assert axis.follow(9.9) == pytest.approx(9.9 - 0.099)
+    assert axis.follow(0.0) == pytest.approx(0.1)
+    axis.follow(10.0)
+    axis.find_steps()
+    assert axis.follow(10.0) == pytest.approx(9.9)
+
+
+def test_twin_is_drawn_from_its_secret_and_differs_from_the_public_one() -> None:
+    assert draw_hidden(b"secret") == draw_hidden(b"secret")
+    drawn = draw_hidden(b"secret")
+    differing = [name for name in HiddenSettings.model_fields if getattr(drawn, name) != getattr(PUBLIC_SETTINGS, name)]
+    assert set(differing) == set(HiddenSettings.model_fields)
