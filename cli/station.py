@@ -1,14 +1,18 @@
 """`vitac station`: the devices of a laboratory."""
 
 import json
+import sys
 from dataclasses import asdict
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from .terminal.output import AsJson, print_json, print_table
+
+if TYPE_CHECKING:
+    from vitac.envs.geometry.pegs import PegShape
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -42,18 +46,104 @@ def check(
 
 
 @app.command("twin")
-def twin(file: Annotated[Path, typer.Argument(help="Where to write the description of the twins (YAML).")]) -> None:
-    """Run twins of all devices but the RGB-D camera, which send the same bytes, until Ctrl-C."""
+def twin(
+    file: Annotated[Path, typer.Argument(help="Where to write the description of the twins (YAML).")],
+    secret: Annotated[
+        Path | None,
+        typer.Option(help="File whose content draws what the twin hides: friction, gels, cameras; public by default."),
+    ] = None,
+    faults: Annotated[Path | None, typer.Option(help="Script of what breaks, and when (YAML).")] = None,
+    shape: Annotated[str, typer.Option(help="Peg and hole: cuboid, trapezoid or concave1.")] = "cuboid",
+    fast: Annotated[
+        bool, typer.Option("--fast", help="Take 10 pictures a second instead of 25, and run as fast as it can.")
+    ] = False,
+) -> None:
+    """Run twins of all devices but the RGB-D camera, which behave by our physics, until Ctrl-C."""
     from signal import pause
 
-    from vitac.station.twin.laboratory import twin_station
+    from vitac.station.twin.bench import Bench
+    from vitac.station.twin.faults import FaultScript, read_faults
+    from vitac.station.twin.hidden import PUBLIC_SETTINGS, draw_hidden
+    from vitac.station.twin.laboratory import playing_station
 
     if file.exists():
         raise typer.BadParameter(f"{file} exists; name a new file.")
-    with twin_station() as station:
+    bench = Bench(
+        hidden=draw_hidden(secret.read_bytes()) if secret else PUBLIC_SETTINGS,
+        script=read_faults(faults) if faults else FaultScript(),
+        shape=_read_shape(shape),
+        period_s=0.1 if fast else 0.04,
+        speed=None if fast else 1.0,
+    )
+    with playing_station(bench) as station:
         station.write(file)
         print(f"{file} describes the twins. They run until Ctrl-C; check them with: vitac station check {file}")
         pause()
+
+
+def _read_shape(name: str) -> "PegShape":
+    from vitac.envs.geometry.pegs import PegShape
+
+    if name not in set(PegShape):
+        raise typer.BadParameter(f"expected one of {', '.join(PegShape)}, got {name!r}.", param_hint="--shape")
+    return PegShape(name)
+
+
+@app.command("track")
+def track(
+    shape: Annotated[str, typer.Option(help="Peg and hole: cuboid, trapezoid or concave1.")] = "cuboid",
+    repeats: Annotated[int, typer.Option(min=1, help="How often every start is played.")] = 5,
+) -> None:
+    """Print a track file for VITAC_TRACKS_DIR: the public starts of a shape, played on stations."""
+    import yaml
+    from vitac.station.track import make_station_track
+
+    print(yaml.safe_dump(make_station_track(_read_shape(shape), repeats), sort_keys=False, allow_unicode=True), end="")
+
+
+@app.command("run")
+def run(
+    file: Annotated[Path, typer.Argument(help="Description of the station (YAML).", exists=True, dir_okay=False)],
+    key_file: Annotated[Path, typer.Option("--key", help="File with the station's key.", exists=True, dir_okay=False)],
+    pictures: Annotated[Path | None, typer.Option(help="Write pictures of both gels here.")] = None,
+) -> None:
+    """Play the trials of the service on a station until Ctrl-C or SIGTERM, which gives the running trial back."""
+    from vitac.envs.tasks.definition import Family
+    from vitac.server.services import open_services
+    from vitac.server.stations.stations import enrol
+    from vitac.station.agent import StationShards
+    from vitac.station.description import read_description
+    from vitac.station.rehearsal import refuse_wrong_devices
+    from vitac.station.trials import Player
+    from vitac.worker.main import work
+
+    from .rehearsal import Album, make_safe, no_pictures
+    from .service.database import load_settings
+    from .service.events import configure_events
+
+    description = read_description(file)
+    settings = load_settings(worker_slots=1)
+    configure_events(sys.stderr, settings.log_format)
+    refuse_wrong_devices(description)
+    key, show = key_file.read_text(encoding="utf-8").strip(), Album(pictures).show if pictures else no_pictures
+    with (
+        open_services(settings, may_run_database=False) as services,
+        Player(
+            description=description,
+            folder=settings.scratch_dir,
+            make_safe=make_safe(description),
+            attempts=1,
+            show=show,
+        ) as player,
+    ):
+        work(
+            services,
+            StationShards(player).running_shard,
+            families=(Family.STATION,),
+            enrol=lambda worker_id: services.database.retrying(
+                lambda session: enrol(session, settings, key, worker_id), give_up_after_s=60.0
+            ),
+        )
 
 
 Ros = Annotated[int | None, typer.Option("--ros", min=1, max=2, help="Version of ROS: 1 or 2.")]

@@ -65,7 +65,7 @@ def require_task(track: Track, task: str) -> None:
 def find_family(track: str, task: str) -> Family:
     """Return what a task needs to run; the tactile family where its track file is gone, whose workers then say so."""
     known = known_task(track, task)
-    return known.definition.family if known else Family.TACTILE
+    return known.family if known else Family.TACTILE
 
 
 def find_playback_family(track: str, task: str) -> Family:

@@ -13,4 +13,4 @@ def families_here() -> tuple[Family, ...]:
         Family.MANISKILL_PICTURES: found.physics and found.pictures,
         Family.MANISKILL_CUDA: found.physics and found.cuda and found.pictures,
     }
-    return tuple(family for family in Family if able[family])
+    return tuple(family for family in Family if able.get(family))

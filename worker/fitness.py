@@ -1,6 +1,6 @@
 """Which queues a worker takes shards from, and why it takes none of some tracks. Called by worker and heartbeat."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.isolation.interpreter import installed_packages
@@ -15,34 +15,37 @@ from vitac.server.tracks import find_family
 from .families import families_here
 
 
-def queues_here() -> list[str]:
-    """Return the queues that the worker takes shards from."""
-    unfit = {queue for track in tracks_with_other_packages() for queue in _list_queues(load_track(track))}
-    names = (queue_name(version, family) for version in sorted(current_versions()) for family in families_here())
+def queues_here(families: Collection[Family] | None = None) -> list[str]:
+    """Return the queues that the worker takes shards from; those of given families in place of what it can run."""
+    able = families_here() if families is None else families
+    unfit = {queue for track in tracks_with_other_packages(able) for queue in _list_queues(load_track(track))}
+    names = (queue_name(version, family) for version in sorted(current_versions()) for family in able)
     return [name for name in names if name not in unfit]
 
 
-def fit_families() -> tuple[Family, ...]:
+def fit_families(families: Collection[Family] | None = None) -> tuple[Family, ...]:
     """Return the families of whose tasks it takes shards."""
-    queues = set(queues_here())
-    return tuple(family for family in families_here() if queue_name(evaluator_version(), family) in queues)
+    able = families_here() if families is None else families
+    queues = set(queues_here(able))
+    return tuple(family for family in able if queue_name(evaluator_version(), family) in queues)
 
 
-def explain_unfit(declared: Mapping[str, str]) -> str:
+def explain_unfit(declared: Mapping[str, str], families: Collection[Family] | None = None) -> str:
     """Return why the worker takes no shards of some tracks, one sentence after the other; empty where it takes all.
 
     Args:
         declared: versions by track, as the service says.
+        families: that it takes shards of.
     """
-    reasons = explain_other_tracks(declared) | tracks_with_other_packages()
+    reasons = explain_other_tracks(declared) | tracks_with_other_packages(families)
     return f"Takes no shards of {' '.join(reasons.values())}" if reasons else ""
 
 
-def tracks_with_other_packages() -> dict[str, str]:
+def tracks_with_other_packages(families: Collection[Family] | None = None) -> dict[str, str]:
     """Return by track why its policies would not see here the packages that it declares."""
-    families, reasons = set(families_here()), {}
+    able, reasons = set(families_here() if families is None else families), {}
     for track in map(load_track, list_tracks()):
-        if not families.intersection(find_family(track.name, task) for task in track.tasks):
+        if not able.intersection(find_family(track.name, task) for task in track.tasks):
             continue
         different = package_differences(shown_sets(track.packages), installed_packages(track.packages).versions)
         if different:

@@ -3,12 +3,13 @@
 import os
 import platform
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from uuid import UUID, uuid4
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.version import evaluator_version, platform_class
 from vitac.server.db.models import Worker
 from vitac.server.db.schema import explain_other_schema
@@ -34,6 +35,7 @@ class Heartbeat:
         state: of the worker.
         report: how it isolates policies.
         message: for organizers; empty: of which tracks it takes no shards, and why.
+        families: that it takes shards of; by default those that it can run.
         on_other_evaluator: called when the service has begun to declare another evaluator than this worker's.
         on_upgrade: called when the database has another schema than this release's: what the worker stores would be
             refused, and its shards given up after some attempts.
@@ -46,6 +48,7 @@ class Heartbeat:
         state: WorkerState,
         report: IsolationReport,
         message: str = "",
+        families: Collection[Family] | None = None,
         on_other_evaluator: Callable[[], None] = lambda: None,
         on_upgrade: Callable[[], None],
     ) -> None:
@@ -56,6 +59,7 @@ class Heartbeat:
         self._state = state
         self._report = report
         self._message = message
+        self._families = families
         self._on_other_evaluator = on_other_evaluator
         self._on_upgrade = on_upgrade
         self._stopping = threading.Event()
@@ -97,7 +101,7 @@ class Heartbeat:
                 disk = workers.measure_disk(self._services.settings.scratch_dir)
                 leaves = explain_other_evaluator(declared)
                 left = explain_left_work(session) if leaves else None
-                message = self._message or left or explain_unfit(declared)
+                message = self._message or left or explain_unfit(declared, self._families)
                 order = workers.heartbeat(session, self.worker_id, state, disk, message)
         except (SQLAlchemyError, OSError) as error:
             logger.warning("heartbeat_failed", error=" ".join(str(error).split())[:200])
@@ -114,7 +118,7 @@ class Heartbeat:
             self._state = WorkerState.READY if order is WorkerOrder.WORK else WorkerState.CORDONED
 
     def _register(self, session: Session) -> None:
-        workers.register(session, self._row(self._message or explain_unfit(declared_versions(session))))
+        workers.register(session, self._row(self._message or explain_unfit(declared_versions(session), self._families)))
 
     def _row(self, message: str) -> Worker:
         return Worker(
@@ -124,7 +128,7 @@ class Heartbeat:
             slots=self._services.settings.worker_slots,
             state=self._state,
             evaluator_version=evaluator_version(),
-            families=[str(family) for family in fit_families()],
+            families=[str(family) for family in fit_families(self._families)],
             platform_class=platform_class(),
             isolation=self._report.level,
             sandbox=self._report.sandbox.model_dump(mode="json") if self._report.sandbox else None,

@@ -3,12 +3,14 @@
 import asyncio
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager
+from uuid import UUID
 
 import structlog
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.shards.process import ShardProcesses
 from vitac.server.db.availability import DatabaseUnreachable
 from vitac.server.db.states import WorkerOrder, WorkerState
@@ -57,9 +59,23 @@ def run(settings: Settings, stay: Stay = UNLIMITED, *, probe: ProbeIsolation = p
 
 
 def work(
-    services: Services, start: StartShard, stay: Stay = UNLIMITED, *, probe: ProbeIsolation = probe_isolation
+    services: Services,
+    start: StartShard,
+    stay: Stay = UNLIMITED,
+    *,
+    probe: ProbeIsolation = probe_isolation,
+    families: Collection[Family] | None = None,
+    enrol: Callable[[UUID], object] = lambda _: None,
 ) -> None:
     """Run one worker on open services; must be called in the main thread.
+
+    Args:
+        services: open.
+        start: starts what plays a shard.
+        stay: when it ends by itself.
+        probe: finds out whether policies are isolated here.
+        families: that it takes shards of; by default those that this machine can run.
+        enrol: called with the worker's id before it takes its first shard; it raises where the worker may not.
 
     Raises:
         WorkerRefused: the stay is limited, and this machine may take no shards.
@@ -75,7 +91,7 @@ def work(
                 _refuse(services, report, refusal, stopping)
                 continue
             try:
-                _take_shards(services, report, start, stopping, stay)
+                _take_shards(services, report, start, stopping, stay, families, enrol)
             except OSError as error:
                 if not is_disk_full(error):
                     raise
@@ -84,7 +100,13 @@ def work(
 
 
 def _take_shards(
-    services: Services, report: IsolationReport, start: StartShard, stopping: threading.Event, stay: Stay
+    services: Services,
+    report: IsolationReport,
+    start: StartShard,
+    stopping: threading.Event,
+    stay: Stay,
+    families: Collection[Family] | None,
+    enrol: Callable[[UUID], object],
 ) -> None:
     """Take and run shards until a request to stop, the stay's end, or until the service declares another evaluator."""
     leaving = threading.Event()
@@ -98,17 +120,19 @@ def _take_shards(
             services,
             state=WorkerState.READY,
             report=report,
+            families=families,
             on_other_evaluator=leaving.set,
             on_upgrade=stopping.set,
         )
         heartbeat.start()
         stack.callback(heartbeat.stop)
+        enrol(heartbeat.worker_id)
         stage = SubmissionStage(services.blobs, services.settings.scratch_dir, services.settings.limits)
         stack.callback(stage.close)
         housekeeping = Housekeeping(services, supersedes=False)
         housekeeping.start()
         stack.callback(housekeeping.stop)
-        worker = QueueWorker(services, stage, heartbeat.worker_id, start, order=order)
+        worker = QueueWorker(services, stage, heartbeat.worker_id, start, order=order, families=families)
         # A thread, not the signal's handler: that may interrupt whoever holds the locks which `stop` needs.
         threading.Thread(target=_stop_on_event, args=((stopping, leaving), worker), name="stop", daemon=True).start()
         logger.info("worker_started", worker=str(heartbeat.worker_id), slots=services.settings.worker_slots)

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
@@ -13,6 +13,7 @@ from uuid import UUID
 import structlog
 from procrastinate.exceptions import ProcrastinateException
 from sqlalchemy.exc import DBAPIError
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.playback.process import making
 from vitac.server.db.states import WorkerOrder
 from vitac.server.metrics.instruments import RetryReason
@@ -53,12 +54,14 @@ class QueueWorker:
         start: StartShard,
         start_playback: StartPlayback = making,
         order: Callable[[], WorkerOrder] = lambda: WorkerOrder.WORK,
+        families: Collection[Family] | None = None,
     ) -> None:
         self._services = services
         self._stage = stage
         self._worker_id = worker_id
         self._start = start
         self._start_playback = start_playback
+        self._families = families
         self._slots = services.settings.worker_slots
         self._free_slots = threading.Semaphore(self._slots)
         self._lock = threading.Lock()
@@ -126,7 +129,7 @@ class QueueWorker:
         async with app.open_async():
             working = asyncio.create_task(
                 app.run_worker_async(
-                    queues=queues_here(),
+                    queues=queues_here(self._families),
                     concurrency=self._slots,
                     fetch_job_polling_interval=POLL_S,
                     delete_jobs="always",

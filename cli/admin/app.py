@@ -5,7 +5,21 @@ import sys
 import structlog
 import typer
 
-from . import appeal, audit, backup, evaluation, judging, notice, quota, receipt, submission, team, token, worker
+from . import (
+    appeal,
+    audit,
+    backup,
+    evaluation,
+    judging,
+    notice,
+    quota,
+    receipt,
+    station,
+    submission,
+    team,
+    token,
+    worker,
+)
 from . import rejudging as rejudge
 from .contest import advancement as advance
 from .contest import contest as competition
@@ -55,6 +69,7 @@ app.add_typer(
     help="Evaluations: list, show, unserved, restart, restart-unserved, requeue, cancel.",
 )
 app.add_typer(worker.app, name="worker", help="Workers: list, show, cordon, uncordon, drain.")
+app.add_typer(station.app, name="station", help="Laboratories whose agents play trials: add, list, remove.")
 app.add_typer(audit.app, name="audit", help="The audit log: list.")
 app.add_typer(announcement.app, name="announcement", help="Announcements to everybody: publish, list, withdraw.")
 app.add_typer(question.app, name="question", help="Questions of teams: list, answer, hide.")

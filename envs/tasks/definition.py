@@ -27,6 +27,8 @@ class Family(StrEnum):
     """ManiSkill's on the CPU with cameras, with its extra and a Vulkan driver."""
     MANISKILL_CUDA = "maniskill-cuda"
     """ManiSkill's on a GPU, with its extra, CUDA and a torch that has it."""
+    STATION = "station"
+    """Tasks that are played on the devices of a laboratory, which has an agent in place of a worker."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -160,6 +160,9 @@ class Task(StrictModel):
         description="Largest force on the held part in an env step; beyond it an episode has failed.",
     )
     player: Player = Field(default=Player.POLICY, description="Who chooses the actions.")
+    station_of: Word | None = Field(
+        default=None, description="Played on a station: the simulated task of which policies are told at a reset."
+    )
     profiles: dict[Word, Profile] = Field(default={}, description="Settings for re-simulation only, by name.")
     episode_list: EpisodeList
 
@@ -167,6 +170,11 @@ class Task(StrictModel):
     def definition(self) -> TaskDefinition:
         """Return what the task's own folder says of it, or what follows from its settings."""
         return environment_definition(self.env_id, self.settings)
+
+    @property
+    def family(self) -> Family:
+        """Return who can play it."""
+        return self.definition.family if self.station_of is None else Family.STATION
 
     @property
     def measures_figures(self) -> bool:
@@ -264,6 +272,7 @@ class Task(StrictModel):
         absent |= {name: True for name in ("settings", "draws") if not getattr(self, name)}
         absent |= {"force_limit_n": True} if self.force_limit_n is None else {}
         absent |= {"player": True} if self.player is Player.POLICY else {}
+        absent |= {"station_of": True} if self.station_of is None else {}
         absent |= {"episode_list": {"commitment"}} if self.episode_list.commitment is None else {}
         own = self.model_dump_json(exclude=absent)
         return hashlib.sha256((own + json.dumps(tables)).encode()).hexdigest()

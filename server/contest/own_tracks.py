@@ -113,6 +113,8 @@ def _cost(track: Track, task: Task) -> TaskCost:
 def _explain_not_played(track: Track, task: Task) -> str | None:
     if track.has_sensor or task.player is not Player.POLICY:
         return "it depends on the sensors that teams bring"
+    if task.family is Family.STATION:
+        return "it is played on a station"
     if task.definition.family is not Family.TACTILE:
         return "environments of ManiSkill are not played here"
     return None

@@ -21,7 +21,7 @@ from .evaluations import (
 )
 from .judging import JudgingConflict, JudgingMark
 from .notices import Notice, Webhook
-from .operations import DeclaredEvaluator, MetricTotal, SchemaCompatibility, Worker
+from .operations import DeclaredEvaluator, MetricTotal, SchemaCompatibility, Station, Worker
 from .people import Announcement, Appeal, AppealReplay, Question
 from .playbacks import Playback
 from .receipts import Cosignature, ReceiptKey, ReceiptRow, TreeNode
@@ -63,6 +63,7 @@ __all__ = [
     "SchemaCompatibility",
     "SealedList",
     "Shard",
+    "Station",
     "Submission",
     "SubmissionFile",
     "Team",

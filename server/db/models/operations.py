@@ -41,6 +41,16 @@ class Worker(Base):
     sandbox: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True), deferred=True)
 
 
+class Station(Base):
+    """A laboratory whose agent plays trials; `worker_id` is the agent that used its key last."""
+
+    __tablename__ = "stations"
+    name: Mapped[str] = mapped_column(primary_key=True)
+    key_sha256: Mapped[str] = mapped_column(unique=True)
+    worker_id: Mapped[UUID | None]
+    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+
 class DeclaredEvaluator(Base):
     """What the service evaluates with, as its server has said last: a version for each of its tracks.
 

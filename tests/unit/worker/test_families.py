@@ -3,7 +3,7 @@ from vitac.envs.maniskill.abilities import Abilities
 from vitac.envs.tasks.definition import Family
 from vitac.worker import families
 
-T, STATE, PICTURES, CUDA = Family
+T, STATE, PICTURES, CUDA, _ = Family
 
 
 @pytest.mark.parametrize(

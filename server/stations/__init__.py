@@ -1,0 +1,1 @@
+"""Laboratories whose agents play trials for the service."""

@@ -1,0 +1,171 @@
+"""Plays the trials of a shard for the service: what a worker starts in place of a process with the simulation."""
+
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from pydantic import JsonValue
+from vitac.envs.errors import VitacError
+from vitac.evaluator.agent.isolation.interpreter import installed_packages
+from vitac.evaluator.agent.session import Isolation
+from vitac.evaluator.agent.verdicts import PolicyFailed
+from vitac.evaluator.episodes.reading import make_reading
+from vitac.evaluator.episodes.records import (
+    ActionSequence,
+    EpisodeOutcome,
+    EpisodeRecord,
+    FailureStage,
+    Manifest,
+    PolicyFailure,
+    Timings,
+    canonical_json,
+)
+from vitac.evaluator.scoring.failures import is_broken
+from vitac.evaluator.shards.order import ShardOrder
+from vitac.evaluator.shards.policy import load_in_sandbox
+from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.submission.manifest import load_manifest
+from vitac.evaluator.tracks import Episode, Task, Track
+from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.tracks.sealed import load_played_track, read_secret
+from vitac.evaluator.tracks.versions import compute_hash, find_version
+from vitac.evaluator.version import platform_class
+
+from .records import pack_actions
+from .trial import Attempt
+from .trials import Player
+
+_SOLVER: Final = "station"
+"""In a manifest in place of the solver's version."""
+
+
+class TrialNotPlayed(VitacError):
+    """A trial has no result, since the station stopped; the service gives it to a station again, by its own rule."""
+
+
+class StationShards:
+    """Gives a worker what plays its shards: one at a time, on one station."""
+
+    def __init__(self, player: Player) -> None:
+        """Use a player that makes one attempt at each trial: the service counts attempts."""
+        self._player = player
+
+    @contextmanager
+    def running_shard(self, order: ShardOrder) -> Iterator["StationShard"]:
+        """Return a shard whose trials are played as its records are asked for."""
+        yield StationShard(self._player, order)
+
+
+class StationShard:
+    """One shard at a station."""
+
+    def __init__(self, player: Player, order: ShardOrder) -> None:
+        """Read what is to be played; nothing moves yet."""
+        self._player, self._order = player, order
+        self._track = load_played_track(order.track, read_secret(order.secret) if order.secret else None)
+        self._task = self._track.task(order.task)
+        self._isolation: Isolation | None = None
+        self._failures = list(order.earlier_failures)
+        self._is_killed = False
+        self.packages: dict[str, str] | None = None
+
+    def kill(self) -> None:
+        """Stop the station; the running trial has no record."""
+        self._is_killed = True
+        self._player.stop("The agent ends the trial.")
+
+    def records(self) -> Iterator[EpisodeRecord]:
+        """Yield the record of each trial as soon as it is over.
+
+        Raises:
+            TrialNotPlayed: the station stopped, or a trial could not be played on it.
+        """
+        order, shape = self._order, self._mounted_shape()
+        reading = make_reading(self._task, load_manifest(order.submission).observation_keys)
+        self.packages = dict(installed_packages(self._track.packages).versions)
+        with load_in_sandbox(order.submission, order.limits, self._track.packages) as session:
+            self._isolation = session.isolation
+            for episode in self._episodes():
+                if is_broken(self._failures):
+                    return
+                if episode.shape != shape:
+                    raise TrialNotPlayed(f"Trial {episode.number} needs the {episode.shape}; the {shape} is mounted.")
+                (attempt,) = self._player.play(self._task, episode, reading, lambda: session)
+                if self._is_killed or not attempt.outcome.counts:
+                    raise TrialNotPlayed(f"Trial {episode.number}: {attempt.outcome.sentence} {attempt.reason}")
+                record = make_record(self._task, episode, attempt)
+                self._failures.extend([record.failure] if record.failure else [])
+                yield record
+
+    @property
+    def result(self) -> ShardResult:
+        """What the shard ended with."""
+        end = ShardEnd.BROKEN if is_broken(self._failures) else ShardEnd.COMPLETE
+        manifest = make_station_manifest(self._track, self._task)
+        return ShardResult(index=self._order.shard, end=end, manifest=manifest, isolation=self._isolation)
+
+    def _mounted_shape(self) -> str:
+        procedure = self._player.description.procedure
+        return procedure.shape if procedure else "nothing"
+
+    def _episodes(self) -> list[Episode]:
+        shard = next(each for each in cut(self._task, self._order.episodes) if each.index == self._order.shard)
+        return [each for each in shard.episodes if each.number not in self._order.skip]
+
+
+def make_station_manifest(track: Track, task: Task) -> Manifest:
+    """Return what trials are made with: no solver and no meshes."""
+    return Manifest(
+        track=track.name,
+        task=task.name,
+        list_seed=task.episode_list.list_seed,
+        task_hash=task.digest(),
+        evaluator_version=find_version(track.name),
+        evaluator_hash=compute_hash(track.name),
+        solver_version=_SOLVER,
+        mesh_hash=_SOLVER,
+        platform_class=platform_class(),
+    )
+
+
+def make_record(task: Task, episode: Episode, attempt: Attempt) -> EpisodeRecord:
+    """Return the record of a trial; its state hashes are over what encoders and markers said, and chained."""
+    measured = [_measured(attempt, number) for number in range(len(attempt.actions) + 1)]
+    return EpisodeRecord(
+        episode=episode.number,
+        task=task.name,
+        shape=episode.shape,
+        initial_offset=episode.offset,
+        outcome=EpisodeOutcome(attempt.outcome),
+        env_steps=len(attempt.actions),
+        total_reward=0.0,
+        actions=ActionSequence.from_array(pack_actions(attempt)),
+        state_hashes=tuple(_chained(measured)),
+        infos=tuple(measured[1:]),
+        failure=_failure(attempt.failure),
+        timings=Timings(policy_s=attempt.policy_s),
+        output=attempt.output,
+    )
+
+
+def _measured(attempt: Attempt, number: int) -> dict[str, JsonValue]:
+    """Return what was measured after an env step; nothing where the motion was stopped or not made."""
+    if number >= len(attempt.encoders):
+        return {}
+    return {"encoders": list(attempt.encoders[number]), "movement_px": list(attempt.movement_px[number])}
+
+
+def _chained(measured: list[dict[str, JsonValue]]) -> Iterator[str]:
+    before = ""
+    for each in measured:
+        before = hashlib.sha256(before.encode() + canonical_json(each)).hexdigest()
+        yield before
+
+
+def _failure(failed: PolicyFailed | None) -> PolicyFailure | None:
+    if failed is None:
+        return None
+    return PolicyFailure(
+        stage=FailureStage.EPISODE, code=failed.verdict, message=failed.message, output_tail=failed.output_tail
+    )
