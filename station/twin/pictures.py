@@ -1,5 +1,6 @@
 """Twin of a tactile camera: an HTTP server that sends pictures as motion JPEG, which OpenCV reads like a camera."""
 
+import select
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -108,12 +109,20 @@ def _handler(twin: CameraTwin) -> type[BaseHTTPRequestHandler]:
             """Write a part, and wait until the reader has taken nearly all of it: it is to get no old pictures."""
             self.wfile.write(part)
             while not twin.is_over and _unsent_bytes(self.connection):
+                if _is_closed(self.connection):
+                    raise ConnectionResetError("the reader left")
                 sleep(_POLL_S)
 
         def log_message(self, *_: object) -> None:
             """Write nothing for each request."""
 
     return Handler
+
+
+def _is_closed(connection: socket) -> bool:
+    poll = select.poll()
+    poll.register(connection, select.POLLRDHUP)
+    return bool(poll.poll(0))
 
 
 def _unsent_bytes(connection: socket) -> int:
