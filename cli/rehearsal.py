@@ -26,7 +26,7 @@ figure{{display:inline-block;margin:.5em}}</style>
 def rehearse_submission(
     submission: Path, named: str, episodes: Sequence[int] | None, *, json: Path | None, pictures: Path | None
 ) -> None:
-    """Play a submission's trials on the station of a file, or on `twin`; print and write what came of them."""
+    """Play a submission's trials on the station of a file, or on `twin`; print and write the outcomes."""
     from vitac.evaluator.submission.manifest import load_manifest
     from vitac.evaluator.submission.sources import staged, submission_digest
     from vitac.evaluator.tracks import load_track
