@@ -192,15 +192,15 @@ def _playback(
     env: TactileTaskEnv[Any, Any], moments: tuple[Moment, ...], actions: list[NDArray[np.float32]], rewards: list[float]
 ) -> Playback:
     scene = env.scene
-    fixed = scene.fixed
+    fixed = scene.fixed_surface()
     return Playback(
         env_id=env.env_id,
         gel=scene.gel,
         camera=scene.camera,
         physics=scene.physics,
         held=scene.held.mesh,
-        fixed=fixed.mesh,
-        fixed_m=fixed.mesh.vertices_m @ fixed.rotation.T + fixed.translation_m,
+        fixed=fixed,
+        fixed_m=fixed.vertices_m,
         moments=moments,
         actions=np.array(actions, dtype=np.float32).reshape(-1, len(env.task.actions)),
         rewards=np.array(rewards, dtype=np.float64),

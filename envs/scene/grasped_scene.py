@@ -1,7 +1,7 @@
 """A rigid part held between two gels: the physics, the gripper that moves them, and what both sensors see of it."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +11,7 @@ from ..fem.contact.forces import PairForces
 from ..fem.model.bodies import GelBody, RigidBody
 from ..fem.model.mesh import SurfaceMesh
 from ..fem.model.settings import AnyContactSettings, ContactSettings, SolverSettings
+from ..fem.scene.node_layout import placed
 from ..fem.scene.scene import Scene, SceneState, StepReport, StepStatus
 from ..tactile.camera import CameraIntrinsics
 from ..tactile.markers import MarkerSettings
@@ -102,14 +103,16 @@ def fixed_at_origin(mesh: SurfaceMesh, *, friction: float) -> RigidBody:
 
 
 class GraspedScene:
-    """Two gels on a gripper, the part they hold (body 0) and the part it goes into (body 1, fixed).
+    """Two gels on a gripper, the part they hold (body 0), the part it goes into (body 1, fixed), and any others.
 
-    After an IPC step that did not converge nothing moves: `solved` is False and stays so.
+    After an IPC step that did not converge nothing moves: `solved` is False and stays so. There is no gravity: a part
+    that can move and that nothing touches keeps its speed, which is zero at the start.
 
     Attributes:
         gel: mesh of both gels.
         held: the held part, where it was placed.
         fixed: the fixed part.
+        others: further parts, fixed or movable. Pictures show the fixed ones.
         physics: materials and stepping.
         ipc_steps: solved so far.
         solved: every IPC step so far converged.
@@ -125,8 +128,10 @@ class GraspedScene:
         physics: PhysicsSettings,
         sensors: tuple[TactileSensor, TactileSensor],
         clocks: Clocks,
+        others: Sequence[RigidBody] = (),
     ) -> None:
         self.gel, self.held, self.fixed, self.physics = gripper.gel, held, fixed, physics
+        self.others = tuple(others)
         self.after_ipc_step: Callable[[], None] | None = None
         self._clocks = clocks
         self._gripper = gripper
@@ -134,7 +139,7 @@ class GraspedScene:
         with clocks.physics:
             self._scene = Scene(
                 gels=[self._placed_gel(index) for index in range(SENSOR_COUNT)],
-                bodies=[held, fixed],
+                bodies=[held, fixed, *self.others],
                 time_step_s=physics.time_step_s,
                 contact=physics.contact,
                 solver=physics.solver,
@@ -208,6 +213,20 @@ class GraspedScene:
             self._measured.held_m = self._scene.body_vertices_m(0)
         return self._measured.held_m[vertices]
 
+    def other_vertices_m(self, index: int) -> FloatArray:
+        """Return the world positions of all vertices of one of the other parts [m], shape [v, 3]."""
+        return self._scene.body_vertices_m(2 + index)
+
+    def fixed_surface(self) -> SurfaceMesh:
+        """Return the surfaces of all parts that never move, as one in the world."""
+        parts = [self.fixed, *(part for part in self.others if part.fixed)]
+        first = np.cumsum([0, *(len(part.mesh.vertices_m) for part in parts)])
+        return SurfaceMesh(
+            vertices_m=np.concatenate([placed(part.mesh.vertices_m, part) for part in parts]),
+            triangles=np.concatenate([part.mesh.triangles + at for part, at in zip(parts, first, strict=False)]),
+            name=self.fixed.mesh.name,
+        )
+
     def gel_nodes_m(self, index: int) -> FloatArray:
         """Return the world positions of all nodes of the left (0) or right (1) gel [m], shape [n, 3]."""
         return self._scene.gel_positions_m(index)
@@ -232,6 +251,12 @@ class GraspedScene:
     def pair_forces(self) -> PairForces:
         """Return the forces of contacts in the last IPC step: bodies 0 and 1 are the gels, then held and fixed part."""
         return self._scene.contact_forces()
+
+    def force_on_held_n(self, body: int) -> FloatArray:
+        """Return the force of one body, numbered as in `pair_forces`, on the held part in the last IPC step [N]."""
+        pairs, held = self.pair_forces(), SENSOR_COUNT
+        sign = (pairs.bodies == (held, body)).all(axis=1) * 1.0 - (pairs.bodies == (body, held)).all(axis=1) * 1.0
+        return np.asarray((sign[:, None] * pairs.forces_n).sum(axis=0))
 
     def take_reports(self) -> tuple[StepReport, ...]:
         """Return the report of the IPC steps since the last call."""

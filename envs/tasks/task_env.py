@@ -120,9 +120,16 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
     solver_version = SOLVER_VERSION
 
     def __init_subclass__(cls, **keywords: Any) -> None:
-        """Add the tables of the task's actions and observations to the docstring; a base of several tasks has none."""
+        """Say how the task is drawn, and add the tables of its actions and observations to the docstring.
+
+        A base of several tasks has no task of its own.
+        """
         super().__init_subclass__(**keywords)
-        if cls.__doc__ and hasattr(cls, "task"):
+        if not hasattr(cls, "task"):
+            return
+        if cls.task.perspective is None:
+            cls.metadata = cls.metadata | {"render_modes": []}
+        if cls.__doc__:
             cls.__doc__ = append_tables(cls.__doc__, cls.task)
 
     def __init__(
@@ -158,7 +165,10 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         usable = force_limit_n is None or 0 < force_limit_n < inf
         require(usable, "force_limit_n", force_limit_n, "None or a positive force in N")
         self._force_limit_n = force_limit_n
-        require(render_mode in (None, *self.metadata["render_modes"]), "render_mode", render_mode, "None or rgb_array")
+        modes = self.metadata["render_modes"]
+        if render_mode is not None and not modes:
+            raise NotRenderable(f"{self.env_id} has no perspective, so there are no pictures of it.")
+        require(render_mode in (None, *modes), "render_mode", render_mode, "None or rgb_array")
         self.render_mode = render_mode
         self._still: StillCamera | None = None
         self._clocks = Clocks(physics=Stopwatch(), markers=Stopwatch())
@@ -314,13 +324,11 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
 
         Raises:
             NotReset: no episode was started.
-            NotRenderable: the task does not say how it is looked at.
         """
         if self.render_mode is None:
             return None
         if self._still is None:
-            if self.task.perspective is None:
-                raise NotRenderable(f"{self.env_id} has no perspective, so there are no pictures of it.")
+            assert self.task.perspective is not None  # noqa: S101 - there is no render_mode without
             self._still = StillCamera(self.scene, resolve_name(self.task.perspective))
         return self._still.picture()
 

@@ -28,7 +28,7 @@ class StillCamera:
 
     def __init__(self, grasped: GraspedScene, perspective: Perspective) -> None:
         self._grasped = grasped
-        fixed, gel = grasped.fixed.mesh, grasped.gel
+        fixed, gel = grasped.fixed_surface(), grasped.gel
         self._fixed_m, fixed_triangles = _cut_open(fixed.vertices_m, fixed.triangles, perspective.cut)
         self._held_vertices = np.arange(len(grasped.held.mesh.vertices_m))
         gels = [

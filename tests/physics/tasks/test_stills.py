@@ -1,19 +1,14 @@
 """Pictures of a running episode for videos."""
 
-import sys
-from pathlib import Path
-from types import ModuleType
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 import vitac.envs
-from gymnasium.wrappers import RecordVideo, RenderCollection
-from vitac.envs.scene.perspective import Plane
-from vitac.envs.tasks.settings import SettingsError
+from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 from vitac.envs.tasks.task_env import NotRenderable, NotReset
-from vitac.envs.vision.still import _cut_open
 
 ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
 PEG = "ViTac/PegInsertion-v1"
@@ -93,63 +88,11 @@ def test_no_picture_before_the_first_reset() -> None:
         made(PEG).unwrapped.render()
 
 
-def test_task_without_a_perspective_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    env = made(PEG).unwrapped
-    env.reset(seed=2)
-    monkeypatch.setattr(env, "task", _Faceless())
+def test_task_without_a_perspective_has_no_render_mode() -> None:
+    class Faceless(PegInsertionEnv):
+        task = replace(PegInsertionEnv.task, perspective=None)
+
+    assert Faceless.metadata["render_modes"] == []
+    assert PegInsertionEnv.metadata["render_modes"] == ["rgb_array"]
     with pytest.raises(NotRenderable, match="PegInsertion-v1 has no perspective"):
-        env.render()
-
-
-class _Faceless:
-    perspective = None
-    env_id = PEG
-
-
-def test_unknown_render_mode_is_refused() -> None:
-    env_type = type(made(PEG).unwrapped)
-    with pytest.raises(SettingsError, match="'render_mode' is 'human', expected None or rgb_array"):
-        env_type(render_mode="human")
-
-
-def test_frames_can_be_collected() -> None:
-    env = RenderCollection(made(PEG))
-    env.reset(seed=2)
-    env.step(np.zeros(3, dtype=np.float32))
-    assert len(env.render()) == 2
-
-
-class KeptClip:
-    """Stands in for the library that encodes videos: writes the size of the film in place of it."""
-
-    def __init__(self, frames: list[np.ndarray], fps: int) -> None:
-        self.told = f"{len(frames)} frames of {frames[0].shape}, {fps} each second"
-
-    def write_videofile(self, path: str, **settings: Any) -> None:
-        Path(path).write_text(self.told)
-
-
-def test_gymnasium_records_a_video(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    encoder = ModuleType("moviepy.video.io.ImageSequenceClip")
-    encoder.ImageSequenceClip = KeptClip  # type: ignore[attr-defined]
-    for name in ("moviepy", "moviepy.video", "moviepy.video.io"):
-        monkeypatch.setitem(sys.modules, name, ModuleType(name))
-    monkeypatch.setitem(sys.modules, encoder.__name__, encoder)
-    env = RecordVideo(made(PEG), str(tmp_path / "films"), episode_trigger=lambda _: True, disable_logger=True)
-    env.reset(seed=2)
-    for _ in range(2):
-        env.step(np.zeros(3, dtype=np.float32))
-    env.close()  # type: ignore[no-untyped-call]
-    (video,) = tmp_path.glob("films/*.mp4")
-    assert video.read_text() == "3 frames of (480, 640, 3), 4 each second"
-
-
-def test_cut_open_surface_keeps_its_negative_side() -> None:
-    corners = np.array([[-1.0, 0, 0], [1, 0, 0], [-1, 2, 0], [0, 3, 0], [2, 3, 0], [0, 4, 0]])
-    triangles = np.array([[0, 1, 2], [3, 4, 5], [0, 1, 4]])
-    points, kept = _cut_open(corners, triangles, Plane(normal=(1.0, 0.0, 0.0), offset_m=0.0))
-    assert points[kept][..., 0].max() <= 0.0
-    a, b, c = (points[kept][:, k] for k in range(3))
-    areas = 0.5 * np.cross(b - a, c - a)[:, 2]
-    assert (areas > 0).all(), "corners turn as they did, and nothing is left of the triangle that only touches"
-    assert areas[:2].sum() == pytest.approx(2.0 * 0.75)
+        Faceless(render_mode="rgb_array")

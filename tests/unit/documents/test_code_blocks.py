@@ -25,6 +25,7 @@ NOT_RUN = {
     r"vitac (serve|worker)\b": "run until they are stopped; a server runs beside this test",
     r"vitac doctor\b": "its exit code is about the machine; tests of the sandbox run all its checks",
     r"vitac scale\b|VITAC_DATABASE_URL": "needs Slurm; benchmarks/slurm.py runs it",
+    r"press.a.switch|press-switch": "needs the example's package; tests/integration/own_task has it",
     r"vitac compile\b": "takes half a minute; tests/unit/cli/test_compile.py says what it plays",
     r"vitac login\b": "asks for a token; tests/unit/cli/client does",
     r"vitac --(maniskill|torch)\b": "downloads gigabytes; tests/integration/maniskill and tests/unit/training do",
@@ -50,7 +51,8 @@ NOT_RUN = {
     r"vitac submit run.jsonl|VITAC_TRACKS_DIR": "needs a whole log, or a track file that the server has",
 }  # fmt: skip
 """Commands by pattern, and where else they are run or why nowhere."""
-NOT_EXECUTED = {"CONTRIBUTING.md": "parts of files of ours", "docs/notices.md": "a function for other programs"}
+NOT_EXECUTED = {"CONTRIBUTING.md": "parts of files of ours", "docs/notices.md": "a function for other programs",
+                "docs/tutorials/press_a_switch.md": "tests/integration/own_task runs it"}  # fmt: skip
 """Documents whose Python is compiled only."""
 GENERATED = {"python-reference", "rest", "task", "environments", "settings", "outcomes", "verdicts"}
 """Stand for what the code says of itself (tests/unit/web/documentation)."""

@@ -5,6 +5,7 @@ import pytest
 from fake_scene import FakeScene
 from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
+from vitac.envs.fem.contact.forces import PairForces
 from vitac.envs.fem.model.bodies import RigidBody
 from vitac.envs.fem.scene.scene import StepStatus
 from vitac.envs.geometry.pegs import PegShape
@@ -18,7 +19,7 @@ from vitac.envs.tasks.peg_insertion.meshes import hole_mesh, peg_mesh
 POSE = GripperPose(x_m=0.0, y_m=0.0, z_m=0.0621, angle_rad=0.0, half_opening_m=0.0171)
 
 
-def scene(**markers: Any) -> GraspedScene:
+def scene(*others: RigidBody, **markers: Any) -> GraspedScene:
     meshes = Meshes()
 
     def placed(fixed: bool) -> RigidBody:
@@ -32,7 +33,31 @@ def scene(**markers: Any) -> GraspedScene:
         physics=PhysicsSettings(),
         sensors=meshes.sensors(MarkerSettings(**markers)),
         clocks=Clocks(physics=Stopwatch(), markers=Stopwatch()),
+        others=others,
     )
+
+
+def test_further_parts_follow_the_others_and_the_fixed_ones_are_one_surface(fake_scenes: list[FakeScene]) -> None:
+    mesh = peg_mesh(Meshes(), PegShape.CUBOID)
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    still = RigidBody(mesh=mesh, rotation=turned, translation_m=np.array([0.1, 0.0, 0.0]), fixed=True)
+    loose = RigidBody(mesh=mesh, rotation=np.eye(3), translation_m=np.array([0.0, 0.2, 0.0]))
+    made = scene(still, loose)
+    assert fake_scenes[0].bodies == [made.held, made.fixed, still, loose]
+    assert made.other_vertices_m(1) == pytest.approx(mesh.vertices_m + loose.translation_m)
+    surface, first = made.fixed_surface(), len(made.fixed.mesh.vertices_m)
+    assert (surface.vertices_m[:first] == made.fixed.mesh.vertices_m).all()
+    assert surface.vertices_m[first:] == pytest.approx(mesh.vertices_m @ turned.T + still.translation_m)
+    assert surface.volume_m3 == pytest.approx(made.fixed.mesh.volume_m3 + mesh.volume_m3)
+
+
+def test_force_of_one_body_on_the_held_part_counts_contacts_either_way(
+    fake_scenes: list[FakeScene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = scene()
+    bodies, forces_n = np.array([[2, 3], [3, 2], [0, 2], [2, 4]]), np.arange(1.0, 5.0)[:, None] * np.eye(1, 3, 2)
+    monkeypatch.setattr(fake_scenes[0], "contact_forces", lambda: PairForces(bodies, np.zeros((4, 3)), forces_n))
+    assert [made.force_on_held_n(body).tolist() for body in (3, 4)] == [[0.0, 0.0, 1.0 - 2.0], [0.0, 0.0, 4.0]]
 
 
 def test_gels_are_placed_at_the_sensor_poses_with_the_materials(fake_scenes: list[FakeScene]) -> None:

@@ -1,0 +1,63 @@
+"""`Switch/Press-v1`: press a switch until it closes."""
+
+from typing import Any, ClassVar
+
+import numpy as np
+from vitac.envs.fem.model.mesh import SurfaceMesh
+from vitac.envs.tasks.ending import Flags, surface_moved_too_far
+from vitac.envs.tasks.options import choice, drawn_shape, numbers, refusal
+from vitac.envs.tasks.task_env import Info, TactileTaskEnv
+
+from .definition import CLOSES_AT_N, TASK
+from .scene import Button, SwitchScene, SwitchSettings, button_mesh, finger_mesh, housing_mesh
+
+LOWEST_MM, HIGHEST_MM = 1.0, 5.0
+
+
+class SwitchEnv(TactileTaskEnv[SwitchScene, SwitchSettings]):
+    """Press a button of unknown height until the force on it closes the switch, and not much harder."""
+
+    task: ClassVar = TASK
+    settings_type: ClassVar = SwitchSettings
+    shape_type: ClassVar = Button
+    scene_type: ClassVar = SwitchScene
+    option_names: ClassVar[tuple[str, ...]] = ("shape", "height_mm")
+
+    def _solids(self) -> list[SurfaceMesh]:
+        return [finger_mesh(), housing_mesh(), *(button_mesh(shape, HIGHEST_MM) for shape in Button)]
+
+    def _start(self, options: dict[str, Any], random: np.random.Generator) -> SwitchScene:
+        given = options.get("shape")
+        shape = drawn_shape(self._shapes, random) if given is None else choice(self.env_id, "shape", given, Button)
+        wanted = options.get("height_mm", (random.uniform(LOWEST_MM, HIGHEST_MM),))
+        (height_mm,) = numbers(self.env_id, "height_mm", wanted, 1, "expected (height) in mm")
+        if not LOWEST_MM <= height_mm <= HIGHEST_MM:
+            raise refusal(self.env_id, "height_mm", wanted, f"expected {LOWEST_MM:g} to {HIGHEST_MM:g} mm")
+        return self.scene_type(shape, height_mm, meshes=self._meshes, settings=self.settings, clocks=self._clocks)
+
+    def _error(self) -> float:
+        scene = self.task_scene
+        missing_n = max(0.0, CLOSES_AT_N - scene.button_force_n())
+        return max(0.0, float(scene.gap_mm().min())) + missing_n / CLOSES_AT_N
+
+    def _judge(self) -> Flags:
+        scene = self.task_scene
+        return Flags(
+            tactile_movement_too_large=surface_moved_too_far(scene.grasped.surface_diff_m()),
+            too_many_steps=scene.env_steps >= self.settings.max_steps,
+            is_success=scene.button_force_n() >= CLOSES_AT_N,
+        )
+
+    def _reward(self, flags: Flags, progress: float) -> float:
+        return progress + (10.0 if flags.is_success else -0.1)
+
+    def _info(self, flags: Flags) -> Info:
+        scene = self.task_scene
+        return {
+            "steps": scene.env_steps,
+            "surface_diff_m": scene.grasped.surface_diff_m(),
+            "tactile_movement_too_large": flags.tactile_movement_too_large,
+            "gap_mm": scene.gap_mm(),
+            "button_force_n": scene.button_force_n(),
+            "is_success": flags.is_success,
+        }

@@ -1,0 +1,120 @@
+"""The task of examples/press_a_switch: all that ViTac Arena does with a task works without a change of it."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from databases import state_directory
+from vitac.envs.tasks.registry import task_definitions
+from vitac.evaluator.tracks import list_tracks
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "press_a_switch"
+TUTORIAL = Path(__file__).parents[3] / "docs" / "tutorials" / "press_a_switch.md"
+SUBMISSION = EXAMPLE / "Switch"
+LIMIT_S = 300
+
+
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of installed packages: what pip makes of the example's pyproject.toml."""
+    folder = tmp_path_factory.mktemp("packages")
+    project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]
+    information = folder / f"press_switch-{project['version']}.dist-info"
+    information.mkdir()
+    version = f"Name: {project['name']}\nVersion: {project['version']}\n"
+    (information / "METADATA").write_text(f"Metadata-Version: 2.1\n{version}")
+    (group,) = project["entry-points"].items()
+    points = "".join(f"{name} = {value}\n" for name, value in group[1].items())
+    (information / "entry_points.txt").write_text(f"[{group[0]}]\n{points}")
+    (folder / "press_switch").symlink_to(EXAMPLE / "press_switch")
+    return folder
+
+
+def python(packages: Path, code: str, *arguments: object, **variables: str) -> str:
+    """Output of a program that finds the example's package and track, and must succeed."""
+    environment = os.environ | {
+        "PYTHONPATH": str(packages),
+        "VITAC_TRACKS_DIR": str(EXAMPLE / "tracks"),
+        "PYTHONIOENCODING": "utf-8",
+        "COLUMNS": "120",
+        **variables,
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def vitac(packages: Path, *arguments: object, **variables: str) -> str:
+    return python(packages, "from vitac.cli.main import main; main()", *arguments, **variables)
+
+
+@pytest.fixture(scope="module")
+def log(packages: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The log of an evaluation in the sandbox."""
+    path = tmp_path_factory.mktemp("switch") / "switch.jsonl"
+    vitac(packages, "evaluate", SUBMISSION, "--workers", 1, "--log", path, "--json", path.with_suffix(".json"))
+    return path
+
+
+def test_the_task_is_known_where_its_package_is_and_nowhere_else() -> None:
+    assert "Switch/Press-v1" not in task_definitions()
+    assert "switch" not in list_tracks()
+
+
+def test_it_is_evaluated_in_the_sandbox(log: Path) -> None:
+    report = json.loads(log.with_suffix(".json").read_text())
+    assert report["failure"] is None
+    assert (report["score"]["episodes"], report["score"]["success_rate"]) == (3, 1.0)
+    starts = [(e["shape"], e["initial_offset"]) for e in report["episodes"]]
+    assert starts == [("small", [4.6]), ("large", [3.3]), ("large", [1.9])]
+
+
+def test_its_log_is_verified(packages: Path, log: Path) -> None:
+    assert "verified" in vitac(packages, "log", "verify", log)
+
+
+def test_its_actions_are_re_simulated_with_its_own_measures(packages: Path, log: Path) -> None:
+    output = vitac(packages, "resimulate", log, "--task", "press-switch")
+    assert "Episode 2: large at 3.3" in output
+    assert "  finger " in output
+    assert "3 episodes, 3 successes" in output
+
+
+def test_it_is_drawn_with_all_fixed_parts(packages: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "switch.png"
+    output = vitac(packages, "show", "press-switch", "--episode", 1, "--out", picture, "--width", 600)
+    assert "success after" in output
+    assert picture.stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_it_stands_on_a_board(packages: Path) -> None:
+    folders = {"VITAC_STATE_DIR": str(state_directory()), "VITAC_PORT": "0"}
+    output = vitac(packages, "demo", "--exit", "--submission", SUBMISSION, **folders)
+    assert "3 of 3 episodes, 3 successes" in output
+    assert any(line.split()[:2] == ["1", "demo"] for line in output.splitlines())
+
+
+def test_each_file_of_the_tutorial_is_that_of_the_example() -> None:
+    """So what a reader types is what the tests above play."""
+    shown = re.findall(r"^`([\w./]+)`:\n\n```\n(.*?)^```", TUTORIAL.read_text(), re.DOTALL | re.MULTILINE)
+    assert {name: text for name, text in shown if (EXAMPLE / name).read_text() != text} == {}
+    files = {str(path.relative_to(EXAMPLE)) for path in EXAMPLE.rglob("*") if path.suffix in {".py", ".toml", ".yaml"}}
+    assert files == {name for name, _ in shown}
+
+
+def test_the_python_of_the_tutorial_works(packages: Path) -> None:
+    (play,) = re.findall(r"^```python\n(import gymnasium.*?)^```", TUTORIAL.read_text(), re.DOTALL | re.MULTILINE)
+    assert "success" in python(packages, play)

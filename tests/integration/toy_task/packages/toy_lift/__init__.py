@@ -1,1 +1,0 @@
-"""A task of somebody else's: lift a block off a table."""
