@@ -526,3 +526,11 @@ def test_the_front_page_moves_only_on_request_for_readers_who_want_no_motion(pag
     expect(page.get_by_role("button", name="Play it in 3D")).to_have_count(0)
     expect(page.locator("form.transport output")).not_to_have_text(re.compile(r"^0\.0 of"))
     assert violations(page) == []
+
+
+def test_an_embedded_episode_is_accessible(site: SiteUnderTest, page: Page) -> None:
+    path, played = made(site), submission_id(site)
+    site.data.found[:] = [found.model_copy(update={"public": found.id == played}) for found in site.data.found]
+    site.open(page, f"/embed{path}")
+    expect(page.get_by_role("form", name="Playback")).to_be_visible()
+    assert violations(page) == []

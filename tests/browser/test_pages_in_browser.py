@@ -9,7 +9,16 @@ import pytest
 from browser_checks import DESK, PHONE, ZOOMED, Complaints, violations
 from checked_pages import WITH_SCENES, unchecked
 from fastapi import APIRouter
-from page_fixtures import a_finished_cup, a_leaderboard, a_score, a_submission, a_worker, an_entry, an_operations_view
+from page_fixtures import (
+    TASK,
+    a_finished_cup,
+    a_leaderboard,
+    a_score,
+    a_submission,
+    a_worker,
+    an_entry,
+    an_operations_view,
+)
 from page_service import FixedData
 from playwright.sync_api import Browser, Page, Route, expect
 from site_under_test import SiteUnderTest
@@ -92,6 +101,12 @@ def test_an_empty_site_is_accessible(page: Page, site: SiteUnderTest) -> None:
     for path in ("/", "/submissions"):
         site.open(page, path)
         assert violations(page) == []
+
+
+def test_a_frame_without_a_public_episode_is_accessible(page: Page, site: SiteUnderTest) -> None:
+    site.open(page, f"/embed{site.path_of('done')}/episodes/{TASK}/5")
+    expect(page.get_by_text("There is no public episode here")).to_be_visible()
+    assert violations(page) == []
 
 
 def test_a_running_evaluation_moves_on_without_a_reload_and_ends_with_its_score(

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 
 from starlette.routing import Route
+from vitac.web.pages.episodes.page import EMBED
 from vitac.web.pages.routes import EPISODES, pages
 
 BOARD = "/tracks/track_1?stage=stage1"
@@ -23,7 +24,7 @@ PAGES_OF_ROLES = {
 SUBMISSION is one of the participant's team, PUBLIC another one, which the team shares with everybody.
 """
 WITH_SCENES = {
-    **dict.fromkeys(EPISODES, "test_episodes_in_browser"),
+    **dict.fromkeys((*EPISODES, *(EMBED + address for address in EPISODES)), "test_episodes_in_browser"),
     "/submissions/{submission_id}/sensor": "test_sensors_in_browser",
 }
 """Pages that need a browser that draws scenes, by the modules that look at them."""

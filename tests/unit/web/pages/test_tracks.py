@@ -1,5 +1,6 @@
 import re
 import struct
+from html import unescape
 from pathlib import Path
 
 import pytest
@@ -219,6 +220,11 @@ def test_rules_of_a_variant_show_what_is_drawn_from_which_range(browser: AsgiBro
 def test_rules_name_the_contact_model(browser: AsgiBrowser, track: str, name: str) -> None:
     html = browser.get(f"/tracks/{track}/rules").text
     assert set(re.findall(r'href="/docs/contact">([\w-]+)</a>', html)) == {name}
+
+
+def test_commands_to_take_part_stand_on_lines_of_their_own(browser: AsgiBrowser) -> None:
+    html = unescape(browser.get("/tracks/track_1/rules").text)
+    assert '\nvitac register "TEAM NAME"\nvitac submit FOLDER</code>' in html
 
 
 def test_rules_begin_with_the_scene_of_each_task(browser: AsgiBrowser) -> None:
