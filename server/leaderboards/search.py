@@ -2,13 +2,13 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from datetime import UTC, date, datetime
+from datetime import UTC, date
 from enum import StrEnum
-from typing import Protocol, Self, TypeVar
+from typing import Self, TypeVar
 
 from .. import names
 from ..errors import ProblemCode, ServiceError
-from ..views.leaderboards import BaselineView, LeaderboardView, LogBoardsView
+from ..views.leaderboards import BaselineView, BoardEntryView, LeaderboardView, LogBoardsView
 
 MAX_TEXT = 64
 LONGEST_KEY = 1024
@@ -23,19 +23,7 @@ class Rows(StrEnum):
     BASELINES = "baselines"
 
 
-class Entry(Protocol):
-    """A row that can be searched for."""
-
-    @property
-    def team(self) -> str:
-        """Whose it is."""
-
-    @property
-    def submitted_at(self) -> datetime:
-        """When it arrived."""
-
-
-EntryT = TypeVar("EntryT", bound=Entry)
+EntryT = TypeVar("EntryT", bound=BoardEntryView)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +87,7 @@ class BoardSearch:
         changes = {"boards": boards, "text_logs": self.find(found.text_logs)}
         return found if self.is_empty else found.model_copy(update=changes)
 
-    def _shows(self, entry: Entry, wanted: str) -> bool:
+    def _shows(self, entry: BoardEntryView, wanted: str) -> bool:
         day = entry.submitted_at.astimezone(UTC).date()
         if (self.since and day < self.since) or (self.until and day > self.until):
             return False

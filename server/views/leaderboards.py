@@ -14,7 +14,28 @@ from .evaluations import CopyView
 from .scores import PlayedScoreView, TaskScoreView
 
 
-class LeaderboardEntryView(View):
+class BoardEntryView(View):
+    """A row of any board: whose it is, and what it shows."""
+
+    team: str
+    evaluation_id: UUID
+    submission_id: UUID
+    submission_name: str
+    submitted_at: datetime
+    evaluator_version: str
+
+
+class RankedEntryView(BoardEntryView):
+    """A row of a board that ranks."""
+
+    stale: bool = Field(description="Another evaluator version made it: it is not comparable.")
+    episodes: int
+    successes: int
+    result_hash: str
+    list_kind: ListKind = Field(description="Who could know the episodes that it was scored on.")
+
+
+class LeaderboardEntryView(RankedEntryView):
     """Best entry of one team."""
 
     rank: int | None = Field(
@@ -23,17 +44,9 @@ class LeaderboardEntryView(View):
     rank_range: tuple[int, int] | None = Field(
         description="First and last rank that it could have by chance, as the 95 % intervals of all entries overlap."
     )
-    stale: bool = Field(description="Another evaluator version made it: it is not comparable.")
     copy_of: CopyView | None = Field(default=None, description="Null where it is alike to no earlier one.")
-    team: str
-    evaluation_id: UUID
-    submission_id: UUID
-    submission_name: str
     kind: SubmissionKind
-    submitted_at: datetime
     evaluated_at: datetime
-    episodes: int
-    successes: int
     success_rate: float = Field(description="Of the task; without one the mean over all tasks, one not played being 0.")
     success_rate_interval: tuple[float, float] = Field(description="95 % interval of that.")
     mean_steps: float | None = Field(
@@ -43,9 +56,6 @@ class LeaderboardEntryView(View):
         default=None, description="Over the tasks that it plays alone, of those that count on this leaderboard."
     )
     scores: list[TaskScoreView] = Field(description="Of the tasks that it plays and this leaderboard ranks.")
-    result_hash: str
-    evaluator_version: str
-    list_kind: ListKind = Field(description="Who could know the episodes that it was scored on.")
 
 
 class BaselineView(View):
@@ -101,26 +111,15 @@ class LeaderboardView(View):
         return self.model_copy(update={"entries": self.entries[after : after + limit], "next_after": more})
 
 
-class LogEntryView(View):
+class LogEntryView(RankedEntryView):
     """Best verified log of one team for one task."""
 
     rank: int | None = Field(description="Null for a copy, and where another evaluator version made it.")
-    stale: bool = Field(description="Another evaluator version made it: it is not comparable.")
-    team: str
-    evaluation_id: UUID
-    submission_id: UUID
-    submission_name: str
     verdict: VerificationResult
     copy_of: CopyView | None = Field(description="Null where it is alike to no earlier one.")
-    submitted_at: datetime
-    episodes: int
-    successes: int
     success_rate: float
     success_rate_interval: tuple[float, float]
     mean_steps: float | None
-    result_hash: str
-    evaluator_version: str
-    list_kind: ListKind = Field(description="Who could know the episodes that it was scored on.")
 
 
 class LogBoardView(View):
@@ -135,21 +134,15 @@ class LogBoardView(View):
     entries: list[LogEntryView]
 
 
-class TextLogEntryView(View):
+class TextLogEntryView(BoardEntryView):
     """A 2025 text log: what it claims, and what our physics makes of its actions. Not ranked."""
 
-    team: str
     task: str
-    evaluation_id: UUID
-    submission_id: UUID
-    submission_name: str
-    submitted_at: datetime
     claimed_success_rate: float
     claimed_mean_steps: float | None
     success_rate: float
     mean_steps: float | None
     problems: int
-    evaluator_version: str
 
 
 class LogBoardsView(View):

@@ -2,38 +2,16 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from datetime import datetime
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 from urllib.parse import urlencode
-from uuid import UUID
 
 from starlette.requests import Request
 from vitac.server.leaderboards.search import BoardSearch
+from vitac.server.views.leaderboards import BoardEntryView
 
 PAGE_ENTRIES = 50
 
-
-class Entry(Protocol):
-    """A row of a board: whose it is, and what it shows."""
-
-    @property
-    def team(self) -> str:
-        """Whose it is."""
-
-    @property
-    def submitted_at(self) -> datetime:
-        """When it arrived."""
-
-    @property
-    def evaluation_id(self) -> UUID:
-        """What it shows; that never changes."""
-
-    @property
-    def submission_id(self) -> UUID:
-        """What its link leads to."""
-
-
-EntryT = TypeVar("EntryT", bound=Entry)
+EntryT = TypeVar("EntryT", bound=BoardEntryView)
 
 
 @dataclass(frozen=True, kw_only=True)
