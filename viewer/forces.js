@@ -12,11 +12,12 @@ const NICE_N = [1, 2, 5, 10, 20, 50, 100, 200, 500];
 const ALONG = new Vector3(0, 1, 0); // of the geometries
 
 export class Forces {
-  constructor(scene, { arrays }) {
+  /** `most` is the force of the longest arrow [N], the same in all scenes of a page. */
+  constructor(scene, { arrays }, most) {
     this.places = arrays.arrow_places_mm;
     this.forces = arrays.arrow_forces_n;
     this.perMoment = this.places?.shape[1] ?? 0;
-    this.mmPerN = LONGEST_MM / Math.max(1, largest(this.forces));
+    this.mmPerN = LONGEST_MM / Math.max(1, most);
     const shaft = new CylinderGeometry(THICK_MM, THICK_MM, 1, 12).translate(0, -0.5, 0);
     const head = new ConeGeometry(...HEAD_MM, 16).translate(0, -0.5 * HEAD_MM[1], 0);
     this.arrows = Array.from({ length: this.perMoment }, (_, at) => arrow(shaft, head, at < GELS ? COLOURS.gel : COLOURS.fixed));
@@ -60,7 +61,8 @@ function arrow(shaft, head, color) {
   return made;
 }
 
-function largest(forces) {
+/** The largest force that is shown in an episode [N]. */
+export function largestForce({ arrays: { arrow_forces_n: forces } }) {
   let most = 0;
   for (let at = 0; at < (forces?.values.length ?? 0); at += 3) most = Math.max(most, Math.hypot(...forces.values.subarray(at, at + 3)));
   return most;

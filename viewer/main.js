@@ -7,10 +7,11 @@ import { fetchFile } from "./container.js";
 import { element } from "./elements.js";
 import { Episode } from "./episode.js";
 import { Film } from "./film.js";
+import { largestForce } from "./forces.js";
 import { showGel } from "./gel.js";
 import { Plots } from "./plots.js";
 import { Sections } from "./sections.js";
-import { drawFlow, magnification } from "./sensors.js";
+import { Flows, magnification } from "./sensors.js";
 import { askedStep, Sharing } from "./sharing.js";
 import { Stage } from "./stage.js";
 import { Transport } from "./transport.js";
@@ -28,27 +29,28 @@ class Player {
     return { section, episode: new Episode(scene), cameras };
   }
 
-  /** `factor` is how many times longer than they are arrows are drawn, the same in all players of a page. */
-  constructor({ section, episode, cameras }, factor) {
+  /** The same in all players of a page: `factor`, how many times longer than they are arrows of markers are drawn; `force`,
+   * that of the longest arrow in a scene [N]; `all`, the episodes. */
+  constructor({ section, episode, cameras }, { factor, force, all }) {
     this.section = section;
     this.episode = episode;
-    this.stage = this.#stage();
+    this.stage = this.#stage(force);
     this.measured = document.querySelector(`[data-measured="${section.id}"]`) ?? section;
     this.panels = this.#place("panels");
     this.legend = this.stage && this.#legend();
-    this.flows = ["left", "right"].map((side) => this.#panel(`${side} sensor, marker flow ×${factor}`, "flow"));
+    const canvases = ["left", "right"].map((side) => this.#panel(`${side} sensor, marker flow ×${factor}`, "flow"));
+    this.flows = new Flows(episode, canvases, factor);
     this.sections = new Sections(episode, {
       above: this.#panel(`${episode.header.held_name} and ${episode.header.fixed_name} from above`, "flow"),
       upright: this.#panel(`${episode.header.held_name} and ${episode.header.fixed_name}, section`, "flow"),
     });
-    this.factor = factor;
-    this.plots = new Plots(this.#place("plots"), episode, this.#moments());
+    this.plots = new Plots(this.#place("plots"), episode, this.#moments(), all);
     this.cameras = cameras && this.#cameras(cameras);
     this.shown = {};
   }
 
   /** `largest` are the upper ends of the colour scales, which all players of a page share. */
-  show(time, { quantity, isCutOpen, isXray, hasForces, view }, largest) {
+  show(time, { quantity, isCutOpen, isXray, hasForces, hasPictures, view }, largest) {
     const step = this.episode.stepAt(time);
     const ended = Math.min(time, this.episode.lastStep);
     if (isCutOpen !== (this.shown.isCutOpen ?? true)) this.stage?.cutOpen(isCutOpen);
@@ -58,12 +60,10 @@ class Player {
     this.stage?.show(ended, quantity, largest[quantity]);
     this.sections.show(this.episode.around(ended));
     this.plots.show(time);
-    if (step !== this.shown.step) {
-      this.flows.forEach((canvas, side) => drawFlow(canvas, this.episode, step, side, this.factor));
-      this.cameras?.show(step);
-    }
+    if (step !== this.shown.step || hasPictures !== this.shown.hasPictures) this.flows.show(step, hasPictures);
+    if (step !== this.shown.step) this.cameras?.show(step);
     if (this.legend && quantity !== this.shown.quantity) this.#showLegend(quantity, largest);
-    this.shown = { step, quantity, isCutOpen, isXray, hasForces, view };
+    this.shown = { step, quantity, isCutOpen, isXray, hasForces, hasPictures, view };
   }
 
   /** Shows the held part of another episode in this scene, too, if it is the same part. */
@@ -85,11 +85,11 @@ class Player {
   }
 
   /** The scene, or the still picture where the browser has no WebGL. */
-  #stage() {
+  #stage(force) {
     const canvas = this.section.querySelector("canvas.scene");
     try {
       canvas.hidden = false;
-      const stage = new Stage(canvas, this.episode);
+      const stage = new Stage(canvas, this.episode, force);
       this.section.querySelector(".still")?.classList.add("printed");
       return stage;
     } catch {
@@ -150,7 +150,9 @@ async function start() {
   if (!made.length || !form) return;
   const loaded = await Promise.all(made.map(Player.load));
   const factor = Math.min(...loaded.map(({ episode }) => magnification(episode)));
-  const players = loaded.map((found) => new Player(found, factor));
+  const all = loaded.map(({ episode }) => episode);
+  const force = Math.max(...all.map(largestForce));
+  const players = loaded.map((found) => new Player(found, { factor, force, all }));
   const length = Math.max(...players.map((player) => player.episode.lastStep));
   const largest = {};
   for (const quantity of Object.keys(LEGENDS)) {
@@ -163,6 +165,7 @@ async function start() {
     moment.addEventListener("click", () => transport.moveTo(step));
     transport.mark(step, moment.querySelector(".moment").classList[1]);
   }
+  players.forEach((player) => player.plots.follow((step) => transport.moveTo(step)));
   new Sharing(form.querySelector("[data-share]"), () => transport.time);
   transport.moveTo(askedStep());
   reveal("player");

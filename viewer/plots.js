@@ -8,9 +8,10 @@ const COLOURS = 6;
 const BOX = { left: 40, right: 292, top: 22, bottom: 106 };
 
 export class Plots {
-  /** `moments` are env steps that are marked. */
-  constructor(parent, episode, moments) {
-    this.episode = episode;
+  /** `moments` are env steps that are marked; `all` are the episodes of a page, whose plots have the same axes. */
+  constructor(parent, episode, moments, all) {
+    this.length = Math.max(...all.map(({ lastStep }) => lastStep));
+    this.others = all.flatMap(allSeries);
     this.marked = new Set(moments);
     this.cursors = [];
     this.shown = undefined;
@@ -18,8 +19,22 @@ export class Plots {
     parent.append(table(episode));
   }
 
+  /** Moves to where a plot is pressed, or along it. */
+  follow(moveTo) {
+    for (const { ownerSVGElement: plot } of this.cursors) {
+      const move = ({ clientX, buttons }) => {
+        if (!buttons) return;
+        const { left, width } = plot.getBoundingClientRect();
+        const part = ((clientX - left) * (WIDTH / width) - BOX.left) / (BOX.right - BOX.left);
+        moveTo(part * this.length);
+      };
+      plot.addEventListener("pointerdown", move);
+      plot.addEventListener("pointermove", move);
+    }
+  }
+
   show(time) {
-    const x = Math.round(this.#x(Math.min(time, this.episode.lastStep)));
+    const x = Math.round(this.#x(Math.min(time, this.length)));
     if (x === this.shown) return;
     this.shown = x;
     for (const cursor of this.cursors) {
@@ -29,12 +44,13 @@ export class Plots {
   }
 
   #x(step) {
-    return BOX.left + (BOX.right - BOX.left) * (step / Math.max(1, this.episode.lastStep));
+    return BOX.left + (BOX.right - BOX.left) * (step / Math.max(1, this.length));
   }
 
   #plot({ title, lines, first, times, goal, isLimit }) {
     const kind = (at) => `line-${at % COLOURS}${at < COLOURS ? "" : " again"}`;
-    const values = lines.flatMap((line) => line.values).concat([0], goal === undefined ? [] : [goal]);
+    const beside = this.others.filter((series) => series.title === title);
+    const values = beside.flatMap((series) => series.lines.flatMap((line) => line.values)).concat([0], goal === undefined ? [] : [goal]);
     const [low, high] = [Math.min(...values), Math.max(...values)];
     const reach = high - low || 1;
     const y = (value) => BOX.bottom - (BOX.bottom - BOX.top) * ((value - low) / reach);
@@ -50,7 +66,7 @@ export class Plots {
       label(BOX.left - 4, y(high) + 4, short(high), "end"),
       label(BOX.left - 4, y(low) + 4, short(low), "end"),
       label(BOX.left, HEIGHT - 8, "0", "middle"),
-      label(BOX.right, HEIGHT - 8, `${this.episode.lastStep}`, "end"),
+      label(BOX.right, HEIGHT - 8, `${this.length}`, "end"),
       label(0.5 * (BOX.left + BOX.right), HEIGHT - 8, "env step", "middle"),
     );
     if (goal !== undefined) svg.append(drawn("line", { class: isLimit ? "limit" : "goal", x1: BOX.left, x2: BOX.right, y1: y(goal), y2: y(goal) }));

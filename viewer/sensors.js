@@ -1,6 +1,8 @@
-// The marker flow of both sensors after an env step, as arrows in the coordinates of their pictures.
+// What both sensors see after an env step: the marker flow as arrows, over the pictures of their cameras.
 
+import { element } from "./elements.js";
 import { scaleBar } from "./sections.js";
+import { TactileCamera } from "./tactile.js";
 
 const WIDTH_PX = 320;
 const HEIGHT_PX = 240;
@@ -20,25 +22,93 @@ export function magnification(episode) {
   return MAGNIFICATIONS.find((factor) => factor * longest * episode.header.flow_unit_px <= LONGEST_PX) ?? 1;
 }
 
-/** Draws one sensor's arrows. */
-export function drawFlow(canvas, episode, step, side, factor) {
+/** Both sensors on canvases of their own. */
+export class Flows {
+  constructor(episode, canvases, factor) {
+    this.episode = episode;
+    this.canvases = canvases;
+    this.factor = factor;
+    this.pictures = new Map(); // by env step and side, as they take longer than a frame
+  }
+
+  /** Shows an env step; `hasPictures`: over what the cameras see, which comes a moment later where it is new. */
+  show(step, hasPictures) {
+    this.shown = hasPictures ? step : undefined;
+    this.canvases.forEach((canvas, side) => {
+      const name = `${step} ${side}`;
+      drawFlow(canvas, this.episode, step, side, this.factor, hasPictures && this.pictures.get(name));
+      if (hasPictures && !this.pictures.has(name)) setTimeout(() => this.#take(step, side, name));
+    });
+  }
+
+  #take(step, side, name) {
+    if (this.shown !== step) return;
+    const { arrays, header } = this.episode;
+    this.camera ??= new TactileCamera(arrays.gel_nodes_mm.values, arrays.gel_triangles.values, header.sensor_camera);
+    const moved = displacements(this.episode, step, side);
+    const markers = places(this.episode, arrays.flow_positions, step, side);
+    const pixels = this.camera.picture(moved, heldInGel(this.episode, step, side), arrays.held_triangles.values, markers);
+    const picture = element("canvas", { width: WIDTH_PX, height: HEIGHT_PX });
+    picture.getContext("2d").putImageData(new ImageData(pixels, WIDTH_PX, HEIGHT_PX), 0, 0);
+    this.pictures.set(name, picture);
+    drawFlow(this.canvases[side], this.episode, step, side, this.factor, picture);
+  }
+}
+
+/** Draws one sensor's arrows, over the picture of its camera if there is one. */
+function drawFlow(canvas, episode, step, side, factor, picture) {
   const ratio = Math.min(2, window.devicePixelRatio);
   canvas.width = WIDTH_PX * ratio;
   canvas.height = HEIGHT_PX * ratio;
   const context = canvas.getContext("2d");
   context.scale(ratio, ratio);
-  context.strokeStyle = getComputedStyle(canvas).color;
-  context.lineWidth = 1.4;
-  const unit = episode.header.flow_unit_px;
-  const first = 2 * MARKERS * (2 * step + side);
+  if (picture) context.drawImage(picture, 0, 0);
+  const [from, to] = [episode.arrays.flow_references, episode.arrays.flow_positions].map((flow) => places(episode, flow, step, side));
   context.beginPath();
-  for (let at = first; at < first + 2 * MARKERS; at += 2) {
-    const [u, v] = [0, 1].map((axis) => unit * episode.arrays.flow_references.values[at + axis]);
-    const [du, dv] = [u, v].map((from, axis) => factor * (unit * episode.arrays.flow_positions.values[at + axis] - from));
-    arrow(context, u, v, u + du, v + dv);
+  for (let at = 0; at < from.length; at += 2) {
+    const [u, v] = [from[at], from[at + 1]];
+    arrow(context, u, v, u + factor * (to[at] - u), v + factor * (to[at + 1] - v));
   }
+  if (picture) stroke(context, "rgb(0 0 0 / 0.55)", 3.4);
+  const colour = picture ? "#ffffff" : getComputedStyle(canvas).color;
+  stroke(context, colour, 1.4);
+  scaleBar(context, factor * BAR_PX, `${BAR_PX} px`, colour);
+}
+
+function stroke(context, colour, width) {
+  Object.assign(context, { strokeStyle: colour, lineWidth: width });
   context.stroke();
-  scaleBar(context, factor * BAR_PX, `${BAR_PX} px`, context.strokeStyle);
+}
+
+/** Markers of one sensor in the picture after an env step, u and v in turn [pixel]. */
+function places(episode, { values }, step, side) {
+  const first = 2 * MARKERS * (2 * step + side);
+  return Float32Array.from(values.subarray(first, first + 2 * MARKERS), (value) => episode.header.flow_unit_px * value);
+}
+
+/** How far the nodes of a gel are from their rest after an env step [mm]. */
+function displacements(episode, step, side) {
+  const { arrays, header, nodes } = episode;
+  const first = 3 * nodes * (2 * lastMoment(episode, step) + side);
+  return Float32Array.from(arrays.displacements.values.subarray(first, first + 3 * nodes), (value) => header.displacement_unit_mm * value);
+}
+
+/** Vertices of the held part in the frame of a gel after an env step [mm]. */
+function heldInGel(episode, step, side) {
+  const moment = lastMoment(episode, step);
+  const place = { before: moment, next: moment, fraction: 0 };
+  const [gel, held] = [episode.sensorPose(place, side, []), episode.heldPose(place, [])];
+  const own = episode.arrays.held_vertices_mm.values;
+  const found = new Float32Array(own.length);
+  for (let at = 0; at < own.length; at += 3) {
+    const away = [0, 1, 2].map((row) => held[9 + row] - gel[9 + row] + [0, 1, 2].reduce((sum, axis) => sum + held[3 * row + axis] * own[at + axis], 0));
+    for (let axis = 0; axis < 3; axis += 1) found[at + axis] = away.reduce((sum, value, row) => sum + gel[3 * row + axis] * value, 0);
+  }
+  return found;
+}
+
+function lastMoment({ times }, step) {
+  return times.findLastIndex((time) => time <= step + 1e-6);
 }
 
 function arrow(context, fromU, fromV, toU, toV) {

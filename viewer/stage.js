@@ -37,8 +37,8 @@ const PATH = { color: 0xc2255c, radiusMm: 0.35, points: 8 };
 const ROOM_AROUND_CONTACT = 0.45; // of the sphere around all
 
 export class Stage extends View {
-  /** Throws where the browser has no WebGL. */
-  constructor(canvas, episode) {
+  /** `force` is that of the longest arrow [N]. Throws where the browser has no WebGL. */
+  constructor(canvas, episode, force) {
     super(canvas);
     this.episode = episode;
     this.renderer.localClippingEnabled = true;
@@ -50,7 +50,7 @@ export class Stage extends View {
     const { cut } = episode.header; // what is on the positive side of the plane is taken away
     this.planes = cut ? [new Plane(new Vector3(...cut.normal).negate(), cut.offset_mm)] : [];
     this.held = this.#held();
-    this.forces = new Forces(this.scene, episode);
+    this.forces = new Forces(this.scene, episode, force);
     this.fixed = this.#fixed();
     this.fixed.cut(this.planes);
     this.path = this.#path();

@@ -73,6 +73,7 @@ def _packed(playback: Playback, moments: list[Moment]) -> bytes:
         "displacement_unit_mm": DISPLACEMENT_UNIT_MM,
         "flow_unit_px": FLOW_UNIT_PX,
         "pressure_unit_kpa": 1e-3 * pressure_unit_pa,
+        "sensor_camera": list(playback.camera),
         "surface_limit_mm": 1e3 * LARGEST_SURFACE_DIFF_M,
         "force_limit_n": ends[-1].info.get("force_limit_n"),
         **_described(perspective),

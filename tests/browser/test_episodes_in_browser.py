@@ -202,6 +202,13 @@ def test_scrubbing_moves_scene_flow_and_plots(site: SiteUnderTest, page: Page) -
     expect(page.get_by_label("Env step", exact=True)).to_have_attribute("aria-valuetext", "env step 2.5 of 3")
     after = seen(scene), flow.screenshot(), cursor.get_attribute("x1")
     assert all(one != other for one, other in zip(before, after, strict=True))
+    tints = [max(colour) - min(colour) for colour in colours(flow)]
+    open_layers(page)
+    page.get_by_label("Tactile pictures").uncheck()
+    assert max(tints) > 2 > max(max(colour) - min(colour) for colour in colours(flow)), "arrows on grey"
+    plot = page.get_by_role("img", name="Reward over the env steps")
+    plot.click()  # its middle
+    assert 1 < float(page.get_by_label("Env step", exact=True).input_value()) < 2
 
 
 def test_playing_goes_to_the_end_at_the_chosen_speed_and_starts_again(site: SiteUnderTest, page: Page) -> None:

@@ -5,6 +5,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from browser_checks import DESK
 from page_service import FixedData
@@ -13,6 +14,9 @@ from playwright.sync_api import Browser, Page, expect
 from real_browser import SOFTWARE_WEBGL, launched
 from site_under_test import SiteUnderTest
 from tab_key import press_tab_through
+from vitac.envs.tactile.camera import camera_frame
+from vitac.envs.tactile.thickness import eye_distance_m
+from vitac.envs.vision.tactile_picture import TactileCamera
 from waiting import LIMIT_S, PIXELS_AT_REST, resize, until, wait_for_rest
 
 pytestmark = pytest.mark.slow
@@ -249,3 +253,51 @@ def test_a_rise_that_was_too_much_is_not_tried_soon(empty_page: Page, repository
 def test_a_rest_forgets_how_long_frames_took(empty_page: Page, repository: Path) -> None:
     steps: list[Any] = [*[40.0] * 5, None]
     assert len(set(parts(empty_page, repository, *steps * 4))) == 1
+
+
+TAKEN = """async ([source, nodes, triangles, ...seen]) => {
+    const { TactileCamera } = await import(URL.createObjectURL(new Blob([source], { type: "text/javascript" })));
+    const camera = new TactileCamera(new Float32Array(nodes), new Uint16Array(triangles));
+    return Array.from(camera.picture(...seen));
+}"""
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_the_player_sees_a_gel_as_the_renderer_of_observations_does(
+    empty_page: Page, repository: Path, side: int
+) -> None:
+    played = guided("peg-insertion", 5)
+    gel, moment = played.gel, played.moments[played.last_moments[1]]
+    pose, markers = moment.sensor_poses[side], moment.marker_flow[side, 1].astype(np.float64)
+    eye_m = eye_distance_m(gel)
+    gel_m, held_m = (
+        camera_frame(points_m, pose.rotation, pose.centre_m, eye_m)
+        for points_m in (moment.gel_nodes_m[side], moment.held_m)
+    )
+    expected = TactileCamera(gel, played.camera).picture(gel_m, held_m, played.held.triangles, markers)
+    surface = np.unique(gel.surface_triangles)
+    in_gel_mm = [
+        1e3 * (points_m - pose.centre_m) @ pose.rotation
+        for points_m in (moment.gel_nodes_m[side][surface], moment.held_m)
+    ]
+    rest_mm = 1e3 * gel.rest_position_m[surface]
+    moved_mm = (in_gel_mm[0] - rest_mm).round(3)  # as files have it
+    arrays = (
+        rest_mm,
+        np.searchsorted(surface, gel.surface_triangles),
+        moved_mm,
+        in_gel_mm[1],
+        played.held.triangles,
+        markers,
+    )
+    source = (repository / "viewer" / "tactile.js").read_text(encoding="utf-8")
+    found = empty_page.evaluate(TAKEN, [source, *(array.ravel().tolist() for array in arrays)])
+    shown = np.array(found).reshape(*expected.shape[:2], 4)[:, :, 2::-1]
+    assert np.abs(shown - expected.astype(np.int64)).max() <= 2
+    untouched = TactileCamera(gel, played.camera).picture(
+        camera_frame(gel.rest_position_m, np.eye(3), np.zeros(3), eye_m),
+        np.zeros((0, 3)),
+        played.held.triangles[:0],
+        markers,
+    )
+    assert np.abs(shown - untouched.astype(np.int64)).max() > 10, "it shows how the gel is deformed"
