@@ -11,6 +11,7 @@ from .metrics.instruments import Instruments
 from .postgres.embedded import EmbeddedPostgres
 from .settings import Settings
 from .storage.blobs import BlobStore
+from .traces import require_packages
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +39,7 @@ def open_services(
     Raises:
         VitacError: one of them cannot be used here; the message says what to do.
     """
+    require_packages()
     with ExitStack() as stack:
         postgres = None
         if settings.database_url is not None:

@@ -16,7 +16,7 @@ compile() { # output file, further arguments...
 compile requirements/base.lock "$@"
 compile requirements/server.lock --extra server --constraint requirements/base.lock "$@"
 compile requirements/show.lock --extra show --constraint requirements/server.lock "$@"
-compile requirements/dev.lock --extra server --extra show --extra station --extra dev --constraint requirements/show.lock "$@"
+compile requirements/dev.lock --extra server --extra show --extra station --extra telemetry --extra dev --constraint requirements/show.lock "$@"
 compile requirements/station.lock --extra station --constraint requirements/dev.lock "$@"
 compile requirements/data.lock --extra data --constraint requirements/dev.lock "$@"
 compile requirements/maniskill.lock --extra maniskill --constraint requirements/dev.lock --override requirements/omitted.in "$@" requirements/torch.in

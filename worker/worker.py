@@ -22,6 +22,7 @@ from vitac.server.queue import leases
 from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD, make_worker_app
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
+from vitac.server.traces import span
 
 from .fitness import queues_here
 from .leased_run import DATABASE_PATIENCE_S, RunEnd
@@ -177,7 +178,11 @@ class QueueWorker:
             return
         evaluation = str(lease.evaluation_id)
         run = ShardRun(self._services, self._stage, lease, self._start, slot)
-        end = self._ended(run, shard=shard_id, evaluation=evaluation)
+        names: dict[str, int | str] = {"shard": shard_id, "evaluation": evaluation}
+        played = {**names, "task": lease.task, "attempt": lease.attempt, "waited_s": lease.waited_s}
+        with span("shard", lease.traceparent, played) as found:
+            end = self._ended(run, **names)
+            found["end"] = str(end)
         if end is None:
             return
         self._count(end)

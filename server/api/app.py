@@ -10,6 +10,7 @@ from fastapi import APIRouter, FastAPI
 from fastapi.concurrency import run_in_threadpool
 from starlette.routing import BaseRoute
 
+from .. import traces
 from ..housekeeping import Housekeeping
 from ..limiter import ConcurrencyLimiter, SignInLimiters, WindowLimiter
 from ..notices.sending import NoticeSender
@@ -78,6 +79,7 @@ def create_app(
         version=version("vitac-arena"),
         description=DESCRIPTION,
         lifespan=_lifespan(settings, services, sweeps=sweeps),
+        telemetry={"auto_configure": traces.are_asked_for(), "metrics": False, "logs": False},
         # The interactive pages of the framework load scripts from elsewhere; /openapi.json is enough.
         docs_url=None,
         redoc_url=None,

@@ -27,6 +27,7 @@ from ..queue.leases import Lease, end_shard, hand_back, lock_held
 from ..queue.turns import next_turn
 from ..receipts.issuing import issue_for_result
 from ..settings import Settings
+from ..traces import current_traceparent
 from ..tracks import find_family
 from ..visibility import played_list_kind
 from .archive_copies import note_archive_copies
@@ -86,6 +87,7 @@ def start(
         asked_by_team=charged_at is not None,
         rejudgement_id=rejudgement_id,
         is_proposed=rejudgement_id is not None,
+        traceparent=current_traceparent(),
         created_at=datetime.now(UTC),
     )
     evaluation.list_kind = played_list_kind(evaluation)

@@ -17,6 +17,7 @@ from vitac.evaluator.shards.result import ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks.versions import find_version
 
+from .. import traces
 from ..db.models import Evaluation, Shard, SubmissionFile
 from ..db.row_locks import lock_evaluation
 from ..db.states import EvaluationState, FileRole, ShardState
@@ -35,6 +36,7 @@ class Lease:
     Attributes:
         commitment: of the sealed list that is played; None for the public one.
         waited_s: how long the shard was queued [s].
+        traceparent: trace of the request that its evaluation began in.
     """
 
     shard_id: int
@@ -54,6 +56,7 @@ class Lease:
     number: int
     episodes: tuple[int, ...]
     waited_s: float
+    traceparent: str | None = None
 
 
 def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> Lease | None:
@@ -96,6 +99,7 @@ def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> L
         number=shard.number,
         episodes=tuple(shard.episodes),
         waited_s=(now - shard.queued_at).total_seconds(),
+        traceparent=evaluation.traceparent if traces.are_asked_for() else None,
     )
 
 

@@ -110,6 +110,7 @@ class Evaluation(Base):
     practice_scores: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
     result_hash: Mapped[str | None] = mapped_column(String(64))
     packages: Mapped[list[dict[str, str]]] = mapped_column(JSONB, default=list, server_default="[]", deferred=True)
+    traceparent: Mapped[str | None] = mapped_column(deferred=True)
     submission: Mapped[Submission] = relationship()
     sealed_list: Mapped[SealedList | None] = relationship()
     shards: Mapped[list["Shard"]] = relationship(back_populates="evaluation", order_by="Shard.id")
