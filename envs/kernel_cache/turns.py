@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
 from pathlib import Path
 
 from .progress import LOCK_FILE, CompileProgress
@@ -74,14 +75,19 @@ class CompilingTurn:
 
 
 def _wait_for(lock: int, folder: Path) -> None:
-    started, said = time.monotonic(), False
+    started = time.monotonic()
     while True:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            if not said and time.monotonic() - started > _SILENT_S:
-                _LOG.warning("Another process is compiling the physics into %s; waiting for it.", folder)
-                said = True
+            if time.monotonic() - started > _SILENT_S:
+                _say_waiting(folder)
             time.sleep(_POLL_S)
         else:
             return
+
+
+@cache
+def _say_waiting(folder: Path) -> None:
+    """Say it once in a process, not for every kernel."""
+    _LOG.warning("Another process is compiling the physics into %s; waiting for it.", folder)

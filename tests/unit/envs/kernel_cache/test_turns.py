@@ -52,7 +52,9 @@ def test_a_process_waits_and_says_so(
         monkeypatch.setattr("time.sleep", end_the_other)
         with CompilingTurn().taken(tmp_path, START):
             pass
-    assert looks == [None]
+    with holder(tmp_path) as first, CompilingTurn().taken(tmp_path, START):
+        pass
+    assert looks == [None, None]
     assert caplog.messages == [f"Another process is compiling the physics into {tmp_path}; waiting for it."]
 
 

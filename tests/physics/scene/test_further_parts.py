@@ -1,0 +1,55 @@
+"""A held part pushes a loose one onto a fixed one, and feels it."""
+
+import numpy as np
+import pytest
+from vitac.envs.assets import Meshes
+from vitac.envs.fem.model.bodies import RigidBody
+from vitac.envs.geometry.solid import prism_faces, rectangle, solid_from_faces
+from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, fixed_at_origin
+from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
+from vitac.envs.scene.stopwatch import Stopwatch
+from vitac.envs.tactile.markers import MarkerSettings
+from vitac.envs.tactile.thickness import highest_mm
+
+LOOSE_BODY = 4
+LOOSE_AT_MM, HELD_AT_MM = 0.5, 6.0
+
+
+def box(width_mm: float, low_mm: float, high_mm: float, name: str) -> RigidBody:
+    half = 0.5 * width_mm
+    mesh = solid_from_faces(prism_faces(rectangle(-half, half, -half, half), low_mm, high_mm), name)
+    return RigidBody(mesh=mesh, rotation=np.eye(3), translation_m=np.zeros(3))
+
+
+def gripped(loose: RigidBody) -> GraspedScene:
+    meshes = Meshes()
+    pose = GripperPose(
+        x_m=0.0, y_m=0.0, z_m=31e-3, angle_rad=0.0, half_opening_m=(15.0 + highest_mm(meshes.gel()) + 0.1) * 1e-3
+    )
+    scene = GraspedScene(
+        gripper=Gripper(mounts=UPRIGHT_MOUNTS, gel=meshes.gel(), pose=pose),
+        held=box(30.0, HELD_AT_MM, 46.0, "finger"),
+        fixed=fixed_at_origin(box(60.0, -5.0, 0.0, "table").mesh, friction=0.5),
+        others=(loose,),
+        physics=PhysicsSettings(),
+        sensors=meshes.sensors(MarkerSettings()),
+        clocks=Clocks(physics=Stopwatch(), markers=Stopwatch()),
+    )
+    scene.move_to(scene.pose.moved(closing_m=0.975e-3), ipc_steps=2)
+    scene.capture_references()
+    return scene
+
+
+def test_a_loose_part_is_pushed_onto_the_table_and_then_pushes_back() -> None:
+    scene = gripped(box(10.0, LOOSE_AT_MM, 5.0, "loose block"))
+    before, start = scene.other_vertices_m(0), scene.state()
+    assert before[:, 2].min() == pytest.approx(LOOSE_AT_MM * 1e-3)
+    scene.move_to(scene.pose.moved(z_m=-1.8e-3), ipc_steps=8)
+    assert scene.solved
+    after = scene.other_vertices_m(0)
+    assert 0.0 < after[:, 2].min() < 0.1e-3
+    assert scene.force_on_held_n(LOOSE_BODY) == pytest.approx(scene.contact_forces_n()[0], abs=1e-3)
+    assert scene.force_on_held_n(LOOSE_BODY)[2] > 1.0
+    assert (scene.force_on_held_n(3) == 0.0).all(), "the finger does not touch the table"
+    scene.restore(start)
+    assert (scene.other_vertices_m(0) == before).all()
