@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 from markupsafe import Markup
 
@@ -12,6 +13,12 @@ class Table:
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+
+    @cached_property
+    def body(self) -> Markup:
+        """Its rows as HTML, made once: those of a board have a thousand cells, and stay as long as its plot."""
+        cell, row = Markup("<td>{}</td>"), Markup('<tr><th scope="row">{}</th>{}</tr>\n')
+        return Markup("").join(row.format(name, Markup("").join(map(cell.format, cells))) for name, *cells in self.rows)
 
 
 @dataclass(frozen=True, kw_only=True)
