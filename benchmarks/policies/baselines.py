@@ -23,7 +23,7 @@ from vitac.training.streams import Use, stream
 EXAMPLES = Path(__file__).parents[2] / "examples"
 BASELINES = {
     "peg-insertion": ("peg_insertion_trained", "peg_insertion_heuristic"),
-    "lock-opening": ("lock_opening_trained", "lock_opening_heuristic"),
+    "lock-opening": ("lock_opening_trained", "lock_opening_heuristic", "lock_opening_cloned"),
 }
 HEAD = """# Baselines
 

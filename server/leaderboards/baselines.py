@@ -30,6 +30,7 @@ _FIGURES = (
     _Figures("track_1", "peg-insertion", "peg_insertion_heuristic", 40, 270, 4.40),
     _Figures("track_1", "lock-opening", "lock_opening_trained", 160, 160, 4.72),
     _Figures("track_1", "lock-opening", "lock_opening_heuristic", 160, 160, 6.25),
+    _Figures("track_1", "lock-opening", "lock_opening_cloned", 101, 160, 6.35),
     _Figures("track_2", "fusion-insertion", "track_2_fusion", 150, 150, 23.80),
     _Figures("track_2_gt", "fusion-insertion-gt", "track_2_fusion", 150, 150, 23.80),
     _Figures("track_3", "sensor-standard", "track_3_dome", 26, 270, 4.19),

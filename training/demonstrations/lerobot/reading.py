@@ -8,12 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from vitac.envs.errors import VitacError
 from vitac.evaluator.episodes.records import ActionSequence
 
 from ...files import write_bytes
 from ..demonstration import FILE, Demonstration, Source, make_line
 from ..origin import ORIGIN, NotOurs, Origin, StoredEpisode, read_origin
+from .checking import check_lerobot
 from .layout import INFO, STATE_HASH, Version, format_path
+
+
+class DataSetBroken(VitacError):
+    """A data set is not as it was written; `vitac data check` names all that is wrong."""
 
 
 def import_lerobot(folder: Path, collections: Path) -> Path:
@@ -24,6 +30,7 @@ def import_lerobot(folder: Path, collections: Path) -> Path:
         collections: folder for the file, in a new folder named after the task.
 
     Raises:
+        DataSetBroken: it is not as it was written.
         NotOurs: it was not written by `vitac data export`, or its table has other episodes than it says.
         NotSaved: the file cannot be written.
     """
@@ -39,9 +46,12 @@ def read_lerobot(folder: Path) -> tuple[Source, Iterator[Demonstration]]:
     """Return where the demonstrations of a data set come from, and them.
 
     Raises:
-        NotOurs: as `import_lerobot`.
+        DataSetBroken, NotOurs: as `import_lerobot`.
     """
     origin = read_origin(folder)
+    fault = next(check_lerobot(folder), None)
+    if fault is not None:
+        raise DataSetBroken(f"{folder} is broken. {fault}")
     return origin.source, _read_all(folder, origin)
 
 

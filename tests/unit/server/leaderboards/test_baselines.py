@@ -24,7 +24,7 @@ def test_figures_are_the_measured_ones(repository: Path) -> None:
         for task in (TASK, LOCK)
         for one in list_baselines(load_track(TRACK), task)
     ]
-    assert len(shown) == 4
+    assert len(shown) == 5
     assert set(shown) == set(measured)
 
 

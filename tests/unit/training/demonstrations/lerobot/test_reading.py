@@ -6,8 +6,8 @@ import pytest
 from seen_episodes import SOURCE, write_data_set
 from vitac.training.demonstrations.demonstration import read_demonstrations, read_source
 from vitac.training.demonstrations.lerobot.layout import Version
-from vitac.training.demonstrations.lerobot.reading import import_lerobot
-from vitac.training.demonstrations.origin import ORIGIN, NotOurs
+from vitac.training.demonstrations.lerobot.reading import DataSetBroken, import_lerobot
+from vitac.training.demonstrations.origin import ORIGIN, NotOurs, read_origin, write_origin
 
 pytest.importorskip("pyarrow", reason="needs the extra `data`")
 
@@ -30,8 +30,17 @@ def test_refuses_what_it_cannot_play_again(tmp_path: Path) -> None:
         import_lerobot(tmp_path / "set", tmp_path / "other")
 
 
-def test_refuses_a_table_that_lost_an_episode(tmp_path: Path) -> None:
+def test_refuses_what_is_broken_and_says_where(tmp_path: Path) -> None:
     write_data_set(tmp_path / "set", Version.V2_1)
-    (tmp_path / "set/data/chunk-000/episode_000002.parquet").unlink()
+    lost = "data/chunk-000/episode_000002.parquet"
+    (tmp_path / "set" / lost).unlink()
+    with pytest.raises(DataSetBroken, match=f"{lost}: is missing"):
+        import_lerobot(tmp_path / "set", tmp_path / "back")
+
+
+def test_refuses_a_table_with_more_episodes_than_it_says(tmp_path: Path) -> None:
+    write_data_set(tmp_path / "set", Version.V2_1)
+    origin = read_origin(tmp_path / "set")
+    write_origin(tmp_path / "set", origin.model_copy(update={"episodes": origin.episodes[:2]}))
     with pytest.raises(NotOurs, match="other episodes in its table"):
         import_lerobot(tmp_path / "set", tmp_path / "back")
