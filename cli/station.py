@@ -6,10 +6,14 @@ from dataclasses import asdict
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
+from uuid import UUID
 
 import typer
 
 from .terminal.output import AsJson, print_json, print_table
+
+_DATABASE_S = 60.0
+"""Longest wait for a database that is away when the agent starts."""
 
 if TYPE_CHECKING:
     from vitac.envs.geometry.pegs import PegShape
@@ -124,26 +128,20 @@ def run(
     description = read_description(file)
     settings = load_settings(worker_slots=1)
     configure_events(sys.stderr, settings.log_format)
-    refuse_wrong_devices(description)
     key, show = key_file.read_text(encoding="utf-8").strip(), Album(pictures).show if pictures else no_pictures
-    with (
-        open_services(settings, may_run_database=False) as services,
-        Player(
-            description=description,
-            folder=settings.scratch_dir,
-            make_safe=make_safe(description),
-            attempts=1,
-            show=show,
-        ) as player,
-    ):
-        work(
-            services,
-            StationShards(player).running_shard,
-            families=(Family.STATION,),
-            enrol=lambda worker_id: services.database.retrying(
-                lambda session: enrol(session, settings, key, worker_id), give_up_after_s=60.0
-            ),
-        )
+    player = Player(
+        description=description, folder=settings.scratch_dir, make_safe=make_safe(description), attempts=1, show=show
+    )
+    with open_services(settings, may_run_database=False) as services, player:
+
+        def become_agent(worker_id: UUID) -> None:
+            """Take the station's key before the first byte to its devices: another agent may be playing on them."""
+            services.database.retrying(
+                lambda session: enrol(session, settings, key, worker_id), give_up_after_s=_DATABASE_S
+            )
+            refuse_wrong_devices(description)
+
+        work(services, StationShards(player).running_shard, families=(Family.STATION,), enrol=become_agent)
 
 
 Ros = Annotated[int | None, typer.Option("--ros", min=1, max=2, help="Version of ROS: 1 or 2.")]

@@ -15,6 +15,7 @@ getLogger("pymodbus").addHandler(NullHandler())  # what it has to say is in the 
 _BAUD: Final = 115_200
 _COMMAND_REGISTER: Final = 0x03E8
 _STATUS_REGISTER: Final = 0x07D0
+_STATUS_REGISTERS: Final = 3
 _ACTIVATE, _GO = 0x01, 0x08
 _ANSWER_S: Final = 0.2
 _RETRIES: Final = 3
@@ -79,7 +80,7 @@ class Gripper:
         from pymodbus import ModbusException
 
         try:
-            answer = self._line.read_holding_registers(_STATUS_REGISTER, count=3, device_id=self._unit)
+            answer = self._line.read_holding_registers(_STATUS_REGISTER, count=_STATUS_REGISTERS, device_id=self._unit)
         except (ModbusException, OSError) as error:
             raise self._silent(error) from error
         return _parse_status(self._accepted(answer).registers)
@@ -165,6 +166,10 @@ _FAULTS: Final = {
 
 
 def _parse_status(registers: "Sequence[int]") -> GripperStatus:
+    if len(registers) != _STATUS_REGISTERS:  # the late answer to an earlier request
+        raise DeviceFault(
+            f"Expected {_STATUS_REGISTERS} registers from the gripper, got {len(registers)}. Ask it again."
+        )
     state = registers[0] >> 8
     return GripperStatus(
         is_activated=(state >> 4) & 3 == _ACTIVATED,

@@ -92,3 +92,11 @@ def test_unplugged_line_is_a_fault(gripper: Gripper, line: Terminal) -> None:
 def test_missing_port_is_named() -> None:
     with pytest.raises(DeviceNotFound, match="No gripper at /dev/no-such-port"):
         Gripper("/dev/no-such-port")
+
+
+def test_late_answer_to_a_command_is_no_status(monkeypatch: pytest.MonkeyPatch, gripper: Gripper) -> None:
+    line = gripper._line
+    late = line.write_registers(0x03E8, [0, 0, 0], device_id=9)
+    monkeypatch.setattr(line, "read_holding_registers", lambda *_, **__: late)
+    with pytest.raises(DeviceFault, match="Expected 3 registers from the gripper, got 0"):
+        gripper.status()
