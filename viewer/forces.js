@@ -3,7 +3,7 @@
 import { ConeGeometry, CylinderGeometry, Group, Mesh, MeshBasicMaterial, Vector3 } from "three";
 
 const COLOURS = { gel: "#8a63ff", fixed: "#f76707" }; // as in player.css
-const GELS = 2; // the first arrows of a moment
+export const GELS = 2; // the first arrows of a moment
 const LONGEST_MM = 22;
 const SHORTEST_MM = 0.6; // a shorter arrow is only its head, and is left out
 const THICK_MM = 0.35;

@@ -81,7 +81,8 @@ export class GelSurface {
   }
 }
 
-function textureOf(name) {
+/** The colours of a scale, in one row. */
+export function textureOf(name) {
   const pixels = new Uint8Array(scale(name).flatMap((colour) => [...colour, 255]));
   const texture = new DataTexture(pixels, LEVELS, 1, RGBAFormat);
   texture.colorSpace = SRGBColorSpace;

@@ -10,6 +10,7 @@ import { Film } from "./film.js";
 import { largestForce } from "./forces.js";
 import { showGel } from "./gel.js";
 import { Plots } from "./plots.js";
+import { SPREAD_MM } from "./pressure.js";
 import { Sections } from "./sections.js";
 import { Flows, magnification } from "./sensors.js";
 import { askedStep, Sharing } from "./sharing.js";
@@ -133,7 +134,9 @@ class Player {
   #showLegend(quantity, largest) {
     const [name, unit] = LEGENDS[quantity];
     drawScale(this.legend.canvas, quantity);
-    this.legend.text.textContent = `${name}: 0 to ${Number(largest[quantity].toPrecision(2))} ${unit}`;
+    const { held_name: held, fixed_name: fixed } = this.episode.header;
+    const spread = quantity === "pressure" ? ` and above; on ${held} and ${fixed}: forces of contacts, each spread over ${SPREAD_MM} mm around it` : "";
+    this.legend.text.textContent = `${name}: 0 to ${Number(largest[quantity].toPrecision(2))} ${unit}${spread}`;
   }
 }
 

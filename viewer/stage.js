@@ -20,6 +20,7 @@ import {
 import { Forces } from "./forces.js";
 import { GelSurface } from "./gel_surface.js";
 import { Palm, sensorBody } from "./gripper.js";
+import { PartPressure } from "./pressure.js";
 import { Studio } from "./studio.js";
 import { geometryOf, INK, View } from "./view.js";
 
@@ -53,6 +54,8 @@ export class Stage extends View {
     this.forces = new Forces(this.scene, episode, force);
     this.fixed = this.#fixed();
     this.fixed.cut(this.planes);
+    this.pressure = new PartPressure(episode);
+    for (const { outside } of [this.held, this.fixed]) this.pressure.colour(outside);
     this.path = this.#path();
     this.scene.add(...this.gels.map((gel) => gel.mesh), ...this.bodies, this.palm.mesh);
     this.around = this.#sphereAroundAll();
@@ -71,6 +74,7 @@ export class Stage extends View {
     this.palm.show(...this.gels.map((gel) => gel.mesh.matrix));
     applyPose(this.held.mesh, this.episode.heldPose(place, this.pose));
     this.forces.show(place);
+    this.pressure.show(place, quantity, largest);
     if (this.ghost) this.#showGhost(time);
     this.path?.geometry.setDrawRange(0, this.path.perMoment * (place.before + place.fraction));
     this.draw();

@@ -279,10 +279,24 @@ def test_the_scene_is_turned_by_the_pointer_cut_open_and_coloured_by_displacemen
     expect(page.get_by_text("Displacement: 0 to")).to_contain_text("mm")
     before = colours(scene)
     open_layers(page)
-    page.get_by_label("Gels").select_option("pressure")
+    page.get_by_label("Colours").select_option("pressure")
     page.keyboard.press("Escape")
-    expect(page.get_by_text("Contact pressure: 0 to")).to_contain_text("kPa")
+    expect(page.get_by_text("Contact pressure: 0 to")).to_contain_text("kPa and above; on peg and plate: forces")
     assert colours(scene) != before
+
+
+def test_where_the_peg_presses_on_the_plate_both_are_coloured(site: SiteUnderTest, page: Page) -> None:
+    def dark_red(place: Locator) -> int:
+        red, green, blue = np.asarray(Image.open(io.BytesIO(seen(place))).convert("RGB")).transpose(2, 0, 1).astype(int)
+        return int(((red > 90) & (green < 40) & (blue < 50)).sum())
+
+    open_player(site, page, f"{made(site)}?step=0.9")
+    scene = page.locator("canvas.scene")
+    open_layers(page)
+    page.get_by_label("Forces").uncheck()
+    assert dark_red(scene) == 0
+    page.get_by_label("Colours").select_option("pressure")
+    assert dark_red(scene) > 30
 
 
 def test_values_stand_in_a_table_too(site: SiteUnderTest, page: Page) -> None:
@@ -347,7 +361,7 @@ def test_a_browser_without_webgl_shows_the_still_and_the_plots(site: SiteUnderTe
         expect(page.get_by_text(without_effect)).to_be_hidden()
     open_layers(page)
     expect(page.get_by_label("Speed")).to_be_visible()
-    for without_effect in ("Gels", "Cut open"):
+    for without_effect in ("Colours", "Cut open"):
         expect(page.get_by_label(without_effect)).to_be_hidden()
     page.get_by_role("heading", level=1).click()
     page.keyboard.press("End")
