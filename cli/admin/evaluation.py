@@ -108,7 +108,7 @@ def restart(session: Session, evaluation: EvaluationId) -> SubmissionView:
 @change(app, question="Restart all evaluations whose evaluator no running worker has, with the present one?")
 def restart_unserved(session: Session) -> dict[str, object]:
     """Restart all evaluations whose evaluator no running worker has with the present one; up to 200 at once."""
-    return {"restarted": superseding.restart_unserved(session, CONSOLE, load_settings())}
+    return {"restarted": [str(found) for found in superseding.restart_unserved(session, CONSOLE, load_settings())]}
 
 
 def _row(row: "EvaluationRowView") -> list[object]:

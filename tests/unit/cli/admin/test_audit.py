@@ -23,13 +23,14 @@ from vitac.server.appeals import appeals
 from vitac.server.audit import newest_entries
 from vitac.server.contest.freezing import freeze
 from vitac.server.contest.sealing import seal
-from vitac.server.db.models import Notice, Team, Worker
+from vitac.server.db.models import Evaluation, Notice, Team, Worker
 from vitac.server.db.states import NoticeKind, Role, WorkerState
 from vitac.server.members import members
 from vitac.server.messages import announcements, questions
 from vitac.server.notices.outbox import announce
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.prizes.finishing import finalize
+from vitac.server.stations.stations import add_station
 from vitac.server.teams import teams
 from vitac.server.tokens import list_tokens
 from vitac.worker import appeal_replay
@@ -57,6 +58,7 @@ READS = {
     "competition show",
     "evaluation list",
     "evaluation show",
+    "evaluation unserved",
     "judging rubric",
     "judging show",
     "notice list",
@@ -69,6 +71,7 @@ READS = {
     "rejudge show",
     "results publish",
     "results winners",
+    "station list",
     "submission copies",
     "submission list",
     "submission show",
@@ -117,6 +120,10 @@ CHANGES = {
     "submission restore-description": (["UNDESCRIBED", "--yes"], "submission.restore-description"),
     "evaluation cancel": (["EVALUATION", "--yes"], "submission.cancel"),
     "evaluation requeue": (["CANCELLED_EVALUATION", "--yes"], "submission.requeue"),
+    "evaluation restart": (["OUTDATED_EVALUATION", "--yes"], "evaluation.restart"),
+    "evaluation restart-unserved": (["--yes"], "evaluation.restart"),
+    "station add": (["lab"], "station.add"),
+    "station remove": (["STATION", "--yes"], "station.remove"),
     "worker cordon": (["WORKER"], "worker.order"),
     "worker uncordon": (["WORKER"], "worker.order"),
     "worker drain": (["WORKER"], "worker.order"),
@@ -193,6 +200,10 @@ def there_is(service: CliService, name: str, tmp_path: Path) -> str:
             )  # fmt: skip
             session.add(worker)
             return str(worker.id)
+    if name == "STATION":
+        with service.database.transaction() as session:
+            add_station(session, CONSOLE, "lab")
+            return "lab"
     if name == "TOKEN":
         with service.database.transaction() as session:
             return str(list_tokens(session, CONSOLE)[0].id)
@@ -203,6 +214,9 @@ def there_is(service: CliService, name: str, tmp_path: Path) -> str:
         service.run("admin", "submission", "remove-description", submission, "--reason", "no", "--yes")
     if name.startswith("CANCELLED"):
         service.run("admin", "submission", "cancel", submission, "--yes")
+    if name == "OUTDATED_EVALUATION":
+        with service.database.transaction() as session:
+            session.execute(update(Evaluation).values(evaluator_version="1+yesterday"))
     if name.endswith("EVALUATION"):
         return str(json.loads(service.run("admin", "evaluation", "list", "--json").stdout)[0]["id"])
     return str(submission)
@@ -236,6 +250,10 @@ def prepare(service: CliService, command: str) -> None:
         elif command == "competition reveal":
             put_in_place(session, open_now(sealed_competition(), stage=1))
             seal(session, CONSOLE, stored_stage(session, "track_1", "stage1"))
+        elif command == "evaluation restart-unserved":
+            own = teams.find(session, "Team A")
+            submit(session, Principal(role=Role.TEAM, team_id=own.id, team_name=own.name))
+            session.execute(update(Evaluation).values(evaluator_version="1+yesterday"))
         elif command == "advance confirm":
             put_in_place(session, open_now(make_competition(), stage=1))
         elif command.startswith("results"):
