@@ -32,7 +32,7 @@ class StartTimes:
         self._last_s: float | None = None
 
     def wait(self) -> None:
-        """Return when the next episode may start."""
+        """Wait until the next episode may start."""
         now_s = self._clock()
         if not self.period_s or self._last_s is None:
             self._last_s = now_s
