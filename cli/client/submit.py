@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.submission_kinds import SubmissionKind, kind_of_file
 
 from ..terminal.existing import existing
 from ..terminal.ignored import note_ignored_folders
@@ -18,7 +18,6 @@ from .http import Client, Json, make_client
 from .packing import pack
 from .progress import missing_tasks, nobody
 from .status import format_time, show_when_ended
-from .upload_kind import find_kind
 
 
 def command(
@@ -72,6 +71,11 @@ def command(
         describe(client, answer, is_known=bool(known))
     if watch:
         show_when_ended(client, answer["id"], as_json=as_json)
+
+
+def find_kind(path: Path) -> SubmissionKind:
+    """Return what a file or folder is; the service checks it anyway."""
+    return SubmissionKind.MODEL if path.is_dir() else kind_of_file(path.name)
 
 
 def _find_track(submission: Path, kind: SubmissionKind) -> str | None:

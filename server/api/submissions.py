@@ -28,9 +28,16 @@ from ..submissions.model_card import model_card
 from ..submissions.watch import Changes, watch
 from ..teams.teams import REASON_LENGTH
 from ..texts import TEXT_LENGTH
-from ..views.descriptions import DescriptionView
 from ..views.logs import ActionMatchView
-from ..views.submissions import EpisodeView, ModelCardView, OutputView, SensorView, SubmissionListView, SubmissionView
+from ..views.submissions import (
+    DescriptionView,
+    EpisodeView,
+    ModelCardView,
+    OutputView,
+    SensorView,
+    SubmissionListView,
+    SubmissionView,
+)
 from ..visibility import visible
 from .access import MAX_NUMBER, PrincipalOf, ReaderOf, ServicesOf
 from .problems import RESPONSES

@@ -22,7 +22,7 @@ from ..principals import Principal
 from ..teams.shown_names import ShownNames
 from ..teams.teams import REASON_LENGTH
 from ..texts import clean_text
-from ..views.descriptions import DescriptionView
+from ..views.submissions import DescriptionView
 from ..visibility import visible
 from .public_pages import readable
 

@@ -10,11 +10,23 @@ from vitac.evaluator.scoring.gain import SensingGain
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from .base import View
-from .descriptions import DescriptionView
 from .evaluations import CopyView, EvaluationSummaryView, EvaluationView
 from .logs import LogView
 from .teams import TeamView
 from .workers import WorkersView
+
+
+class DescriptionView(View):
+    """What a team writes about a public result; all empty where nothing is shown."""
+
+    text: str = Field(default="", description="Plain text of several lines.")
+    code: str = Field(default="", description="https address of the code.")
+    paper: str = Field(default="", description="https address of the paper.")
+    discussion: str = Field(default="", description="https address of a place to discuss it.")
+    revision: str = Field(default="", description="Changes with it; empty before anything is written.")
+    removed_for: str | None = Field(
+        default=None, description="Why an organizer removed it, for its team and organizers; null: nobody did."
+    )
 
 
 class ArchiveContents(View):

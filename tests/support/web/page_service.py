@@ -50,7 +50,6 @@ from vitac.server.teams import teams
 from vitac.server.transparency.notes import make_log_key
 from vitac.server.views.comparisons import ComparisonView
 from vitac.server.views.contest import ArchiveView, CompetitionListView, CompetitionView, PublicRankingView, StageView
-from vitac.server.views.descriptions import DescriptionView
 from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView, TeamRanksView
 from vitac.server.views.logs import ActionMatchView
 from vitac.server.views.messages import AnnouncementView
@@ -58,6 +57,7 @@ from vitac.server.views.operations import OperationsView
 from vitac.server.views.playbacks import PlaybackView, PublicEpisodeView, ShownEpisodeView
 from vitac.server.views.receipts import LogView, WitnessView
 from vitac.server.views.submissions import (
+    DescriptionView,
     DocumentView,
     EpisodeOutputView,
     OutputView,

@@ -10,7 +10,7 @@ from vitac.server.publishing.archive import archive_view
 from vitac.server.sharing.descriptions import descriptions_among
 from vitac.server.sharing.public_pages import public_among
 from vitac.server.views.contest import ArchiveView
-from vitac.server.views.descriptions import DescriptionView
+from vitac.server.views.submissions import DescriptionView
 
 from ...site import get_principal, get_site, get_viewer, page
 from ..addresses import competition_address, read_contest_name

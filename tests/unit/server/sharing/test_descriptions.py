@@ -14,7 +14,7 @@ from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.sharing.descriptions import describe, descriptions_among, find_description, remove, restore
 from vitac.server.sharing.public_pages import set_public
 from vitac.server.team_data import erase, export
-from vitac.server.views.descriptions import DescriptionView
+from vitac.server.views.submissions import DescriptionView
 
 from competitions import make_competition, open_now, put_in_place
 

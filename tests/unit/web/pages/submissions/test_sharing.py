@@ -8,9 +8,8 @@ from played_episodes import a_shown_episode
 from visits import BEARS, BOTH, COMPLETED, GELBOTS, RUNNING, form_token, sign_in
 from vitac.server.sharing import descriptions
 from vitac.server.submissions import clearance
-from vitac.server.views.descriptions import DescriptionView
 from vitac.server.views.evaluations import CopyView
-from vitac.server.views.submissions import EpisodeOutputView
+from vitac.server.views.submissions import DescriptionView, EpisodeOutputView
 
 PAGE = f"/submissions/{COMPLETED.id}"
 
