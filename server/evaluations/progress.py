@@ -28,7 +28,7 @@ _TURN = (Evaluation.turn, Evaluation.created_at, Evaluation.id)
 def count_open(session: Session) -> Counter[EvaluationState]:
     """Return how many evaluations wait and run now."""
     is_open = Evaluation.state.in_(ACTIVE_EVALUATION_STATES)
-    rows = session.execute(select(Evaluation.state, func.count()).where(is_open).group_by(Evaluation.state)).tuples()
+    rows = session.execute(select(Evaluation.state, func.count()).where(is_open).group_by(Evaluation.state))
     return Counter(dict(rows.all()))
 
 
