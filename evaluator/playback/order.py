@@ -5,11 +5,12 @@ from typing import Final
 
 from pydantic import NonNegativeInt
 from vitac.envs.errors import VitacError
-from vitac.envs.tasks.definition import TaskDefinition
+from vitac.envs.tasks.definition import Family
 
 from ..episodes.records import EpisodeRecord
 from ..sensors.made import MadeSensor
 from ..strict_model import StrictModel
+from ..tracks import Task
 
 FORMAT: Final = 2
 """Number of the file format; playbacks in an older one are made again."""
@@ -21,13 +22,16 @@ class NotPlayable(VitacError):
     """There are no playbacks of a task's episodes; the message says why."""
 
 
-def require_playable(task: TaskDefinition) -> None:
+def require_playable(task: Task) -> None:
     """Refuse a task of which there are no playbacks, before one is asked for.
 
     Raises:
-        NotPlayable: its states do not repeat, so what would be shown is not what was scored.
+        NotPlayable: it is played on a station, or its states do not repeat, so what would be shown is not what was
+            scored.
     """
-    if not task.repeats:
+    if task.family is Family.STATION:
+        raise NotPlayable(f"There are no playbacks of {task.name}: it is played on a station, not in a simulation.")
+    if not task.definition.repeats:
         raise NotPlayable(
             f"There are no playbacks of {task.env_id} with these settings: its states do not repeat, so what would be "
             "shown is not what was scored."

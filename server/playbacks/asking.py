@@ -87,7 +87,7 @@ def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeRes
         ServiceError: too_many_requests, with how many are possible; invalid_request where no worker can make it.
     """
     try:
-        require_playable(load_track(episode.track).task(episode.task).definition)
+        require_playable(load_track(episode.track).task(episode.task))
     except NotPlayable as error:
         raise ServiceError(ProblemCode.INVALID_REQUEST, str(error)) from error
     asked_by = requester(by)

@@ -107,7 +107,7 @@ class Player:
     def _refusal(self) -> str:
         """Why there are no playbacks of the task; empty where there are."""
         try:
-            require_playable(self.task.definition)
+            require_playable(self.task)
         except NotPlayable as error:
             return str(error)
         return ""

@@ -109,7 +109,12 @@ def test_without_a_driver_the_refusal_says_what_to_install(
 
 
 def test_what_does_not_repeat_has_no_playbacks(task: Task) -> None:
-    require_playable(task.definition)
+    require_playable(task)
     on_gpu = task.model_copy(update={"settings": dict(task.settings) | {"sim_backend": "physx_cuda"}})
     with pytest.raises(NotPlayable, match=r"no playbacks of ManiSkill/PickCube-v1 .* its states do not repeat"):
-        require_playable(on_gpu.definition)
+        require_playable(on_gpu)
+
+
+def test_what_is_played_on_a_station_has_no_playbacks(task: Task) -> None:
+    with pytest.raises(NotPlayable, match=f"no playbacks of {task.name}: it is played on a station"):
+        require_playable(task.model_copy(update={"station_of": "peg-insertion"}))
