@@ -3,6 +3,8 @@
 import os
 import select
 import tty
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import Thread
 from typing import Protocol, Self
 
@@ -18,7 +20,8 @@ class Terminal:
     """A pseudo-terminal that passes bytes to a twin; use it in `with`.
 
     Attributes:
-        port: the device file that a driver opens.
+        port: the device file that a driver opens: a link of this terminal's own, since the number of a pseudo-terminal
+            that was closed is soon another program's.
     """
 
     def __init__(self, twin: SerialTwin) -> None:
@@ -26,7 +29,10 @@ class Terminal:
         self._twin = twin
         self._controller, self._line = os.openpty()
         tty.setraw(self._line)
-        self.port = os.ttyname(self._line)
+        self._folder = TemporaryDirectory(prefix="vitac-twin-")
+        link = Path(self._folder.name) / "port"
+        link.symlink_to(os.ttyname(self._line))
+        self.port = str(link)
         self._wake_read, self._wake_write = os.pipe()
         self._thread = Thread(target=self._listen, name=f"twin at {self.port}", daemon=True)
         self._thread.start()
@@ -42,6 +48,7 @@ class Terminal:
         if self._thread.is_alive():
             os.write(self._wake_write, b"x")
             self._thread.join()
+            self._folder.cleanup()
             for descriptor in (self._controller, self._line, self._wake_read, self._wake_write):
                 os.close(descriptor)
 

@@ -31,6 +31,7 @@ from vitac.server.db.models import (
     Qualification,
     Question,
     Rejudgement,
+    Station,
     Submission,
     SubmissionFile,
     Team,
@@ -106,6 +107,7 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
             ),
             TeamQuota(team_id=team_id, quota=Quota.TOKENS, most=None),
             UploadPart(upload_id=upload.id, first_byte=0, n_bytes=4, key=str(uuid4())),
+            Station(name="station-1", key_sha256="6" * 64, worker_id=None),
             Webhook(team_id=team_id, address="https://hook.example.org/", secret="5" * 64),
             Worker(
                 host="gone", pid=1, slots=1, state=WorkerState.STOPPED, evaluator_version="1", platform_class="x",

@@ -55,7 +55,7 @@ def test_port_that_is_not_there_is_said_once(twins: TwinStation, tmp_path: Path,
     twins.lines["gripper"].unplug()
     code, output, errors = run("check", written(twins, tmp_path))
     assert (code, errors) == (1, "")
-    assert "gripper, found: No gripper at /dev/pts/" in output
+    assert "gripper, found: No gripper at /" in output
 
 
 def test_file_that_describes_no_station_is_refused(tmp_path: Path, run: Run) -> None:

@@ -22,7 +22,7 @@ def test_reads_the_file_and_fills_in_what_has_a_default(twins: TwinStation, tmp_
 
 
 def test_description_in_the_documentation_is_accepted(repository: Path) -> None:
-    (block,) = re.findall(r"```yaml\n(.*?)```", (repository / "docs" / "station.md").read_text(), re.DOTALL)
+    (block,) = re.findall(r"```yaml\n(name: .*?)```", (repository / "docs" / "station.md").read_text(), re.DOTALL)
     assert parse_yaml(StationDescription, block, "docs/station.md").stage.serial_number == "STAGE-1"
 
 

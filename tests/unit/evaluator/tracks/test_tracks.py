@@ -131,6 +131,7 @@ def test_a_task_without_settings_methods_and_commitment_keeps_the_digest_from_be
             "draws": True,
             "force_limit_n": True,
             "player": True,
+            "station_of": True,
             "profiles": True,
             "episode_list": {"commitment"},
         }
