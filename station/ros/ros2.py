@@ -98,6 +98,8 @@ class Ros2Node:
             while not self._ended.is_set():
                 for sample in reader.take_iter(timeout=int(_WAIT_S * 1e9)):
                     receive(sample)
+                    if self._ended.is_set():  # the iterator does not end as long as samples come in
+                        return
 
         self._threads.append(Thread(target=read, daemon=True))
         self._threads[-1].start()
