@@ -62,8 +62,8 @@ def list_processes(data_dir: Path) -> Iterator[int]:
         except OSError:
             continue  # it has ended
     servers = {int(process.name) for process in hidden if _is_server_in(data_dir, process)}
-    yield from servers
-    yield from (int(process.name) for process in hidden if _read_parent(process) in servers)
+    # A backend has its server's command line until it names itself.
+    yield from servers | {int(process.name) for process in hidden if _read_parent(process) in servers}
 
 
 def _is_server_in(data_dir: Path, process: Path) -> bool:

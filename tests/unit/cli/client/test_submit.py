@@ -59,7 +59,10 @@ def test_an_organizer_submits_for_a_team(service: CliService, tmp_path: Path) ->
     assert json.loads(service.run("submit", *options, "--team", "team a").stdout)["team"]["name"] == "Team A"
 
 
-def test_what_is_refused_says_why_and_what_to_do(service: CliService, tmp_path: Path) -> None:
+def test_what_is_refused_says_why_and_what_to_do(
+    service: CliService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vitac.cli.client.pieces.PAUSES_S", ())  # waits for a service that is away
     folder, archive, token, log = (tmp_path / name for name in ("mine", "bad.zip", "token", "mine.jsonl"))
     submission_folder(folder)
     archive.write_bytes(zip_of(**{"other/policy.py": ""}))
