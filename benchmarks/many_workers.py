@@ -137,7 +137,7 @@ def together(
     services: Services, pool: Any, n_workers: int, seconds: float, pause_s: float, n_requests: int
 ) -> dict[str, Any]:
     """Run all workers, and ask for pages meanwhile if there are requests to make."""
-    work = partial(claim_for, services.database.address, seconds, pause_s)
+    work = partial(claim_during, services.database.address, seconds, pause_s)
     with postgres_time(services) as postgres:
         found: AsyncResult[list[Times]] = pool.map_async(work, range(n_workers), chunksize=1)
         pages = asyncio.run(boards.measure(services, n_requests)) if n_requests else {}
@@ -151,7 +151,7 @@ def together(
     }
 
 
-def claim_for(address: str, seconds: float, pause_s: float, _number: int) -> Times:
+def claim_during(address: str, seconds: float, pause_s: float, _number: int) -> Times:
     """Be a worker for some seconds; runs in a process of its own."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         settings = load_settings(database_url=address, state_dir=Path(folder))

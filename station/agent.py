@@ -10,13 +10,13 @@ from vitac.envs.errors import VitacError
 from vitac.evaluator.agent.isolation.interpreter import installed_packages
 from vitac.evaluator.agent.session import Isolation
 from vitac.evaluator.agent.verdicts import PolicyFailed
+from vitac.evaluator.episodes.provenance import make_manifest
 from vitac.evaluator.episodes.reading import make_reading
 from vitac.evaluator.episodes.records import (
     ActionSequence,
     EpisodeOutcome,
     EpisodeRecord,
     FailureStage,
-    Manifest,
     PolicyFailure,
     Timings,
     canonical_json,
@@ -26,18 +26,23 @@ from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.policy import load_in_sandbox
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.submission.manifest import load_manifest
-from vitac.evaluator.tracks import Episode, Task, Track
+from vitac.evaluator.tracks import Episode, Task
 from vitac.evaluator.tracks.cut import cut
 from vitac.evaluator.tracks.sealed import load_played_track, read_secret
-from vitac.evaluator.tracks.versions import compute_hash, find_version
-from vitac.evaluator.version import platform_class
 
 from .records import pack_actions
 from .trial import Attempt
 from .trials import Player
 
-_SOLVER: Final = "station"
-"""In a manifest in place of the solver's version."""
+
+class _Devices:
+    """Stands in a manifest in place of a simulation: no solver and no meshes."""
+
+    solver_version: Final = "station"
+
+    def mesh_hash(self) -> str:
+        """Return the same for all stations."""
+        return self.solver_version
 
 
 class TrialNotPlayed(VitacError):
@@ -102,7 +107,7 @@ class StationShard:
     def result(self) -> ShardResult:
         """What the shard ended with."""
         end = ShardEnd.BROKEN if is_broken(self._failures) else ShardEnd.COMPLETE
-        manifest = make_station_manifest(self._track, self._task)
+        manifest = make_manifest(self._track, self._task, _Devices())
         return ShardResult(index=self._order.shard, end=end, manifest=manifest, isolation=self._isolation)
 
     def _mounted_shape(self) -> str:
@@ -112,21 +117,6 @@ class StationShard:
     def _episodes(self) -> list[Episode]:
         shard = next(each for each in cut(self._task, self._order.episodes) if each.index == self._order.shard)
         return [each for each in shard.episodes if each.number not in self._order.skip]
-
-
-def make_station_manifest(track: Track, task: Task) -> Manifest:
-    """Return what trials are made with: no solver and no meshes."""
-    return Manifest(
-        track=track.name,
-        task=task.name,
-        list_seed=task.episode_list.list_seed,
-        task_hash=task.digest(),
-        evaluator_version=find_version(track.name),
-        evaluator_hash=compute_hash(track.name),
-        solver_version=_SOLVER,
-        mesh_hash=_SOLVER,
-        platform_class=platform_class(),
-    )
 
 
 def make_record(task: Task, episode: Episode, attempt: Attempt) -> EpisodeRecord:

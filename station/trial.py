@@ -99,7 +99,7 @@ class Trial:
     ) -> None:
         self._station, self._arm = station, Arm(station)
         self._task, self._reading, self._open_session = task, reading, open_session
-        self._told = task.station_of or task.name
+        self._task_name = task.station_of or task.name
         x_mm, y_mm, theta_deg = episode.offset
         self._start: Offset = (x_mm, y_mm, theta_deg)
         self._folder, self._show = folder, show
@@ -124,7 +124,7 @@ class Trial:
         self._grasp()
         contact_mm = self._descend()
         self._arm.go(self._arm.pose()._replace(z_mm=contact_mm - self._z_step_mm))
-        with self._open_session().episode(task=self._told, action_shape=(len(self._task.actions),)) as policy:
+        with self._open_session().episode(task=self._task_name, action_shape=(len(self._task.actions),)) as policy:
             try:
                 return self._insert(policy, contact_mm)
             finally:

@@ -1,14 +1,26 @@
 """What an evaluation is made with: named in its manifest, so that results of different makes are never mixed."""
 
+from typing import Protocol
+
 from ..tracks import Task, Track
 from ..tracks.versions import compute_hash, find_version, list_parts
 from ..version import platform_class
-from .episode import Environment
 from .records import Manifest
 
 
-def make_manifest(track: Track, task: Task, env: Environment) -> Manifest:
-    """Return what an evaluation in this environment is made with."""
+class Played(Protocol):
+    """What episodes are played with."""
+
+    @property
+    def solver_version(self) -> str:
+        """Version of what moves the parts."""
+
+    def mesh_hash(self) -> str:
+        """Return the SHA-256 [hex] of the meshes and settings."""
+
+
+def make_manifest(track: Track, task: Task, env: Played) -> Manifest:
+    """Return what an evaluation in this environment, or on a station, is made with."""
     return Manifest(
         track=track.name,
         task=task.name,

@@ -161,7 +161,7 @@ class Task(StrictModel):
     )
     player: Player = Field(default=Player.POLICY, description="Who chooses the actions.")
     station_of: Word | None = Field(
-        default=None, description="Played on a station: the simulated task of which policies are told at a reset."
+        default=None, description="Played on a station: the simulated task whose name policies get at a reset."
     )
     profiles: dict[Word, Profile] = Field(default={}, description="Settings for re-simulation only, by name.")
     episode_list: EpisodeList

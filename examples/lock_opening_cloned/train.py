@@ -121,18 +121,18 @@ def fit(learned: tuple[torch.Tensor, ...], held_out: tuple[torch.Tensor, ...]) -
         model.train()
         for batch in torch.randperm(len(learned[0])).split(BATCH):
             optimizer.zero_grad()
-            loss_of(model, [part[batch] for part in learned]).backward()
+            compute_loss(model, [part[batch] for part in learned]).backward()
             optimizer.step()
         schedule.step()
         if epoch % 10 == 9:
             model.eval()
             with torch.no_grad():
-                losses = [loss_of(model, part).item() for part in (learned, held_out)]
+                losses = [compute_loss(model, part).item() for part in (learned, held_out)]
             print(f"epoch {epoch + 1}: {losses[0]:.4f}, in held-out episodes {losses[1]:.4f}", file=sys.stderr)
     return model.eval()
 
 
-def loss_of(model: Network, samples: list[torch.Tensor] | tuple[torch.Tensor, ...]) -> torch.Tensor:
+def compute_loss(model: Network, samples: list[torch.Tensor] | tuple[torch.Tensor, ...]) -> torch.Tensor:
     """Return the mean absolute difference of the actions that there are."""
     windows, there, chunks, counted = samples
     return ((model(windows, there) - chunks).abs().mean(dim=-1) * counted).sum() / counted.sum()

@@ -106,7 +106,7 @@ def messages(reading: Reading) -> Iterator[Message]:
     yield Message(CONTACT_TOPIC, "tactile", fields)
 
 
-def flow_of(fields: dict[str, Any]) -> MarkerFlow:
+def read_flow(fields: dict[str, Any]) -> MarkerFlow:
     """Return the markers that a message of a tracking topic holds."""
     columns = [np.asarray(fields[name], dtype=np.float64) for name in _COLUMNS]
     reference = np.stack(columns[:2], axis=1)

@@ -8,7 +8,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from ..description import StationDescription
-from .messages import NODE, RosVersion, flow_of, messages
+from .messages import NODE, RosVersion, messages, read_flow
 from .readings import Reading, Side, TactileSensors
 from .recording import recording
 from .ros1 import Ros1Node, ros1_node
@@ -27,7 +27,7 @@ def publish(
         description: the station.
         version: where to publish; None publishes nothing.
         record_to: see `recording`; None records nothing.
-        readings: how many; None goes on until it is closed.
+        readings: how many; None publishes until it is closed.
 
     Raises:
         DeviceNotFound, DeviceFault: a camera is missing or stopped.
@@ -72,7 +72,7 @@ def listen(version: RosVersion, reset: Side | None = None) -> Iterator[tuple[str
 def summarize(fields: dict[str, Any]) -> dict[str, Any]:
     """Return in few words what a message holds: its markers without their places, its picture without pixels."""
     if "marker_x" in fields:
-        flow = flow_of(fields)
+        flow = read_flow(fields)
         return {"markers": len(flow.current), "largest_movement_px": round(flow.largest_movement_px(), 3)}
     return {name: value for name, value in fields.items() if name != "data"}
 

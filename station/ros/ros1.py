@@ -57,7 +57,7 @@ class Ros1Node:
     def listen(self, receive: Callable[[str, dict[str, Any]], None]) -> None:
         """Call a function in threads of rospy with topic and fields of each message that arrives."""
         for topic, type_ in self._types.items():
-            self._rospy.Subscriber(topic, type_, partial(_pass_on, receive, topic), queue_size=QUEUE)
+            self._rospy.Subscriber(topic, type_, partial(_deliver, receive, topic), queue_size=QUEUE)
 
 
 @contextmanager
@@ -113,6 +113,6 @@ def _reset_service() -> Any:
     return type("ResetMarkerTracker", (_import_system("rospy").service._Service,), names)
 
 
-def _pass_on(receive: Callable[[str, dict[str, Any]], None], topic: str, message: Any) -> None:
+def _deliver(receive: Callable[[str, dict[str, Any]], None], topic: str, message: Any) -> None:
     names = (name for name in message.__slots__ if name != "header")
     receive(topic, {name: getattr(message, name) for name in names})

@@ -76,7 +76,7 @@ class Ros2Node:
     def listen(self, receive: Callable[[str, dict[str, Any]], None]) -> None:
         """Call a function in threads of this node with topic and fields of each message that arrives."""
         for topic, type_ in self._types.items():
-            self._read(f"rt/{topic}", type_, partial(_pass_on, receive, topic))
+            self._read(f"rt/{topic}", type_, partial(_deliver, receive, topic))
 
     def close(self) -> None:
         """End the threads that listen."""
@@ -176,7 +176,7 @@ def _answer_reset(reset: Callable[[Side], None], side: Side, writer: Any, reques
     writer.write(_reset_answer()(caller=request.caller, number=request.number, success=True))
 
 
-def _pass_on(receive: Callable[[str, dict[str, Any]], None], topic: str, message: Any) -> None:
+def _deliver(receive: Callable[[str, dict[str, Any]], None], topic: str, message: Any) -> None:
     names = (field.name for field in dataclasses.fields(message) if field.name != "header")
     receive(topic, {name: getattr(message, name) for name in names})
 

@@ -47,7 +47,7 @@ class _Grasp:
 
 
 class HeldPeg:
-    """A peg between two gels, from its grasp until it is let go.
+    """A peg between two gels, from its grasp until it is released.
 
     Attributes:
         scene: gels, peg and plate.

@@ -77,7 +77,8 @@ def collect(
 ) -> Path:
     """Collect demonstrations until this many are successful, and return the file.
 
-    What is in the file already is not played again, and every episode is on the disk before the next one is awaited.
+    What is in the file already is not played again. Every episode is handed to the system before the next one is
+    awaited, so that a killed process loses none; all are on the disk when the collection ends.
 
     Args:
         task: name of a task that has an expert.

@@ -1,7 +1,7 @@
 """Which attempts are repeated, and what the service gets of those that count."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,9 +11,12 @@ import pytest
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 from vitac.evaluator.episodes.reading import make_reading
 from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.evaluator.shards.order import ShardOrder
+from vitac.evaluator.shards.result import ShardEnd
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Episode, load_track
-from vitac.station import trials
-from vitac.station.agent import make_record
+from vitac.station import agent, trials
+from vitac.station.agent import StationShard, StationShards, TrialNotPlayed, make_record
 from vitac.station.devices.device import DeviceNotFound
 from vitac.station.devices.stage import Pose
 from vitac.station.outcome import ATTEMPTS, TrialOutcome
@@ -106,3 +109,70 @@ def test_failure_of_a_policy_is_in_its_record() -> None:
     record = make_record(TASK, EPISODE, Attempt(outcome=TrialOutcome.POLICY_FAILED, failure=failed))
     assert record.failure is not None
     assert (record.failure.code, record.env_steps) == (VerdictCode.NON_FINITE_ACTION, 0)
+
+
+class Attempts:
+    """A player on which a cuboid is mounted, whose attempts end as a test says."""
+
+    def __init__(self, *outcomes: TrialOutcome) -> None:
+        self.outcomes, self.played, self.stopped = list(outcomes), list[int](), list[str]()
+        self.description = SimpleNamespace(procedure=SimpleNamespace(shape="cuboid"))
+        self.stop = self.stopped.append
+
+    def play(self, _: object, episode: Episode, *__: object) -> list[Attempt]:
+        self.played.append(episode.number)
+        return [Attempt(outcome=self.outcomes.pop(0))]
+
+
+def running(
+    player: Any, shape: str, repository: Path, monkeypatch: pytest.MonkeyPatch, skip: int = 0
+) -> AbstractContextManager[StationShard]:
+    """A shard of the first two starts of a shape; as many as `skip` says have a record."""
+    monkeypatch.setattr(agent, "load_in_sandbox", lambda *_: nullcontext(SimpleNamespace(isolation=None)))
+    numbers = tuple(each.number for each in TASK.episodes if each.shape == shape)[:2]
+    folder = repository / "examples" / "peg_insertion_heuristic" / "Track_1"
+    order = ShardOrder(
+        kind=SubmissionKind.MODEL,
+        submission=folder,
+        track="track_1",
+        task=TASK.name,
+        shard=0,
+        episodes=numbers,
+        skip=numbers[:skip],
+    )
+    return StationShards(player).running_shard(order)
+
+
+def test_shard_has_a_record_of_each_trial_without_one(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    player = Attempts(T, TrialOutcome.SUCCESS)
+    with running(player, "cuboid", repository, monkeypatch) as shard:
+        assert [each.outcome for each in shard.records()] == [EpisodeOutcome.TACTILE, EpisodeOutcome.SUCCESS]
+        assert (shard.result.end, shard.result.manifest.solver_version) == (ShardEnd.COMPLETE, "station")
+        assert shard.result.manifest.evaluator_parts
+    again = Attempts(T)
+    with running(again, "cuboid", repository, monkeypatch, skip=1) as shard:
+        assert len(list(shard.records())) == 1
+    assert again.played == player.played[1:]
+
+
+@pytest.mark.parametrize(
+    ("shape", "outcome", "sentence"),
+    [("cuboid", S, "Trial 1: "), ("trapezoid", T, "Trial 2 needs the trapezoid; the cuboid is mounted.")],
+)
+def test_trial_that_does_not_count_or_cannot_be_played_has_no_record(
+    shape: str, outcome: TrialOutcome, sentence: str, repository: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with (
+        running(Attempts(outcome), shape, repository, monkeypatch) as shard,
+        pytest.raises(TrialNotPlayed, match=sentence),
+    ):
+        next(shard.records())
+
+
+def test_killed_shard_stops_the_station_and_leaves_no_record(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    player = Attempts(T)
+    with running(player, "cuboid", repository, monkeypatch) as shard:
+        shard.kill()
+        assert player.stopped == ["The agent ends the trial."]
+        with pytest.raises(TrialNotPlayed):
+            next(shard.records())

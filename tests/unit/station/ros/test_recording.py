@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 from vitac.station.perception.tracker import MarkerFlow
-from vitac.station.ros.messages import RosVersion, flow_of, messages
+from vitac.station.ros.messages import RosVersion, messages, read_flow
 from vitac.station.ros.readings import Reading, Side, Touch
 from vitac.station.ros.recording import RecordingExists, recording
 
@@ -39,7 +39,7 @@ def test_what_is_recorded_is_read_back_by_other_programs(tmp_path: Path, name: s
     for side, touch in recorded.touch.items():
         time_ns, tracking = read[f"/Marker_Tracking_{side.title()}"]
         assert time_ns == TIME_NS == tracking.header.stamp.sec * 10**9 + tracking.header.stamp.nanosec
-        flow = flow_of(vars(tracking))
+        flow = read_flow(vars(tracking))
         np.testing.assert_array_equal(flow.reference, touch.flow.reference)
         np.testing.assert_allclose(flow.current, touch.flow.current, atol=1e-4)
         picture = read[f"/Tactile_Image_{side.title()}"][1]
