@@ -19,7 +19,7 @@ import vitac.envs  # noqa: F401 - registers the environment
 options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 options.add_argument("--contact-model", default="challenge-2025")
 options.add_argument("--out", type=Path, default=Path(__file__).parent / "Track_1")
-chosen = options.parse_args()
+chosen = options.parse_args(None if __name__ == "__main__" else [])
 
 sys.path.insert(0, str(chosen.out))
 from policy import Policy  # noqa: E402 - of that folder
