@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable
 from datetime import timedelta
+from uuid import UUID
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
@@ -15,6 +16,7 @@ from .leaderboards.changes import forget_old_notes
 from .metrics.instruments import RetryReason
 from .metrics.totals import TotalsWriter
 from .playbacks import work as playbacks
+from .playbacks.stills import ask_for_missing_stills
 from .queue.declared import declare, versions_here
 from .queue.jobs import prune_finished_jobs
 from .queue.sweep import sweep
@@ -29,9 +31,9 @@ logger = structlog.get_logger(__name__)
 
 PRUNE_EVERY_S = 3600.0
 OTHERS_EVERY_S = 10.0
-"""Seconds between two looks for playbacks of lost workers, evaluations of other versions and folders of killed
-processes. Whoever waits for one waits up to so much longer; shards are looked after in every round, because each
-worker does this beside its shards."""
+"""Seconds between two looks for playbacks of lost workers, results without stills, evaluations of other versions and
+folders of killed processes. Whoever waits for one waits up to so much longer; shards are looked after in every round,
+because each worker does this beside its shards."""
 ORPHAN_KEPT = timedelta(hours=24)
 """An upload is stored before its row is committed, so a file without a row is left alone for this time."""
 
@@ -51,6 +53,7 @@ class Housekeeping:
         self._supersedes = supersedes
         self._sweeps = sweeps
         self._declared: dict[str, str] = {}
+        self._have_stills: set[UUID] = set()
         self._totals = TotalsWriter(services.instruments)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="housekeeping", daemon=True)
@@ -80,6 +83,7 @@ class Housekeeping:
             _tried(lambda: self._totals.write(self._services.database))
             if self._sweeps and time.monotonic() - pruned_at > PRUNE_EVERY_S and _tried(lambda: prune(self._services)):
                 pruned_at = time.monotonic()
+                self._have_stills.clear()  # of old ones the playbacks may be gone now
             self._stopping.wait(self._services.settings.sweep_interval_s)
 
     def _sweep(self) -> None:
@@ -104,6 +108,8 @@ class Housekeeping:
             self._declare()
             with self._services.database.transaction() as session:
                 supersede_outdated(session, self._services.settings)
+            with self._services.database.transaction() as session:
+                ask_for_missing_stills(session, self._services.settings, self._have_stills)
         with self._services.database.transaction() as session:
             playbacks.recover(session, self._services.settings)
 

@@ -10,7 +10,6 @@ from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
-from uuid import UUID
 
 import typer
 from vitac.envs.errors import VitacError
@@ -140,7 +139,7 @@ class Demo:
             client.set_public(found["id"], public=True)  # visitors of this service see what was played
             self._show(client, found)
             if stay:
-                self._stay(service, found["id"])
+                self._stay(service)
         self.display.stopped(self.settings.state_dir)
 
     def _start(self, stack: ExitStack) -> RunningService:
@@ -243,14 +242,9 @@ class Demo:
             }
         )
 
-    def _stay(self, service: RunningService, submission_id: str) -> None:
-        from vitac.server.playbacks.stills import ask_for_stills
-        from vitac.server.principals import CONSOLE
-
+    def _stay(self, service: RunningService) -> None:
         if not service.workers.pids:
             service.workers.start()
-        with service.database.transaction() as session:
-            ask_for_stills(session, self.settings, CONSOLE, UUID(submission_id))
         self.display.staying()
         self.stop.supervise(service.restart_ended)
 

@@ -1,23 +1,30 @@
-"""Stills of a result's episodes, from their playbacks. Called by the page of a submission and the demo."""
+"""Stills of a result's episodes, from their playbacks. Called by the page of a submission and the housekeeping."""
 
 from collections.abc import Sequence
 from contextlib import suppress
 from uuid import UUID
 
-from sqlalchemy import select
+from sqlalchemy import exists, select
 from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.evaluator.tracks.versions import current_versions
 
-from ..db.models import EpisodeResult, Playback
+from ..db.models import EpisodeResult, Evaluation, Playback, Submission
+from ..db.states import EvaluationState
 from ..errors import ServiceError
 from ..evaluations.episode_store import find_shown_key
 from ..evaluations.history import newest_evaluation
-from ..principals import Principal
+from ..principals import CONSOLE, VISITOR, Principal
 from ..settings import Settings
-from ..sharing.public_pages import readable
+from ..sharing.public_pages import public_among, readable
 from ..views.playbacks import StillView
 from .asking import ask, playback_key
+
+LOOKED_AFTER = 100
+"""Maximum number of public results, the newest first, that get stills before anybody asks."""
+ASKED_AT_ONCE = 3
+"""Maximum number of results whose stills are asked for in one call, so that its transaction is short."""
 
 
 def list_stills(session: Session, by: Principal, submission_id: UUID) -> Sequence[StillView]:
@@ -43,9 +50,43 @@ def list_stills(session: Session, by: Principal, submission_id: UUID) -> Sequenc
     ]
 
 
-def ask_for_stills(session: Session, settings: Settings, by: Principal, submission_id: UUID) -> None:
-    """Ask for the playbacks of the first success and the first failure in each task, where they can be made."""
-    key = find_shown_key(session, by, newest_evaluation(session, readable(session, by, submission_id)))
+def ask_for_missing_stills(session: Session, settings: Settings, seen: set[UUID]) -> None:
+    """Ask for stills of the newest public results that have no playback, those of some in each call.
+
+    Workers make them after everything that ranks. What they take on the disk is bounded: two playbacks for each task of
+    at most `LOOKED_AFTER` results; they are removed as others are.
+
+    Args:
+        session: of the transaction.
+        settings: of the service.
+        seen: evaluations that were asked for, even where there can be no still; grows.
+    """
+    newest = (
+        select(Submission.id, Submission.digest, Submission.track, Evaluation.id.label("evaluation_id"))
+        .join(Evaluation, Evaluation.submission_id == Submission.id)
+        .where(
+            Submission.is_public,
+            Evaluation.state == EvaluationState.COMPLETED,
+            Evaluation.evaluator_version.in_(current_versions()),
+        )
+        .order_by(Evaluation.finished_at.desc())
+        .limit(LOOKED_AFTER)
+        .subquery()
+    )
+    played = (EpisodeResult.submission_digest == newest.c.digest, EpisodeResult.track == newest.c.track)
+    has_playback = exists().where(*played, Playback.episode_id == EpisodeResult.id)
+    rows = session.execute(select(newest.c.evaluation_id, newest.c.id).where(~has_playback)).all()
+    asked = [(evaluation, submission) for evaluation, submission in rows if evaluation not in seen][:ASKED_AT_ONCE]
+    public = public_among(session, [submission for _, submission in asked])
+    for evaluation, submission in asked:
+        seen.add(evaluation)
+        if submission in public:
+            _ask_for_stills(session, settings, submission)
+
+
+def _ask_for_stills(session: Session, settings: Settings, submission_id: UUID) -> None:
+    """Ask for the playbacks of the first success and the first failure in each task that everybody may see."""
+    key = find_shown_key(session, VISITOR, newest_evaluation(session, readable(session, VISITOR, submission_id)))
     if key is None:
         return
     first = (
@@ -56,4 +97,4 @@ def ask_for_stills(session: Session, settings: Settings, by: Principal, submissi
     )
     for episode in session.scalars(first):
         with suppress(ServiceError):
-            ask(session, settings, by, episode)
+            ask(session, settings, CONSOLE, episode)

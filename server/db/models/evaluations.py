@@ -79,6 +79,7 @@ class Evaluation(Base):
             postgresql_where=text("state IN ('queued', 'running', 'completed')"),
         ),
         Index("ix_evaluations_state_created_at", "state", "created_at"),
+        Index("ix_evaluations_completed_finished_at", "finished_at", postgresql_where=text("state = 'completed'")),
         Index("ix_evaluations_rejudgement_id", "rejudgement_id", postgresql_where=text("rejudgement_id IS NOT NULL")),
         Index("ix_evaluations_charged_at", "charged_at", postgresql_where=text("charged_at IS NOT NULL")),
     )
