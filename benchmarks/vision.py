@@ -4,7 +4,8 @@ Prints one line per figure.
 
 Usage: python benchmarks/vision.py [--pictures N]
 
-Looks at the fusion task's evaluated starts with undeformed gels. Needs tests/support/envs on the path, which pytest and
+Looks at the fusion task's evaluated starts with undeformed gels, and at the gels of the first of them after an env step;
+exits with 1 if one of their pictures takes more than 5 ms of CPU time. Needs tests/support/envs on the path, which pytest and
 this script see to.
 """
 
@@ -15,10 +16,13 @@ import time
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support" / "envs"))
 
+import gymnasium
 import numpy as np
+import vitac.envs  # noqa: F401 - registers the environments
 from visible_scenes import STARTS, SeenScene, fusion_scene
 from vitac.envs.vision.pictures import colour_picture, depth_picture, segmentation_picture
 from vitac.envs.vision.rasterizer import View
@@ -27,6 +31,9 @@ from vitac.envs.vision.stereo.matching import LARGEST_DISPARITY, NO_DISPARITY, P
 from vitac.envs.vision.stereo.method import METHOD
 from vitac.envs.vision.stereo.registration import registered_depth_m
 from vitac.envs.vision.surfaces import Label
+from vitac.envs.vision.tactile_picture import draw_tactile_pictures
+
+TACTILE_AIM_MS = 5.0
 
 
 def colour_and_exact_depth(scene: SeenScene) -> None:
@@ -121,6 +128,19 @@ def cpu_ms(observe: Callable[[SeenScene], object], count: int) -> list[float]:
     return times
 
 
+def tactile_picture_ms(count: int) -> list[float]:
+    """Return the CPU time of a picture of one gel [ms], both of them taken again and again after an env step."""
+    env: Any = gymnasium.make("ViTac/FusionInsertion-v1", observation_keys=("marker_flow",)).unwrapped
+    env.reset(seed=0)
+    env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+    random, times = np.random.default_rng(0), []
+    for _ in range(count + 1):
+        before = time.process_time()
+        pictures = draw_tactile_pictures(env.scene, random)
+        times.append((time.process_time() - before) * 1e3 / len(pictures))
+    return times[1:]
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -138,6 +158,9 @@ def main() -> None:
         print(f"{name}: median {statistics.median(times):.2f} ms, p95 {times[int(0.95 * count)]:.2f} ms")
     for name, depth_of in matchers:
         stereo_quality(name, depth_of)
+    times = sorted(tactile_picture_ms(count))
+    print(f"tactile picture: median {statistics.median(times):.2f} ms, p95 {times[int(0.95 * count)]:.2f} ms")
+    sys.exit(int(statistics.median(times) > TACTILE_AIM_MS))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """What a task says of itself without being run: names, actions, observables, and where its parts lie."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from inspect import cleandoc
 from typing import TYPE_CHECKING, Any
@@ -76,6 +76,7 @@ class TaskDefinition:
         environment: place of the environment's class.
         actions: numbers of an action, in order.
         observables: entries of the observation, in the order in which they are read.
+        optional_observables: what a track file or an environment's argument may add to them, by name.
         measures: what a report of a re-simulation shows of it.
         methods: settings of what measures for an observation, as dataclasses; part of a track's digest.
         perspective: place of the `Perspective` it is drawn from; None where it is not drawn.
@@ -96,6 +97,7 @@ class TaskDefinition:
     environment: str
     actions: tuple[ActionComponent, ...]
     observables: tuple[Observable[Any], ...]
+    optional_observables: tuple[Observable[Any], ...] = ()
     measures: tuple[Measure, ...] = ()
     methods: tuple["DataclassInstance", ...] = ()
     perspective: str | None = None
@@ -119,6 +121,17 @@ class TaskDefinition:
         """Return what a policy sees in an evaluation."""
         return tuple(observable for observable in self.observables if not observable.privileged)
 
+    def with_optional(self, keys: Collection[str]) -> "TaskDefinition":
+        """Return the task that also observes what is optional and has these keys.
+
+        Raises:
+            UnknownObservationKey: it has no such optional observable.
+        """
+        if not keys:
+            return self
+        added = chosen_observables(self.optional_observables, keys)
+        return replace(self, observables=(*self.observables, *added), optional_observables=())
+
 
 class UnknownObservationKey(VitacError):
     """A key was asked for that the task does not have, or is privileged; the message lists those that it has."""
@@ -133,7 +146,8 @@ def chosen_observables(listed: Sequence[Observable[Any]], keys: Collection[str])
     names = [entry.name for entry in listed]
     unknown = sorted(set(keys) - set(names))
     if unknown:
-        raise UnknownObservationKey(f"There is no observation key {unknown[0]!r:.80}; expected {', '.join(names)}.")
+        expected = ", ".join(names) or "none"
+        raise UnknownObservationKey(f"There is no observation key {unknown[0]!r:.80}; expected {expected}.")
     return tuple(entry for entry in listed if entry.name in keys)
 
 
@@ -144,8 +158,8 @@ def append_tables(docstring: str, task: TaskDefinition) -> str:
         for index, component in enumerate(task.actions)
     ]
     observations = [
-        f"| {entry.name} | {entry.shape} | {entry.dtype} | {entry.unit} | {_meaning(entry)} |"
-        for entry in task.observables
+        f"| {entry.name} | {entry.shape} | {entry.dtype} | {entry.unit} | {_meaning(entry, task)} |"
+        for entry in (*task.observables, *task.optional_observables)
     ]
     return "\n".join(
         [
@@ -167,5 +181,7 @@ def append_tables(docstring: str, task: TaskDefinition) -> str:
     )
 
 
-def _meaning(observable: Observable[Any]) -> str:
+def _meaning(observable: Observable[Any], task: TaskDefinition) -> str:
+    if observable in task.optional_observables:
+        return f"{observable.meaning} **Only where `optional_observables` names it.**"
     return f"{observable.meaning} **Only with `privileged=True`.**" if observable.privileged else observable.meaning

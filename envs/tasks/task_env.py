@@ -90,6 +90,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         gel: elastomer of both sensors; the challenge's by default.
         sensor: a design of both sensors with gel, camera and markers of its own; the challenge's by default.
         observables: what is to be observed besides, such as a camera's pictures.
+        optional_observables: keys of those of `TaskDefinition.optional_observables` that are observed, too.
         observation_keys: which of the task's own observables are observed, privileged ones included where these are
             added; all of them by default. Others are not computed.
         shapes: which shapes are drawn where `reset` names none; all by default. Autoreset keeps them.
@@ -140,6 +141,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         gel: GelMesh | None = None,
         sensor: SensorDesign | None = None,
         observables: Sequence[Observable[Any]] = (),
+        optional_observables: Sequence[str] = (),
         observation_keys: Sequence[str] | None = None,
         shapes: Sequence[str] | None = None,
         randomization: str = Randomization.NONE.value,
@@ -150,7 +152,8 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         **overrides: Any,
     ) -> None:
         self.settings: SettingsT = with_contact_model(read_task_settings(self.settings_type, overrides), contact_model)
-        own = self.task.observables if privileged else self.task.public_observables
+        observed = self.task.with_optional(optional_observables)
+        own = observed.observables if privileged else observed.public_observables
         if observation_keys is not None:
             own = chosen_observables(own, observation_keys)
         self._meshes = Meshes(assets_dir, gel=gel, sensor=sensor)

@@ -83,11 +83,11 @@ RGB_IMAGES: Observable[HasGrasp] = Observable(
     unit="1",
     meaning=(
         "[sensor left, right] blue, green, red: the gel from inside under three lights, with the markers of "
-        "`marker_flow` as dots."
+        "`marker_flow` as dots, and noise."
     ),
     read=_tactile_pictures,
 )
-"""For training in any task with two tactile sensors: given to an environment's `observables`, in no evaluation.
+"""Optional in every task with two tactile sensors: a track file lists it, or an environment's argument.
 
-In the 2025 code the dots are another grid than that of `marker_flow` (challenge-facts D17); here they are the same.
+A record holds no hash of it, since its dots are drawn from the episode's generator at every observation. In the 2025 code the dots are another grid than that of `marker_flow` (challenge-facts D17); here they are the same.
 """

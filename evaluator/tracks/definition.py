@@ -154,6 +154,9 @@ class Task(StrictModel):
     draws: dict[Word, tuple[float, float]] = Field(
         default={}, description="Quantities that every episode has a value of its own of: lowest and highest."
     )
+    optional_observables: tuple[Word, ...] = Field(
+        default=(), description="Observables that policies get beside those of every task of its environment."
+    )
     force_limit_n: float | None = Field(
         default=None,
         gt=0,
@@ -168,8 +171,8 @@ class Task(StrictModel):
 
     @property
     def definition(self) -> TaskDefinition:
-        """Return what the task's own folder says of it, or what follows from its settings."""
-        return environment_definition(self.env_id, self.settings)
+        """Return what the task's own folder says of it, or what follows from its settings, with what it observes."""
+        return environment_definition(self.env_id, self.settings).with_optional(self.optional_observables)
 
     @property
     def family(self) -> Family:
@@ -193,9 +196,10 @@ class Task(StrictModel):
 
     @property
     def environment_arguments(self) -> Mapping[str, object]:
-        """Return what its environment is made with: settings, limit of force, and the ranges of what is drawn."""
+        """Return what its environment is made with: settings, limit of force, ranges of draws, what is observed besides."""
         limit = {} if self.force_limit_n is None else {"force_limit_n": self.force_limit_n}
-        return {**self.settings, **limit, **({"draws": self.draws} if self.draws else {})}
+        named = {"optional_observables": self.optional_observables, "draws": self.draws}
+        return {**self.settings, **limit, **{name: value for name, value in named.items() if value}}
 
     @property
     def contact_model(self) -> str | None:
@@ -269,7 +273,7 @@ class Task(StrictModel):
         # A task without settings, methods or a sealed list keeps the digest that it had before there were any.
         tables = [observed, done, *([measured] if measured else [])]
         absent: dict[str, Any] = {"profiles": True}  # never scored
-        absent |= {name: True for name in ("settings", "draws") if not getattr(self, name)}
+        absent |= {name: True for name in ("settings", "draws", "optional_observables") if not getattr(self, name)}
         absent |= {"force_limit_n": True} if self.force_limit_n is None else {}
         absent |= {"player": True} if self.player is Player.POLICY else {}
         absent |= {"station_of": True} if self.station_of is None else {}

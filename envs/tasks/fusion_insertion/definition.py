@@ -6,7 +6,7 @@ import numpy as np
 
 from ...observable import Observable
 from ...scene.observables import CONTACT_FORCES, MEASURED_POSE, SURFACE_POINTS, played_shape
-from ...vision.observables import DEPTH_PICTURE, OBJECT_POINT_CLOUD, POINT_CLOUD, RGB_PICTURE
+from ...vision.observables import DEPTH_PICTURE, OBJECT_POINT_CLOUD, POINT_CLOUD, RGB_IMAGES, RGB_PICTURE
 from ...vision.stereo.method import METHOD
 from ..definition import ActionComponent, TaskDefinition
 from ..insertion.interface import (
@@ -143,6 +143,7 @@ TASK = TaskDefinition(
         CONTACT_FORCES,
         SURFACE_POINTS,
     ),
+    optional_observables=(RGB_IMAGES,),
     measures=(SURFACE_DIFF, PEG_HEIGHT),
     methods=(METHOD,),
     perspective="vitac.envs.tasks.fusion_insertion.perspective:PERSPECTIVE",

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ...observable import Observable
 from ...scene.observables import CONTACT_FORCES, MEASURED_POSE, SURFACE_POINTS, marker_flow, played_shape
+from ...vision.observables import RGB_IMAGES
 from ..definition import ActionComponent, InfoView, Measure, TaskDefinition
 from ..measures import SURFACE_DIFF
 from ..quantities import TOUCH_QUANTITIES, Quantity, setting
@@ -101,6 +102,7 @@ TASK = TaskDefinition(
         CONTACT_FORCES,
         SURFACE_POINTS,
     ),
+    optional_observables=(RGB_IMAGES,),
     measures=(
         SURFACE_DIFF,
         Measure(name="tooth_z_mm", label="teeth", needs=("key1_pts_m", "key2_pts_m"), read=_lowest_corners_mm),

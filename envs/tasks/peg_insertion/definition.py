@@ -1,6 +1,7 @@
 """The peg task as others need to know it: actions, observables and where its parts lie."""
 
 from ...scene.observables import CONTACT_FORCES, MEASURED_POSE, SURFACE_POINTS, played_shape
+from ...vision.observables import RGB_IMAGES
 from ..definition import TaskDefinition
 from ..insertion.interface import (
     INSERTION_QUANTITIES,
@@ -29,6 +30,7 @@ TASK = TaskDefinition(
         CONTACT_FORCES,
         SURFACE_POINTS,
     ),
+    optional_observables=(RGB_IMAGES,),
     measures=(SURFACE_DIFF, PEG_HEIGHT),
     perspective="vitac.envs.tasks.peg_insertion.perspective:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.peg_insertion.guided_motion:to_the_hole",

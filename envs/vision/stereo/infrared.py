@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...compilation import kernel, large_kernel
 from ..optics import Intrinsics
+from ..pixel_noise import noise_of
 from ..rasterizer import NO_TRIANGLE
 from .dot_pattern import HALF_WIDTH
 from .method import METHOD
@@ -26,10 +27,6 @@ SPECKLE_SD = 1.0 / sqrt(METHOD.speckle_shape)
 THERMAL_SD_GREY = METHOD.thermal_sd_grey
 # A surface is lit where the projector sees the same triangle in its direction, or another one this little nearer.
 _SHADOW_SLACK_M = 0.0015
-# Mean and standard deviation of the sum of eight random bytes.
-_BYTES_MEAN = 8 * 127.5
-_BYTES_SD = sqrt(8 * (256.0**2 - 1.0) / 12.0)
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 
 class InfraredView(NamedTuple):
@@ -100,8 +97,8 @@ def _expose(
                 towards = -(n[0] * a + n[1] * y + n[2]) / np.sqrt(a * a + y * y + 1.0)
                 brightness += max(towards, 0.0) * _sample_pattern(projector.pattern, a, y) / 255.0
             pixel = np.uint64(j * width + i)
-            speckle = 1.0 + SPECKLE_SD * _normal(noise_key, np.uint64(2) * pixel)
-            thermal = THERMAL_SD_GREY * _normal(noise_key, np.uint64(2) * pixel + np.uint64(1))
+            speckle = 1.0 + SPECKLE_SD * noise_of(noise_key, np.uint64(2) * pixel)
+            thermal = THERMAL_SD_GREY * noise_of(noise_key, np.uint64(2) * pixel + np.uint64(1))
             grey = 255.0 * ALBEDO * brightness * speckle + thermal
             picture[j, i] = np.uint8(min(max(grey, 0.0), 255.0))
 
@@ -134,21 +131,3 @@ def _sample_pattern(pattern: NDArray[np.uint8], a: float, b: float) -> float:
     lower = (1.0 - x) * pattern[j + 1, i] + x * pattern[j + 1, i + 1]
     brightness: float = (1.0 - y) * upper + y * lower
     return brightness
-
-
-@kernel
-def _normal(key: np.uint64, counter: np.uint64) -> float:
-    """Return a number that is nearly standard normal: the sum of the eight bytes of a mixed counter, scaled.
-
-    The mixer is splitmix64 (Steele, Lea & Flood 2014). A counter rather than a stream, so that the noise of a pixel
-    does not depend on how many others show something.
-    """
-    z = key + (counter + np.uint64(1)) * _GOLDEN
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z = z ^ (z >> np.uint64(31))
-    total = np.uint64(0)
-    for _ in range(8):
-        total += z & np.uint64(0xFF)
-        z = z >> np.uint64(8)
-    return (float(total) - _BYTES_MEAN) / _BYTES_SD

@@ -97,3 +97,12 @@ def test_markers_at_and_beyond_the_edge_are_drawn_as_far_as_they_are_in_the_pict
 def test_a_marker_that_is_repeated_is_one_dot() -> None:
     once, often = np.array([[100.2, 60.7]]), np.tile([100.2, 60.7], (128, 1))
     np.testing.assert_array_equal(taken(markers_px=once), taken(markers_px=often))
+
+
+def test_noise_has_its_spread_and_changes_with_its_key_only() -> None:
+    noisy = [CAMERA.picture(AT_REST_M, *NO_BODY, NO_MARKERS, key) for key in (7, 7, 8)]
+    np.testing.assert_array_equal(noisy[0], noisy[1])
+    assert (noisy[0] != noisy[2]).mean() > 0.5
+    difference = noisy[0].astype(np.int64) - noisy[2]
+    assert difference.std() / 2**0.5 == pytest.approx(1.0, rel=0.1)
+    assert abs(difference.mean()) < 0.02

@@ -129,6 +129,7 @@ def test_a_task_without_settings_methods_and_commitment_keeps_the_digest_from_be
         exclude={
             "settings": True,
             "draws": True,
+            "optional_observables": True,
             "force_limit_n": True,
             "player": True,
             "station_of": True,
