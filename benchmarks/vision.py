@@ -4,9 +4,9 @@ Prints one line per figure.
 
 Usage: python benchmarks/vision.py [--pictures N]
 
-Looks at the fusion task's evaluated starts with undeformed gels, and at the gels of the first of them after an env step;
-exits with 1 if one of their pictures takes more than 5 ms of CPU time. Needs tests/support/envs on the path, which pytest and
-this script see to.
+Looks at the fusion task's evaluated starts with undeformed gels, and at two gels after an env step; exits with 1 if the
+picture of a gel takes more than 5 ms of CPU time. Needs tests/support/envs on the path, which pytest and this script
+see to.
 """
 
 import argparse

@@ -196,7 +196,7 @@ class Task(StrictModel):
 
     @property
     def environment_arguments(self) -> Mapping[str, object]:
-        """Return what its environment is made with: settings, limit of force, ranges of draws, what is observed besides."""
+        """Return what its environment is made with: settings, limit of force, draws, optional observables."""
         limit = {} if self.force_limit_n is None else {"force_limit_n": self.force_limit_n}
         named = {"optional_observables": self.optional_observables, "draws": self.draws}
         return {**self.settings, **limit, **{name: value for name, value in named.items() if value}}
