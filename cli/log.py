@@ -58,8 +58,8 @@ def verify(
     """Re-simulate a log's actions; exit code 0 if it is verified, 1 if it diverges or is impossible.
 
     A log of a part of the list is verified as far as it goes, and the output says what is missing. A 2025 text log
-    cannot be verified: its numbers are checked, and claimed and re-simulated rate printed; exit code 0 if it is whole
-    and its numbers agree with each other.
+    cannot be verified: its numbers are checked, and claimed and re-simulated rate printed; exit code 0 if it is
+    complete and its numbers agree with each other.
     """
     from vitac.evaluator.logs.text_log_check import is_text_log_file
 

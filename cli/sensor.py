@@ -144,7 +144,7 @@ def evaluate(
     workers: Workers = None,
     figures: Annotated[
         FigureChoice,
-        typer.Option(help="Figures to measure: all, none, or quick: those that take no episodes, and none is played."),
+        typer.Option(help="Figures to measure: all, none, or quick (those that need no episodes)."),
     ] = FigureChoice.ALL,
     json: Annotated[
         Path | None, typer.Option(help="Write scores, digests, sensing gain and figures to this file.")
@@ -156,7 +156,7 @@ def evaluate(
     With the standard estimator, the sensor's figures are measured, and shown beside those of the reference gel. Its
     finished shards are stored for 30 days, so that the same command continues after an interruption.
 
-    With --figures quick only --episodes that are named are played.
+    With --figures quick, episodes are played only if --episodes names them.
     """
     if policy is not None:
         _evaluate_policy(sensor, policy, episodes, workers, json)

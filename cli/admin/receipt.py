@@ -20,7 +20,7 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 @app.command()
 def key(as_json: AsJson = False) -> None:
-    """Show the public key that signs the log of receipts, how long it is, its root and its checkpoint."""
+    """Show the public key that signs the log of receipts, the log's length, root and checkpoint."""
     with transaction() as session:
         print_record(asdict(read_log_state(session)), as_json=as_json)
 

@@ -29,7 +29,7 @@ def list_stations(session: Session) -> list[dict[str, object]]:
     ]
 
 
-@change(app, question="Remove the station {name}? Its key opens nothing afterwards.", done="station {name} is removed")
+@change(app, question="Remove the station {name}? Its key is refused afterwards.", done="station {name} is removed")
 def remove(session: Session, name: StationName) -> dict[str, object]:
     """Remove a station; its agent is refused when it starts next."""
     stations.remove_station(session, CONSOLE, name)

@@ -22,6 +22,7 @@ from .verbs import change
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 SubmissionId = Annotated[UUID, typer.Argument(help="Id of the submission.")]
+Reason = Annotated[str, typer.Option(help="Why, in one line; the team sees it.")]
 COLUMNS = ("submission", "team", "name", "track", "state", "episodes", "success", "steps", "submitted")
 
 
@@ -49,13 +50,10 @@ def list_submissions(
 
 
 @app.command()
-def show(
-    submission: SubmissionId,
-    as_json: AsJson = False,
-) -> None:
+def show(submission: SubmissionId, as_json: AsJson = False) -> None:
     """Show a submission with its newest evaluation."""
     with transaction() as session:
-        found = listing.get(session, load_settings(), CONSOLE, submission).model_dump(mode="json")
+        found = _view(session, submission).model_dump(mode="json")
     if as_json:
         print_json(found)
     else:
@@ -64,12 +62,12 @@ def show(
 
 @app.command()
 def copies(as_json: AsJson = False) -> None:
-    """List submissions that go nearly as an earlier one of another team, and models with an archive alike to one.
+    """List submissions that are near copies of another team's earlier one, and models with similar archives.
 
-    Near: episodes in which no action of the first eight env steps, or no motion commanded until then, differs by more
-    than 0.02, or the states on the way by more than 0.1 mm. With half of the episodes or more a submission is listed,
-    and not ranked until you clear it. An archive is listed with weights that correlate by 0.98 or, without weights,
-    80 % of common code; that alone takes it off no board.
+    Near are episodes in which no action of the first eight env steps, or no motion commanded until then, differs by
+    more than 0.02, or the states on the way by more than 0.1 mm. With half of the episodes or more a submission is
+    listed, and not ranked until you clear it. An archive is listed with weights that correlate by 0.98 or, without
+    weights, 80 % of common code; such a submission stays ranked.
     """
     with transaction() as session:
         near = compare_archives(session, CONSOLE, list_near_copies(session, CONSOLE))
@@ -81,9 +79,9 @@ def copies(as_json: AsJson = False) -> None:
         )
         return
     columns = ["submission", "team", "like", "of team", "task", "list", "near", "difference", "code", "weights"]
-    print_table(columns, [_copy(one) for one in near], none="No submission goes nearly as another team's.")
+    print_table(columns, [_copy(one) for one in near], none="No submission is near another team's.")
     if archives:
-        print("\nArchives that are alike:")
+        print("\nSimilar archives:")
         print_table(
             ["submission", "team", "like", "of team", "track", "code", "weights"],
             [_archive(one) for one in archives],
@@ -95,71 +93,63 @@ def copies(as_json: AsJson = False) -> None:
 def requeue(session: Session, submission: SubmissionId) -> SubmissionView:
     """Evaluate all episodes of a submission again. Earlier results stay; the newest run is shown."""
     runs.run_again(session, CONSOLE, submission)
-    return listing.get(session, load_settings(), CONSOLE, submission)
+    return _view(session, submission)
 
 
 @change(app, question="Cancel the evaluation of submission {submission}?", done="cancelled {submission}")
 def cancel(session: Session, submission: SubmissionId) -> SubmissionView:
     """Cancel the evaluation of a submission; its workers stop within seconds."""
     runs.cancel(session, CONSOLE, submission)
-    return listing.get(session, load_settings(), CONSOLE, submission)
+    return _view(session, submission)
 
 
 @change(app, question="Take submission {submission} off all boards?", done="disqualified {submission}")
-def disqualify(
-    session: Session,
-    submission: SubmissionId,
-    reason: Annotated[str, typer.Option(help="Why, in one line; the team sees it.")],
-) -> SubmissionView:
+def disqualify(session: Session, submission: SubmissionId, reason: Reason) -> SubmissionView:
     """Remove one submission from all boards; its team takes part as before. `reinstate` undoes it."""
     disqualification.disqualify(session, CONSOLE, submission, reason)
-    return listing.get(session, load_settings(), CONSOLE, submission)
+    return _view(session, submission)
 
 
 @change(app, question="Put submission {submission} back on the boards?", done="reinstated {submission}")
 def reinstate(session: Session, submission: SubmissionId) -> SubmissionView:
     """Put a disqualified submission back on the boards."""
     disqualification.reinstate(session, CONSOLE, submission)
-    return listing.get(session, load_settings(), CONSOLE, submission)
+    return _view(session, submission)
 
 
 @change(app, question="Rank submission {submission} although it was found to be a copy?", done="cleared {submission}")
-def clear(
-    session: Session,
-    submission: SubmissionId,
-    reason: Annotated[str, typer.Option(help="Why, in one line; the team sees it.")],
-) -> SubmissionView:
+def clear(session: Session, submission: SubmissionId, reason: Reason) -> SubmissionView:
     """Put a submission that was found to be a copy back on the boards. `withdraw-clearance` undoes it."""
     clearance.clear(session, CONSOLE, submission, reason)
-    return listing.get(session, load_settings(), CONSOLE, submission)
+    return _view(session, submission)
 
 
 @change(app, question="Count submission {submission} as a copy again?", done="withdrew the clearance of {submission}")
 def withdraw_clearance(session: Session, submission: SubmissionId) -> SubmissionView:
     """Withdraw the clearance of a submission: it counts as a copy again."""
     clearance.withdraw(session, CONSOLE, submission)
-    return listing.get(session, load_settings(), CONSOLE, submission)
+    return _view(session, submission)
 
 
 @change(app, question="Hide the description of {submission} from others?", done="removed it from {submission}")
-def remove_description(
-    session: Session,
-    submission: SubmissionId,
-    reason: Annotated[str, typer.Option(help="Why, in one line; the team sees it.")],
-) -> SubmissionView:
+def remove_description(session: Session, submission: SubmissionId, reason: Reason) -> SubmissionView:
     """Hide what a team wrote about its result from others. `restore-description` undoes it."""
     descriptions.remove(session, CONSOLE, submission, reason)
-    return listing.get(session, load_settings(), CONSOLE, submission)
+    return _view(session, submission)
 
 
 @change(app, question="Let others see the description of {submission} again?", done="restored it of {submission}")
 def restore_description(session: Session, submission: SubmissionId) -> SubmissionView:
     """Let others see a removed description again."""
     descriptions.restore(session, CONSOLE, submission)
+    return _view(session, submission)
+
+
+def _view(session: Session, submission: UUID) -> SubmissionView:
     return listing.get(session, load_settings(), CONSOLE, submission)
 
 
-def _copy(found: "NearCopyView") -> list[object]:
+def _copy(found: NearCopyView) -> list[object]:
     return [
         found.submission_id,
         found.team,
@@ -174,7 +164,7 @@ def _copy(found: "NearCopyView") -> list[object]:
     ]
 
 
-def _archive(found: "ArchiveCopyView") -> list[object]:
+def _archive(found: ArchiveCopyView) -> list[object]:
     return [
         found.submission_id,
         found.team,
@@ -186,7 +176,7 @@ def _archive(found: "ArchiveCopyView") -> list[object]:
     ]
 
 
-def _row(item: "SubmissionView") -> list[object]:
+def _row(item: SubmissionView) -> list[object]:
     evaluation = item.evaluation
     done = f"{evaluation.progress.episodes_done}/{evaluation.progress.episodes_total}"
     return [

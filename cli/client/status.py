@@ -19,9 +19,7 @@ class EvaluationEndedWithoutScore(VitacError):
 def command(
     submission: Annotated[
         str | None,
-        typer.Argument(
-            help="Id of a submission; without it the newest are listed, or with --watch the newest is meant."
-        ),
+        typer.Argument(help="Id of a submission; by default the newest ones are listed, and --watch takes the newest."),
     ] = None,
     watch: Annotated[bool, typer.Option("--watch", help="Wait until the evaluation ends.")] = False,
     server: Server = None,

@@ -36,7 +36,7 @@ Key = Annotated[
 @app.command()
 def verify(
     receipt: Annotated[
-        str, typer.Argument(help="File, or id or address of a submission, whose newest one is checked.")
+        str, typer.Argument(help="File of a receipt, or a submission's id or address, whose newest receipt is checked.")
     ],
     key: Key = None,
     witness: Annotated[
@@ -49,8 +49,8 @@ def verify(
 ) -> None:
     """Check content, signature and proof of a receipt, and who witnessed it; the exit code is 0 if they are right.
 
-    A file is checked without any service. Of a submission at a service it is also checked that the receipt is in the
-    log that the service shows, and signed by the key that it shows.
+    A file is checked without any service. For a submission at a service it also checks that the receipt is in the log
+    that the service shows, and signed by the key that it shows.
     """
     from vitac.server.receipts.export import read_receipt
     from vitac.server.transparency.notes import VerifierKey
@@ -78,7 +78,7 @@ def verify(
             **({"witnessed by": f"{len(witnessed)} of {len(witnesses)}"} if witnesses else {}),
         }
     )
-    print("The receipt is whole, and in the log that is signed by that key.")
+    print("The receipt is complete, and in the log that this key signed.")
     if key is None:
         print("Compare the key with the one that the service shows on its page /receipts, or give it as --key.")
 
@@ -94,7 +94,7 @@ def audit(
         ),
     ],
     episodes: Annotated[
-        int, typer.Option(min=0, help="Of an export: number of episodes to run again, chosen at random.")
+        int, typer.Option(min=0, help="For an export: number of episodes to run again, chosen at random.")
     ] = 10,
     seed: Annotated[
         int | None,
@@ -115,8 +115,8 @@ def audit(
 ) -> None:
     """Check the public log and say what it leaves in doubt, or check a board against it.
 
-    Of an export are checked: log, signature, scores against receipts, and a sample of its episodes. The exit code is 0
-    only if nothing is wrong, and of an export only if the records of every rank agree with their receipts.
+    For an export it checks log, signature, scores against receipts, and a sample of its episodes. The exit code is 0
+    only if nothing is wrong, and for an export only if the records of every rank agree with their receipts.
     """
     from vitac.server.receipts.export import read_receipt
 
@@ -130,7 +130,7 @@ def audit(
 @app.command()
 def compare(
     earlier: Annotated[Path, typer.Argument(help="File of the checkpoint that was stored first.")],
-    later: Annotated[Path, typer.Argument(help="File of the one that was stored later, by you or by somebody else.")],
+    later: Annotated[Path, typer.Argument(help="File of the checkpoint that was stored later, by anybody.")],
     log: Annotated[
         str | None,
         typer.Option(help="Address of the service, or folder with its /log/ files; needed where the sizes differ."),

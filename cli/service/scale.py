@@ -32,9 +32,9 @@ def slurm(
     most: Annotated[int, typer.Option("--most", min=1, help="Jobs that may wait or run at the same time.")],
     slots: Annotated[int, typer.Option(min=1, help="Shards that a job runs at the same time, each on a CPU.")] = 1,
     every: Annotated[
-        float, typer.Option(parser=parse_duration_s, metavar="TIME", help="Time between two looks at the queue.")
+        float, typer.Option(parser=parse_duration_s, metavar="TIME", help="Time between two checks of the queue.")
     ] = 15.0,
-    once: Annotated[bool, typer.Option("--once", help="Look once and end, for cron.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="Check once and end, for cron.")] = False,
 ) -> None:
     """Keep as many Slurm jobs as the queue has work for, until Ctrl-C; run it where jobs are submitted.
 
@@ -61,13 +61,13 @@ def _scale_until_stopped(scaler: "SlurmScaler", every_s: float) -> None:
         try:
             done = scaler.scale()
         except (SlurmError, DatabaseUnreachable) as error:
-            warn(f"{error} The next look is in {pause_s:.0f} s.")
+            warn(f"{error} The next check is in {pause_s:.0f} s.")
         else:
             ended_at_once = last is not None and last.submitted and not done.running + done.pending
             is_stuck = ended_at_once and last is not None and done.work >= last.work
             pause_s = min(LONGEST_PAUSE_S, 2 * pause_s) if is_stuck else every_s
             if is_stuck:
-                warn(f"All jobs ended and no work was done: read their output. The next look is in {pause_s:.0f} s.")
+                warn(f"All jobs ended and no work was done: read their output. The next check is in {pause_s:.0f} s.")
             if done.submitted or done.cancelled:
                 _print_scaling(done)
             last = done

@@ -25,12 +25,11 @@ class TooManyTriangles(StlError):
     """An STL file has more triangles than allowed; export it with fewer."""
 
 
-def read_stl(path: Path, *, scale: float = 1e-3) -> SurfaceMesh:
+def read_stl(path: Path) -> SurfaceMesh:
     """Read the closed surface in an STL file; corners at equal positions become one vertex, in order of appearance.
 
     Args:
-        path: binary or ASCII file.
-        scale: metres per unit of the file; STL has no unit, the challenge's solids are in millimetres.
+        path: binary or ASCII file, in millimetres as the challenge's solids are.
 
     Raises:
         StlError: the file is missing, too large, truncated or not STL.
@@ -42,7 +41,7 @@ def read_stl(path: Path, *, scale: float = 1e-3) -> SurfaceMesh:
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
     return SurfaceMesh(
-        vertices_m=np.ascontiguousarray(unique[order] * scale),
+        vertices_m=np.ascontiguousarray(unique[order] * 1e-3),
         triangles=rank[inverse.reshape(-1)].reshape(-1, 3),
         name=path.name,
     )

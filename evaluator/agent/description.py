@@ -6,7 +6,6 @@ import numpy as np
 from pydantic import ValidationError
 
 from ..strict_model import StrictModel
-from .limits import Limits
 from .probe_folder import probe_folder
 from .verdicts import PolicyFailed, SandboxFailed
 
@@ -58,7 +57,7 @@ class SandboxDescription(StrictModel):
     packages: dict[str, str]
 
 
-def describe_sandbox(limits: Limits | None = None) -> SandboxDescription:
+def describe_sandbox() -> SandboxDescription:
     """Return what a policy finds in this machine's sandbox, by running a program in it.
 
     Raises:
@@ -70,7 +69,7 @@ def describe_sandbox(limits: Limits | None = None) -> SandboxDescription:
         (folder / "policy.py").write_text(_POLICY)
         try:
             with (
-                PolicySession(folder, limits=limits) as session,
+                PolicySession(folder) as session,
                 session.episode(task="description", action_shape=(1,)) as policy,
             ):
                 policy.act({"value": np.zeros(1, dtype=np.float32)})

@@ -217,13 +217,13 @@ class Stage:
                 f"{team.name} is not among those whom the organizers confirmed.",
             )
 
-    def require_over(self, at: datetime | None = None) -> None:
-        """Refuse what has to wait until it has closed; `at` None: now.
+    def require_over(self) -> None:
+        """Refuse what has to wait until it has closed.
 
         Raises:
             ServiceError: it takes submissions still or later.
         """
-        if not self.is_over(at or datetime.now(UTC)):
+        if not self.is_over(datetime.now(UTC)):
             raise ServiceError(
                 ProblemCode.STAGE_NOT_OVER,
                 f"Stage {self.name} of {self.track} closes at {self.rules.closes:%F %T} UTC; wait until then.",

@@ -30,9 +30,9 @@ from .stages import Stage
 Lists = Mapping[tuple[str, str], SealedList]
 
 
-def competition_list_view(session: Session, *, at: datetime | None = None) -> CompetitionListView:
-    """Return all competitions, the one that opened last first; `at` None: as they are now."""
-    now = at or datetime.now(UTC)
+def competition_list_view(session: Session) -> CompetitionListView:
+    """Return all competitions, the one that opened last first."""
+    now = datetime.now(UTC)
     return CompetitionListView(
         items=[
             CompetitionSummaryView(

@@ -237,9 +237,9 @@ class Cluster:
         """Return the address of our database for the owner of the tables, with the password."""
         return self._address(OWNER_ROLE, self._password_file(OWNER_ROLE), DATABASE)
 
-    def service_dsn(self, database: str = DATABASE) -> str:
-        """Return the address of a database of this cluster for the service, with the password."""
-        return self._address(SERVICE_ROLE, self._password_file(SERVICE_ROLE), database)
+    def service_dsn(self) -> str:
+        """Return the address of our database for the service, with the password."""
+        return self._address(SERVICE_ROLE, self._password_file(SERVICE_ROLE), DATABASE)
 
     def _password_file(self, role: str) -> Path:
         names = {SUPERUSER: "password", OWNER_ROLE: "owner-password", SERVICE_ROLE: "service-password"}

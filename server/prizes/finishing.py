@@ -96,11 +96,11 @@ def finalize(
     return found
 
 
-def concerns_at_end(session: Session, name: str | None = None, *, at: datetime | None = None) -> list[Concern]:
-    """Return what is not settled, and would be by the end alone; `at` None: now."""
+def concerns_at_end(session: Session, name: str | None = None) -> list[Concern]:
+    """Return what is not settled, and would be by the end alone."""
     contest = Contest.find(session, name)
     contest.require_held()
-    return unsettled(contest, at or datetime.now(UTC))
+    return unsettled(contest, datetime.now(UTC))
 
 
 def reopen(session: Session, by: Principal, reason: str, name: str | None = None) -> None:

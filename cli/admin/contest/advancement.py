@@ -97,4 +97,4 @@ def list_teams(track: TrackName, stage: StageName, contest: ContestName = None, 
     else:
         print("\n".join(found) or "Nobody was confirmed.")
     if found:
-        print(f"To confirm others without a question: --yes --base {revision}", file=sys.stderr)
+        print(f"To confirm other teams without a question: --yes --base {revision}", file=sys.stderr)

@@ -119,7 +119,7 @@ def show(contest: ContestName = None, as_json: AsJson = False) -> None:
     name="lists",
 )
 def list_sealed(session: Session, contest: ContestName = None) -> list[dict[str, object]]:
-    """List the sealed lists of stages: commitments to publish before, secrets once they are revealed."""
+    """List the sealed lists of stages: commitments to publish before a stage, secrets once they are revealed."""
     return [
         {
             "track": each.track,

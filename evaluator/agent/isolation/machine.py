@@ -30,11 +30,11 @@ class Requirement:
     """What to do; empty where it is met."""
 
 
-def requirements(*, sysctl: Path = _SYSCTL) -> list[Requirement]:
+def requirements() -> list[Requirement]:
     """Look for everything; nothing is started but `bwrap --version`."""
     found = [_bubblewrap(), _seccomp(), *_programs(), _control_group(), _frozen_copies()]
     if bubblewrap.current_user_isolation() is UserIsolation.USER_NAMESPACE:
-        found += user_namespaces(sysctl)
+        found += user_namespaces()
     return found
 
 

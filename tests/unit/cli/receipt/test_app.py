@@ -39,7 +39,7 @@ def test_a_receipt_is_verified_at_the_service_and_as_a_file(played: tuple[CliSer
     for named in (submission_id, f"{service.address}/submissions/{submission_id}"):
         shown = service.run("receipt", "verify", named).stdout
         assert "270 of 270" in shown
-        assert "signed by that key" in shown
+        assert "that this key signed" in shown
         assert "Compare the key" not in shown
     told = json.loads(service.run("receipt", "verify", submission_id, "--json").stdout)
     assert told["verified"] is told["key_given"] is True
@@ -61,7 +61,7 @@ def test_of_a_submission_without_a_result_the_receipt_of_its_arrival_is_verified
         team = teams.find(session, "Team A")
         waits = submit(session, Principal(role=Role.TEAM, team_id=team.id, team_name=team.name))
     shown = service.run("receipt", "verify", str(waits.id)).stdout
-    assert "signed by that key" in shown
+    assert "that this key signed" in shown
     assert str(waits.id) in shown
     assert "result hash" not in shown
 

@@ -66,4 +66,4 @@ def test_jobs_that_end_at_once_are_submitted_at_ever_longer_intervals(
     assert pauses == [15.0, 30.0, 60.0, 60.0, 15.0, 15.0]
     said = capsys.readouterr().err
     assert "read their output" in said
-    assert "`squeue` failed The next look is in 60 s" in said
+    assert "`squeue` failed The next check is in 60 s" in said
