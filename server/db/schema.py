@@ -116,7 +116,7 @@ def _note_oldest(connection: Connection) -> None:
     oldest = max(
         path.name[1:5]
         for path in versions.glob("v*.py")
-        if not import_module(f"vitac.migrations.versions.{path.stem}").__dict__.get("works_with_older", False)
+        if not import_module(f"vitac.migrations.versions.{path.stem}").works_with_older
     )
     connection.exec_driver_sql("DELETE FROM schema_compatibility")
     connection.exec_driver_sql("INSERT INTO schema_compatibility VALUES (%s)", (oldest,))
@@ -143,7 +143,7 @@ def knows_revision(revision: str) -> bool:
 
 @cache
 def _revisions() -> frozenset[str]:
-    """Return those of all migrations, by the names of their modules: `v0001_first_schema` is 0001."""
+    """Return those of all migrations, by the names of their modules: `v0012_first_schema` is 0012."""
     found = (re.fullmatch(r"v(\d{4})_\w+\.py", path.name) for path in (_migrations() / "versions").iterdir())
     return frozenset(match[1] for match in found if match is not None)
 

@@ -17,12 +17,12 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from databases import FAST, fresh_database, shared_cluster, state_directory
 from procrastinate.schema import SchemaManager
-from sqlalchemy import select, text
+from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError, OperationalError
-from vitac.migrations.versions import v0001_first_schema as first_schema
+from vitac.migrations.versions import v0012_first_schema as first_schema
 from vitac.server.db import schema
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Base, ReceiptRow
+from vitac.server.db.models import Base
 from vitac.server.db.schema import (
     OtherSchema,
     WrongEncoding,
@@ -35,9 +35,6 @@ from vitac.server.db.schema import (
 from vitac.server.db.states import EVALUATION_TRANSITIONS, PLAYBACK_TRANSITIONS, SHARD_TRANSITIONS
 from vitac.server.postgres.binaries import DEBIAN_ROOT, OLDEST_MAJOR, inspect_bin_dir
 from vitac.server.postgres.embedded import EmbeddedPostgres
-from vitac.server.receipts.issuing import list_entries
-from vitac.server.transparency.log import read_tree
-from vitac.server.transparency.merkle import make_tree
 
 OLDEST = DEBIAN_ROOT / str(OLDEST_MAJOR) / "bin"
 CONSTRAINTS = """
@@ -118,7 +115,7 @@ def test_the_newest_revision_is_the_one_that_all_migrations_lead_to() -> None:
 def test_each_revision_says_whether_older_processes_may_go_on() -> None:
     for path in schema._migrations().glob("versions/v*.py"):
         module = import_module(f"vitac.migrations.versions.{path.stem}")
-        assert module.revision < "0010" or isinstance(module.works_with_older, bool), path.name
+        assert isinstance(module.works_with_older, bool), path.name
 
 
 def test_a_process_works_with_a_newer_schema_that_only_adds_and_refuses_another(empty: Database) -> None:
@@ -142,35 +139,6 @@ def test_a_current_database_is_looked_at_without_alembic(migrated: Database) -> 
     looked = "from vitac.server.db import engine, schema; schema.upgrade(engine.Database(sys.argv[1]))"
     code = f"import sys; {looked}; sys.exit('alembic' in sys.modules)"
     subprocess.run([sys.executable, "-c", code, migrated.address], check=True)
-
-
-def test_receipts_of_the_former_chain_become_entries_of_the_log(empty: Database) -> None:
-    """300 ends of competitions, which depend on no other row."""
-    upgrade(empty)
-    downgrade(empty, "0007")
-    with empty.engine.begin() as connection:
-        connection.execute(
-            text(
-                """
-                INSERT INTO receipts (number, previous, digest, stands_for, content, content_sha256, issued_at,
-                                      public_key, signature, board)
-                SELECT n, CASE WHEN n > 1 THEN encode(sha256((n - 1)::text::bytea), 'hex') END,
-                       encode(sha256(n::text::bytea), 'hex'), 'end', '{}', repeat('1', 64),
-                       timestamptz '2031-01-01 00:00:00Z' + n * interval '0.5 s', repeat('2', 64), repeat('3', 128),
-                       'end of cup ' || n
-                FROM generate_series(1, 300) n
-                """
-            )
-        )
-    upgrade(empty)
-    with empty.transaction() as session:
-        found = list_entries(session)
-        leaves = session.scalars(select(ReceiptRow.leaf_hash).order_by(ReceiptRow.number)).all()
-        assert [entry.leaf_hash for entry in found] == leaves, "also where the time has whole seconds"
-        assert (found[-1].number, found[-1].board, found[-1].content_sha256) == (300, "end of cup 300", "1" * 64)
-        assert read_tree(session).root() == make_tree(leaves).root()
-    downgrade(empty, "0007")
-    assert rows(empty, "SELECT count(*) FROM receipts") == [(0,)]
 
 
 def test_downgrade_takes_everything_back(empty: Database) -> None:

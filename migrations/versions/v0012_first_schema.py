@@ -3,7 +3,7 @@
 The queue is made by procrastinate's own migrations up to a named one. They cannot run in one transaction (PostgreSQL
 before 17 refuses to use a new enum value in the transaction that adds it), so they run first, and an interrupted run
 begins again: before this revision the queue is empty. A later procrastinate that adds migrations needs a migration of
-ours that runs them; a test fails when the two differ.
+ours that runs them; a test fails when the two differ. Databases of before the first release have this revision, too.
 """
 
 from importlib.resources import files
@@ -12,10 +12,14 @@ import sqlalchemy as sa
 from alembic import op
 from sqlalchemy.dialects import postgresql
 
-revision = "0001"
+revision = "0012"
 down_revision = None
 branch_labels = None
 depends_on = None
+
+works_with_older = False
+"""Whether a process of the release before this revision may go on with the schema: it only adds what that one does not
+need. Each revision says so."""
 
 LAST_QUEUE_MIGRATION = "03.04.00_50_post_add_retry_failed_job_procedure.sql"
 
@@ -27,8 +31,12 @@ TABLES = (
     "metric_totals",
     "receipt_key",
     "rejudgements",
+    "schema_compatibility",
     "sealed_lists",
+    "stations",
     "teams",
+    "tree_nodes",
+    "cosignatures",
     "workers",
     "declared_evaluators",
     "invitations",
@@ -49,6 +57,9 @@ TABLES = (
     "board_results",
     "episode_differences",
     "episode_results",
+    "action_traces",
+    "near_copies",
+    "archive_copies",
     "log_copies",
     "receipts",
     "shards",
@@ -96,14 +107,29 @@ NOTED_CHANGES = {
 }
 """Changes after which boards are read again, by table. A new team is on no board before its first result."""
 
-APPEND_ONLY = {"audit_log": "refuse_audit_change", "receipts": "refuse_receipt_change"}
+APPEND_ONLY = {
+    "audit_log": "refuse_audit_change",
+    "receipts": "refuse_receipt_change",
+    "tree_nodes": "refuse_tree_nodes_change",
+    "cosignatures": "refuse_cosignatures_change",
+}
 """Tables whose rows are never changed or removed, and the functions that refuse it."""
+
+ANNOUNCED_CHANGES = {
+    "evaluations": ("INSERT OR UPDATE", "NEW.submission_id"),
+    "shards": (
+        "UPDATE OF state, progressed_at",
+        "(SELECT submission_id FROM evaluations WHERE id = NEW.evaluation_id)",
+    ),
+}
+"""Changes of a table that listeners hear of, and the submission that they concern; renewing a lease is none of them."""
 
 FUNCTIONS = (
     "note_board_change",
     "refuse_receipt_gap",
     *APPEND_ONLY.values(),
     *(f"check_{table}_transition" for table in TRANSITIONS),
+    *(f"tell_of_{table}" for table in ANNOUNCED_CHANGES),
 )
 
 
@@ -122,6 +148,7 @@ def upgrade() -> None:
         refuse_changes(table, function)
     refuse_gaps_between_receipts()
     note_changes_of_boards()
+    announce_changes()
 
 
 def downgrade() -> None:
@@ -213,8 +240,7 @@ def refuse_gaps_between_receipts() -> None:
         """
         CREATE FUNCTION refuse_receipt_gap() RETURNS trigger LANGUAGE plpgsql AS $$
         BEGIN
-            IF NEW.number <> (SELECT coalesce(max(number), 0) + 1 FROM receipts)
-               OR NEW.previous IS DISTINCT FROM (SELECT digest FROM receipts ORDER BY number DESC LIMIT 1) THEN
+            IF NEW.number <> (SELECT coalesce(max(number), 0) + 1 FROM receipts) THEN
                 RAISE EXCEPTION 'receipt % does not follow the last one', NEW.number
                     USING ERRCODE = 'check_violation', CONSTRAINT = 'ck_receipts_without_gap';
             END IF;
@@ -244,6 +270,23 @@ def note_changes_of_boards() -> None:
         op.execute(
             f"CREATE TRIGGER {table}_noted AFTER {changes} ON {table} "
             "FOR EACH STATEMENT EXECUTE FUNCTION note_board_change()"
+        )
+
+
+def announce_changes() -> None:
+    """Notify listeners of the submission whose evaluation or shard has changed."""
+    for table, (changes, submission) in ANNOUNCED_CHANGES.items():
+        op.execute(
+            f"""
+            CREATE FUNCTION tell_of_{table}() RETURNS trigger LANGUAGE plpgsql AS $$
+            BEGIN
+                PERFORM pg_notify('vitac_submissions', {submission}::text);
+                RETURN NULL;
+            END $$
+            """
+        )
+        op.execute(
+            f"CREATE TRIGGER {table}_told AFTER {changes} ON {table} FOR EACH ROW EXECUTE FUNCTION tell_of_{table}()"
         )
 
 
@@ -313,6 +356,7 @@ def make_tables() -> None:
         sa.Column("discarded_at", TIME),
         sa.CheckConstraint("applied_at IS NULL OR discarded_at IS NULL", name="ends_in_one_way"),
     )
+    op.create_table("schema_compatibility", sa.Column("oldest", sa.Text(), primary_key=True))
     op.create_table(
         "sealed_lists",
         sa.Column("commitment", sa.String(length=64), primary_key=True),
@@ -326,6 +370,13 @@ def make_tables() -> None:
         sa.CheckConstraint("commitment ~ '^[0-9a-f]{64}$'", name="commitment_is_sha256"),
         sa.CheckConstraint("secret ~ '^[0-9a-f]{64}$'", name="secret_is_hexadecimal"),
         sa.UniqueConstraint("contest", "track", "stage", name=op.f("uq_sealed_lists_contest_track_stage")),
+    )
+    op.create_table(
+        "stations",
+        sa.Column("name", sa.Text(), primary_key=True),
+        sa.Column("key_sha256", sa.Text(), nullable=False, unique=True),
+        sa.Column("worker_id", sa.Uuid()),
+        sa.Column("created_at", TIME, server_default=sa.text("now()"), nullable=False),
     )
     op.create_table(
         "teams",
@@ -350,6 +401,19 @@ def make_tables() -> None:
         sa.CheckConstraint("approved_at IS NULL OR refused_for IS NULL", name="is_accepted_or_refused"),
     )
     op.create_table(
+        "tree_nodes",
+        sa.Column("level", sa.SmallInteger(), autoincrement=False, primary_key=True),
+        sa.Column("number", sa.BigInteger(), autoincrement=False, primary_key=True),
+        sa.Column("hash", sa.LargeBinary(), nullable=False),
+    )
+    op.create_table(
+        "cosignatures",
+        sa.Column("witness", sa.Text(), primary_key=True),
+        sa.Column("size", sa.BigInteger(), autoincrement=False, primary_key=True),
+        sa.Column("signature", sa.LargeBinary(), nullable=False),
+        sa.Column("signed_at", TIME, nullable=False),
+    )
+    op.create_table(
         "workers",
         sa.Column("id", sa.Uuid(), primary_key=True),
         sa.Column("host", sa.Text(), nullable=False),
@@ -366,12 +430,16 @@ def make_tables() -> None:
         sa.Column("disk_bytes", sa.BigInteger()),
         sa.Column("disk_free_bytes", sa.BigInteger()),
         sa.Column("sandbox", JSON),
-        sa.CheckConstraint("state IN ('ready', 'refusing', 'stopped')", name="state"),
+        sa.Column("worker_order", sa.String(16), server_default="work", nullable=False),
+        sa.CheckConstraint("worker_order IN ('work', 'cordon', 'drain')", name="worker_order"),
+        sa.CheckConstraint("state IN ('ready', 'refusing', 'stopped', 'cordoned')", name="state"),
     )
     op.create_table(
         "declared_evaluators",
         sa.Column("track", sa.Text(), primary_key=True),
         sa.Column("version", sa.Text(), nullable=False),
+        sa.Column("outdated", sa.String(16), server_default="restart", nullable=False),
+        sa.CheckConstraint("outdated IN ('restart', 'finish')", name="outdated"),
     )
     op.create_table(
         "invitations",
@@ -404,6 +472,8 @@ def make_tables() -> None:
         sa.Column("muted", postgresql.ARRAY(sa.Text()), server_default=sa.text("'{}'"), nullable=False),
         sa.Column("joined_at", TIME, server_default=sa.text("now()"), nullable=False),
         sa.Column("left_at", TIME),
+        sa.Column("email_confirmed_at", TIME),
+        sa.Column("email_code_sha256", sa.Text()),
         sa.CheckConstraint(
             "left_at IS NULL OR (password_hash IS NULL AND email IS NULL)", name="who_has_left_has_no_password"
         ),
@@ -435,7 +505,8 @@ def make_tables() -> None:
         sa.CheckConstraint("attempts >= 0", name="attempts_are_counted"),
         sa.CheckConstraint("sent_at IS NULL OR given_up_at IS NULL", name="is_sent_or_given_up"),
         sa.CheckConstraint(
-            "kind IN ('accepted', 'finished', 'failed', 'promoted', 'deadline', 'announcement')", name="kind"
+            "kind IN ('accepted', 'finished', 'failed', 'promoted', 'deadline', 'announcement', 'confirmation')",
+            name="kind",
         ),
         sa.CheckConstraint("channel IN ('mail', 'webhook')", name="channel"),
         sa.UniqueConstraint("kind", "subject", "channel", "target", name="uq_notices_once"),
@@ -483,6 +554,13 @@ def make_tables() -> None:
         sa.Column("is_public", sa.Boolean(), server_default=sa.false(), nullable=False),
         sa.Column("disqualified_at", TIME),
         sa.Column("disqualified_for", sa.Text()),
+        sa.Column("copy_cleared_at", TIME),
+        sa.Column("copy_cleared_for", sa.Text()),
+        sa.Column("archive_sketch", sa.LargeBinary()),
+        sa.Column("description", JSON),
+        sa.Column("description_removed_for", sa.Text()),
+        sa.Column("contents", JSON),
+        sa.CheckConstraint("(copy_cleared_at IS NULL) = (copy_cleared_for IS NULL)", name="copy_cleared_for_a_reason"),
         sa.CheckConstraint("archive_sha256 ~ '^[0-9a-f]{64}$'", name="archive_sha256_is_sha256"),
         sa.CheckConstraint("digest ~ '^[0-9a-f]{64}$'", name="digest_is_sha256"),
         sa.CheckConstraint("archive_bytes > 0", name="archive_is_not_empty"),
@@ -513,7 +591,8 @@ def make_tables() -> None:
         sa.Column("most", sa.Integer()),
         sa.CheckConstraint("most >= 0", name="is_a_number"),
         sa.CheckConstraint(
-            "quota IN ('scored_runs_per_day', 'attempts_per_day', 'queued_at_once', 'tokens', 'event_streams')",
+            "quota IN ('scored_runs_per_day', 'attempts_per_day', 'queued_at_once', 'tokens', 'event_streams', "
+            "'stored_mib')",
             name="quota",
         ),
     )
@@ -585,6 +664,8 @@ def make_tables() -> None:
         sa.Column("counted_tasks", postgresql.ARRAY(sa.Text())),
         sa.Column("result_hash", sa.String(length=64)),
         sa.Column("packages", JSON, server_default="[]", nullable=False),
+        sa.Column("practice_scores", JSON),
+        sa.Column("traceparent", sa.Text()),
         sa.CheckConstraint(
             "(state = 'completed') = (result_hash IS NOT NULL AND scores IS NOT NULL)",
             name="only_completed_has_a_score",
@@ -777,6 +858,7 @@ def make_tables() -> None:
         sa.Column("output", sa.Text(), server_default="", nullable=False),
         sa.Column("evaluation_id", sa.Uuid(), sa.ForeignKey("evaluations.id", ondelete="SET NULL"), index=True),
         sa.Column("created_at", TIME, server_default=sa.text("now()"), nullable=False),
+        sa.Column("forces", JSON),
         sa.CheckConstraint("record_digest ~ '^[0-9a-f]{64}$'", name="record_digest_is_sha256"),
         sa.CheckConstraint("submission_digest ~ '^[0-9a-f]{64}$'", name="submission_digest_is_sha256"),
         sa.CheckConstraint("success = (outcome = 'success')", name="success_is_the_outcome"),
@@ -796,6 +878,40 @@ def make_tables() -> None:
         "ix_episode_results_task_created_at", "episode_results", ["task", sa.literal_column("created_at DESC")]
     )
     op.create_table(
+        "action_traces",
+        sa.Column("evaluation_id", sa.Uuid(), sa.ForeignKey("evaluations.id", ondelete="CASCADE"), primary_key=True),
+        sa.Column("task", sa.Text(), primary_key=True),
+        sa.Column("commitment", sa.Text(), primary_key=True),
+        sa.Column("action_size", sa.Integer(), nullable=False),
+        sa.Column("actions", sa.LargeBinary(), nullable=False),
+        sa.Column("paths", sa.LargeBinary(), server_default="", nullable=False),
+    )
+    op.create_index("ix_action_traces_task_commitment", "action_traces", ["task", "commitment"])
+    op.create_table(
+        "near_copies",
+        sa.Column("evaluation_id", sa.Uuid(), sa.ForeignKey("evaluations.id", ondelete="CASCADE"), primary_key=True),
+        sa.Column(
+            "earlier_submission_id", sa.Uuid(), sa.ForeignKey("submissions.id", ondelete="CASCADE"), primary_key=True
+        ),
+        sa.Column("task", sa.Text(), primary_key=True),
+        sa.Column("commitment", sa.Text(), primary_key=True),
+        sa.Column("near", sa.Integer(), nullable=False),
+        sa.Column("episodes", sa.Integer(), nullable=False),
+        sa.Column("difference", sa.Float(), nullable=False),
+        sa.Column("found_at", TIME, server_default=sa.text("now()"), nullable=False),
+        sa.CheckConstraint("near > 0 AND near <= episodes", name="some_are_near"),
+    )
+    op.create_table(
+        "archive_copies",
+        sa.Column("submission_id", sa.Uuid(), sa.ForeignKey("submissions.id", ondelete="CASCADE"), primary_key=True),
+        sa.Column(
+            "earlier_submission_id", sa.Uuid(), sa.ForeignKey("submissions.id", ondelete="CASCADE"), primary_key=True
+        ),
+        sa.Column("code", sa.Float()),
+        sa.Column("weights", sa.Float()),
+        sa.Column("found_at", TIME, server_default=sa.text("now()"), nullable=False),
+    )
+    op.create_table(
         "log_copies",
         sa.Column("evaluation_id", sa.Uuid(), sa.ForeignKey("evaluations.id", ondelete="CASCADE"), primary_key=True),
         sa.Column(
@@ -810,20 +926,14 @@ def make_tables() -> None:
         sa.Column("number", sa.BigInteger(), autoincrement=False, primary_key=True),
         sa.Column("submission_id", sa.Uuid(), sa.ForeignKey("submissions.id", ondelete="RESTRICT"), unique=True),
         sa.Column("evaluation_id", sa.Uuid(), sa.ForeignKey("evaluations.id", ondelete="RESTRICT"), unique=True),
-        sa.Column("previous", sa.String(length=64), sa.ForeignKey("receipts.digest", ondelete="RESTRICT"), unique=True),
-        sa.Column("digest", sa.String(length=64), nullable=False, unique=True),
         sa.Column("stands_for", sa.Text(), nullable=False),
         sa.Column("content", sa.Text(), nullable=False),
-        sa.Column("content_sha256", sa.String(length=64), nullable=False),
-        sa.Column("issued_at", TIME, nullable=False),
-        sa.Column("public_key", sa.String(length=64), nullable=False),
-        sa.Column("signature", sa.String(length=128), nullable=False),
         sa.Column("board", sa.Text(), nullable=False, index=True),
-        sa.CheckConstraint("stands_for IN ('submission', 'result', 'end')", name="stands_for_something_known"),
+        sa.Column("entry", sa.Text(), nullable=False),
+        sa.Column("leaf_hash", sa.LargeBinary(), nullable=False),
         sa.CheckConstraint("(stands_for = 'submission') = (submission_id IS NOT NULL)", name="arrival_has_submission"),
         sa.CheckConstraint("(stands_for = 'result') = (evaluation_id IS NOT NULL)", name="result_has_evaluation"),
-        sa.CheckConstraint("digest ~ '^[0-9a-f]{64}$'", name="digest_is_sha256"),
-        sa.CheckConstraint("(number = 1) = (previous IS NULL)", name="only_the_first_has_none_before"),
+        sa.CheckConstraint("octet_length(leaf_hash) = 32", name="leaf_hash_is_sha256"),
         sa.CheckConstraint("number >= 1", name="counts_from_one"),
     )
     op.create_table(
@@ -845,6 +955,8 @@ def make_tables() -> None:
         sa.Column("queued_at", TIME, server_default=sa.text("now()"), nullable=False),
         sa.Column("started_at", TIME),
         sa.Column("finished_at", TIME),
+        sa.Column("progressed_at", TIME),
+        sa.Column("commitment", sa.Text(), server_default="", nullable=False),
         sa.CheckConstraint("(finding IS NOT NULL) <= (state = 'failed')", name="finding_is_a_failure"),
         sa.CheckConstraint("(state = 'done') <= (manifest IS NOT NULL)", name="done_has_a_manifest"),
         sa.CheckConstraint("(state = 'running') <= (worker_id IS NOT NULL)", name="running_has_a_worker"),
@@ -852,7 +964,9 @@ def make_tables() -> None:
         sa.CheckConstraint("attempts >= 0 AND token >= attempts", name="each_attempt_has_a_token"),
         sa.CheckConstraint("cardinality(episodes) > 0", name="has_episodes"),
         sa.CheckConstraint("state IN ('queued', 'running', 'done', 'failed', 'cancelled')", name="state"),
-        sa.UniqueConstraint("evaluation_id", "task", "number", name=op.f("uq_shards_evaluation_id_task_number")),
+        sa.UniqueConstraint(
+            "evaluation_id", "task", "number", "commitment", name=op.f("uq_shards_evaluation_id_task_number_commitment")
+        ),
     )
     op.create_index("ix_shards_open", "shards", ["state"], postgresql_where=sa.text("state IN ('queued', 'running')"))
     op.create_table(
