@@ -24,7 +24,8 @@ from uuid import UUID, uuid4
 
 import httpx
 import numpy as np
-from sqlalchemy import select, text
+import psycopg
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 from vitac.cli.service.web_server import collect_garbage_rarely
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome
@@ -104,10 +105,16 @@ def service(n_submissions: int, n_teams: int) -> Iterator[Services]:
             with services.database.transaction() as session:
                 for kind in (SubmissionKind.MODEL, SubmissionKind.LOG):
                     add_episodes(session, newest(session, team_ids[0], kind), rng)
-                session.execute(text("ANALYZE"))
+            make_statistics(services)
             yield services
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def make_statistics(services: Services) -> None:
+    """Have the database know its tables, as it does a minute after they were filled; only their owner may ask for it."""
+    with psycopg.connect(services.database.owner_address, autocommit=True) as connection:
+        connection.execute("ANALYZE")
 
 
 def add_submission(session: Session, number: int, team_id: UUID, rng: np.random.Generator, turn: int) -> None:

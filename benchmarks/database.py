@@ -22,6 +22,7 @@ from uuid import UUID, uuid4
 
 import numpy as np
 import sweep as long_queue
+from boards import make_statistics
 from sqlalchemy import select, text
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord, Timings
 from vitac.evaluator.tracks import load_track
@@ -83,8 +84,7 @@ def service(n_shards: int) -> Iterator[Services]:
         with open_services(load_settings(state_dir=folder / "state", database_url=None)) as services:
             with services.database.transaction() as session:
                 long_queue.fill(session, n_shards)
-            with services.database.transaction() as session:
-                session.execute(text("ANALYZE"))
+            make_statistics(services)
             yield services
     finally:
         shutil.rmtree(folder, ignore_errors=True)

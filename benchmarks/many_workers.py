@@ -130,7 +130,7 @@ def fill(services: Services, n: int) -> None:
         session.execute(text(SHARDS))
         ids = session.scalars(select(Shard.id).where(Shard.state == ShardState.QUEUED).order_by(Shard.id)).all()
         enqueue_shards(session, ids, queue_name(evaluator_version()), priority=0)
-        session.execute(text("ANALYZE"))
+    boards.make_statistics(services)
 
 
 def together(
