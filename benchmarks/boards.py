@@ -112,7 +112,7 @@ def service(n_submissions: int, n_teams: int) -> Iterator[Services]:
 
 
 def make_statistics(services: Services) -> None:
-    """Have the database know its tables, as it does a minute after they were filled; only their owner may ask for it."""
+    """Have the database know its tables, as it does a minute later by itself; only their owner may ask for it."""
     with psycopg.connect(services.database.owner_address, autocommit=True) as connection:
         connection.execute("ANALYZE")
 
