@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session, joinedload
 from vitac.evaluator.tracks import ListKind
 
 from .db.models import Evaluation, Submission
-from .errors import TRACK_REMOVED, ProblemCode, ServiceError, not_found
+from .errors import ProblemCode, ServiceError, not_found
 from .principals import Principal
 from .tracks import known_task
 
@@ -65,57 +65,28 @@ def is_sealed(evaluation: Evaluation) -> bool:
         return evaluation.sealed_list.revealed_at is None
     if played_list_kind(evaluation) is ListKind.PUBLIC:
         return False
-    return evaluation.commitment is not None or _list_kind_in_file(evaluation) is ListKind.SEALED
+    return evaluation.commitment is not None or find_list_kind(evaluation.submission) is ListKind.SEALED
 
 
 def played_list_kind(evaluation: Evaluation) -> ListKind:
-    """Return who could know the episodes while they were played: of a stage's sealed list, or of the track file's.
-
-    Of an older evaluation, for which it was not stored, the track file of today tells; a list that was removed with its
-    track or task counts as sealed, as nobody can tell.
-    """
-    if evaluation.commitment is not None:
-        return ListKind.SEALED
-    if evaluation.list_kind is not None:
-        return evaluation.list_kind
-    return _list_kind_in_file(evaluation)
+    """Return who could know the episodes while they were played: of a stage's sealed list, or of the track file's."""
+    return ListKind.SEALED if evaluation.commitment is not None else evaluation.list_kind
 
 
-def _list_kind_in_file(evaluation: Evaluation) -> ListKind:
-    tasks = [known_task(evaluation.submission.track, task) for task in evaluation.submission.tasks]
+def find_list_kind(submission: Submission) -> ListKind:
+    """Return who may know the episodes by today's track file; a list that was removed counts as sealed."""
+    tasks = [known_task(submission.track, task) for task in submission.tasks]
     kinds = {ListKind.SEALED if task is None else task.episode_list.kind for task in tasks}
     return ListKind.SEALED if ListKind.SEALED in kinds else ListKind.PUBLIC
 
 
-def has_lists(evaluation: Evaluation) -> bool:
-    """Return whether it is known what list an evaluation plays: of a stage, as stored, or in today's track file."""
-    submission = evaluation.submission
-    is_kept = evaluation.commitment is not None or evaluation.list_kind is not None
-    return is_kept or all(known_task(submission.track, task) for task in submission.tasks)
-
-
-def require_lists(evaluation: Evaluation) -> None:
-    """Refuse what needs the lists of a track or task that was removed.
-
-    Raises:
-        ServiceError: track_removed.
-    """
-    if not has_lists(evaluation):
-        submission = evaluation.submission
-        raise ServiceError(
-            ProblemCode.TRACK_REMOVED,
-            f"{TRACK_REMOVED} It played {', '.join(submission.tasks)} of {submission.track}.",
-        )
-
-
 def require_episodes(by: Principal, evaluation: Evaluation) -> None:
-    """Refuse to show single episodes of a sealed list, or of one that was removed.
+    """Refuse to show single episodes of a sealed list.
 
     Raises:
-        ServiceError: list_sealed, or track_removed.
+        ServiceError: list_sealed.
     """
     if not decide_sight(by, evaluation).episodes:
-        require_lists(evaluation)
         raise ServiceError(
             ProblemCode.LIST_SEALED,
             "This evaluation plays a sealed list: until its secret is published, only its state and its final score "

@@ -5,6 +5,7 @@ from uuid import UUID
 
 import typer
 from sqlalchemy.orm import Session
+from vitac.server.db.states import EvaluationState
 from vitac.server.evaluations import listing, superseding
 from vitac.server.principals import CONSOLE
 from vitac.server.submissions import runs
@@ -14,7 +15,6 @@ from vitac.server.views.submissions import SubmissionView
 
 from ..service.database import load_settings, transaction
 from ..terminal.output import AsJson, moment, percent, print_json, print_pairs, print_table
-from .state import known_state
 from .verbs import change, list_records
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -25,7 +25,7 @@ COLUMNS = ("id", "team", "submission", "run", "state", "success", "steps", "verd
 
 @app.command("list")
 def list_evaluations(
-    state: Annotated[str | None, typer.Option(help="queued, running, completed, failed or cancelled.")] = None,
+    state: Annotated[EvaluationState | None, typer.Option(help="Only evaluations in this state.")] = None,
     limit: Annotated[int, typer.Option(min=1, max=1000, help="Maximum number of rows.")] = 50,
     as_json: AsJson = False,
 ) -> None:
@@ -34,9 +34,8 @@ def list_evaluations(
     Alarms: episodes that were played again with another result. Copied: episodes of a log with the states of an earlier
     submission of another team.
     """
-    wanted = None if state is None else known_state(state)
     with transaction() as session:
-        found = listing.list_evaluations(session, state=wanted, limit=limit)
+        found = listing.list_evaluations(session, state=state, limit=limit)
     if as_json:
         print_json([row.model_dump(mode="json") for row in found])
     else:
@@ -44,10 +43,7 @@ def list_evaluations(
 
 
 @app.command()
-def show(
-    evaluation: EvaluationId,
-    as_json: AsJson = False,
-) -> None:
+def show(evaluation: EvaluationId, as_json: AsJson = False) -> None:
     """Show an evaluation with its shards, and with the episodes that were played again with another result."""
     with transaction() as session:
         found = listing.show_evaluation(session, load_settings(), evaluation)

@@ -33,22 +33,20 @@ def list_quotas(session: Session, team: TeamName) -> Sequence[QuotaView]:
 @app.command("set")
 def set_quota(
     team: TeamName,
-    quota: Annotated[str, typer.Argument(help="Name of the quota, as `list` shows it.")],
+    quota: Annotated[Quota, typer.Argument(help="The quota, as `list` shows it.")],
     limit: Annotated[str, typer.Argument(help=f"A number, {UNLIMITED}, or {DEFAULT} for the setting's.")],
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
     """Give a team a limit of its own."""
-    if quota not in set(Quota):
-        raise typer.BadParameter(f"{quota!r} is no quota; they are {', '.join(Quota)}")
     if limit not in {UNLIMITED, DEFAULT} and not (limit.isascii() and limit.isdigit() and len(limit) < 10):
-        raise typer.BadParameter(f"{limit!r} is neither a number nor {UNLIMITED} nor {DEFAULT}")
+        raise typer.BadParameter(f"expected a number, {UNLIMITED} or {DEFAULT}, got {limit!r}")
     with change_transaction(dry_run=dry_run) as session:
         found = teams.find(session, team)
         if limit == DEFAULT:
-            quotas.reset_quota(session, CONSOLE, found, Quota(quota))
+            quotas.reset_quota(session, CONSOLE, found, quota)
         else:
-            quotas.set_quota(session, CONSOLE, found, Quota(quota), None if limit == UNLIMITED else int(limit))
+            quotas.set_quota(session, CONSOLE, found, quota, None if limit == UNLIMITED else int(limit))
         used = quotas.uses(session, load_settings().quotas, found.id)
         sentence = f"{quota} of {found.name}: {limit}"
     print_done(sentence, next(use.model_dump() for use in used if use.quota == quota), as_json=as_json)

@@ -5,6 +5,7 @@ from uuid import UUID
 
 import typer
 from sqlalchemy.orm import Session
+from vitac.server.db.states import EvaluationState
 from vitac.server.evaluations.archive_copies import compare_archives, list_archive_copies
 from vitac.server.evaluations.near_copies import list_near_copies
 from vitac.server.principals import CONSOLE
@@ -16,7 +17,6 @@ from vitac.server.views.submissions import SubmissionView
 from ..client.status import show as show_status
 from ..service.database import load_settings, transaction
 from ..terminal.output import AsJson, moment, percent, print_json, print_table
-from .state import known_state
 from .verbs import change
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -30,16 +30,15 @@ COLUMNS = ("submission", "team", "name", "track", "state", "episodes", "success"
 def list_submissions(
     team: Annotated[str | None, typer.Option(help="Only submissions of this team (name or id).")] = None,
     track: Annotated[str | None, typer.Option(help="Only submissions to this track.")] = None,
-    state: Annotated[str | None, typer.Option(help="queued, running, completed, failed or cancelled.")] = None,
+    state: Annotated[EvaluationState | None, typer.Option(help="Only submissions in this state.")] = None,
     limit: Annotated[int, typer.Option(min=1, max=1000, help="Maximum number of rows.")] = 50,
     before: Annotated[UUID | None, typer.Option(help="Only submissions older than this one.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """List submissions, newest first."""
-    wanted = None if state is None else known_state(state)
     with transaction() as session:
         found = listing.list_submissions(
-            session, load_settings(), CONSOLE, track=track, state=wanted, team=team, before=before, limit=limit
+            session, load_settings(), CONSOLE, track=track, state=state, team=team, before=before, limit=limit
         )
     if as_json:
         print_json(found.model_dump(mode="json"))

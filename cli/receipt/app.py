@@ -330,7 +330,7 @@ def _print_log(found: LogAudit) -> None:
         print(f"WRONG: {finding}")
     for unusual in found.unusual:
         print(f"unusual: {unusual}")
-    print("The log is not to be believed." if found.findings else "Nothing in the log was changed, removed or moved.")
+    print("Do not trust this log." if found.findings else "Nothing in the log was changed, removed or moved.")
     if found.doubts:
         print("What you may still doubt:")
     for doubt in found.doubts:

@@ -660,7 +660,7 @@ def make_tables() -> None:
         sa.Column("verdict_episode", sa.Integer()),
         sa.Column("log_tail", sa.Text(), nullable=False),
         sa.Column("scores", JSON),
-        sa.Column("list_kind", sa.String(length=16)),
+        sa.Column("list_kind", sa.String(length=16), nullable=False),
         sa.Column("counted_tasks", postgresql.ARRAY(sa.Text())),
         sa.Column("result_hash", sa.String(length=64)),
         sa.Column("packages", JSON, server_default="[]", nullable=False),

@@ -13,7 +13,7 @@ from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.scoring.failures import breaking_failure
 from vitac.evaluator.scoring.score import score
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
-from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks import ListKind, load_track
 from vitac.evaluator.tracks.cut import cut
 from vitac.evaluator.tracks.versions import compute_hash, find_version
 
@@ -29,7 +29,7 @@ from ..receipts.issuing import issue_for_result
 from ..settings import Settings
 from ..traces import current_traceparent
 from ..tracks import find_family
-from ..visibility import played_list_kind
+from ..visibility import find_list_kind
 from .archive_copies import note_archive_copies
 from .copies import flag_copies
 from .episode_store import count_stored, missing_episodes, played_keys, read_stored_records
@@ -73,6 +73,7 @@ def start(
         turn: its turn; None: the team's next one.
         rejudgement_id: that proposes it; None: it will be the submission's result.
     """
+    commitment = _find_commitment(session, submission)
     evaluation = Evaluation(
         submission=submission,
         run=run,
@@ -80,7 +81,8 @@ def start(
         evaluator_hash=compute_hash(submission.track),
         state=EvaluationState.QUEUED,
         episodes_reused=0,
-        commitment=_find_commitment(session, submission),
+        commitment=commitment,
+        list_kind=find_list_kind(submission) if commitment is None else ListKind.SEALED,
         turn=next_turn(session, submission.team_id) if turn is None else turn,
         log_tail="",
         charged_at=charged_at,
@@ -90,7 +92,6 @@ def start(
         traceparent=current_traceparent(),
         created_at=datetime.now(UTC),
     )
-    evaluation.list_kind = played_list_kind(evaluation)
     track, keys = load_track(submission.track), played_keys(evaluation, submission)
     for key, task in product(keys, submission.tasks):
         for piece in cut(track.task(task)):

@@ -114,10 +114,7 @@ def played_score(counting: Collection[str], scores: Mapping[str, Score]) -> Play
 
 
 def counted_tasks(evaluation: Evaluation) -> Collection[str]:
-    """Return the tasks that are combined: those that counted when it was scored, before that those of the track file.
-
-    None for an older result whose track was removed before this was stored, as nobody can tell which would count.
-    """
+    """Return the tasks that are combined: those that counted when it was scored, before that those of the file."""
     kept = evaluation.counted_tasks
     return kept if kept is not None else _tasks_that_count(evaluation.submission)
 

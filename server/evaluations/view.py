@@ -14,7 +14,6 @@ from vitac.evaluator.tracks import ListKind
 from ..cache import Cache
 from ..db.models import EpisodeResult, Evaluation
 from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
-from ..errors import TRACK_REMOVED
 from ..principals import Principal
 from ..queue.workers import WorkersAlive
 from ..tracks import known_task
@@ -27,7 +26,7 @@ from ..views.evaluations import (
     VerdictView,
 )
 from ..views.scores import TaskScoreView
-from ..visibility import decide_sight, has_lists, played_list_kind
+from ..visibility import decide_sight, played_list_kind
 from .differences import differing_episodes
 from .episode_store import EpisodeKey, find_shown_key
 from .lifecycle import LOG_TAIL_CHARACTERS
@@ -157,7 +156,7 @@ def _view(evaluation: Evaluation, workers: Callable[[str], WorkersAlive], rows: 
     progress = make_progress_view(evaluation, evaluation.submission, rows.counts.get(evaluation.id, {}))
     verdict, is_hidden = verdict_view(evaluation), evaluation.id in rows.hidden
     if is_hidden:
-        progress, verdict = _coarse(progress, shown_scores), _hide_details(verdict, evaluation)
+        progress, verdict = _coarse(progress, shown_scores), _hide_details(verdict)
     return EvaluationView(
         **vars(summary_view(evaluation)),
         started_at=evaluation.started_at,
@@ -219,10 +218,9 @@ def _coarse(progress: ProgressView, scores: list[TaskScoreView]) -> ProgressView
     return progress.model_copy(update={"episodes_done": done, "successes": None, "tasks": []})
 
 
-def _hide_details(verdict: VerdictView | None, evaluation: Evaluation) -> VerdictView | None:
+def _hide_details(verdict: VerdictView | None) -> VerdictView | None:
     """Return the verdict without what may repeat an observation, or say how a single episode ended."""
-    hidden = SEALED_DETAILS if has_lists(evaluation) else f"{TRACK_REMOVED} Its details are no longer shown."
-    return verdict and verdict.model_copy(update={"message": hidden, "task": None, "episode": None})
+    return verdict and verdict.model_copy(update={"message": SEALED_DETAILS, "task": None, "episode": None})
 
 
 def _seconds_to_end(

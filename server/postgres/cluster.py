@@ -42,17 +42,6 @@ OWNER_ROLE = "vitac_owner"
 """Owns the tables, migrates and restores them."""
 SERVICE_ROLE = "vitac_service"
 """Works with them, and can change no table's rules."""
-_OWN_TABLES = """
-SELECT format('ALTER %s %s OWNER TO {0}', kind, name) FROM (
-  SELECT 'TABLE', oid::regclass::text FROM pg_class
-  WHERE relkind IN ('r', 'p') AND relnamespace = 'public'::regnamespace
-  UNION ALL
-  SELECT 'ROUTINE', oid::regprocedure::text FROM pg_proc WHERE pronamespace = 'public'::regnamespace
-  UNION ALL
-  SELECT 'TYPE', oid::regtype::text FROM pg_type WHERE typtype = 'e' AND typnamespace = 'public'::regnamespace
-) AS found (kind, name) WHERE (SELECT datdba FROM pg_database WHERE datname = current_database()) <> '{0}'::regrole
-"""
-"""Statements that give the tables of a database that an earlier version made to the owner."""
 SOCKET_PATH_LIMIT = 107  # bytes in sockaddr_un.sun_path, less the closing zero
 STOP_LIMIT_S = 20.0
 LOG_LIMIT_BYTES = 8 << 20
@@ -205,11 +194,8 @@ class Cluster:
         with psycopg.connect(self.dsn("postgres"), autocommit=True) as connection:
             for role in (OWNER_ROLE, SERVICE_ROLE):
                 self._make_role(connection, role)
-            known = connection.execute("SELECT 1 FROM pg_database WHERE datname = %s", [DATABASE]).fetchone()
-            if known is None:
+            if connection.execute("SELECT 1 FROM pg_database WHERE datname = %s", [DATABASE]).fetchone() is None:
                 connection.execute(f"CREATE DATABASE {DATABASE} OWNER {OWNER_ROLE}")
-        if known is not None:
-            self._give_tables_to_owner()
         address = self.service_dsn()
         if not self.dsn_file.exists() or self.dsn_file.read_text() != address:  # the disk may be full by now
             _write_private(self.dsn_file, address)
@@ -222,12 +208,6 @@ class Cluster:
         made = connection.execute("SELECT 1 FROM pg_roles WHERE rolname = %s", [role]).fetchone()
         change = sql.SQL(f"{'ALTER' if made else 'CREATE'} ROLE {{}} LOGIN NOSUPERUSER PASSWORD {{}}")
         connection.execute(change.format(sql.Identifier(role), sql.Literal(password_file.read_text())))
-
-    def _give_tables_to_owner(self) -> None:
-        with psycopg.connect(self.dsn()) as connection:
-            for (statement,) in connection.execute(_OWN_TABLES.format(OWNER_ROLE)).fetchall():
-                connection.execute(statement)
-            connection.execute(f"ALTER DATABASE {DATABASE} OWNER TO {OWNER_ROLE}")
 
     def dsn(self, database: str = DATABASE) -> str:
         """Return the address of a database of this cluster for its superuser, with the password."""

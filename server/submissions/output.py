@@ -14,7 +14,7 @@ from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation
 from ..principals import Principal
 from ..views.submissions import EpisodeOutputView, OutputView
-from ..visibility import decide_sight, require_lists, visible
+from ..visibility import decide_sight, visible
 
 PAGE_EPISODES = 20
 _HAS_SOMETHING = or_(
@@ -42,13 +42,11 @@ def episode_outputs(
         limit: most episodes of a page.
 
     Raises:
-        ServiceError: there is no such submission, its output is not shown, its track was removed, or it does not play
-            that task.
+        ServiceError: there is no such submission, its output is not shown, or it does not play that task.
     """
     submission = visible(session, by, submission_id)
     evaluation = newest_evaluation(session, submission)
     if not decide_sight(by, evaluation).output:
-        require_lists(evaluation)
         raise ServiceError(
             ProblemCode.FORBIDDEN,
             "The output of a log, or on a sealed list before it is published, is not shown: ask the organizers if you "

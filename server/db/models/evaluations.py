@@ -47,7 +47,7 @@ class Evaluation(Base):
     where it costs nothing. `asked_by_team`: organizers did not start it. `packages`: lists of the packages that the
     policy saw, versions by name, each list once (`Shard.packages_digest` names one); nothing of episodes stored before.
     `list_kind` says who could know the episodes when it began, `counted_tasks` which tasks were combined when it was
-    scored. NULL: as the track file says that is there, as it was before they were stored.
+    scored; NULL before.
     """
 
     __tablename__ = "evaluations"
@@ -106,7 +106,7 @@ class Evaluation(Base):
     verdict_episode: Mapped[int | None]
     log_tail: Mapped[str] = mapped_column(default="")
     scores: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
-    list_kind: Mapped[ListKind | None] = mapped_column(closed_set(ListKind, "list_kind"))
+    list_kind: Mapped[ListKind] = mapped_column(closed_set(ListKind, "list_kind"))
     counted_tasks: Mapped[list[str] | None] = mapped_column(ARRAY(Text))
     practice_scores: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
     result_hash: Mapped[str | None] = mapped_column(String(64))

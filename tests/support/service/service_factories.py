@@ -28,7 +28,7 @@ from vitac.evaluator.logs.findings import Divergence, LogFinding
 from vitac.evaluator.scoring.score import Score, rate
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks import find_task
+from vitac.evaluator.tracks import ListKind, find_task
 from vitac.evaluator.tracks.versions import compute_hash, find_version
 from vitac.evaluator.version import evaluator_hash, evaluator_version, platform_class
 from vitac.server import tokens
@@ -168,7 +168,7 @@ def add_result(
     evaluation = Evaluation(
         id=evaluation_id, submission=submission, run=1, evaluator_version=version, evaluator_hash=evaluator_hash(),
         state=EvaluationState.COMPLETED, episodes_reused=0, log_tail="", created_at=moment, finished_at=moment,
-        result_hash=digest,
+        result_hash=digest, list_kind=ListKind.PUBLIC,
     )  # fmt: skip
     store_scores(evaluation, played, dict.fromkeys(played, digest), finished_at=moment)
     session.add(evaluation)

@@ -19,6 +19,7 @@ from vitac.server.visibility import (
     Sight,
     changeable,
     decide_sight,
+    find_list_kind,
     is_sealed,
     played_list_kind,
     require_episodes,
@@ -49,7 +50,7 @@ def evaluation(
     kind: SubmissionKind = SubmissionKind.MODEL,
     tasks: tuple[str, ...] = (TASK,),
     commitment: str | None = None,
-    list_kind: ListKind | None = None,
+    list_kind: ListKind = ListKind.PUBLIC,
 ) -> Evaluation:
     """What the rules look at of an evaluation of our team."""
     sealed_list = None if listed == OPEN else SimpleNamespace(revealed_at=None if listed == SEALED else "a moment")
@@ -105,24 +106,26 @@ def test_a_list_is_sealed_until_its_secret_is_published() -> None:
 
 
 def test_a_stage_or_a_task_of_the_file_can_have_a_sealed_list(monkeypatch: pytest.MonkeyPatch) -> None:
-    both = evaluation(tasks=(TASK, LOCK))
-    assert played_list_kind(both) is ListKind.PUBLIC
+    both, one = (evaluation(tasks=tasks) for tasks in ((TASK, LOCK), (TASK,)))
+    assert find_list_kind(both.submission) is ListKind.PUBLIC
     assert played_list_kind(evaluation(commitment="c" * 64)) is ListKind.SEALED
     track = load_track(TRACK)
     lock = track.tasks[LOCK]
     sealed = lock.model_copy(update={"episode_list": lock.episode_list.model_copy(update={"commitment": "c"})})
     changed = track.model_copy(update={"tasks": {**track.tasks, LOCK: sealed}})
     monkeypatch.setattr("vitac.server.tracks.load_track", lambda _: changed)
-    assert played_list_kind(both) is ListKind.SEALED, "one of its tasks is enough"
-    assert played_list_kind(evaluation(tasks=(TASK,))) is ListKind.PUBLIC
-    assert is_sealed(both)
+    assert find_list_kind(both.submission) is ListKind.SEALED, "one of its tasks is enough"
+    assert find_list_kind(one.submission) is ListKind.PUBLIC
+    assert is_sealed(evaluation(tasks=(LOCK,), list_kind=ListKind.SEALED))
     assert not is_sealed(evaluation(listed=REVEALED, tasks=(LOCK,))), "a stage's own list counts before the file's"
 
 
 def test_a_list_that_was_removed_with_its_task_counts_as_sealed() -> None:
-    assert played_list_kind(evaluation(tasks=(TASK, "gone"))) is ListKind.SEALED
-    assert not decide_sight(VISITOR, evaluation(tasks=("gone",))).episodes
-    assert decide_sight(CONSOLE, evaluation(tasks=("gone",))).episodes
+    removed = evaluation(tasks=(TASK, "gone"), list_kind=ListKind.SEALED)
+    assert find_list_kind(removed.submission) is ListKind.SEALED
+    assert not decide_sight(VISITOR, removed).episodes
+    assert decide_sight(CONSOLE, removed).episodes
+    require_episodes(CONSOLE, removed)
 
 
 def test_the_kind_that_was_kept_counts_whatever_the_track_file_says_later(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,16 +152,6 @@ def test_a_sealed_list_of_the_file_opens_when_its_commitment_is_taken_out(monkey
     assert is_sealed(evaluation(commitment="c" * 64, list_kind=ListKind.SEALED)), "of a stage whose secret is lost"
     gone = evaluation(tasks=(TASK, "gone"), list_kind=ListKind.SEALED)
     assert refused_code(require_episodes, READERS["own"], gone) is ProblemCode.LIST_SEALED
-
-
-def test_who_asks_for_episodes_of_a_removed_task_learns_that_it_is_gone() -> None:
-    with pytest.raises(ServiceError, match=r"no longer has\. It played .*gone of track_1") as refused:
-        require_episodes(READERS["own"], evaluation(tasks=(TASK, "gone")))
-    assert refused.value.code is ProblemCode.TRACK_REMOVED
-    assert refused_code(require_episodes, READERS["own"], evaluation(listed=SEALED, tasks=("gone",))) is (
-        ProblemCode.LIST_SEALED
-    ), "its secret can still be published"
-    require_episodes(CONSOLE, evaluation(tasks=("gone",)))
 
 
 def refused_code(call: Any, *arguments: Any) -> ProblemCode | None:

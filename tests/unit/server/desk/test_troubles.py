@@ -95,6 +95,7 @@ def test_a_failure_of_the_machines_is_a_trouble_and_one_of_the_policy_is_none(se
             submission=first.submission, run=run, evaluator_version=first.evaluator_version,
             evaluator_hash=first.evaluator_hash, state=EvaluationState.FAILED, episodes_reused=0, log_tail="",
             created_at=moment, finished_at=moment, verdict_code=code, verdict_message="so it was",
+            list_kind=first.list_kind,
         )  # fmt: skip
         session.add(failed)
     session.flush()
