@@ -14,10 +14,10 @@ from .errors import VitacError
 from .fem.model.mesh import GelMesh, SurfaceMesh
 from .geometry.stl import read_stl
 from .tactile.design import SensorDesign
-from .tactile.gel import gelsight_mini_mesh
+from .tactile.gel import coarse_gelsight_mini_mesh, gelsight_mini_mesh
 from .tactile.gel_files import read_gel
 from .tactile.markers import MarkerSettings
-from .tactile.sensor import DesignedSensor, TactileSensor
+from .tactile.sensor import CoarseSensor, DesignedSensor, TactileSensor
 
 ENVIRONMENT_VARIABLE = "VITAC_ASSETS_DIR"
 _GEL_FOLDER = "gelsight_mini_e430"
@@ -44,6 +44,7 @@ class Meshes:
         assets_dir: folder with the challenge's own meshes; all are generated where there is none.
         gel: elastomer of both sensors in place of the challenge's.
         sensor: design of both sensors in place of the challenge's, with a gel of its own.
+        is_coarse: the generated gel has fewer elements, for training.
     """
 
     def __init__(
@@ -52,7 +53,9 @@ class Meshes:
         *,
         gel: GelMesh | None = None,
         sensor: SensorDesign | None = None,
+        is_coarse: bool = False,
     ) -> None:
+        self._is_coarse = is_coarse
         self._folder = None if assets_dir is None else _existing_folder(Path(assets_dir))
         self._gel = gel if sensor is None else sensor.gel
         self._design = sensor
@@ -61,13 +64,22 @@ class Meshes:
         """Return the elastomer of both sensors."""
         if self._gel is not None:
             return self._gel
+        if self._is_coarse:
+            return coarse_gelsight_mini_mesh()
         return gelsight_mini_mesh() if self._folder is None else _read_gel(self._folder / _GEL_FOLDER)
+
+    def sensing_node_count(self) -> int:
+        """Return how many nodes of a sensing face are observed: of a coarse gel as many as of the one it stands for."""
+        return len((gelsight_mini_mesh() if self._is_coarse else self.gel()).sensing_nodes)
 
     def sensors(self, settings: MarkerSettings) -> tuple[TactileSensor, TactileSensor]:
         """Return the two sensors of a gripper, left and right."""
         design = self._design
         if design is not None:
             return DesignedSensor(design, settings), DesignedSensor(design, settings)
+        if self._is_coarse:
+            coarse, fine = self.gel(), gelsight_mini_mesh()
+            return CoarseSensor(coarse, fine, settings), CoarseSensor(coarse, fine, settings)
         return TactileSensor(self.gel(), settings), TactileSensor(self.gel(), settings)
 
     def hash(self, solids: Iterable[SurfaceMesh], settings: object) -> str:

@@ -14,6 +14,8 @@ FloatArray = NDArray[np.float64]
 MILLIMETRE_M = 1e-3
 # Height of the sensing face's highest point in the frame of a gel made here.
 SENSING_HEIGHT_MM = 2.0
+# Cells between the bevels of the gel for training, along x and along y.
+COARSE_CELLS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +72,12 @@ def gelsight_mini_mesh() -> GelMesh:
     planes meet.
     """
     return structured_gel(name="generated GelSight Mini gel")
+
+
+@cache
+def coarse_gelsight_mini_mesh() -> GelMesh:
+    """Return the same elastomer in fewer elements, for training; see `gelsight_mini_mesh`."""
+    return structured_gel(name="coarse GelSight Mini gel", cells=GelCells(x=COARSE_CELLS, y=COARSE_CELLS))
 
 
 def structured_gel(*, name: str, size: GelDimensions | None = None, cells: GelCells | None = None) -> GelMesh:

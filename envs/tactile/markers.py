@@ -121,6 +121,25 @@ class SensingSurface:
         return (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
 
 
+@lru_cache(maxsize=_SURFACES_KEPT)
+def attach_nodes(fine: GelMesh, coarse: GelMesh) -> tuple[IndexArray, FloatArray]:
+    """Return where the sensing nodes of a gel are on the flat sensing face of a coarser one.
+
+    That is three of the coarser gel's sensing nodes for each, and its barycentric weights; both of shape [s, 3].
+    """
+    face, points_m = SensingSurface.from_gel(coarse), SensingSurface.from_gel(fine).vertices_m[:, None]
+    a, b, c = (face.vertices_m[face.triangles[:, corner]] for corner in range(3))
+    area = _doubled_area(b - a, c - a)
+    second, third = _doubled_area(points_m - a, c - a) / area, _doubled_area(b - a, points_m - a) / area
+    weights = np.stack([1.0 - second - third, second, third], axis=2)
+    chosen = weights.min(axis=2).argmax(axis=1)
+    return face.triangles[chosen], weights[np.arange(len(chosen)), chosen]
+
+
+def _doubled_area(first: FloatArray, second: FloatArray) -> FloatArray:
+    return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
+
+
 def marker_flow(
     surface: SensingSurface,
     reference_m: FloatArray,

@@ -1,7 +1,5 @@
 """One tactile sensor: its reference after the grasp, how far its surface has moved since, and its marker flow."""
 
-from functools import cached_property
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,7 +7,7 @@ from ..errors import VitacError
 from ..fem.model.mesh import GelMesh
 from .camera import CHALLENGE_CAMERA, CameraIntrinsics, camera_frame, mean_distance_m, project, weighted_distance_m
 from .design import SensorDesign
-from .markers import MarkerSettings, SensingSurface, interpolated, marker_flow, tracked
+from .markers import MarkerSettings, SensingSurface, attach_nodes, interpolated, marker_flow, tracked
 from .thickness import eye_distance_m
 
 FloatArray = NDArray[np.float64]
@@ -70,7 +68,7 @@ class TactileSensor:
         surface = self._surface
         return marker_flow(surface, self._reference(), view_m, settings=self.settings, random=random)
 
-    @cached_property
+    @property
     def _surface(self) -> SensingSurface:
         return SensingSurface.from_gel(self.gel)
 
@@ -78,6 +76,23 @@ class TactileSensor:
         if self._reference_m is None:
             raise NoReferenceCaptured("Expected a captured reference; call capture_reference after the grasp.")
         return self._reference_m
+
+
+class CoarseSensor(TactileSensor):
+    """A gel in few elements, seen as one in more: at the nodes of the finer one, which its sensing face carries."""
+
+    def __init__(self, coarse: GelMesh, fine: GelMesh, settings: MarkerSettings) -> None:
+        super().__init__(coarse, settings)
+        self._seen_surface = SensingSurface.from_gel(fine)
+        self._corners, self._weights = attach_nodes(fine, coarse)
+
+    def view_m(self, nodes_m: FloatArray, rotation: FloatArray, centre_m: FloatArray) -> FloatArray:
+        """Return the finer gel's sensing nodes in the camera frame [m], shape [s, 3]; see `TactileSensor`."""
+        return interpolated(super().view_m(nodes_m, rotation, centre_m), self._corners, self._weights)
+
+    @property
+    def _surface(self) -> SensingSurface:
+        return self._seen_surface
 
 
 class MarkersNotAttached(VitacError):

@@ -29,6 +29,7 @@ from ..vision.still import StillCamera
 from .contact_model import with_contact_model
 from .definition import TaskDefinition, append_tables, chosen_observables
 from .ending import EndReason, Flags
+from .fidelity import Fidelity, find_fidelity, with_fidelity
 from .options import RNG_SEED, chosen_shapes, refuse_unknown, seeded_generator
 from .quantities import check_draws
 from .randomization import Randomization, Ranges, draw_quantities, drawn_settings, find_randomization, with_quantities
@@ -99,6 +100,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         draws: ranges of the task's quantities (`TaskDefinition.quantities`), from which every episode has values of its
             own; they are in the info as `draws`, and in no observation.
         contact_model: "challenge-2025" or "arena-1", with its own constants; by default that of the task's settings.
+        fidelity: "full", as episodes are ranked, or "training": faster, on coarser gels, never ranked.
         force_limit_n: largest force on the held part [N] that an env step may reach; beyond it the episode has failed.
             None for no limit.
         render_mode: "rgb_array" for pictures by `render`.
@@ -106,6 +108,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
 
     Attributes:
         settings: what the task leaves open.
+        fidelity: how exactly it is simulated.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 4}  # type: ignore[misc]
@@ -147,17 +150,21 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         randomization: str = Randomization.NONE.value,
         draws: Mapping[str, Sequence[float]] | None = None,
         contact_model: str | None = None,
+        fidelity: str = Fidelity.FULL.value,
         force_limit_n: float | None = None,
         render_mode: str | None = None,
         **overrides: Any,
     ) -> None:
-        self.settings: SettingsT = with_contact_model(read_task_settings(self.settings_type, overrides), contact_model)
+        has_own_gel = not (assets_dir is None and gel is None and sensor is None)
+        self.fidelity = find_fidelity(fidelity, has_own_gel=has_own_gel)
+        given = with_contact_model(read_task_settings(self.settings_type, overrides), contact_model)
+        self.settings: SettingsT = with_fidelity(given, self.fidelity)
         observed = self.task.with_optional(optional_observables)
         own = observed.observables if privileged else observed.public_observables
         if observation_keys is not None:
             own = chosen_observables(own, observation_keys)
-        self._meshes = Meshes(assets_dir, gel=gel, sensor=sensor)
-        nodes = len(self._meshes.gel().sensing_nodes)
+        self._meshes = Meshes(assets_dir, gel=gel, sensor=sensor, is_coarse=self.fidelity is Fidelity.TRAINING)
+        nodes = self._meshes.sensing_node_count()
         self._observables: tuple[Observable[SceneT], ...] = tuple(
             entry.with_nodes(nodes) for entry in (*own, *observables)
         )

@@ -14,6 +14,7 @@ from vitac.envs.errors import VitacError
 from vitac.envs.maniskill.definition import is_maniskill
 from vitac.envs.observable import Observable
 from vitac.envs.tasks.definition import ActionComponent, Family, TaskDefinition
+from vitac.envs.tasks.fidelity import FIDELITY, Fidelity
 from vitac.envs.tasks.quantities import Quantity, check_draws
 
 from ..package_sets import PackageSet
@@ -217,6 +218,14 @@ class Task(StrictModel):
             _ = self.definition
         except VitacError as error:
             raise ValueError(str(error)) from error
+        return self
+
+    @model_validator(mode="after")
+    def _is_ranked_at_full_fidelity(self) -> Self:
+        for settings in (self.settings, *(profile.settings for profile in self.profiles.values())):
+            named = settings.get(FIDELITY, Fidelity.FULL)
+            if named != Fidelity.FULL:
+                raise ValueError(f"settings.fidelity is {named!r}, which is for training only; leave it out")
         return self
 
     @model_validator(mode="after")

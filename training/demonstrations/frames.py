@@ -56,13 +56,13 @@ def is_coloured_picture(entry: Observable[Any]) -> bool:
     return entry.dtype == "uint8" and len(entry.shape) == 3 and entry.shape[-1] == 3
 
 
-def make_observed_environment(task: Task, observables: Collection[Observable[Any]]) -> Any:
-    """Return an environment of a task that observes these, privileged ones included."""
+def make_observed_environment(task: Task, observables: Collection[Observable[Any]], **settings: Any) -> Any:
+    """Return an environment of a task that observes these, privileged ones included, with settings beside its own."""
     import gymnasium
     import vitac.envs  # noqa: F401 - registers the environment ids
 
     keys = [entry.name for entry in observables]
-    arguments: dict[str, Any] = {"observation_keys": keys, **task.environment_arguments}
+    arguments: dict[str, Any] = {"observation_keys": keys, **task.environment_arguments, **settings}
     return gymnasium.make(task.env_id, disable_env_checker=True, privileged=True, **arguments).unwrapped
 
 
