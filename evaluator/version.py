@@ -5,6 +5,7 @@ Nothing here imports the environments: their sources are found and read, not run
 
 import hashlib
 import platform
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -33,7 +34,8 @@ def evaluator_hash() -> str:
     return digest.hexdigest()
 
 
-def evaluator_parts() -> dict[str, str]:
+@cache
+def evaluator_parts() -> Mapping[str, str]:
     """Return what the hash is made of, by name: versions of distributions, and the hash of the sources of packages."""
     versions = {distribution: version(distribution) for distribution in _HASHED_DISTRIBUTIONS}
     return versions | {package: sources_hash(package) for package in _HASHED_PACKAGES}

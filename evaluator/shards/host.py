@@ -35,7 +35,7 @@ from ..estimator.regression import Coefficients
 from ..sensors.made import read_design
 from ..tracks import Player, Task
 from ..tracks.registry import list_tracks, load_track
-from ..version import evaluator_hash
+from ..tracks.versions import compute_hash, list_parts
 from .execution import execute
 from .host_process import LOAD_ALL
 from .order import PROCESS_ID, WAITS, ShardOrder
@@ -173,7 +173,7 @@ class SimulationHost:
         return True
 
     def _load_task(self, track: str, task: str, assets_dir: Path | None = None, sensor: Path | None = None) -> None:
-        """Play one env step of a task, so that copies have all kernels and parts, and know the evaluator's hash."""
+        """Play one env step of a task, so that copies have all kernels and parts, and know the evaluator's hashes."""
         what = (track, task, assets_dir, sensor)
         if what in self._loaded:
             return
@@ -186,7 +186,8 @@ class SimulationHost:
             env.reset(options=listed.episodes[0].options)
             env.step(np.zeros(len(listed.actions), dtype=np.float32))
             env.mesh_hash()  # which needs the parts of every shape
-            evaluator_hash()
+            compute_hash(track)
+            list_parts(track)
             self._loaded.add(what)
 
     def _become_copy(self, host_pid: int, work: Callable[[], None]) -> NoReturn:
