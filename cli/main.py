@@ -66,7 +66,9 @@ NOUNS = (
     Noun(name="describe", module="client.describe", summary="Say what a public result is; link code and paper."),
     Noun(name="compare", module="compare", summary="Compare two submissions episode by episode."),
     Noun(name="receipt", module="receipt.app", summary="Verify receipts; audit the public log and boards."),
-    Noun(name="witness", module="witness", summary="Sign the log of a service, unless it was rewritten."),
+    Noun(
+        name="witness", module="witness", summary="Sign the log of a service, unless it was rewritten.", extra=_SERVER
+    ),
     Noun(name="serve", module="service.serve", summary="Run the service: database, API and pages.", extra=_SERVER),
     Noun(name="worker", module="service.worker", summary="Run a worker that evaluates submissions.", extra="worker"),
     Noun(

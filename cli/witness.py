@@ -1,4 +1,4 @@
-"""`vitac witness`: signs the log of a service for as long as it only grows."""
+"""`vitac witness`: signs logs for as long as they only grow."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from .receipt.published_log import open_log
 if TYPE_CHECKING:
     from vitac.server.receipts.witness import Witness
 
+CONNECTIONS = 64
+"""Maximum number of open connections of `serve`; others get 503."""
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 Folder = Annotated[
@@ -66,6 +68,28 @@ def run(
         if once:
             return
         time.sleep(every)
+
+
+@app.command()
+def serve(
+    log: Annotated[list[str], typer.Option(help="Key of a log to sign, as NAME+ID+KEY; may be repeated.")],
+    folder: Folder = None,
+    name: Name = None,
+    host: Annotated[str, typer.Option(help="Address to listen at; put TLS in front of it.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="0: any free one.")] = 8010,
+) -> None:
+    """Sign the logs that ask for it: `add-checkpoint` of c2sp.org/tlog-witness, which any log may use."""
+    import uvicorn
+    from vitac.server.receipts.witness_server import make_app
+    from vitac.server.transparency.notes import VerifierKey
+
+    from .service.web_server import bind, format_address
+
+    logs = list(map(VerifierKey.parse, log))
+    witness, listener = _load(folder, name), bind(host, port)
+    print(f"witness {witness.key}\nsigns at {format_address(listener)}/add-checkpoint", flush=True)
+    configuration = uvicorn.Config(make_app(witness, logs), log_config=None, limit_concurrency=CONNECTIONS)
+    uvicorn.Server(configuration).run(sockets=[listener])
 
 
 def _load(folder: Path | None, name: str | None) -> Witness:

@@ -1,23 +1,32 @@
-"""A witness: signs a log only where it continues what it has signed before. Called by `vitac witness run`."""
+"""A witness: signs a log only where it continues what it has signed before. Called by `vitac witness`."""
 
 import fcntl
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
+from typing import NoReturn
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from vitac.envs.errors import VitacError
 
-from ..transparency.merkle import ProofRejected, check_consistency
-from ..transparency.notes import OF_WITNESS, Checkpoint, NoteRejected, VerifierKey, cosign
+from ..transparency.merkle import EMPTY_ROOT, ProofRejected, check_consistency
+from ..transparency.notes import OF_WITNESS, Checkpoint, NoteRejected, Signature, VerifierKey, cosign
 from ..transparency.tiles import PublishedLog
 
 
 class HistoryRewritten(VitacError):
     """A log is not the continuation of what the witness has signed; the message says where both checkpoints are."""
+
+
+class OtherSizeSigned(VitacError):
+    """What the witness has signed last of a log has another size: prove the continuation from there."""
+
+    def __init__(self, size: int) -> None:
+        super().__init__(f"The witness has signed {size} entries of this log.")
+        self.size = size
 
 
 class WitnessUnusable(VitacError):
@@ -56,15 +65,45 @@ class Witness:
             TileMissing: a file of it is not there.
         """
         with self._locked():
-            path = self._folder / f"{log.key.public_key.hex()[:16]}.checkpoint"
-            new = log.checkpoint
+            path, new = self._checkpoint_path(log.key), log.checkpoint
             if path.exists():
                 self._require_continued(Checkpoint.parse(path.read_text()), log, path)
             elif log.tree.root() != new.root:
                 raise ProofRejected(f"The tiles of the log do not have the root of its {new.size} entries.")
             _write_for_good(self._key_path(address), f"{log.key}\n")
-            _write_for_good(path, str(new))
-            return new.with_signatures([cosign(self._private_key, self.key.name, new, int(time.time()))])
+            return new.with_signatures([self._sign(new, path)])
+
+    def sign_next(self, key: VerifierKey, old_size: int, proof: Sequence[bytes], new: Checkpoint) -> Signature:
+        """Return the signature of a log's checkpoint if it continues the one that was signed last, and store it before.
+
+        Args:
+            key: of the log; its signature is checked already.
+            old_size: of the one that was signed last; 0: none was.
+            proof: that the new one continues it.
+            new: the checkpoint.
+
+        Raises:
+            OtherSizeSigned: another size was signed last.
+            HistoryRewritten: the size is the same, and the entries are other ones.
+            ProofRejected: the proof shows something else.
+        """
+        with self._locked():
+            path = self._checkpoint_path(key)
+            known = Checkpoint.parse(path.read_text()) if path.exists() else None
+            old = known or Checkpoint(origin=key.name, size=0, root=EMPTY_ROOT)
+            if old.size != old_size:
+                raise OtherSizeSigned(old.size)
+            if known and new.size == old.size and new.root != old.root:
+                self._refuse(old, new, path)
+            check_consistency(old.size, new.size, proof, old.root, new.root)
+            return self._sign(new, path)
+
+    def _sign(self, new: Checkpoint, path: Path) -> Signature:
+        _write_for_good(path, str(new))
+        return cosign(self._private_key, self.key.name, new, int(time.time()))
+
+    def _checkpoint_path(self, key: VerifierKey) -> Path:
+        return self._folder / f"{key.public_key.hex()[:16]}.checkpoint"
 
     def _key_path(self, address: str) -> Path:
         return self._folder / f"{sha256(address.encode()).hexdigest()[:16]}.key"
@@ -79,6 +118,9 @@ class Witness:
                 pass
             else:
                 return
+        self._refuse(old, new, path)
+
+    def _refuse(self, old: Checkpoint, new: Checkpoint, path: Path) -> NoReturn:
         evidence = path.with_suffix(f".{new.size}-{new.root.hex()[:8]}.rewritten")
         _write_for_good(evidence, str(new))
         what = "was rolled back" if new.size < old.size else "shows another history"
