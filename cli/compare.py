@@ -46,7 +46,7 @@ class Evaluated:
     Attributes:
         name: what the user named it.
         track: its track.
-        list_hash: of the episode list with all that a task fixes; None where a service does not tell it.
+        list_hash: of the episode list with all that a task fixes; None if a service does not say.
         episodes: how they ended.
     """
 

@@ -52,12 +52,12 @@ def compute_revision(content: object) -> str:
 
 
 def require_base(what: str, *, base: str | None, revision: str, difference: Callable[[], str]) -> None:
-    """Refuse a change that was made against something else than what is there now.
+    """Refuse a change that was made against another revision than the present one.
 
     Args:
         what: is changed, for the message.
         base: the revision that the change was made against; empty: against nothing; None: the caller looked itself.
-        revision: what is there now.
+        revision: the present one.
         difference: returns sentences that say what differs.
 
     Raises:

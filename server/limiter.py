@@ -49,7 +49,7 @@ class WindowLimiter:
             raise self._refusal(key, what)
 
     def is_within(self, key: str) -> bool:
-        """Count one event unless there were as many as possible; return whether there were not."""
+        """Count one event unless the limit is reached; return whether it was counted."""
         self._remove_expired(self._clock())
         with self._locked(self._folder / _digest(key).hex()) as file:
             recent = self._recent(file)
@@ -133,7 +133,7 @@ class SignInLimiters:
         """Count an attempt while its password is checked: one address cannot fill the places of all.
 
         Raises:
-            ServiceError: as many of this address are being checked as possible.
+            ServiceError: this address has reached its limit of simultaneous checks.
         """
         return self.at_once.one(device or address, "passwords of one address or device being checked")
 
@@ -153,7 +153,7 @@ class ConcurrencyLimiter:
         """Count one thing while the block runs; `share`: of the limit, which this key may use.
 
         Raises:
-            ServiceError: as many as possible are running.
+            ServiceError: the limit is reached.
         """
         limit = max(1, int(self._limit * share))
         with self.place(key, limit) as is_free:

@@ -43,7 +43,7 @@ class Sight:
 
 
 def decide_sight(by: Principal, evaluation: Evaluation) -> Sight:
-    """Return what of an evaluation is shown to somebody: whatever tells of single episodes asks here.
+    """Return what of an evaluation is shown to somebody: all that shows single episodes asks here.
 
     While a list is sealed, only organizers see its episodes, and what was printed there, because a policy can print
     what it observes. A log ran no policy here: the output that it names could be anything.
@@ -59,7 +59,7 @@ def decide_sight(by: Principal, evaluation: Evaluation) -> Sight:
 def is_sealed(evaluation: Evaluation) -> bool:
     """Return whether an evaluation plays a list whose secret is not published yet.
 
-    A sealed list of a track file is published by taking its commitment out of the file, so the file of today tells.
+    A sealed list of a track file is published by taking its commitment out of the file, so today's file decides.
     """
     if evaluation.commitment is not None and evaluation.sealed_list is not None:
         return evaluation.sealed_list.revealed_at is None

@@ -21,7 +21,7 @@ class Charts:
 
     Args:
         run: folder of the run; the charts have one of their own in it, and each process that adds some a file.
-        tell: is called once, with why there will be no more of them, such as on a full disk.
+        tell: is called once, with the reason why there will be no more of them, such as a full disk.
     """
 
     def __init__(self, run: Path, tell: Callable[[str], None]) -> None:

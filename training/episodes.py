@@ -114,7 +114,7 @@ def play(env: Any, make_actor: MakeActor, seed: int, numbers: Iterable[int]) -> 
 
 
 def make_environment(**arguments: Any) -> Any:
-    """Return an environment that tells what is kept of an episode."""
+    """Return an environment that gives what is stored of an episode."""
     import gymnasium
     import vitac.envs  # noqa: F401 - registers the environment
 

@@ -12,7 +12,7 @@ ResultT = TypeVar("ResultT")
 
 
 def read_log(path: Path, of_row: Callable[[Row], ResultT]) -> list[ResultT]:
-    """Return what the rows of a log tell, nothing where there is no log.
+    """Return the rows of a log, none where there is no log.
 
     Raises:
         FileDamaged: a row is not what was written.

@@ -32,7 +32,7 @@ EMBEDDED = {
     "Content-Security-Policy": CONTENT_SECURITY_POLICY.replace("frame-ancestors 'none'", "frame-ancestors *"),
     "Cross-Origin-Resource-Policy": "cross-origin",
 }
-"""What an answer sets itself that may stand in frames of other sites."""
+"""Headers of an answer that other sites may show in a frame."""
 
 
 class SecurityHeaders:

@@ -24,7 +24,7 @@ from .isolation import IsolationReport
 logger = structlog.get_logger(__name__)
 
 START_PATIENCE_S = 60.0
-"""A worker that cannot register for so long ends, and whoever started it starts it again."""
+"""A worker that cannot register for this time ends, and whoever started it starts it again."""
 
 
 class Heartbeat:
@@ -91,7 +91,7 @@ class Heartbeat:
         try:
             with self._services.database.engine.connect() as connection:
                 return explain_other_schema(connection)
-        except SQLAlchemyError:  # It is away; the next look will tell.
+        except SQLAlchemyError:  # It does not answer; the next check will show.
             return None
 
     def _beat(self, state: WorkerState) -> None:

@@ -62,7 +62,7 @@ class PlaneMesh:
         """Return the index of a point of the rectangle, which becomes a corner of triangles if it is none yet.
 
         Raises:
-            TooManyPoints: there are as many as allowed.
+            TooManyPoints: the limit is reached.
         """
         start = self._containing(point)
         for corner in start:
@@ -97,7 +97,7 @@ class PlaneMesh:
             shortest: a segment that is an edge and shorter than this is left as it is.
 
         Raises:
-            TooManyPoints: there are as many as allowed.
+            TooManyPoints: the limit is reached.
         """
         while (edge := next((edge for edge in self._segments if self._must_split(edge, shortest)), None)) is not None:
             self._split(edge)
@@ -110,7 +110,7 @@ class PlaneMesh:
             shortest: no segment below this length is halved for the sake of a triangle's shape.
 
         Raises:
-            TooManyPoints: there are as many as allowed.
+            TooManyPoints: the limit is reached.
         """
         self.conform(shortest=shortest)
         heap: list[tuple[float, Triangle]] = []

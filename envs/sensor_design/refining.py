@@ -34,7 +34,7 @@ def refined_tips(mesh: Tetrahedra, *, depth_mm: float, fewest: int, max_nodes: i
     """Return a mesh of the same body in which each of its highest parts has nodes enough to be flattened.
 
     A part is made of nodes above a plane, joined by edges above it. Of every part with too few nodes the longest edges
-    that reach into it are halved, until it has enough or the whole mesh has as many as allowed.
+    that reach into it are halved, until it has enough or the mesh has reached its limit.
 
     Args:
         mesh: of a body; it is returned as it is where every part has nodes enough.

@@ -1,4 +1,4 @@
-"""A triangle surface as somebody drew it, which may be anything, and the counts that tell what is wrong with it."""
+"""A triangle surface as somebody drew it, which may be anything, and the counts that show what is wrong with it."""
 
 from dataclasses import dataclass
 from functools import cached_property

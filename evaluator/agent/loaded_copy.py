@@ -71,7 +71,7 @@ class LoadedCopy:
         self._own_files = own_files.union(DEVICES)
         self._process_ids = process_ids
         self.process_ids_repeat = False
-        """True where every copy gets the same process id, so that it does not tell how many there were before."""
+        """True where every copy gets the same process id, so that it does not show how many there were before."""
         try:
             self._process = TracedProcess(pid)
         except NotWaiting as error:
@@ -175,7 +175,7 @@ class LoadedCopy:
         return True
 
     def _reset_times(self) -> None:
-        """Set the times of output and channel to zero; else they would tell when an earlier episode printed."""
+        """Set the times of output and channel to zero; else they would show when an earlier episode printed."""
         for file in self._files:
             if file.target not in DEVICES and file.target in self._own_files:
                 try:

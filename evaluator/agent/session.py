@@ -50,7 +50,7 @@ class Isolation:
     memory: MemoryIsolation
     episodes: EpisodeIsolation
     process_ids_repeat: bool
-    """True where an episode's process id does not tell how many episodes there were before."""
+    """True where an episode's process id does not show how many episodes there were before."""
     episode_period_s: float = 0.0
     """From the start of an episode to that of the next [s], see `StartTimes`; 0: each starts as soon as it can."""
 
@@ -100,7 +100,7 @@ class PolicySession:
         self._loaded: LoadedCopy | None = None
         self._loaded_pid = 0
         self._ended: EpisodeProcess | None = None
-        """What played the last episode, as long as nobody has made sure that nothing of it is left."""
+        """What played the last episode, until it is certain that nothing of it is left."""
         self._isolation: Isolation | None = None
         self._shard_time = ShardTime(self._limits)
         self._loading_s = (0.0, 0.0)

@@ -15,7 +15,7 @@ class ShardTime:
         self.cpu_s = 0.0
         """CPU time of all its processes, loading included."""
         self.wall_s = 0.0
-        """Time by the clock for which it was waited for."""
+        """Wall time spent waiting for it."""
 
     def check(self) -> None:
         """Make sure that there is time left for another question.

@@ -236,7 +236,7 @@ def digest_of_stored(record: Mapping[str, Any]) -> str:
 
 
 class Manifest(StrictModel):
-    """What an evaluation was made with. `evaluator_parts` say what a difference of evaluators lies in."""
+    """What an evaluation was made with. `evaluator_parts` show in what evaluators differ."""
 
     track: Word
     task: Word

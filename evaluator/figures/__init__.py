@@ -1,1 +1,1 @@
-"""Figures of a sensor: what it can tell, how it is gripped, and how much its score depends on the simulation."""
+"""Figures of a sensor: what it can measure, how it is gripped, and how much its score depends on the simulation."""

@@ -135,7 +135,7 @@ class FiguresPart(StrictModel):
 
 
 class Information(StrictModel):
-    """What the markers tell of the offset (x [mm], y [mm], theta [degree]), expected over the starts.
+    """What the markers say about the offset (x [mm], y [mm], theta [degree]), expected over the starts.
 
     `bits` are those of one, two and three pictures; `bounds` are the standard deviations that no estimate from three
     pictures falls below, `prior` those of the starts themselves.
@@ -212,7 +212,7 @@ def merged(parts: Iterable[FiguresPart], offsets: Sequence[Sequence[float]]) -> 
 def expected_information(
     found: Sequence[Sequence[Symmetric]], offsets: Sequence[Sequence[float]]
 ) -> Information | None:
-    """Return what pictures tell of the offset, with the covariance S of the starts as that of a normal prior.
+    """Return what pictures say about the offset, with the covariance S of the starts as that of a normal prior.
 
     With the Fisher information F at a start, the posterior's covariance is (S^-1 + F)^-1, and the information
     1/2 log2 det(1 + S F) bits (K. Chaloner and I. Verdinelli, Bayesian experimental design: a review, Statistical

@@ -33,7 +33,7 @@ PATH_STEP: Final = 0.5
 PATH_TOLERANCE: Final = 0.1
 """Difference of any number of a state [mm, deg] of which a copy stays below."""
 _FEWEST_POINTS: Final = 4
-"""Ways begin at the same place; so many points both must have."""
+"""Minimum number of points of both ways, which begin at the same place."""
 _MEASURED_SCALE: Final = 0.2
 """What is measured of gels and part may differ by 0.5 mm: it depends on the time, too."""
 _GELS: Final = 2

@@ -34,7 +34,7 @@ class Preparation:
         self.forget()
 
     def begin(self, order: ShardOrder) -> None:
-        """Begin a shard: forget what is there where the order needs something else, and count its time from zero."""
+        """Begin a shard: forget what was prepared for another order, and count its time from zero."""
         if self._of != order.preparation():
             self.forget()
         self._of = order.preparation()

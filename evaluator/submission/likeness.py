@@ -33,7 +33,7 @@ _MINIMA: Final = 128
 _FEWEST_FLOATS: Final = 16
 """Smaller files are no weights."""
 _ARRAYS, _SAMPLES = 8, 512
-"""The largest arrays are sketched by so many of their numbers."""
+"""Number of values by which the largest arrays are sketched."""
 _CODE_BYTES, _FILE_BYTES, _PACKED_BYTES, _ALL_BYTES = 2**19, 2**26, 2**23, 2**27
 """What is read of code, of a file, of a file that is unpacked, and of an archive in all."""
 _LARGEST: Final = 1e3

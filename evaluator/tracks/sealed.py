@@ -76,7 +76,7 @@ def read_secret(path: Path) -> bytes:
 
 
 def make_commitment(secret: bytes) -> str:
-    """Return the SHA-256 [hex] that is published before a list is used: it fixes the list and tells nothing of it."""
+    """Return the SHA-256 [hex] that is published before a list is used: it fixes the list and reveals nothing of it."""
     return hashlib.sha256(_COMMITTED + secret).hexdigest()
 
 

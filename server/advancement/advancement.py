@@ -67,7 +67,7 @@ def confirm(
 ) -> list[str]:
     """Let the proposed teams take part in a stage, and return which; the organizers' own decisions are added.
 
-    Confirming again replaces the teams of before, but for those that have submitted to the stage already.
+    Confirming again replaces the confirmed teams, but for those that have submitted to the stage already.
 
     Args:
         session: of the transaction.

@@ -1,6 +1,6 @@
 """Answers that a client keeps and asks for again: 304 without the content where it has not changed (RFC 9110, 13).
 
-Text among them is compressed. Answers with secrets of a session are not made here: their size would tell of them.
+Text among them is compressed. Answers with secrets of a session are not made here: their size would reveal them.
 """
 
 import gzip

@@ -45,7 +45,7 @@ class OpenStreams:
         """Count a stream while the block runs.
 
         Raises:
-            ServiceError: the server keeps no more open, or the address or the team has as many as possible.
+            ServiceError: the server, the address or the team has reached its limit.
         """
         limit = await run_in_threadpool(self._find_limit, principal)
         with ExitStack() as stack:

@@ -44,7 +44,7 @@ class NewToken(BaseModel):
     """A further token."""
 
     model_config = ConfigDict(extra="forbid")
-    label: Label = Field(description="To tell tokens apart.")
+    label: Label = Field(description="Distinguishes the tokens of a team.")
     expires_in_days: int | None = Field(default=None, ge=1, le=3650, description="The server's default if null.")
     team: str | None = Field(default=None, pattern=ONE_LINE, description="For organizers: whose token this is.")
 

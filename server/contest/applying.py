@@ -30,7 +30,7 @@ _HIDING = (
     "real names still knows them."
 )
 _SHOWING = "anonymous is switched off: from now on everybody sees the real names of all teams, also on older results."
-"""What is said where names are hidden or shown that were not before."""
+"""Warnings where names become hidden or visible."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -47,7 +47,7 @@ class CountedResults:
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """A stage of a track, or what stands for one where a track is for practice: always open, for all.
+    """A stage of a track; a track for practice has one that is always open, for all.
 
     Attributes:
         contest: name of its competition; empty outside of one.

@@ -21,7 +21,7 @@ class MemberRole(StrEnum):
 
 
 class NoticeKind(StrEnum):
-    """What a notice tells a team."""
+    """What a notice is about."""
 
     ACCEPTED = "accepted"  # a submission, which waits for its evaluation
     FINISHED = "finished"  # an evaluation with a score

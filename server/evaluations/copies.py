@@ -1,7 +1,7 @@
 """Finds logs whose states another team reached before; called when an evaluation is complete.
 
 Re-simulation proves the actions of a log, not whose they are: whoever has a log can upload it under another header, and
-changes of the actions that move nothing (-0.0 for 0.0) change its digest. Equal states tell it all the same; those
+changes of the actions that move nothing (-0.0 for 0.0) change its digest. Equal states show it all the same; those
 half-way through an episode do so where its last actions are other ones.
 """
 
@@ -112,7 +112,7 @@ def _beginnings(session: Session, episodes: Collection[int]) -> dict[int, bytes]
 def mark_copy(session: Session, evaluation: Evaluation) -> None:
     """Take a copy off its boards; put back what is none, or what an organizer has cleared.
 
-    A log is a copy with half of its episodes or more; a model in the tasks in which it goes nearly as another one.
+    A log is a copy if half of its episodes or more are; a model in the tasks in which it is near another one.
     """
     boards = set() if evaluation.submission.copy_cleared_at is not None else _boards_of_copy(session, evaluation)
     session.execute(

@@ -1,4 +1,4 @@
-"""Finds evaluations that go nearly as an earlier submission of another team; called when an evaluation is complete.
+"""Finds evaluations that are near copies of another team's earlier submission; called when an evaluation is complete.
 
 Every one leaves the first actions of its episodes and the states on their way, on each list that it plays, and is
 compared with those of all other teams on the same list. Of two that are alike the later one is noted, and not ranked in

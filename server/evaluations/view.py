@@ -210,7 +210,7 @@ def verdict_view(evaluation: Evaluation) -> VerdictView | None:
 
 
 def _coarse(progress: ProgressView, scores: list[TaskScoreView]) -> ProgressView:
-    """Return the progress as a team sees it on a sealed list: before the end, when an episode ends would tell of it."""
+    """Return the progress of a sealed list as a team sees it: until the end, without when single episodes end."""
     if scores:
         return progress
     total = progress.episodes_total

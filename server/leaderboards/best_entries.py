@@ -80,7 +80,7 @@ class BestEntry:
     submission_id: UUID
 
     def __str__(self) -> str:
-        """Return what tells it from others, briefly: revisions of boards are made of hundreds of them."""
+        """Return a short text that no other entry has: revisions of boards are made of hundreds of them."""
         return f"{self.rank} {self.evaluation_id.int:x}"
 
 

@@ -1,4 +1,4 @@
-"""The outbox: notices are written in the transaction of what they tell, and sent later by `sending`."""
+"""The outbox: notices are written in the transaction of their event, and sent later by `sending`."""
 
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
@@ -62,7 +62,7 @@ def announce(session: Session, kind: NoticeKind, team_id: UUID, subject: str, fa
 
 
 def ask_to_confirm(session: Session, team_id: UUID, address: str, code: str) -> None:
-    """Write the code that confirms an address to it, unless it got as many of them as possible."""
+    """Write the code that confirms an address to it, unless its limit of codes is reached."""
     is_one = Notice.kind == NoticeKind.CONFIRMATION
     if _count_mails(session, timedelta(days=30), Notice.target == address, is_one) < MAX_CONFIRMATIONS:
         session.add(

@@ -38,7 +38,7 @@ def add(session: Session, by: Principal, team: Team, address: str, *, inside_all
     """Send a team's notices to an address from now on; the secret that signs them is shown once.
 
     Raises:
-        ServiceError: not the captain, the address cannot be used, or the team has as many as possible.
+        ServiceError: not the captain, the address cannot be used, or the team has reached its limit.
     """
     by.require_leader(team.id)
     addresses.checked(address, inside_allowed=inside_allowed)

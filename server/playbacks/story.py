@@ -43,7 +43,7 @@ class Story:
 
 
 def tell_story(record: EpisodeRecord, env_id: str) -> Story:
-    """Return what happened in an episode; only how it ended where nothing of it was felt or can be drawn."""
+    """Return what happened in an episode; only its end if nothing was felt or can be drawn."""
     ending = Story(sentence=record.outcome.sentence, moments=())
     if not record.infos or "surface_diff_m" not in record.infos[0]:
         return ending

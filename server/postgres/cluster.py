@@ -147,7 +147,7 @@ class Cluster:
             self._initdb(binaries)
 
     def start(self) -> "subprocess.Popen[bytes]":
-        """Start the server; `wait_until_ready` tells when it takes connections.
+        """Start the server; `wait_until_ready` returns when it takes connections.
 
         Must be called in a thread that lives as long as the server shall: its end is the server's. A server that is
         left by a killed starter is waited for.

@@ -29,7 +29,7 @@ FIRST_NOTICE_S = 2.0  # an ordinary start is quicker
 
 
 class EmbeddedPostgres:
-    """A PostgreSQL that is there from `start` to `stop`, whichever process runs it.
+    """A PostgreSQL that runs from `start` to `stop`, in this process or another one.
 
     Used as a context manager, or with `start` and `stop`.
     """

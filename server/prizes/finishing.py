@@ -106,7 +106,7 @@ def concerns_at_end(session: Session, name: str | None = None) -> list[Concern]:
 def reopen(session: Session, by: Principal, reason: str, name: str | None = None) -> None:
     """Reopen a final competition, to correct what was found after its end; everybody sees when and why.
 
-    Winners and boards of before stay in the audit log. Results that are made again get receipts of their own.
+    The earlier winners and boards stay in the audit log. Results that are made again get receipts of their own.
 
     Raises:
         ServiceError: not an organizer, there is no competition, it is not final, or the reason cannot be shown.

@@ -60,7 +60,7 @@ def export_receipts(
 ) -> ExportDescription:
     """Write the board of a track with all that its audit needs to a new file.
 
-    It holds the receipts of all results of the stage, or nobody could tell that one was taken off the board. Records
+    It holds the receipts of all results of the stage, or nobody could see that one was taken off the board. Records
     and sensors of a sealed list are left out until its secret is published, and a sensor that was replaced after the
     evaluation. The file gets its name when it is whole.
 

@@ -57,7 +57,7 @@ class Witness:
     def observe(self, log: PublishedLog, address: str) -> Checkpoint:
         """Check that a log continues what was signed of it, store its checkpoint, and return that with a signature.
 
-        Nothing is signed before it is stored for good, so that a witness that is killed never signs less than before.
+        Nothing is signed before it is on the disk, so that a witness that is killed never signs less than before.
 
         Raises:
             HistoryRewritten: the log has fewer entries than before, or other ones.

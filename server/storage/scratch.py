@@ -15,7 +15,7 @@ from pathlib import Path
 def scratch_folder(scratch_dir: Path, purpose: str) -> Iterator[Path]:
     """Return a new private folder, gone with all it holds when the block is left.
 
-    A lock tells others that it is in use; the kernel takes it back when the process ends, however that happens. Where
+    A lock shows others that it is in use; the kernel takes it back when the process ends, however that happens. Where
     the file system has no locks for folders, those of killed processes stay.
 
     Args:

@@ -10,7 +10,7 @@ from .blobs import BlobStore
 
 
 def store(session: Session, blobs: BlobStore, path: Path, digest: str) -> None:
-    """Store a file under its digest; one that is there and old becomes a new one, which housekeeping leaves alone.
+    """Store a file under its digest; an old one gets the present time, so that housekeeping leaves it alone.
 
     Args:
         session: of the transaction that names the file, or of one for this alone; it holds the turn to its end.

@@ -71,7 +71,7 @@ def has_part(session: Session, lease: Lease) -> bool:
 def known_part(session: Session, lease: Lease) -> FiguresPart | None:
     """Return what the team's submissions with the same sensor have measured in the same shard of the track and list.
 
-    Another team's parts are not taken: how soon figures are there would tell that somebody else has the same sensor.
+    Another team's parts are not taken: how soon figures exist would reveal that somebody else has the same sensor.
     Parts of which something could not be measured are not, either.
     """
     team = select(Submission.team_id).where(Submission.id == lease.submission_id).scalar_subquery()
@@ -119,7 +119,7 @@ def read_figures(
         session: of the transaction.
         submission: whose sensor it is.
         evaluation: of the submission.
-        with_starts: whether to include what was measured at starts of the list, which tells of its episodes.
+        with_starts: whether to include what was measured at starts of the list, which reveals its episodes.
     """
     stored = session.scalars(
         select(SubmissionFile.facts)

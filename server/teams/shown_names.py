@@ -45,5 +45,5 @@ class ShownNames:
         return team.pseudonym if self.hidden else team.name
 
     def show_id(self, team: Team) -> UUID:
-        """Return the id that is shown: a hidden team's own one would tell which it was elsewhere."""
+        """Return the id that is shown: a hidden team's own one would reveal which team it is."""
         return uuid5(NAMESPACE_OID, team.pseudonym) if self.hides(team) else team.id

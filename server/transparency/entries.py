@@ -122,7 +122,7 @@ class CompetitionApplied(OfCompetition):
     stands_for = EntryKind.COMPETITION
 
     definition: dict[str, Any]
-    """With all defaults, but without the contact, who may be a person: an entry stays for good."""
+    """With all defaults, but without the contact, who may be a person: an entry is never removed."""
 
 
 class SealedListChanged(OfStage):

@@ -103,7 +103,7 @@ class CopyView(View):
             )
         return (
             f"{self.episodes} of {self.of} episodes of {self.task} on the {'sealed' if self.sealed else 'public'} list "
-            f"go nearly as in an earlier submission of {self.team}: the same actions, commanded motion or states."
+            f"are near those of an earlier submission of {self.team}: the same actions, commanded motion or states."
         )
 
 

@@ -16,7 +16,7 @@ class DivergenceView(View):
     episode: int
     env_step: int
     recorded_state: str | None = Field(description="SHA-256 of the state, as the log has it.")
-    recorded_info: dict[str, Any] | None = Field(description="What the log tells of that env step, in our form.")
+    recorded_info: dict[str, Any] | None = Field(description="What the log says about that env step, in our form.")
     resimulated_state: str | None
     resimulated_info: dict[str, Any] | None
 

@@ -50,7 +50,7 @@ class StorageView(View):
 class CountsView(View):
     """What all processes have counted since the database was made.
 
-    `..._within_s`: so long took 95 % at most; None before the first, infinite beyond the largest bound that is counted.
+    `..._within_s`: 95 % took no longer; None before the first, infinite beyond the largest bound that is counted.
     """
 
     episodes: int

@@ -84,7 +84,7 @@ async def _viewer(request: Request) -> tuple[Viewer | None, bool]:
     """Return who is signed in, and whether that is known."""
     try:
         return await get_viewer(request), True
-    except Exception:  # noqa: BLE001 - whatever it is, the page tells of the first error
+    except Exception:  # noqa: BLE001 - whatever it is, the page shows the first error
         return None, False
 
 

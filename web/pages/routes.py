@@ -54,7 +54,7 @@ class VersionedStaticFiles(StaticFiles):
         """Answer with the file and its cache headers."""
         answer = await super().get_response(path, scope)
         is_asked = scope["query_string"].startswith(b"v=") and answer.status_code == 200
-        # After an upgrade a page of before may name a digest that its file no longer has.
+        # A page from before an upgrade may name a digest that its file no longer has.
         versioned = is_asked and scope["query_string"] == f"v={static_digest(path)}".encode()
         answer.headers["Cache-Control"] = f"public, max-age={ONE_YEAR_S}, immutable" if versioned else "no-cache"
         if versioned and isinstance(answer, FileResponse) and path.endswith(TEXT):

@@ -1,4 +1,4 @@
-"""The page that says what a policy runs with, as the workers' sandboxes tell it."""
+"""The page that says what a policy runs with, as the workers found it in their sandboxes."""
 
 from starlette.requests import Request
 from starlette.responses import Response

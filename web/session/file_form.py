@@ -18,7 +18,7 @@ from .forms import FORM_LIMIT_BYTES, require_same_site
 
 MEDIA_TYPE = "multipart/form-data"
 FIELDS_TIMEOUT_S = 30.0
-"""The fields before the file must be there after so long."""
+"""Time in which the fields before the file must arrive."""
 MAX_PARTS = 16
 DISCARDED_BYTES = 64 << 20
 DISCARD_TIMEOUT_S = 60.0

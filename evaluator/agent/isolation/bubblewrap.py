@@ -98,7 +98,7 @@ def current_user_isolation() -> UserIsolation:
 
 
 def choose_uid() -> int:
-    """Return the uid inside: under root a random one for each sandbox, which so shows nothing of the machine.
+    """Return the uid inside: under root a random one for each sandbox, so that it reveals nothing about the machine.
 
     RLIMIT_NPROC counts per uid, so that two policies of one uid could starve each other.
     """

@@ -34,7 +34,7 @@ WAITING = 48
 BURST_S = 10.0
 """Processor time that a client may use at once, before its share of all time counts."""
 PLACE_TIMEOUT_S = 15.0
-"""A request that has waited so long for a place is refused: those at work hang, or there are too many."""
+"""Longest time that a request waits for a place before it is refused."""
 BUSY = "The server is busy, or its database does not answer; try again in a moment."
 MAX_CLIENTS = 10_000
 """Clients that are remembered; then those are forgotten that have not asked for long."""

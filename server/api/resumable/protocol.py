@@ -30,7 +30,7 @@ CHECKSUM_MISMATCH_STATUS: Final = 460
 CHECKSUMS: Mapping[str, Callable[[], Any]] = MappingProxyType(
     {"sha256": hashlib.sha256, "sha1": lambda: hashlib.sha1(usedforsecurity=False)}
 )
-"""sha1 is what the protocol obliges servers to know; it tells damage on the way, nothing else."""
+"""The protocol obliges servers to know sha1; it finds damage on the way, nothing else."""
 
 
 class ProtocolVersion:

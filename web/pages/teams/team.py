@@ -134,7 +134,7 @@ async def renew_token(request: Request) -> Response:
         return issued.secret, issued.token.id
 
     secret, token_id = await get_site(request).ask(made)
-    shown = {"viewer_known": False, "what": "token", "secret": secret}  # the session of before has ended
+    shown = {"viewer_known": False, "what": "token", "secret": secret}  # the earlier session has ended
     answer = page(request, "teams/secret.html", viewer=None, section=ADDRESS, status=HTTPStatus.CREATED, **shown)
     answer.headers["Cache-Control"] = "no-store"
     begin_session(request, answer, token_id, expires_at=viewer.expires_at)

@@ -1,4 +1,4 @@
-"""Models and logs that go nearly as an earlier submission of another team are not ranked until they are cleared."""
+"""Models and logs that are near copies of another team's earlier submission are not ranked until they are cleared."""
 
 from functools import partial
 
@@ -132,7 +132,7 @@ def test_a_model_that_acts_nearly_as_an_earlier_one_is_not_ranked_until_an_organ
         assert shown.copy_of == copy
         assert shown.evaluation.success_rate is not None
         assert copy.sentence.startswith(
-            f"270 of 270 episodes of {TASK} on the public list go nearly as in an earlier submission of Source"
+            f"270 of 270 episodes of {TASK} on the public list are near those of an earlier submission of Source"
         )
         assert "is not ranked until an organizer has cleared it" in copy.sentence
         for by in (teams[1], VISITOR):

@@ -225,7 +225,7 @@ def test_organizers_clear_a_copy_with_a_reason_that_its_team_reads(
     monkeypatch.setattr(clearance, "clear", lambda _session, _by, _id, reason: done.append(reason))
     monkeypatch.setattr(clearance, "withdraw", lambda _session, _by, _id: done.append(None))
     for reader, found, sentence in (
-        ("Gelbots", copy, "go nearly as in an earlier submission of Bears"),
+        ("Gelbots", copy, "are near those of an earlier submission of Bears"),
         ("organizers", copy, "is not ranked until an organizer has cleared it"),
         ("organizers", cleared, "An organizer has cleared it: made apart"),
     ):
