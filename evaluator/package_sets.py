@@ -28,6 +28,8 @@ class PackageSet(StrEnum):
     """What the evaluator itself needs; every policy sees it."""
     TORCH = "torch"
     """torch, and what it needs."""
+    SB3 = "sb3"
+    """Stable-Baselines3, of which models of the 2025 challenge are made; it needs torch."""
 
 
 class UnknownPackageSet(VitacError):
@@ -39,6 +41,7 @@ class _LockedSets(StrictModel):
 
     base: dict[str, tuple[str, ...]]
     torch: dict[str, tuple[str, ...]]
+    sb3: dict[str, tuple[str, ...]]
 
 
 def shown_sets(declared: Iterable[PackageSet] = ()) -> tuple[PackageSet, ...]:

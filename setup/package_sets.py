@@ -28,7 +28,11 @@ def document() -> str:
     """Return the text of package_sets.yaml."""
     torch = locked("torch")
     (version,) = re.findall(r"^torch=(\S+)$", (ROOT / "setup" / "additions.sh").read_text(), re.MULTILINE)
-    sets = {"base": locked("base"), "torch": {"torch": [version], **{name: torch[name] for name in TORCH_NEEDS}}}
+    sets = {
+        "base": locked("base"),
+        "torch": {"torch": [version], **{name: torch[name] for name in TORCH_NEEDS}},
+        "sb3": {"stable-baselines3": torch["stable-baselines3"]},
+    }
     lines = [HEADING]
     for title, packages in sets.items():
         lines.append(f"{title}:\n")

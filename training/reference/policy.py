@@ -3,10 +3,12 @@
 This file is a whole submission with weights beside it: for each task that it plays, `<task>.zip` as Stable-Baselines3
 saves a model, or the `policy.pth` of such a file as `<task>.pth`. Only the state dict is read, as tensors and nothing
 else; the pickled rest of a zip is never opened. Training imports the same file, so that what is learned is what is
-played.
+played. `adapter.json` says of foreign weights for Track 2 what is not published: {"head": ["sight", "touch"]} or the
+reverse.
 """
 
 import io
+import json
 import zipfile
 from collections.abc import Callable, Mapping
 from itertools import pairwise, permutations
@@ -21,6 +23,7 @@ HIDDEN = 256
 FELT, FELT_BY_FUSION, SEEN = 32, 64, 128  # numbers that an encoder makes of one gel, and of one object
 CLOUD_SCALE = 100.0  # metres to centimetres
 OF_ACTOR = "actor."
+SIGHT_FIRST = ("sight", "touch")
 OURS = "network."  # of a model that this code trained; beside it stands Stable-Baselines3's own network, never used
 
 
@@ -69,11 +72,13 @@ class TactileActor(nn.Module):  # type: ignore[misc]
 class FusionActor(nn.Module):  # type: ignore[misc]
     """Action from both gels' markers and the clouds of peg and hole.
 
-    Not published: in which order what is seen and what is felt enter the head. Here what is seen comes first.
+    Attributes:
+        head_order: of what enters the head; the challenge's is not published.
     """
 
     observed = ("marker_flow", "object_point_cloud")
     not_played = ()
+    head_order: tuple[str, ...] = SIGHT_FIRST
 
     def __init__(self, encoder: type[PointNet] = PointNet) -> None:
         super().__init__()
@@ -92,7 +97,8 @@ class FusionActor(nn.Module):  # type: ignore[misc]
         felt = self.encoder(marker_points(marker_flow)).flatten(1)
         peg, hole = (CLOUD_SCALE * object_point_cloud).unbind(1)
         seen = torch.cat([self.peg(peg), self.hole(hole)], dim=1)
-        return torch.tanh(self.head(torch.cat([self.norm_of_seen(seen), self.norm_of_felt(felt)], dim=1)))
+        parts = {"sight": self.norm_of_seen(seen), "touch": self.norm_of_felt(felt)}
+        return torch.tanh(self.head(torch.cat([parts[name] for name in self.head_order], dim=1)))
 
 
 Actor = TactileActor | FusionActor
@@ -131,8 +137,11 @@ class Policy:
         for task, make in ACTORS.items():
             for path in (folder / f"{task}.zip", folder / f"{task}.pth"):
                 if path.exists():
-                    self.actors[task] = make()
-                    load_actor(self.actors[task], read_state(path))
+                    state, actor = read_state(path), make()
+                    if isinstance(actor, FusionActor) and not is_ours(state):
+                        actor.head_order = read_head_order(folder)
+                    load_actor(actor, state)
+                    self.actors[task] = actor
         if not self.actors:
             raise ValueError(
                 f"No weights are beside {__file__}; expected one of {', '.join(ACTORS)} with .zip or .pth."
@@ -149,6 +158,23 @@ class Policy:
         seen = [torch.as_tensor(np.asarray(observation[key]))[None] for key in self.actor.observed]
         with torch.no_grad():
             return self.actor(*seen)[0].numpy()
+
+
+def read_head_order(folder: Path) -> tuple[str, ...]:
+    """Return in which order sight and touch enter the head of a foreign actor of Track 2, as `adapter.json` says it.
+
+    Raises:
+        ValueError: it does not say it.
+    """
+    path = folder / "adapter.json"
+    found = tuple(json.loads(path.read_text())["head"]) if path.exists() else ()
+    if sorted(found) != sorted(SIGHT_FIRST):
+        raise ValueError(
+            "It is not published whether what is seen or what is felt enters the head of Track 2's actor first. Look "
+            'into the code that trained these weights, and write adapter.json beside them: {"head": ["sight", '
+            '"touch"]} or {"head": ["touch", "sight"]}.'
+        )
+    return found
 
 
 def read_state(path: Path) -> Mapping[str, Any]:
@@ -200,8 +226,14 @@ def load_actor(actor: Actor, state: Mapping[str, Any]) -> None:
 def _played(actor: Actor, state: Mapping[str, Any]) -> dict[str, Any]:
     """Return the layers that act, of a model that this code trained or of one that the challenge's code did."""
     layers = {name.removeprefix(OF_ACTOR): value for name, value in state.items() if name.startswith(OF_ACTOR)}
-    ours = {name: value for name, value in layers.items() if name.startswith(OURS)}
-    return ours or {name: value for name, value in layers.items() if not name.startswith(actor.not_played)}
+    if is_ours(state):
+        return {name: value for name, value in layers.items() if name.startswith(OURS)}
+    return {name: value for name, value in layers.items() if not name.startswith(actor.not_played)}
+
+
+def is_ours(state: Mapping[str, Any]) -> bool:
+    """Return whether this code trained a model."""
+    return any(name.startswith(OF_ACTOR + OURS) for name in state)
 
 
 def _sizes(state: Mapping[str, Any]) -> str:

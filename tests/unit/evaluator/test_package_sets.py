@@ -30,7 +30,9 @@ def test_organizers_add_a_set_for_every_track(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("VITAC_POLICY_PACKAGES", " torch,")
     assert shown_sets() == (PackageSet.BASE, PackageSet.TORCH)
     monkeypatch.setenv("VITAC_POLICY_PACKAGES", "tensorflow")
-    with pytest.raises(UnknownPackageSet, match=r"VITAC_POLICY_PACKAGES names 'tensorflow', expected base, torch\."):
+    with pytest.raises(
+        UnknownPackageSet, match=r"VITAC_POLICY_PACKAGES names 'tensorflow', expected base, torch, sb3\."
+    ):
         shown_sets()
 
 

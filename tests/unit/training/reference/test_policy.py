@@ -1,5 +1,6 @@
 """The challenge's actors: layers, counts, first weights, and whose weights are accepted. Needs torch."""
 
+import json
 import pickle
 import zipfile
 from collections.abc import Callable
@@ -140,6 +141,31 @@ def test_policy_plays_the_tasks_whose_weights_are_there(tmp_path: Path, monkeypa
     np.testing.assert_allclose(found, expected, atol=1e-6)
     with pytest.raises(ValueError, match="no weights for lock-opening, only for peg-insertion"):
         policy.reset("lock-opening")
+
+
+def test_order_of_sight_and_touch_in_foreign_weights_is_what_their_owner_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    actor = ACTORS["fusion-insertion"]()
+    state = actor.state_dict()
+    touch_first = torch.cat([state["head.0.weight"][:, 256:], state["head.0.weight"][:, :256]], dim=1)
+    saved(tmp_path / "fusion-insertion.zip", renamed({**state, "head.0.weight": touch_first}))
+    monkeypatch.setattr(module, "__file__", str(tmp_path / "policy.py"))
+    with pytest.raises(ValueError, match=r'It is not published .*; .*|write adapter\.json beside them: {"head"'):
+        Policy()
+    random, found = np.random.default_rng(0), {}
+    seen = {
+        "marker_flow": random.random((2, 2, 128, 2), np.float32) * 200,
+        "object_point_cloud": random.random((2, 128, 3), np.float32),
+    }
+    for first, second in (("sight", "touch"), ("touch", "sight")):
+        (tmp_path / "adapter.json").write_text(json.dumps({"head": [first, second]}))
+        policy = Policy()
+        policy.reset("fusion-insertion")
+        found[first] = policy.act(seen)
+    expected = actor(*(torch.as_tensor(value)[None] for value in seen.values()))[0].detach().numpy()
+    np.testing.assert_allclose(found["touch"], expected, atol=1e-6)
+    assert not np.allclose(found["sight"], expected, atol=1e-4)
 
 
 def test_policy_without_weights_says_what_it_expected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
