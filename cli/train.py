@@ -28,6 +28,9 @@ app = typer.Typer(cls=_RecipeFirst, no_args_is_help=True)
 RecipeFile = Annotated[Path, typer.Argument(help="YAML file that says what is learned.", exists=True, dir_okay=False)]
 RunFolder = Annotated[Path, typer.Option("--out", help="Folder of the run; an existing run is continued.")]
 Processes = Annotated[int, typer.Option(min=1, help="Processes that play episodes.")]
+Sensor = Annotated[
+    Path | None, typer.Option(help="Folder of your own sensor, for sensor-design.", exists=True, file_okay=False)
+]
 
 
 @app.command()
@@ -100,6 +103,38 @@ def search(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json
 
 
 @app.command()
+def clone(
+    task: Annotated[str, typer.Argument(help="A task that has an expert, such as peg-insertion.")],
+    out: RunFolder,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of starts and learning.")] = 0,
+    rounds: Annotated[int, typer.Option(min=1, help="How often the policy is learned.")] = 8,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes before each round.")] = 300,
+    sensor: Sensor = None,
+    processes: Processes = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Clone an expert that knows the truth, or continue, and compare with a blind policy made in the same way."""
+    _one_thread()
+    from vitac.training.cloning.method import Plan, clone
+
+    plan = Plan(task=task, seed=seed, rounds=rounds, episodes=episodes)
+    with _going_on_later(out):
+        gain = clone(plan, out, sensor=sensor, processes=processes, tell=_tell)
+    if as_json:
+        print_json(gain.model_dump())
+    else:
+        print_pairs(
+            {
+                "fresh starts": gain.episodes,
+                "solved": gain.standard_successes,
+                "solved blind": gain.blind_successes,
+                "gain by sensing": f"{100 * gain.gain:.1f} % [{100 * gain.low:.1f}, {100 * gain.high:.1f}]",
+                "submission": out / "submission",
+            }
+        )
+
+
+@app.command()
 def reference(
     task: Annotated[str, typer.Argument(help="peg-insertion, lock-opening, fusion-insertion or sensor-design.")],
     out: Annotated[
@@ -109,9 +144,7 @@ def reference(
         int | None, typer.Option(min=1, help="Number of env steps; default: the published one.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the training.")] = 0,
-    sensor: Annotated[
-        Path | None, typer.Option(help="Folder of your own sensor, for sensor-design.", exists=True, file_okay=False)
-    ] = None,
+    sensor: Sensor = None,
 ) -> None:
     """Train as the challenge did, with PointNet and TD3, or continue; needs the extra `training`."""
     _one_thread()

@@ -8,10 +8,10 @@ import numpy as np
 from .actors import ActorKind
 from .collection import Networks
 from .episodes import Episodes, joined
+from .learning.adam import FloatArray
 from .learning.assessor import Assessor, assessed
 from .learning.belief import fit_belief
 from .learning.critic import Critic
-from .learning.network import FloatArray
 from .learning.student import Student, make_histories, make_weights
 from .recipe import Recipe
 

@@ -82,16 +82,17 @@ class Expert:
 
     Args:
         task: that is played.
+        observation_keys: what is observed beside the truth.
         settings: in place of the task's own.
 
     Raises:
         NoExpert: the task says no way to its target.
     """
 
-    def __init__(self, task: Task, **settings: Any) -> None:
+    def __init__(self, task: Task, observation_keys: Sequence[str] = (), **settings: Any) -> None:
         if task.definition.guided_motion is None:
             raise NoExpert(f"{task.name} has no expert, expected a task whose definition has a guided_motion.")
-        self.env: Any = make_environment(task, observation_keys=(), settings=settings)
+        self.env: Any = make_environment(task, observation_keys=observation_keys, settings=settings)
         self._way = resolve_name(task.definition.guided_motion)
 
     def play(self, options: Mapping[str, Any], plans: Sequence[Plan] = PLANS) -> Played:
@@ -109,7 +110,7 @@ class Expert:
         random = np.random.default_rng(plan.seed)
         actions, state_hashes, total_reward = [], [self.env.state_hash()], 0.0
         while info["end_reason"] is None:
-            actions.append(self._action(plan, info, random))
+            actions.append(self.act(plan, info, random))
             _, reward, _, _, info = self.env.step(actions[-1])
             state_hashes.append(self.env.state_hash())
             total_reward += float(reward)
@@ -120,15 +121,16 @@ class Expert:
             total_reward=total_reward,
         )
 
-    def _action(self, plan: Plan, info: Mapping[str, Any], random: np.random.Generator) -> NDArray[np.float32]:
-        way = plan.gain * self._way({}, self._measured(info) if plan.measured else info)
+    def act(self, plan: Plan, info: Mapping[str, Any], random: np.random.Generator) -> NDArray[np.float32]:
+        """Return the next action of a plan."""
+        way = plan.gain * self._way({}, self.measure(info) if plan.measured else info)
         if plan.last_waits and np.abs(way[:-1]).max() > _DONE:
             way[-1] = 0.0
         if plan.noisy_steps is None or info["steps"] < plan.noisy_steps:
             way = way + plan.spread * random.standard_normal(len(way))
         return np.asarray(np.clip(way + np.array(plan.bias or 0.0), -1.0, 1.0), dtype=np.float32)
 
-    def _measured(self, info: Mapping[str, Any]) -> Mapping[str, Any]:
+    def measure(self, info: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return the info of an insertion with the offset of the peg's lower end in place of the commanded one."""
         if "gt_offset_mm_deg" not in info:
             return info  # The info of the lock has measured teeth.

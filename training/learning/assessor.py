@@ -14,10 +14,11 @@ from pydantic import PositiveFloat
 
 from ..episodes import Episodes
 from ..submission.policy import HISTORY_SIZE
+from .adam import FloatArray
 from .critic import STATE_SIZE, transitions
 from .ensemble import Samples
 from .fitted_value import Count, FittedValue, FittingPlan
-from .network import FloatArray, probability
+from .network import probability
 from .student import student_inputs
 from .symmetry import HISTORY, STATE, both
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..episodes import Episodes
 from ..submission.policy import belief_inputs
-from .network import FloatArray
+from .adam import FloatArray
 from .student import student_inputs
 
 OFFSET = slice(0, 3)

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from pydantic import PositiveFloat
 
 from ..episodes import Episodes
+from .adam import FloatArray
 from .ensemble import Samples
 from .fitted_value import Count, FittedValue, FittingPlan
-from .network import FloatArray, probability
+from .network import probability
 from .symmetry import STATE, TURNABLE
 
 STATE_SIZE = 15

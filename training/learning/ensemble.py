@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .network import FloatArray, Layout, Learner, logits
+from .adam import FloatArray
+from .network import Layout, Learner, logits
 from .symmetry import Signs
 
 
@@ -82,14 +83,14 @@ class Ensemble:
         return {
             f"{number}.{name}": value
             for number, each in enumerate(self.learners)
-            for name, value in each.state().items()
+            for name, value in each.adam.state().items()
         }
 
     def restore(self, state: Mapping[str, FloatArray]) -> None:
         """Continue from a state."""
         for number, each in enumerate(self.learners):
             own = f"{number}."
-            each.restore({name.removeprefix(own): value for name, value in state.items() if name.startswith(own)})
+            each.adam.restore({name.removeprefix(own): value for name, value in state.items() if name.startswith(own)})
 
     def _log_odds(self, inputs: FloatArray, actions: FloatArray) -> list[FloatArray]:
         return [logits(each.parameters, inputs, actions) for each in self.learners]

@@ -7,8 +7,9 @@ import numpy as np
 from pydantic import Field, PositiveFloat
 from vitac.evaluator.strict_model import StrictModel
 
+from .adam import FloatArray
 from .ensemble import Ensemble, Samples
-from .network import FloatArray, Layout
+from .network import Layout
 from .symmetry import Signs
 
 Count = Annotated[int, Field(ge=1, le=1_000_000)]

@@ -7,13 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from vitac.envs.errors import VitacError
 
-FloatArray = NDArray[np.float32]
-Parameters = dict[str, FloatArray]
-
-_FIRST_DECAY, _SECOND_DECAY, _SMALLEST = 0.9, 0.999, 1e-8
+from .adam import Adam, FloatArray, Parameters
 
 
 class TrainingDiverged(VitacError):
@@ -88,14 +84,12 @@ class Learner:
 
     Attributes:
         parameters: of the network.
-        steps: gradient steps made so far.
+        adam: optimiser, with the state that learning continues from.
     """
 
     def __init__(self, layout: Layout, random: np.random.Generator) -> None:
         self.parameters = new_parameters(layout, random)
-        self.steps = 0
-        self._first = {name: np.zeros_like(value) for name, value in self.parameters.items()}
-        self._second = {name: np.zeros_like(value) for name, value in self.parameters.items()}
+        self.adam = Adam(self.parameters)
 
     def learn(self, inputs: FloatArray, actions: FloatArray, targets: FloatArray, *, rate: float) -> float:
         """Make one gradient step and return the mean cross-entropy before it.
@@ -112,32 +106,11 @@ class Learner:
         first, second, found = _forward(self.parameters, inputs, actions)
         loss = float((np.maximum(found, 0.0) - found * targets + np.log1p(np.exp(-np.abs(found)))).mean())
         if not np.isfinite(loss):
-            raise TrainingDiverged(f"The loss is {loss} after {self.steps} gradient steps; expected a finite number.")
+            steps = self.adam.steps
+            raise TrainingDiverged(f"The loss is {loss} after {steps} gradient steps; expected a finite number.")
         slope = ((probability(found) - targets) / np.float32(found.size))[..., None]
-        self._adam(_gradients(self.parameters, (inputs, actions, first, second), slope), rate)
+        self.adam.descend(_gradients(self.parameters, (inputs, actions, first, second), slope), rate)
         return loss
-
-    def state(self) -> dict[str, FloatArray]:
-        """Return the state that learning continues from, by name."""
-        groups = (("p", self.parameters), ("m", self._first), ("v", self._second))
-        stored = {f"{group}.{name}": value.copy() for group, values in groups for name, value in values.items()}
-        return stored | {"steps": np.array([self.steps], dtype=np.float32)}
-
-    def restore(self, state: Mapping[str, FloatArray]) -> None:
-        """Continue from a state."""
-        for group, values in (("p", self.parameters), ("m", self._first), ("v", self._second)):
-            for name in values:
-                values[name] = state[f"{group}.{name}"].copy()
-        self.steps = int(state["steps"][0])
-
-    def _adam(self, gradients: Parameters, rate: float) -> None:
-        self.steps += 1
-        size = rate * np.sqrt(1.0 - _SECOND_DECAY**self.steps) / (1.0 - _FIRST_DECAY**self.steps)
-        for name, gradient in gradients.items():
-            first, second = self._first[name], self._second[name]
-            first += (1.0 - _FIRST_DECAY) * (gradient - first)
-            second += (1.0 - _SECOND_DECAY) * (gradient * gradient - second)
-            self.parameters[name] -= (size * first / (np.sqrt(second) + _SMALLEST)).astype(np.float32)
 
 
 def _gradients(

@@ -15,10 +15,11 @@ from vitac.evaluator.strict_model import StrictModel
 
 from ..episodes import Episodes
 from ..submission.policy import HISTORY_SIZE, history_features
+from .adam import FloatArray
 from .critic import stack_states
 from .ensemble import Ensemble
 from .fitted_value import Count
-from .network import FloatArray, Layout, Learner, probability
+from .network import Layout, Learner, probability
 from .symmetry import HISTORY, TURNABLE
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..submission.policy import MAX_STEPS
-from .network import FloatArray
+from .adam import FloatArray
 
 TURNABLE = (0, 2)
 """Numbers of the shapes that look the same after half a turn: cuboid and bow tie."""

@@ -24,8 +24,6 @@ import vitac.envs  # noqa: F401 - registers the environments
 from vitac.envs.errors import VitacError
 from vitac.envs.extras import install_command
 from vitac.envs.tactile.design import SensorDesign
-from vitac.evaluator.sensors.check import accepted_sensor
-from vitac.evaluator.sensors.made import made_sensor
 from vitac.evaluator.tracks import load_track
 
 from ..charts import Charts
@@ -33,6 +31,7 @@ from ..files import Arrays, FileDamaged, load, save, write_bytes, write_text
 from ..learning.network import TrainingDiverged
 from ..progress import Progress
 from ..run import OtherRun, Tell, claimed
+from ..sensor import make_sensor
 from ..streams import Use, stream
 
 
@@ -59,10 +58,6 @@ except ModuleNotFoundError as error:
 
 class UnknownReferenceTask(VitacError):
     """The challenge's method is not known for this task; choose one that the message names."""
-
-
-class SensorMismatch(VitacError):
-    """A sensor was given for a task that has none, or none for one that needs it; the message says which."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -280,10 +275,7 @@ def train_reference(
     if task not in HYPERPARAMETERS:
         raise UnknownReferenceTask(f"The task is '{task}', expected one of {', '.join(HYPERPARAMETERS)}.")
     chosen = replace(HYPERPARAMETERS[task], seed=seed)
-    if (sensor is None) == load_track(chosen.track).has_sensor:
-        needed = "the folder of a sensor" if sensor is None else "no sensor, as all play it with the same one"
-        raise SensorMismatch(f"Expected {needed} for {task}.")
-    made = None if sensor is None else made_sensor(accepted_sensor(sensor))
+    made = make_sensor(load_track(chosen.track), task, sensor)
     design, digest = (made.design(), made.digest) if made else (None, None)
     identity = {"task": task, **asdict(chosen), "sensor": digest}
     versions = {name: version(name) for name in ("torch", "stable_baselines3")}

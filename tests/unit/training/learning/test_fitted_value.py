@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from vitac.training.learning.adam import FloatArray
 from vitac.training.learning.ensemble import Samples
 from vitac.training.learning.fitted_value import FittedValue, FittingPlan
-from vitac.training.learning.network import FloatArray, TrainingDiverged, probability
+from vitac.training.learning.network import TrainingDiverged, probability
 from vitac.training.learning.symmetry import Signs
 
 INPUTS = 4

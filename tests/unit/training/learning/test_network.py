@@ -73,23 +73,23 @@ def test_continued_learning_has_the_same_bits() -> None:
     for _ in range(3):
         first.learn(*seen, rate=1e-3)
     second = Learner(LAYOUT, np.random.default_rng(99))
-    second.restore(first.state())
+    second.adam.restore(first.adam.state())
     for _ in range(3):
         second.learn(*seen, rate=1e-3)
-    assert second.steps == whole.steps == 6
-    for name, value in whole.state().items():
-        np.testing.assert_array_equal(value, second.state()[name])
+    assert second.adam.steps == whole.adam.steps == 6
+    for name, value in whole.adam.state().items():
+        np.testing.assert_array_equal(value, second.adam.state()[name])
 
 
 def test_diverged_loss_stops_and_changes_nothing() -> None:
     learner = Learner(LAYOUT, np.random.default_rng(4))
-    before = learner.state()
+    before = learner.adam.state()
     inputs, actions, targets = batch()
     inputs[0, 0] = np.nan
     with pytest.raises(TrainingDiverged, match="The loss is nan after 0 gradient steps; expected a finite number"):
         learner.learn(inputs, actions, targets, rate=1e-3)
     for name, value in before.items():
-        np.testing.assert_array_equal(value, learner.state()[name])
+        np.testing.assert_array_equal(value, learner.adam.state()[name])
 
 
 def test_one_set_of_actions_serves_all_inputs() -> None:

@@ -29,7 +29,6 @@ from vitac.training.reference.td3 import (  # noqa: E402
     CLOUDS_AT_ONCE,
     HYPERPARAMETERS,
     CachedPointNet,
-    SensorMismatch,
     UnknownReferenceTask,
     gradient_step,
     make_env,
@@ -37,6 +36,7 @@ from vitac.training.reference.td3 import (  # noqa: E402
     train_reference,
 )
 from vitac.training.run import OtherRun  # noqa: E402
+from vitac.training.sensor import SensorMismatch  # noqa: E402
 from vitac.training.streams import StreamRefused, Use, stream  # noqa: E402
 
 

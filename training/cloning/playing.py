@@ -1,0 +1,100 @@
+"""Plays episodes of an expert or a cloned policy, each env step with the action that the expert would take."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from vitac.evaluator.tracks import Task
+
+from ..demonstrations.expert import Expert, Plan
+from .policy import FloatArray, Memory, choose_action
+
+PLAN = Plan(gain=1.5, measured=False)
+"""How the expert goes to the target, from where the part is measured to be."""
+SPREAD = 0.6
+"""Largest standard deviation of the noise on the expert's actions; each of its episodes draws its own."""
+NEAR = np.array([1.0, 1.0, 1.5])
+"""Offset [mm, mm, degree] within which the expert lowers a peg: a policy that cannot see it never gets to none."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Played:
+    """Episodes one after the other.
+
+    Attributes:
+        rows: what a policy remembers of each observation before an action, shape [n, r].
+        actions: the expert's there, shape [n, a].
+        lengths: env steps of each episode, shape [e].
+        solved: whether each ended with success, shape [e].
+        shapes: of the parts, shape [e].
+    """
+
+    rows: FloatArray
+    actions: FloatArray
+    lengths: NDArray[np.int64]
+    solved: NDArray[np.bool_]
+    shapes: NDArray[np.str_]
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return all arrays by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def join(parts: Sequence[Played]) -> Played:
+    """Return episodes one after the other; there must be some."""
+    arrays = [part.arrays() for part in parts]
+    return Played(**{name: np.concatenate([each[name] for each in arrays]) for name in arrays[0]})
+
+
+class Stage:
+    """A task with its environment and its expert.
+
+    Args:
+        task: that is played.
+        keys: what a policy observes.
+        sensor: design of both sensors, where the task has one.
+
+    Raises:
+        NoExpert: the task says no way to its target.
+    """
+
+    def __init__(self, task: Task, keys: Sequence[str], sensor: Any = None) -> None:
+        self._expert = Expert(task, keys, **({} if sensor is None else {"sensor": sensor}))
+        self.env = self._expert.env
+        self.n_actions = len(task.actions)
+
+    def play(self, seed: int, numbers: Sequence[int], weights: Mapping[str, FloatArray] | None) -> Played:
+        """Play episodes of a stream by the weights of a policy, or by the expert with noise where there are none."""
+        return join([self._play_one((seed, number), weights) for number in numbers])
+
+    def _play_one(self, start: tuple[int, int], weights: Mapping[str, FloatArray] | None) -> Played:
+        random = np.random.default_rng((*start, 1))
+        spread = random.uniform(0.0, SPREAD)
+        observation, info = self.env.reset(options={"rng_seed": start})
+        memory, actions = Memory(self.n_actions), []
+        while info["end_reason"] is None:
+            memory.observe(observation)
+            actions.append(self.expert_action(info, random))
+            if weights is None:
+                noisy = actions[-1] + spread * random.standard_normal(self.n_actions)
+                memory.last_action = np.asarray(np.clip(noisy, -1.0, 1.0), dtype=np.float32)
+            else:
+                memory.last_action = choose_action(weights, np.array(memory.rows))
+            observation, _, _, _, info = self.env.step(memory.last_action)
+        return Played(
+            rows=np.array(memory.rows),
+            actions=np.array(actions),
+            lengths=np.array([len(actions)]),
+            solved=np.array([bool(info["is_success"])]),
+            shapes=np.array([str(self.env.task_scene.shape)]),
+        )
+
+    def expert_action(self, info: Mapping[str, Any], random: np.random.Generator) -> FloatArray:
+        """Return what the expert would do."""
+        info = self._expert.measure(info)
+        offset = info.get("gt_offset_mm_deg", ())
+        if len(offset) > len(NEAR) and (np.abs(offset[: len(NEAR)]) < NEAR).all():
+            info = {**info, "gt_offset_mm_deg": np.array([0.0, 0.0, 0.0, *offset[len(NEAR) :]])}
+        return self._expert.act(PLAN, info, random)
