@@ -33,7 +33,7 @@ _LOOKS = ThreadPoolExecutor(2, "ready")
 
 @router.get("/health")
 async def get_health() -> HealthView:
-    """Return the process answers."""
+    """Return that the process answers."""
     return HealthView(status=OK, version=version("vitac-arena"))
 
 
