@@ -4,10 +4,11 @@
 
 Driver, guard and limits are the station's. The twins run in a process of their own, as devices do, and note when the
 frame with the force leaves the force/torque box, when the hold arrives at the stage, and when the stage is at rest:
-it brakes at 500 mm/s^2 from 3 mm/s, in 6 ms.
+it brakes at 500 mm/s^2 from 3 mm/s, in 6 ms. Exit code 1 if a stop takes longer than a control period.
 """
 
 import argparse
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -102,7 +103,7 @@ def measure(guard: Guard, twins: Connection, generator: np.random.Generator) -> 
     return held_s - sent_s, rest_s - sent_s
 
 
-def main() -> None:
+def main() -> int:
     """Print the distribution of both times."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--stops", type=int, default=300)
@@ -114,7 +115,8 @@ def main() -> None:
         print(f"{name:<13} median {median:.2f} ms, p99 {high:.2f} ms, largest {largest:.2f} ms of {stops}")
     within = (measured_ms[:, 1] <= 1e3 * CONTROL_PERIOD_S).mean()
     print(f"at rest within one control period of {1e3 * CONTROL_PERIOD_S:.0f} ms: {within:.1%}")
+    return 0 if within == 1.0 else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,8 +1,8 @@
 """Follows the markers of a gel by assigning all of them at once, so that none is lost for good.
 
-Beside the challenge's tracker (`tracker.py`) it differs in three things: centres are weighted by darkness; markers and
-centres are paired so that the sum of squared distances is smallest; and a lost marker is expected where its neighbours
-have moved to, and taken up there again. It never starts again by itself.
+Beside the challenge's tracker (`tracker.py`) it differs in four things: centres are weighted by darkness; markers and
+centres are paired so that the sum of squared distances is smallest; a lost marker is expected where its neighbours have
+moved to, and taken up there again; and a gel whose markers only tremble is at rest. It never starts again by itself.
 """
 
 from dataclasses import dataclass, field
@@ -11,13 +11,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from .markers import HEIGHT, WIDTH, Picture, Positions, cut_picture, find_markers, marker_darkness
+from .markers import HEIGHT, WIDTH, Picture, Positions, cut_picture, find_blobs, marker_darkness
 from .tracker import DROPPED_PICTURES, MarkerFlow
 
 _WINDOW_PX: Final = 7
 _NEIGHBOURS: Final = 4
 _FARTHEST_PX: Final = 16.0
 """Half the distance between markers: beyond it another marker is nearer."""
+
+_REST_PX: Final = 0.035
+"""More than gels at rest show, up to 0.031 with twice the noise and worn markers (benchmarks/station/tracker.py)."""
 
 
 @dataclass
@@ -42,8 +45,8 @@ class AssignedMarkerTracker:
             self._found = np.ones(len(centres), dtype=bool)
         elif len(self._reference):
             self._follow(centres)
-        reference = self._reference[self._found]
-        return MarkerFlow(reference, reference + self._movement[self._found])
+        reference, movement = self._reference[self._found], self._movement[self._found]
+        return MarkerFlow(reference, reference + movement * _is_beyond_noise(movement))
 
     def start_again(self) -> None:
         """Take the next picture for the reference, as the challenge's reset service does."""
@@ -68,15 +71,20 @@ class AssignedMarkerTracker:
         return moved
 
 
+def _is_beyond_noise(movement: Positions) -> bool:
+    """Say whether the markers have moved further, in the root mean square, than they tremble at rest."""
+    return float(np.square(movement).sum()) > len(movement) * _REST_PX**2
+
+
 def find_centres(picture: Picture) -> Positions:
     """Return the centres of all markers, each the mean of its pixels weighted by their darkness, shape [n, 2]."""
-    darkness = marker_darkness(picture).astype(np.float64)
-    centres = find_markers(picture)
+    darkness = marker_darkness(picture)
+    centres = find_blobs(darkness)
     offsets = np.arange(-_WINDOW_PX, _WINDOW_PX + 1)
     for _ in range(2):  # the second window is about the better centre
         u = np.clip(np.rint(centres[:, 0, None]).astype(int) + offsets, 0, WIDTH - 1)[:, None, :]
         v = np.clip(np.rint(centres[:, 1, None]).astype(int) + offsets, 0, HEIGHT - 1)[:, :, None]
-        window = darkness[v, u]
+        window = darkness[v, u].astype(np.float64)
         window = np.clip(window - window.max(axis=(1, 2), keepdims=True) / 4, 0.0, None)
         total = window.sum(axis=(1, 2))
         centres = np.stack(((window * u).sum(axis=(1, 2)), (window * v).sum(axis=(1, 2))), axis=1) / total[:, None]

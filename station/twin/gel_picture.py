@@ -16,6 +16,8 @@ _LIGHTS: Final = (  # direction in the picture, and colour (blue first)
 )
 _AMBIENT: Final = 70.0
 _SUBPIXEL_BITS: Final = 4
+SUBPIXELS: Final = 1 << _SUBPIXEL_BITS
+"""Markers are printed at places of as many parts of a pixel."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,27 +58,33 @@ class GelCamera:
         """
         shading = self._shading(tilt)
         noise = self.noise * generator.standard_normal(shading.shape, dtype=np.float32)
-        return self.expose(shading, markers_px, darkness, noise)
+        return self.expose(self.print_markers(shading, markers_px, darkness), noise)
 
-    def expose(
+    @staticmethod
+    def expose(lit: NDArray[np.float32], noise: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """Return a picture of what is seen, with noise, both of shape [height, width, 3]."""
+        import cv2
+
+        return np.asarray(cv2.add(lit, noise, dtype=cv2.CV_8U), dtype=np.uint8)
+
+    def print_markers(
         self,
         shading: NDArray[np.float32],
         markers_px: NDArray[np.float64],
         darkness: NDArray[np.float64] | None,
-        noise: NDArray[np.float32],
-    ) -> NDArray[np.uint8]:
-        """Return a picture of a lit gel, shape [height, width, 3], with its markers and with noise of that shape."""
+    ) -> NDArray[np.float32]:
+        """Return a lit gel with its markers, without noise, shape [height, width, 3]."""
         import cv2
 
         light = np.ones((self.height, self.width), np.float32)
         scale_x, scale_y = self._scales()
-        radius = round(self.marker_radius_px * scale_x * (1 << _SUBPIXEL_BITS))
+        radius = round(self.marker_radius_px * scale_x * SUBPIXELS)
         depths = np.full(len(markers_px), self.darkness) if darkness is None else darkness
         for (u, v), depth in zip(self.from_cut(markers_px), depths, strict=True):
-            centre = (round(u * (1 << _SUBPIXEL_BITS)), round(v * (1 << _SUBPIXEL_BITS)))
+            centre = (round(u * SUBPIXELS), round(v * SUBPIXELS))
             cv2.circle(light, centre, radius, 1.0 - float(depth), -1, cv2.LINE_8, _SUBPIXEL_BITS)
         blurred = cv2.GaussianBlur(light, (0, 0), self.defocus_px * scale_x, sigmaY=self.defocus_px * scale_y)
-        return np.asarray(np.clip(np.rint(shading * blurred[..., None] + noise), 0, 255), dtype=np.uint8)
+        return np.asarray(cv2.multiply(shading, cv2.merge((blurred, blurred, blurred))), dtype=np.float32)
 
     def from_cut(self, positions_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return where positions of the cut picture are in the camera's, shape [n, 2] [pixel]."""

@@ -12,7 +12,7 @@ from vitac.envs.tactile.markers import interpolated
 from vitac.envs.tactile.thickness import eye_distance_m
 from vitac.envs.vision.tactile_picture import TactileCamera
 
-from .gel_picture import GelCamera
+from .gel_picture import SUBPIXELS, GelCamera
 from .hidden import HiddenSensor
 from .pressed_gel import WORN_DARKNESS, marker_grid
 
@@ -42,6 +42,7 @@ class GelView:
         self._camera = GelCamera(width=_WIDTH, height=_HEIGHT, defocus_px=sensor.defocus_px)
         self._noise = self._generator.normal(0.0, sensor.noise, (2 * _HEIGHT, 2 * _WIDTH, 3)).astype(np.float32)
         self._seen_m: FloatArray | None = None
+        self._lit_as: tuple[int, bool] | None = None
         self._surface_camera = TactileCamera(gel)
         self._eye_m = eye_distance_m(gel)
         self._attach()
@@ -67,7 +68,7 @@ class GelView:
         )
         if self._seen_m is not None and np.abs(gel_m - self._seen_m).max() < _UNMOVED_M:
             return
-        self._seen_m = gel_m
+        self._seen_m, self._lit_as = gel_m, None
         seen = self._surface_camera.picture(gel_m, held_m, triangles, np.zeros((0, 2)))
         cut = self._through_lens(seen)
         self._surface, self._torn = self._camera.framed(cut), _tear(cut)
@@ -80,14 +81,19 @@ class GelView:
             drift_px: by which the markers have left their places.
             is_torn: whether a part of the gel is gone.
         """
+        drift = round(drift_px * SUBPIXELS)
+        if self._lit_as != (drift, is_torn):
+            self._lit, self._lit_as = self._light(drift / SUBPIXELS, is_torn), (drift, is_torn)
+        rows, columns = self._generator.integers((_HEIGHT, _WIDTH)).tolist()
+        return self._camera.expose(self._lit, self._noise[rows : rows + _HEIGHT, columns : columns + _WIDTH])
+
+    def _light(self, drift_px: float, is_torn: bool) -> NDArray[np.float32]:
         markers_px, darkness, surface = self._markers_px + drift_px, self._darkness, self._surface
         if is_torn:
             is_whole = np.linalg.norm(markers_px - _TORN_AT_PX, axis=1) > _TORN_PX
             markers_px, darkness = markers_px[is_whole], darkness[is_whole]
             surface = self._camera.framed(self._torn)
-        rows, columns = self._generator.integers((_HEIGHT, _WIDTH)).tolist()
-        noise = self._noise[rows : rows + _HEIGHT, columns : columns + _WIDTH]
-        return self._camera.expose(surface, markers_px, darkness, noise)
+        return self._camera.print_markers(surface, markers_px, darkness)
 
     @property
     def markers(self) -> int:

@@ -9,7 +9,7 @@ from fcntl import ioctl
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socket import SO_SNDBUF, SOL_SOCKET, socket
 from threading import Event, Thread
-from time import sleep
+from time import monotonic, sleep
 from typing import Final, Self
 
 import numpy as np
@@ -84,13 +84,14 @@ class CameraTwin:
     def _send(self, write: Callable[[bytes], object]) -> None:
         import cv2
 
-        jpeg = b""
+        jpeg, due_s = b"", monotonic()
         while not self._over.is_set() and CameraFault.UNPLUGGED not in self.faults:
             if not jpeg or CameraFault.FROZEN not in self.faults:
                 jpeg = cv2.imencode(".jpg", self.picture(), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
             head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
             write(head.encode() + jpeg + b"\r\n")
-            self._over.wait(self.period_s)
+            due_s = max(due_s + self.period_s, monotonic() - self.period_s)
+            self._over.wait(max(due_s - monotonic(), 0.0))
 
 
 def _handler(twin: CameraTwin) -> type[BaseHTTPRequestHandler]:

@@ -56,3 +56,16 @@ def test_starts_again_on_request_and_without_markers_sees_none(monkeypatch: pyte
         flow = tracker.see(picture)
         assert flow is not None
         assert flow.current.tolist() == expected
+
+
+def test_gel_at_rest_does_not_tremble_and_a_small_touch_is_seen() -> None:
+    still = PressedGel(press=Press(pictures=30), camera=SMALL_CAMERA, worn=5)
+    touched = PressedGel(press=Press(shear_px=(0.3, 0.0), still=11, pictures=24), camera=SMALL_CAMERA)
+    assert all(not movement.any() for movement in movements_px(still))
+    assert max(np.abs(movement).max() for movement in movements_px(touched)) > 0.2
+
+
+def movements_px(gel: PressedGel) -> list[np.ndarray]:
+    tracker = AssignedMarkerTracker()
+    flows = [flow for picture, _ in gel.pictures() if (flow := tracker.see(picture)) is not None]
+    return [flow.current - flow.reference for flow in flows]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from vitac.station.perception import markers
 from vitac.station.perception.assignment import find_centres
 from vitac.station.perception.markers import cut_picture, find_markers
 from vitac.station.twin.gel_picture import GelCamera
@@ -47,3 +48,14 @@ def test_border_of_a_seventh_and_two_rows_more_at_the_top_are_cut_off() -> None:
     assert cut_picture(picture).min() == 200
     picture[72, 300] = 0
     assert cut_picture(picture).min() < 200
+
+
+def test_fewer_thresholds_give_the_blobs_of_all_that_the_challenge_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    picture = rendered(GelCamera(noise=5.0), marker_grid())
+    found = find_markers(picture)
+    with monkeypatch.context() as patch:
+        patch.setattr(markers, "_THRESHOLDS", (1.0, 20.0, 0.5))
+        markers._detector.cache_clear()
+        of_all = find_markers(picture)
+    markers._detector.cache_clear()
+    np.testing.assert_allclose(found, of_all, atol=1e-4)
