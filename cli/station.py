@@ -179,8 +179,8 @@ def listen(
     as_json: AsJson = False,
 ) -> None:
     """Print what arrives on the challenge's ROS topics, whoever publishes it."""
+    from vitac.station.eyes import Side
     from vitac.station.ros.messages import RosVersion
-    from vitac.station.ros.readings import Side
     from vitac.station.ros.relay import listen, summarize
 
     side = Side(reset) if reset else None

@@ -120,6 +120,8 @@ def _check_force_torque(sensor: ForceTorqueSensor) -> Iterator[Problem]:
 def _check_stage(described: Stage, limits: Limits) -> Iterator[Problem]:
     yield from _check_calibration(described.serial_number, described.calibration)
     with stage.Stage(described.port) as opened:
+        if opened.status().state is stage.StageState.HOLD:
+            opened.forget_motion()  # of an agent that was killed: in a hold the controller reads no questions
         yield from _check_identity(opened.identify(), described.serial_number, described.firmware)
         settings = opened.settings()
         for axis, name in enumerate(_AXES):

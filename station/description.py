@@ -194,6 +194,9 @@ class Procedure(StrictModel):
     open_position: Byte = 100
     """Position of the open gripper; one further closed holds a peg."""
     grip_force: Byte = 50
+    zero_n: PositiveFloat = 2.0
+    """What the force/torque sensor may show of a peg that hangs in free air; more is an error of its zero."""
+    zero_nm: PositiveFloat = 0.1
     release: Release = Release.OPERATOR
     free_gb: PositiveFloat = 1.0
     """Free space on the disk that a trial needs."""

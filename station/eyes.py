@@ -1,20 +1,36 @@
-"""Looks at both gels all the time: one thread reads the cameras in turn, follows the markers and feeds the guard."""
+"""Looks at both gels all the time: one thread reads the cameras in turn and follows the markers.
 
-from collections.abc import Callable
+The guard hears from it, and so does whoever wants to: trials, ROS topics, recordings.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from enum import StrEnum
+from queue import SimpleQueue
 from threading import Condition, Thread
+from time import time_ns
 from typing import Final, NamedTuple, Self
 
+from .description import StationDescription
 from .devices.device import DeviceFault
 from .devices.tactile_camera import Picture, TactileCamera
 from .guard import Guard
 from .perception.assignment import AssignedMarkerTracker
+from .perception.surface import DAMAGED_PART, Cells, find_changed_part, measure_brightness
 from .perception.tracker import DROPPED_PICTURES, MarkerFlow, MarkerTracker
 
 _PICTURE_S: Final = 10.0
 """Longest wait for a pair of pictures."""
 
 Tracker = MarkerTracker | AssignedMarkerTracker
+
+
+class Side(StrEnum):
+    """A tactile sensor, by its finger."""
+
+    LEFT = "left"
+    RIGHT = "right"
 
 
 class Sight(NamedTuple):
@@ -24,19 +40,38 @@ class Sight(NamedTuple):
         left: its markers.
         right: the same.
         pictures: of both cameras.
+        time_ns: when they were followed [ns since 1970].
     """
 
     left: MarkerFlow
     right: MarkerFlow
     pictures: tuple[Picture, Picture]
+    time_ns: int
 
     def movement_px(self) -> tuple[float, float]:
         """Return the mean movement of the markers on the left and on the right gel."""
         return self.left.mean_movement_px(), self.right.mean_movement_px()
 
+    def is_contact(self) -> bool:
+        """Say whether one of the gels touches something, by the challenge's rule without depth."""
+        return self.left.is_contact() or self.right.is_contact()
+
     def is_over_force(self) -> bool:
         """Say whether a marker of either gel has moved too far."""
         return self.left.is_over_force() or self.right.is_over_force()
+
+
+def open_cameras(description: StationDescription, stack: ExitStack) -> tuple[TactileCamera, TactileCamera]:
+    """Open both tactile cameras until the stack is closed.
+
+    Raises:
+        DeviceNotFound: a camera is missing.
+    """
+    left, right = (
+        stack.enter_context(TactileCamera(camera.serial_number, stream=camera.stream))
+        for camera in (description.left, description.right)
+    )
+    return left, right
 
 
 @dataclass(kw_only=True)
@@ -46,22 +81,25 @@ class Eyes:
     Attributes:
         left: opened.
         right: opened.
-        guard: stops where a marker moves too far or a camera fails, and hears from here that the station is alive.
+        guard: if there is one, it is stopped where a marker moves too far, a gel is damaged or a camera fails, and
+            hears from here that the station is alive.
         make_tracker: one for each sensor.
         stops_on_movement: whether a marker that moves too far stops the station.
     """
 
     left: TactileCamera
     right: TactileCamera
-    guard: Guard
+    guard: Guard | None = None
     make_tracker: Callable[[], Tracker] = AssignedMarkerTracker
     stops_on_movement: bool = True
     _count: int = 0
-    _restarts: int = 0
+    _again: frozenset[Side] = frozenset()
     _sight: Sight | None = None
     _error: DeviceFault | None = None
     _is_over: bool = False
     _changed: Condition = field(default_factory=Condition)
+    _listeners: list[SimpleQueue[Sight | DeviceFault]] = field(default_factory=list)
+    _undamaged: dict[Side, Cells] = field(default_factory=dict)
 
     def __enter__(self) -> Self:
         self._thread = Thread(target=self._look, name="eyes of the station", daemon=True)
@@ -83,10 +121,14 @@ class Eyes:
         Raises:
             DeviceFault: a camera failed.
         """
-        with self._changed:
-            self._restarts += 1
-            self._sight = None
+        self.restart_trackers(*Side)
         return self.see()
+
+    def restart_trackers(self, *sides: Side) -> None:
+        """Have the next pictures of these sides taken for references."""
+        with self._changed:
+            self._again |= frozenset(sides)
+            self._sight = None
 
     def see(self) -> Sight:
         """Return the next thing seen, or the first one after a start.
@@ -112,30 +154,74 @@ class Eyes:
             sight = self.see()
         return sight
 
+    def sights(self) -> Iterator[Sight]:
+        """Return everything that is seen from now on, also what arrives while the caller is busy.
+
+        Raises:
+            DeviceFault: while it is iterated, if a camera failed.
+        """
+        seen: SimpleQueue[Sight | DeviceFault] = SimpleQueue()
+        with self._changed:
+            self._listeners.append(seen)
+            if self._error is not None:
+                seen.put(self._error)
+        return self._heard(seen)
+
+    def _heard(self, seen: "SimpleQueue[Sight | DeviceFault]") -> Iterator[Sight]:
+        try:
+            while not isinstance(each := seen.get(), DeviceFault):
+                yield each
+            raise each
+        finally:
+            self._listeners.remove(seen)
+
     def _look(self) -> None:
-        trackers, restarts = (self.make_tracker(), self.make_tracker()), 0
+        trackers = {side: self.make_tracker() for side in Side}
         while not self._is_over:
-            if restarts != self._restarts:
-                restarts = self._restarts
-                for tracker in trackers:
-                    tracker.start_again()
+            with self._changed:
+                again, self._again = self._again, frozenset()
+            for side in again:
+                trackers[side].start_again()
+                self._undamaged.pop(side, None)
             try:
                 pictures = self.left.read(), self.right.read()
             except DeviceFault as error:
                 self._fail(error)
                 return
-            left, right = (tracker.see(picture) for tracker, picture in zip(trackers, pictures, strict=True))
-            self.guard.beat()
+            left, right = (trackers[side].see(picture) for side, picture in zip(Side, pictures, strict=True))
+            if self.guard is not None:
+                self.guard.beat()
             if left is not None and right is not None:
-                with self._changed:
-                    self._count += 1
-                    self._sight = Sight(left, right, pictures) if restarts == self._restarts else None
-                    self._changed.notify_all()
-                for flow in (left, right) if self.stops_on_movement else ():
-                    self.guard.see_markers(flow.current - flow.reference)
+                self._tell(Sight(left, right, pictures, time_ns()))
+
+    def _tell(self, sight: Sight) -> None:
+        with self._changed:
+            self._count += 1
+            self._sight = None if self._again else sight
+            self._changed.notify_all()
+            for listener in self._listeners:
+                listener.put(sight)
+        if self.guard is not None:
+            self._guard(self.guard, sight)
+
+    def _guard(self, guard: Guard, sight: Sight) -> None:
+        for side, picture in zip(Side, sight.pictures, strict=True):
+            cells = measure_brightness(picture)
+            part = find_changed_part(self._undamaged.setdefault(side, cells), cells)
+            if part > DAMAGED_PART:
+                guard.stop(
+                    f"The {side} gel is damaged or covered: {part:.0%} of its picture is darker or brighter by half "
+                    "than when its tracker started.",
+                    by_fault=True,
+                )
+        for flow in (sight.left, sight.right) if self.stops_on_movement else ():
+            guard.see_markers(flow.current - flow.reference)
 
     def _fail(self, error: DeviceFault) -> None:
-        self.guard.stop(str(error), by_fault=True)
+        if self.guard is not None:
+            self.guard.stop(str(error), by_fault=True)
         with self._changed:
             self._error = error
             self._changed.notify_all()
+            for listener in self._listeners:
+                listener.put(error)

@@ -3,11 +3,13 @@
 A thread reads the force/torque sensor all the time. What it stops stays stopped until an operator releases it.
 """
 
+from collections import deque
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from threading import Event, Lock, Thread
 from time import monotonic
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,7 @@ from vitac.envs.errors import VitacError
 
 from .description import Limits
 from .devices.device import DeviceFault
-from .devices.force_torque import ForceTorqueSensor
+from .devices.force_torque import ForceTorqueSensor, Wrench
 from .devices.gripper import Gripper
 from .devices.stage import Pose, Stage, StageState, StageStatus
 from .limits import (
@@ -28,6 +30,9 @@ from .limits import (
     check_wrench,
     feed_of,
 )
+
+_MEAN_OF: Final = 100
+"""Frames of the force/torque sensor whose mean is taken for its present reading."""
 
 
 class StationStopped(VitacError):
@@ -57,8 +62,11 @@ class Guard:
     _heard_s: float = 0.0
     _over: Event = field(default_factory=Event)
     _stopping: Lock = field(default_factory=Lock)
+    _wrenches: deque[Wrench] = field(default_factory=lambda: deque(maxlen=_MEAN_OF))
+    _exits: ExitStack = field(default_factory=ExitStack)
 
     def __enter__(self) -> Self:
+        self._exits.enter_context(self.stage.held_if_killed())
         self.beat()
         self._thread = Thread(target=self._watch, name="guard of the station", daemon=True)
         self._thread.start()
@@ -69,11 +77,16 @@ class Guard:
         self._thread.join()
         if self._reason is None:
             self.stop("Nobody guards it.")
+        self._exits.close()
 
     @property
     def reason(self) -> str | None:
         """Why the station is stopped; None while it is not."""
         return self._reason
+
+    def wrench(self) -> Wrench | None:
+        """Return the mean of the last forces and torques; None where none has arrived."""
+        return Wrench(*np.mean(list(self._wrenches), axis=0).tolist()) if self._wrenches else None
 
     def beat(self) -> None:
         """Say that whoever commands the station is alive."""
@@ -171,6 +184,7 @@ class Guard:
             try:
                 for wrench in self.force_torque.read(timeout_s=self.limits.reading_s):
                     check_wrench(self.limits, wrench)
+                    self._wrenches.append(wrench)
             except LimitPassed as error:
                 self.stop(str(error))
             except DeviceFault as error:

@@ -10,8 +10,7 @@ from .description import Procedure, StationDescription
 from .devices.force_torque import ForceTorqueSensor
 from .devices.gripper import Gripper
 from .devices.stage import Stage, StageState
-from .devices.tactile_camera import TactileCamera
-from .eyes import Eyes
+from .eyes import Eyes, open_cameras
 from .guard import Guard
 
 
@@ -55,10 +54,7 @@ def open_station(description: StationDescription) -> Iterator[OpenStation]:
         stage = stack.enter_context(Stage(description.stage.port))
         gripper = stack.enter_context(Gripper(description.gripper.port, unit=description.gripper.unit))
         box = stack.enter_context(ForceTorqueSensor(description.force_torque.host, description.force_torque.port))
-        left, right = (
-            stack.enter_context(TactileCamera(camera.serial_number, stream=camera.stream))
-            for camera in (description.left, description.right)
-        )
+        left, right = open_cameras(description, stack)
         _make_ready(stage, gripper, box, description)
         guard = stack.enter_context(Guard(limits=description.limits, stage=stage, gripper=gripper, force_torque=box))
         eyes = stack.enter_context(Eyes(left=left, right=right, guard=guard))

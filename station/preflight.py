@@ -1,5 +1,6 @@
 """What must be so before a trial moves anything: each with its limit, and a reason where it is not."""
 
+import math
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -48,7 +49,19 @@ def check_ready(station: OpenStation, folder: Path) -> list[Finding]:
     Raises:
         PreflightRefused: something is not as it must be.
     """
-    findings = list(_measure(station, folder))
+    return _refuse_bad(list(_measure(station, folder)))
+
+
+def check_held(station: OpenStation) -> list[Finding]:
+    """Return what was measured of gels and force/torque sensor while the peg hangs in free air.
+
+    Raises:
+        PreflightRefused: a gel has lost markers since the trial began, or the sensor's zero is off.
+    """
+    return _refuse_bad([*_measure_gels(station), *_measure_zero(station)])
+
+
+def _refuse_bad(findings: list[Finding]) -> list[Finding]:
     bad = [str(each) for each in findings if not each.is_good]
     if bad:
         raise PreflightRefused(" ".join(bad))
@@ -94,3 +107,15 @@ def _measure_gels(station: OpenStation) -> Iterator[Finding]:
             is_good=found >= _VISIBLE_MARKERS * markers,
             remedy="Clean it, or replace and calibrate it.",
         )
+
+
+def _measure_zero(station: OpenStation) -> Iterator[Finding]:
+    wrench, procedure = station.guard.wrench(), station.procedure
+    force_n, torque_nm = (math.hypot(*wrench[:3]), math.hypot(*wrench[3:])) if wrench else (math.inf, math.inf)
+    yield Finding(
+        name="Zero of the force/torque sensor",
+        value=f"{force_n:.2f} N and {torque_nm:.3f} N m",
+        limit=f"at most {procedure.zero_n} N and {procedure.zero_nm} N m with nothing touched",
+        is_good=force_n <= procedure.zero_n and torque_nm <= procedure.zero_nm,
+        remedy="Take the peg out and open the gripper: the sensor is zeroed when the station is opened again.",
+    )

@@ -23,7 +23,7 @@ from .limits import LimitPassed
 from .opened import OpenStation
 from .outcome import TrialOutcome
 from .perception.observation import NoMarkerFollowed, marker_flow
-from .preflight import PreflightRefused, check_ready
+from .preflight import PreflightRefused, check_held, check_ready
 
 _STILL_PICTURES: Final = 30
 _THRESHOLD_PX: Final = 0.15
@@ -146,6 +146,7 @@ class Trial:
         self._attempt.thresholds_px = station.thresholds_px
         station.eyes.start_again()
         arm.settle(_PAUSE_S)
+        check_held(station)
 
     def _go_beside(self) -> None:
         """Go over the start, first at the safe height where the stage is not near the hole."""

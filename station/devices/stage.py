@@ -3,7 +3,10 @@
 One command is sent at a time and answered with `ok`; `?`, `!` and Ctrl-X are single bytes that GRBL obeys at any time.
 """
 
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -119,6 +122,21 @@ class Stage:
         """Slow down to rest at once: one byte, sent even while another thread waits for an answer."""
         with self._reported():
             self._line.write(_HOLD)
+
+    @contextmanager
+    def held_if_killed(self) -> Iterator[None]:
+        """Hold the stage when this process ends inside the block, even by SIGKILL: another process waits for it."""
+        ended, alive = os.pipe()
+        line = self._line.fileno()
+        program = f"import os\nif not os.read({ended}, 1): os.write({line}, {_HOLD!r})"
+        waiting = subprocess.Popen([sys.executable, "-ISc", program], pass_fds=(ended, line), start_new_session=True)  # noqa: S603 - our own
+        os.close(ended)
+        try:
+            yield
+        finally:
+            os.write(alive, b"x")
+            os.close(alive)
+            waiting.wait()
 
     def forget_motion(self) -> None:
         """Discard what is left of a held motion; the position stays known, as the stage is at rest."""

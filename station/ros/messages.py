@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.errors import VitacError
 
+from ..eyes import Side, Sight
+from ..perception.markers import Picture, cut_picture
 from ..perception.tracker import MarkerFlow
-from .readings import Reading, Side, Touch
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -97,12 +98,12 @@ class Message(NamedTuple):
         return {name: _plain(value) for name, value in self.fields.items()}
 
 
-def messages(reading: Reading) -> Iterator[Message]:
-    """Yield what is published of a reading: markers and picture of each side, then whether something is touched."""
-    for side, touch in reading.touch.items():
-        yield Message(TRACKING_TOPICS[side], FRAME[side], _tracking_fields(touch.flow))
-        yield Message(PICTURE_TOPICS[side], FRAME[side], _picture_fields(touch))
-    fields = {"is_contact": reading.is_contact(), "is_overforced": reading.is_over_force()}
+def messages(sight: Sight) -> Iterator[Message]:
+    """Yield what is published of a sight: markers and picture of each side, then whether something is touched."""
+    for side, flow, picture in zip(Side, (sight.left, sight.right), sight.pictures, strict=True):
+        yield Message(TRACKING_TOPICS[side], FRAME[side], _tracking_fields(flow))
+        yield Message(PICTURE_TOPICS[side], FRAME[side], _picture_fields(cut_picture(picture)))
+    fields = {"is_contact": sight.is_contact(), "is_overforced": sight.is_over_force()}
     yield Message(CONTACT_TOPIC, "tactile", fields)
 
 
@@ -118,15 +119,15 @@ def _tracking_fields(flow: MarkerFlow) -> dict[str, NDArray[np.float32]]:
     return dict(zip(_COLUMNS, np.ascontiguousarray(columns, dtype=np.float32), strict=True))
 
 
-def _picture_fields(touch: Touch) -> dict[str, Any]:
-    height, width, colours = touch.picture.shape
+def _picture_fields(picture: Picture) -> dict[str, Any]:
+    height, width, colours = picture.shape
     return {
         "height": height,
         "width": width,
         "encoding": "bgr8",
         "is_bigendian": 0,
         "step": width * colours,
-        "data": np.ascontiguousarray(touch.picture).reshape(-1),
+        "data": np.ascontiguousarray(picture).reshape(-1),
     }
 
 

@@ -8,8 +8,9 @@ from queue import SimpleQueue
 from typing import Any
 
 from ..description import StationDescription
+from ..eyes import Eyes, Side, Sight, open_cameras
+from ..perception.tracker import MarkerTracker
 from .messages import NODE, RosVersion, messages, read_flow
-from .readings import Reading, Side, TactileSensors
 from .recording import recording
 from .ros1 import Ros1Node, ros1_node
 from .ros2 import Ros2Node, ros2_node
@@ -20,8 +21,8 @@ def publish(
     version: RosVersion | None,
     record_to: Path | None = None,
     readings: int | None = None,
-) -> Iterator[Reading]:
-    """Yield readings of a station after each was published and recorded.
+) -> Iterator[Sight]:
+    """Yield what both sensors of a station show, by the challenge's tracker, after it was published and recorded.
 
     Args:
         description: the station.
@@ -35,18 +36,19 @@ def publish(
     """
     with ExitStack() as stack:
         record = stack.enter_context(recording(record_to)) if record_to else None
-        sensors = stack.enter_context(TactileSensors(description))
+        left, right = open_cameras(description, stack)
+        eyes = stack.enter_context(Eyes(left=left, right=right, make_tracker=MarkerTracker))
         node = stack.enter_context(_node(version, NODE)) if version else None
         if node:
             node.advertise()
-            node.serve_resets(lambda side: sensors.trackers[side].start_again())
-        for reading in islice(sensors.readings(), readings):
-            for message in messages(reading):
+            node.serve_resets(eyes.restart_trackers)
+        for sight in islice(eyes.sights(), readings):
+            for message in messages(sight):
                 if node:
-                    node.publish(message, reading.time_ns)
+                    node.publish(message, sight.time_ns)
                 if record:
-                    record(message, reading.time_ns)
-            yield reading
+                    record(message, sight.time_ns)
+            yield sight
 
 
 def listen(version: RosVersion, reset: Side | None = None) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -9,8 +9,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
+from ..eyes import Side
 from .messages import NODE, PACKAGE, QUEUE, RESET_FIELDS, RESET_SERVICES, Message, RosMissing, RosVersion
-from .readings import Side
 
 _SYSTEM_PACKAGES: Final = Path("/usr/lib/python3/dist-packages")
 _DEBIAN_PACKAGES: Final = "python3-rospy python3-sensor-msgs"

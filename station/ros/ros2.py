@@ -14,8 +14,8 @@ from secrets import randbits
 from threading import Event, Thread
 from typing import Any, Final
 
+from ..eyes import Side
 from .messages import PACKAGE, QUEUE, RESET_SERVICES, Message, RosMissing, RosVersion
-from .readings import Side
 
 _WAIT_S: Final = 0.1
 _ANSWER_S: Final = 5.0

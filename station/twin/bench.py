@@ -33,7 +33,8 @@ PEG_AT: Final = 180
 _NEAR_MM: Final = 2.0
 _LET_GO: Final = 5
 """Positions by which the gripper opens until the peg is free."""
-_FORCE_NOISE_N: Final = 0.05
+_NOISE: Final = (0.05,) * 3 + (0.002,) * 3
+"""Of forces [N] and torques [N m]."""
 _TOUCH_N: Final = 0.3
 _SPIKE_N: Final = 500.0
 _READER_S: Final = 5.0
@@ -82,6 +83,7 @@ class Bench:
         script: what breaks.
         now_s: its time.
         contacts: how often the peg has touched the plate.
+        begun: what has been broken so far.
     """
 
     hidden: HiddenSettings
@@ -91,6 +93,7 @@ class Bench:
     script: FaultScript = field(default_factory=FaultScript)
     now_s: float = 0.0
     contacts: int = 0
+    begun: list[Fault] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._meshes = Meshes()
@@ -147,6 +150,7 @@ class Bench:
     def begin(self, fault: Fault, for_s: float) -> None:
         """Break something for a while."""
         self._running.append((self.now_s + for_s, fault))
+        self.begun.append(fault)
         _logger.info("%s begins at %.2f s", fault, self.now_s)
         left = self.cameras[0]
         match fault:
@@ -283,9 +287,8 @@ class Bench:
     def _measure_wrench(self) -> Wrench:
         if any(fault is Fault.FORCE_SPIKE for _, fault in self._running):
             return (0.0, 0.0, _SPIKE_N, 0.0, 0.0, 0.0)
-        noise = self._generator.normal(0.0, _FORCE_NOISE_N, 3).tolist()
-        x, y, z = (force + each for force, each in zip(self._wrench, noise, strict=False))
-        return (x, y, z, *self._wrench[3:])
+        x, y, z, turn_x, turn_y, turn_z = (self._wrench + self._generator.normal(0.0, _NOISE)).tolist()
+        return x, y, z + self.hidden.force_drift_n_h * self.now_s / 3600.0, turn_x, turn_y, turn_z
 
 
 @dataclass(frozen=True)

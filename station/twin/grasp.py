@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from math import ceil, radians
 from typing import Final
 
+import numpy as np
 from vitac.envs.assets import Meshes
 from vitac.envs.fem.model.bodies import GEL_MATERIAL, PART_MATERIAL
 from vitac.envs.fem.model.settings import ArenaContactSettings, PairFriction
-from vitac.envs.geometry.pegs import PEG_HEIGHT_MM, PegShape
+from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, PhysicsSettings
 from vitac.envs.scene.gripper import GripperPose
 from vitac.envs.scene.stopwatch import Stopwatch
@@ -29,8 +30,10 @@ _TIME_STEP_S: Final = 0.04
 _WAY_MM: Final = 0.5
 """Longest way in one IPC step."""
 _TURN_DEG: Final = 1.0
-_TO_BOTTOM_MM: Final = PEG_HEIGHT_MM - 8.0
-"""From the peg's lower end to the gripper, as the station expects it."""
+_PEG, _PLATE = 2, 3
+"""Their numbers among the bodies of the scene: the gels are the first two."""
+_SENSOR_ABOVE_M: Final = 0.15
+"""Middle of the force/torque sensor above the grasp: the length of a Hand-E and its flange."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,9 +96,21 @@ class HeldPeg:
         return True
 
     def wrench(self) -> Wrench:
-        """Return force [N] and torque [N m] of the plate on what the sensor above the gripper carries."""
-        force = self.scene.contact_forces_n()[0].tolist()
-        return (*force, 0.0, 0.0, 0.0)
+        """Return force [N] and torque [N m] of what the sensor above the gripper carries, about the sensor's middle.
+
+        Forces of the plate on the peg act where they touch; the rest, the peg's weight, acts at the grasp.
+        """
+        pairs, pose = self.scene.pair_forces(), self.scene.pose
+        grasp_m = np.array((pose.x_m, pose.y_m, pose.z_m))
+        sensor_m = np.array((pose.x_m, pose.y_m, pose.z_m + _SENSOR_ABOVE_M))
+        is_on_peg = (pairs.bodies[:, 0] == _PEG) & (pairs.bodies[:, 1] == _PLATE)
+        is_on_plate = (pairs.bodies[:, 1] == _PEG) & (pairs.bodies[:, 0] == _PLATE)
+        forces_n = pairs.forces_n * (1.0 * is_on_peg - is_on_plate)[:, None]
+        force_n = self.scene.contact_forces_n()[0]
+        torque_nm = np.cross(pairs.points_m - sensor_m, forces_n).sum(axis=0)
+        torque_nm += np.cross(grasp_m - sensor_m, force_n - forces_n.sum(axis=0))
+        x, y, z, turn_x, turn_y, turn_z = np.concatenate((force_n, torque_nm)).tolist()
+        return x, y, z, turn_x, turn_y, turn_z
 
     def depth_mm(self) -> float:
         """Return how deep the highest corner of the peg's lower end is below the rim [mm]."""

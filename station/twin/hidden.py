@@ -58,6 +58,8 @@ class HiddenSettings(StrictModel):
     """Time by which the pictures of both cameras are late."""
     drift_px_h: NonNegativeFloat = 0.0
     """Speed at which markers leave their places as the sensors warm up."""
+    force_drift_n_h: float = 0.0
+    """Speed at which the zero of the force/torque sensor drifts along z."""
     left: HiddenSensor = HiddenSensor(seed=1)
     right: HiddenSensor = HiddenSensor(seed=2)
 
@@ -88,6 +90,7 @@ def draw_hidden(secret: bytes) -> HiddenSettings:
         drift_px_h=between(0.0, 1.0),
         left=_draw_sensor(generator),
         right=_draw_sensor(generator),
+        force_drift_n_h=between(-2.0, 2.0),
     )
 
 

@@ -34,6 +34,7 @@ _PLAYING_LIMITS: Final[dict[str, Any]] = {
     "workspace": {"x_mm": [-60, 15], "y_mm": [-15, 15], "z_mm": [-48, 0], "rotation_deg": [-20, 20]},
     "speed_mm_s": 5,
     "force_n": 60,
+    "torque_nm": 4,
     "reading_s": 5.0,  # its process shares cores with the station
     "heartbeat_s": 5.0,
 }

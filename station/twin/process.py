@@ -39,10 +39,14 @@ class RunningTwin:
         """Return the twin's time."""
         return self._ask()[1]
 
-    def _ask(self) -> tuple[bool, float]:
+    def begun(self) -> tuple[Fault, ...]:
+        """Return what has been broken so far."""
+        return self._ask()[2]
+
+    def _ask(self) -> tuple[bool, float, tuple[Fault, ...]]:
         self._line.send(None)
-        is_whole, now_s = self._line.recv()
-        return is_whole, now_s
+        is_whole, now_s, begun = self._line.recv()
+        return is_whole, now_s, begun
 
 
 @contextmanager
@@ -82,4 +86,4 @@ def _run(caller: Connection, hidden: HiddenSettings, shape: PegShape, script: Fa
                 return
             if asked is not None:
                 bench.begin(*asked)
-            caller.send((bench.is_whole, bench.now_s))
+            caller.send((bench.is_whole, bench.now_s, tuple(bench.begun)))

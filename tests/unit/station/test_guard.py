@@ -1,5 +1,8 @@
 """The guard over twins at real lines: commands pass only within the limits, and a reading past one stops the stage."""
 
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
@@ -196,3 +199,26 @@ def test_stage_does_not_move_on_when_nobody_guards_it(twins: TwinStation, guard:
     guard.move(TARGET, **SLOW)
     guard.__exit__()
     assert_held(guard, twins, "Nobody guards it")
+
+
+KILLED = """
+import os, signal, sys
+from vitac.station.devices.stage import Pose, Stage
+with Stage(sys.argv[1]) as stage, stage.held_if_killed():
+    stage.start_move(Pose(14.0, 0.0, 0.0, 0.0), feed=180.0)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_stage_is_held_when_the_process_that_commands_it_is_killed(twins: TwinStation) -> None:
+    line = twins.lines["stage"].port
+    assert subprocess.run([sys.executable, "-c", KILLED, line], check=False).returncode == -signal.SIGKILL
+    with Stage(line) as stage:
+        while stage.status().is_moving:
+            pass
+        assert stage.status().state is StageState.HOLD
+    assert twins.stage.position()[0] < TARGET.x_mm / 2
+    with Stage(line) as stage, stage.held_if_killed():
+        stage.forget_motion()
+    with Stage(line) as stage:
+        assert stage.status().state is StageState.IDLE

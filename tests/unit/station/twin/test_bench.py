@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from vitac.station.perception.assignment import find_centres
 from vitac.station.perception.markers import cut_picture
+from vitac.station.perception.surface import DAMAGED_PART, find_changed_part, measure_brightness
 from vitac.station.twin.bench import GARAGE, HOLE, PEG_AT, Backlash, Bench
 from vitac.station.twin.faults import Fault, FaultScript, ScriptedFault
 from vitac.station.twin.force_torque import ForceTorqueFault
@@ -73,11 +74,18 @@ def test_plate_is_felt_beside_the_hole_and_not_over_it_and_a_script_breaks_what_
     go(bench, *GARAGE[:2], -20.0, 0.0)
     go(bench, 4.0, -2.0, -20.0, 5.0)
     assert abs(bench.box.wrench()[2]) < 1.0
+    in_air = [measure_brightness(view.picture()) for view in bench.views]
     go(bench, 4.0, -2.0, HOLE[2] - 0.3, 5.0)
     assert bench.box.wrench()[2] == 500.0
     for _ in range(4):
         bench.advance()
-    assert 2.0 < bench.box.wrench()[2] < 60.0
+    force_x, force_y, force_z, torque_x, torque_y, _ = bench.box.wrench()
+    assert 2.0 < force_z < 60.0
+    # Beside the hole the peg stands on a part of its lower end, and the gripper, beside its middle, holds it upright.
+    assert 0.02 < np.hypot(torque_x, torque_y) < 0.03 * force_z + 0.2 * np.hypot(force_x, force_y)
+    still = measure_brightness(bench.views[0].picture())
+    assert find_changed_part(in_air[0], still) == 0.0
+    assert find_changed_part(still, measure_brightness(bench.views[0].picture(is_torn=True))) > 1.5 * DAMAGED_PART
     go(bench, 4.0, -2.0, HOLE[2] + 5.0, 5.0)
     go(bench, *HOLE)
     go(bench, *HOLE[:2], HOLE[2] - 1.0, 0.0)
