@@ -54,6 +54,12 @@ def show(evaluation: EvaluationId, as_json: AsJson = False) -> None:
     print()
     columns = ("shard", "task", "episodes", "state", "attempts", "worker")
     print_table(columns, [_shard(shard) for shard in found.shards], none="It has no shards.")
+    repeats = [
+        [shard.number, each.at, each.cause.value, each.reason] for shard in found.shards for each in shard.repeats
+    ]
+    if repeats:
+        print()
+        print_table(("shard", "queued again", "cause", "reason"), repeats, none="")
     if found.differing_episodes:
         _print_alarms(found.differing_episodes)
 
@@ -150,6 +156,10 @@ def _pairs(found: "EvaluationDetailView") -> dict[str, object]:
 def _shard(shard: "ShardView") -> list[object]:
     episodes = f"{shard.episodes[0]}..{shard.episodes[-1]}"
     return [shard.number, shard.task, episodes, shard.state.value, shard.attempts, shard.worker_id]
+
+
+def _repeats(shards: "list[ShardView]") -> list[list[object]]:
+    return [[shard.number, each.at, each.cause.value, each.reason] for shard in shards for each in shard.repeats]
 
 
 def _print_alarms(alarms: "list[DifferingEpisodeView]") -> None:

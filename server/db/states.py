@@ -88,6 +88,13 @@ class ShardState(StrEnum):
     CANCELLED = "cancelled"  # its evaluation ended before it
 
 
+class RepeatCause(StrEnum):
+    """What ended an attempt at a shard before its result."""
+
+    BROKE = "broke"  # the machine could not do it
+    LOST = "lost"  # the worker did not renew its lease: it was killed, or its machine is gone
+
+
 class PlaybackState(StrEnum):
     """Life of one playback."""
 

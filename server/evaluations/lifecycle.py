@@ -174,7 +174,7 @@ def report_broken_machine(session: Session, settings: Settings, lease: Lease, me
     evaluation = lock_evaluation(session, lease.evaluation_id)
     attempts = lock_held(session, lease)  # Only whoever holds the shard may end the evaluation.
     if attempts < settings.shard_attempts:
-        hand_back(session, lease, counts_as_attempt=True, delay_s=max(1, attempts) * RETRY_DELAY_S)
+        hand_back(session, lease, counts_as_attempt=True, delay_s=max(1, attempts) * RETRY_DELAY_S, broke=message)
         return
     first, last = lease.episodes[0], lease.episodes[-1]
     fail_by_machines(

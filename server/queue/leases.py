@@ -11,6 +11,7 @@ from typing import Any
 from uuid import UUID
 
 from sqlalchemy import Interval, cast, func, select, update
+from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 from vitac.evaluator.shards.result import ShardResult
@@ -20,9 +21,10 @@ from vitac.evaluator.tracks.versions import find_version
 from .. import traces
 from ..db.models import Evaluation, Shard, SubmissionFile
 from ..db.row_locks import lock_evaluation
-from ..db.states import EvaluationState, FileRole, ShardState
+from ..db.states import EvaluationState, FileRole, RepeatCause, ShardState
 from ..tracks import find_family
 from .jobs import RETRY_PRIORITY, enqueue_shards, queue_name
+from .repeats import make_repeat
 
 
 class LeaseLost(VitacError):
@@ -168,17 +170,28 @@ def end_shard(session: Session, lease: Lease, state: ShardState, result: ShardRe
     )
 
 
-def hand_back(session: Session, lease: Lease, *, counts_as_attempt: bool, delay_s: float = 0.0) -> None:
+def hand_back(
+    session: Session, lease: Lease, *, counts_as_attempt: bool, delay_s: float = 0.0, broke: str | None = None
+) -> None:
     """Queue the shard again for the next free worker (after a while), for example when the worker stops.
+
+    Args:
+        session: of the change.
+        lease: on the shard.
+        counts_as_attempt: whether the shard comes nearer to its last attempt.
+        delay_s: how long it waits.
+        broke: what its machine could not do, which is noted.
 
     Raises:
         LeaseLost: the shard is no longer ours.
     """
+    noted = [make_repeat(RepeatCause.BROKE, broke)] if broke else []
     _change_held(
         session,
         lease,
         state=ShardState.QUEUED,
         attempts=Shard.attempts if counts_as_attempt else func.greatest(Shard.attempts - 1, 0),
+        repeats=Shard.repeats.concat(cast(noted, JSONB)),
         lease_expires_at=None,
         worker_id=None,
         queued_at=func.clock_timestamp(),

@@ -13,11 +13,12 @@ from functools import partial
 import structlog
 from sqlalchemy import ColumnElement, Interval, Select, cast, func, select, text
 from sqlalchemy.orm import Session
+from vitac.envs.tasks.definition import Family
 
 from ..db.advisory_locks import AdvisoryLock, try_lock
 from ..db.models import Evaluation, Shard, Submission
 from ..db.row_locks import try_lock_evaluation, unless_held
-from ..db.states import ShardState
+from ..db.states import RepeatCause, ShardState
 from ..settings import Settings
 from ..tracks import find_family
 from .jobs import (
@@ -28,8 +29,12 @@ from .jobs import (
     has_waiting_job,
     queue_name,
 )
+from .repeats import count_losses, make_repeat
 
 logger = structlog.get_logger(__name__)
+
+TRIAL_LOSSES = 10
+"""A killed agent of a station costs its trial no attempt, as the policy did nothing wrong, but not more often."""
 
 IDLE_LIMIT = "10s"
 """The database ends a sweep whose process does nothing for this time, and another one takes over."""
@@ -82,6 +87,9 @@ def _recover(session: Session, shard_id: int, settings: Settings, give_up: GiveU
     shard = session.scalars(free).one_or_none()
     if shard is None:
         return None
+    is_station = find_family(evaluation.submission.track, shard.task) is Family.STATION
+    if is_station and count_losses(shard) < TRIAL_LOSSES:
+        shard.attempts = max(shard.attempts - 1, 0)
     if shard.attempts >= settings.shard_attempts:
         give_up(session, evaluation, _explain(shard))
         logger.error("shard_given_up", shard=shard_id, evaluation=str(evaluation.id), attempts=shard.attempts)
@@ -93,6 +101,7 @@ def _recover(session: Session, shard_id: int, settings: Settings, give_up: GiveU
         worker=str(shard.worker_id),
         attempts=shard.attempts,
     )
+    shard.repeats = [*shard.repeats, make_repeat(RepeatCause.LOST, f"The worker {shard.worker_id} was lost.")]
     _queue_again(session, shard, evaluation)
     return True
 

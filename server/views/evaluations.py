@@ -6,7 +6,7 @@ from uuid import UUID
 from pydantic import Field
 from vitac.evaluator.tracks import ListKind
 
-from ..db.states import EvaluationState, ShardState
+from ..db.states import EvaluationState, RepeatCause, ShardState
 from .base import View
 from .scores import PlayedScoreView, PracticeScoreView, TaskScoreView
 
@@ -206,6 +206,14 @@ class EvaluationRowView(EvaluationSummaryView):
     )
 
 
+class RepeatView(View):
+    """Why a shard was queued again, once."""
+
+    at: datetime
+    cause: RepeatCause
+    reason: str
+
+
 class ShardView(View):
     """A fixed part of an evaluation's episode list, and who works on it."""
 
@@ -216,6 +224,7 @@ class ShardView(View):
     attempts: int
     worker_id: UUID | None
     packages_digest: str | None = Field(description="Of the packages that its policy saw; null where none ran.")
+    repeats: list[RepeatView] = Field(description="Why it was queued again, each time.")
 
 
 class EvaluationDetailView(EvaluationView):

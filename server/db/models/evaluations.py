@@ -166,6 +166,7 @@ class Shard(Base):
     `commitment` names the sealed list of which it plays a piece; empty for the public one.
     `attempts` counts the claims since an episode was last stored. `packages_digest` is that of the packages that its
     policy saw (`evaluator.package_sets`); NULL where no policy ran. The list stands in the evaluation's `packages`.
+    `repeats` holds why it was queued again, once for each time (`views.evaluations.RepeatView`).
     `finding` says why an uploaded log is not true (`evaluator.logs.findings.LogFinding`).
     """
 
@@ -195,6 +196,7 @@ class Shard(Base):
     isolation: Mapped[str | None]
     packages_digest: Mapped[str | None] = mapped_column(String(64))
     finding: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
+    repeats: Mapped[list[dict[str, Any]]] = mapped_column(JSONB, default=list, server_default="[]")
     queued_at: Mapped[datetime] = mapped_column(server_default=func.now())
     progressed_at: Mapped[datetime | None]
     started_at: Mapped[datetime | None]

@@ -297,6 +297,9 @@ def test_a_shard_that_fills_the_disk_each_time_ends_its_evaluation_by_name(
         ended = newest_evaluation(session, submission)
         assert (ended.verdict_code, ended.charged_at) == ("machine_failed", None)
         assert "No space left on device" in str(ended.verdict_message)
+        noted = session.get_one(Shard, shard_id).repeats
+        assert [each["cause"] for each in noted] == ["broke"] * (services.settings.shard_attempts - 1)
+        assert all("No space left on device" in each["reason"] for each in noted)
 
 
 def test_a_shard_waits_while_the_storage_has_no_space(

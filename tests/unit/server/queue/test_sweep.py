@@ -17,6 +17,7 @@ from service_factories import (
 from sqlalchemy import select, text, update
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
+from vitac.envs.tasks.definition import Family
 from vitac.server.db.advisory_locks import AdvisoryLock
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Shard, Submission, Team, Webhook
@@ -24,6 +25,7 @@ from vitac.server.db.row_locks import lock_evaluation
 from vitac.server.db.states import EvaluationState, ShardState
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import fail_by_machines
+from vitac.server.queue import sweep as sweep_module
 from vitac.server.queue.jobs import (
     enqueue_shards,
     forget_jobs_of_ended_shards,
@@ -79,6 +81,27 @@ def test_shard_with_an_expired_lease_is_queued_again_and_its_worker_fenced_off(
     with pytest.raises(LeaseLost):
         store(database, lost, [make_record(1)])
     play(database, first)
+
+
+@pytest.mark.parametrize(("family", "attempts"), [(Family.STATION, 0), (Family.TACTILE, 1)])
+def test_lost_worker_is_noted_and_costs_a_trial_of_a_station_no_attempt_up_to_a_limit(
+    database: Database, submission: Submission, monkeypatch: pytest.MonkeyPatch, family: Family, attempts: int
+) -> None:
+    monkeypatch.setattr(sweep_module, "find_family", lambda *_: family)
+    monkeypatch.setattr(sweep_module, "TRIAL_LOSSES", SETTINGS.shard_attempts)
+    first = ids_of(database, submission)[0]
+    claim(database, first, lease_s=0.001)
+    assert run_sweep(database) == Sweep(queued_again=1)
+    with database.transaction() as session:
+        shard = session.get_one(Shard, first)
+        assert (shard.attempts, [each["cause"] for each in shard.repeats]) == (attempts, ["lost"])
+        assert str(shard.worker_id or "was lost") in shard.repeats[0]["reason"]
+    given_up = 0
+    for _ in range(2 * SETTINGS.shard_attempts):
+        if not given_up:
+            claim(database, first, lease_s=0.001)
+            given_up = run_sweep(database).given_up
+    assert given_up == 1
 
 
 def test_shard_with_a_living_lease_is_left_alone(database: Database, submission: Submission) -> None:
