@@ -1,7 +1,7 @@
 """`vitac evaluate --station`: plays a submission on a station or its twin, and shows the outcome of each trial."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -57,7 +57,8 @@ def rehearse_submission(
     if json:
         json.write_text(report.model_dump_json(indent=1) + "\n", encoding="utf-8")
     if album:
-        album.write_page(report)
+        outcomes = {trial.episode: trial.outcome for trial in trials}
+        album.write_page(f"{report.submission} on {report.station}", outcomes)
     print_report(report)
     if report.without_result:
         raise typer.Exit(1)
@@ -95,7 +96,6 @@ class Album:
         """Make the folder."""
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
-        self._names: dict[int, list[str]] = {}
 
     def show(self, episode: int, attempt: int, word: str, sight: "Sight") -> None:
         """Write the pictures of the left and the right gel, side by side."""
@@ -104,21 +104,27 @@ class Album:
 
         name = f"trial-{episode}-attempt-{attempt}-{word}.png"
         cv2.imwrite(str(self._folder / name), np.hstack(sight.pictures))
-        self._names.setdefault(episode, []).append(name)
 
-    def write_page(self, report: "RehearsalReport") -> None:
-        """Write the page."""
+    def write_page(self, title: str, outcomes: Mapping[int, str]) -> Path:
+        """Write a page with the pictures of each trial, by its number, in the order in which they were taken."""
+        from vitac.station.outcome import TrialOutcome
+
         body = "".join(
-            f"<h2>Trial {trial.episode}: {escape(trial.outcome.sentence)}</h2>"
-            + "".join(
-                f'<figure><img src="{name}" alt="{name.removesuffix(".png")}, left and right gel">'
-                f"<figcaption>{name.removesuffix('.png')}</figcaption></figure>"
-                for name in self._names.get(trial.episode, ())
-            )
-            for trial in report.trials
+            f"<h2>Trial {trial}: {escape(TrialOutcome(outcome).sentence)}</h2>" + "".join(map(_figure, self._of(trial)))
+            for trial, outcome in outcomes.items()
         )
-        title = f"{escape(report.submission)} on {escape(report.station)}"
-        (self._folder / "index.html").write_text(_PAGE.format(title=title, body=body), encoding="utf-8")
+        page = self._folder / "index.html"
+        page.write_text(_PAGE.format(title=escape(title), body=body), encoding="utf-8")
+        return page
+
+    def _of(self, trial: int) -> list[str]:
+        taken = sorted(self._folder.glob(f"trial-{trial}-attempt-*.png"), key=lambda file: file.stat().st_mtime_ns)
+        return [file.stem for file in taken]
+
+
+def _figure(name: str) -> str:
+    picture = f'<img src="{name}.png" alt="{name}, left and right gel">'
+    return f"<figure>{picture}<figcaption>{name}</figcaption></figure>"
 
 
 def no_pictures(_episode: int, _attempt: int, _word: str, _sight: "Sight") -> None:

@@ -9,18 +9,25 @@ from vitac.evaluator.tracks import Track, load_track
 TASK = "peg-insertion"
 
 
-def make_station_track(shape: PegShape, repeats: int) -> dict[str, Any]:
-    """Return the content of a track file: the public starts of a shape, each so often, one trial in a shard."""
+def make_station_track(shape: PegShape, repeats: int, *, starts: int | None = None) -> dict[str, Any]:
+    """Return the content of a track file: public starts of a shape, each so often, one trial in a shard.
+
+    Args:
+        shape: that is mounted.
+        repeats: of each start.
+        starts: how many of them, the first ones; all if None.
+    """
     simulated = load_track("track_1")
     task = simulated.tasks[TASK]
-    starts = dict.fromkeys((start.shape, start.offset) for start in task.episode_list.starts if start.shape == shape)
+    found = dict.fromkeys((start.shape, start.offset) for start in task.episode_list.starts if start.shape == shape)
+    chosen = list(found)[:starts]
     own: dict[str, Any] = task.model_dump(mode="json", exclude_defaults=True, exclude={"name_2025", "profiles"})
     own |= {"name": f"{TASK}-station", "title": "Peg insertion on a station", "station_of": TASK, "shard_size": 1}
     own["episode_list"] = {
         "list_seed": task.episode_list.list_seed,
         "offset_option": task.episode_list.offset_option,
         "blocks": [
-            {"repeats": repeats, "starts": [{"shape": shape, "offset": list(offset)} for shape, offset in starts]}
+            {"repeats": repeats, "starts": [{"shape": shape, "offset": list(offset)} for shape, offset in chosen]}
         ],
     }
     content = {

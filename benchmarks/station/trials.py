@@ -1,72 +1,214 @@
-"""Plays trials of a submission against a twin whose settings are hidden, with every scripted fault once.
+"""Plays trials by the real agent at a twin of hidden settings, with every fault once and `kill -9` of the agent.
 
-    .venv/bin/python benchmarks/station/trials.py [--trials 20] [--secret TEXT] [SUBMISSION]
+    .venv/bin/python benchmarks/station/trials.py [--trials 200] [--kills 10] [--minutes 60] [--state DIR]
 
-200 trials: `--trials 200`. Each attempt is printed with its outcome; at the end, whether every trial has exactly one
-result, and how much faster than real time the twin ran.
+Service, twin and agent (`vitac station run`) are processes of their own. With --state the next run takes the trials
+that are left, so that a long run can be made in parts. Exit code 0: every aim is reached; 1: one is not; 2: trials are
+left.
 """
 
 import argparse
+import json
+import re
+import sys
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from time import monotonic
+from time import monotonic, sleep
+from typing import Any
+from uuid import UUID
 
-from vitac.evaluator.strict_model import validate
-from vitac.evaluator.submission.manifest import load_manifest
-from vitac.evaluator.submission.sources import staged
-from vitac.evaluator.tracks import load_track
-from vitac.station.description import StationDescription
-from vitac.station.records import TrialRecord
-from vitac.station.rehearsal import rehearse
-from vitac.station.trials import Player
+import numpy as np
+from sqlalchemy import select
+from vitac.cli.client.http import Client
+from vitac.cli.client.submit import packed
+from vitac.cli.demo.laboratory import (
+    TRACK,
+    Laboratory,
+    made_for_station,
+    running_laboratory,
+    stop_agent,
+    use_station_track,
+)
+from vitac.cli.demo.team import team_token
+from vitac.cli.service.database import load_settings
+from vitac.server.db.models import EpisodeResult, Evaluation, Shard
+from vitac.server.db.states import EvaluationState, RepeatCause, ShardState
 from vitac.station.twin.faults import Fault, FaultScript, ScriptedFault
 from vitac.station.twin.hidden import draw_hidden
-from vitac.station.twin.process import twin_process
 
-EXAMPLE = Path("examples/peg_insertion_trained/Track_1")
-CONTACTS_BETWEEN_FAULTS = 2
+EXAMPLE = Path("examples/peg_insertion_trained")
+STARTS = 10
+LOOK_S = 0.2
+LONGEST_S = 6.0
+"""The agent is killed this long after a trial has begun, at most."""
+SAYS = {
+    Fault.UNPLUGGED_CAMERA: "stopped sending pictures|cannot be opened",
+    Fault.FROZEN_STREAM: "is frozen",
+    Fault.STUCK_GRIPPER: "its fingers move|is stuck",
+    Fault.DROPPED_PEG: "has lost its peg",
+    Fault.TORN_GEL: "gel is damaged or covered|markers",
+    Fault.FORCE_SPIKE: "^Trial .*Force ",
+    Fault.STAGE_ALARM: "limit switch|in alarm",
+    Fault.NETWORK_CUT: "force/torque box",
+}
+"""What the reason of an attempt says that a fault has ended."""
 
 
-def show(trial: TrialRecord) -> None:
-    """Print the attempts at a trial."""
-    for number, attempt in enumerate(trial.attempts, start=1):
-        line = f"trial {trial.episode}, attempt {number}: {attempt.outcome}, {attempt.actions.shape[0]} env steps"
-        print(f"{line}. {attempt.reason}".rstrip(" ."), flush=True)
+@dataclass(frozen=True, kw_only=True)
+class State:
+    """What the service knows of the evaluation."""
+
+    state: EvaluationState
+    verdict: str
+    outcomes: list[tuple[int, str]]
+    repeats: list[tuple[str, str]]
+    running_for_s: float | None
 
 
-def main() -> None:
-    """Print a line for each attempt, and the totals."""
-    import cv2
+def read_state(laboratory: Laboratory, evaluation_id: UUID) -> State:
+    """Ask the database, as an organizer can."""
+    with laboratory.service.database.transaction() as session:
+        evaluation = session.get_one(Evaluation, evaluation_id)
+        shards = session.scalars(select(Shard).where(Shard.evaluation_id == evaluation_id)).all()
+        results = session.scalars(select(EpisodeResult).where(EpisodeResult.evaluation_id == evaluation_id)).all()
+        begun = [shard.started_at for shard in shards if shard.state is ShardState.RUNNING and shard.started_at]
+        return State(
+            state=evaluation.state,
+            verdict=evaluation.verdict_message or "",
+            outcomes=[(each.episode, each.outcome) for each in results],
+            repeats=[(each["cause"], each["reason"]) for shard in shards for each in shard.repeats],
+            running_for_s=(max(begun).now(max(begun).tzinfo) - max(begun)).total_seconds() if begun else None,
+        )
 
-    cv2.setNumThreads(1)
+
+def play(laboratory: Laboratory, evaluation_id: UUID, given: argparse.Namespace) -> State:
+    """Run the agent, and kill it now and then, until everything is played or the time is over."""
+    generator, end_s = np.random.default_rng(1), monotonic() + 60 * given.minutes
+    agent = laboratory.start_agent()
+    shown: set[tuple[object, ...]] = set()
+    try:
+        while True:
+            found = read_state(laboratory, evaluation_id)
+            for line in [*((f"trial {n}: {outcome}",) for n, outcome in found.outcomes), *found.repeats]:
+                if line not in shown:
+                    shown.add(line)
+                    print(": ".join(map(str, line)), flush=True)
+            ended = found.state not in (EvaluationState.QUEUED, EvaluationState.RUNNING)
+            if ended or monotonic() > end_s:
+                return found
+            kills = [cause for cause, _ in found.repeats].count(RepeatCause.LOST)
+            due = (kills + 1) * given.trials / (given.kills + 1)
+            after_s = generator.uniform(0.5, LONGEST_S)
+            is_due = kills < given.kills and len(found.outcomes) >= due and found.running_for_s is not None
+            if is_due and (found.running_for_s or 0.0) > after_s:
+                agent.kill()
+                agent.wait()
+                print(f"agent {agent.pid} is killed, {found.running_for_s:.1f} s after a trial has begun", flush=True)
+                agent = laboratory.start_agent()
+                while [cause for cause, _ in read_state(laboratory, evaluation_id).repeats].count(
+                    RepeatCause.LOST
+                ) == kills:
+                    sleep(LOOK_S)
+            if agent.poll() is not None:
+                print(f"the agent ended with code {agent.returncode}; it is started again", flush=True)
+                agent = laboratory.start_agent()
+            sleep(LOOK_S)
+    finally:
+        stop_agent(agent)
+
+
+def check_aims(found: State, begun: set[Fault], given: argparse.Namespace) -> Iterator[tuple[bool, str]]:
+    """Yield each aim and whether it is reached."""
+    counted = Counter(number for number, _ in found.outcomes)
+    lost = sorted(set(range(1, given.trials + 1)) - set(counted))
+    causes = Counter(cause for cause, _ in found.repeats)
+    reasons = [reason for cause, reason in found.repeats if cause == RepeatCause.BROKE]
+    yield found.state is EvaluationState.COMPLETED, f"the evaluation is {found.state} {found.verdict}"
+    yield not lost, f"{len(counted)} of {given.trials} trials have a result; lost: {lost or 'none'}"
+    yield max(counted.values(), default=0) == 1, f"results of one trial, at most: {max(counted.values(), default=0)}"
+    yield causes[RepeatCause.LOST] == given.kills, f"{causes[RepeatCause.LOST]} of {given.kills} kills, each repeated"
+    for fault in Fault:
+        named = sum(bool(re.search(SAYS[fault], reason)) for reason in reasons)
+        yield (
+            fault in begun and named > 0,
+            f"{fault}: {'begun' if fault in begun else 'never'}, named by {named} attempts",
+        )
+    yield all(reasons), f"{len(reasons)} attempts that did not count, each with a reason"
+
+
+def parse() -> argparse.Namespace:
+    """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("submission", nargs="?", type=Path, default=EXAMPLE)
-    parser.add_argument("--trials", type=int, default=20)
-    parser.add_argument("--secret", default="benchmark")
-    given = parser.parse_args()
-    faults = enumerate(Fault, start=1)
-    script = FaultScript(
-        faults=tuple(ScriptedFault(fault=fault, contact=n * CONTACTS_BETWEEN_FAULTS) for n, fault in faults)
+    parser.add_argument("--trials", type=int, default=200, help="a multiple of ten, or fewer than ten")
+    parser.add_argument("--kills", type=int, default=10)
+    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--state", type=Path, help="folder of a run in parts")
+    parser.add_argument("--secret", default="benchmark", help="of what the twin hides")
+    return parser.parse_args()
+
+
+def faults_left(begun: set[Fault], given: argparse.Namespace) -> FaultScript:
+    """Spread the faults that did not come yet over the trials."""
+    every = max(given.trials // (len(Fault) + 1), 2)
+    left = enumerate((fault for fault in Fault if fault not in begun), start=1)
+    return FaultScript(faults=tuple(ScriptedFault(fault=fault, contact=every * n) for n, fault in left))
+
+
+def submit(laboratory: Laboratory, submission: Path) -> UUID:
+    """Submit, unless an earlier part has, and return the evaluation's id."""
+    service = laboratory.service
+    client = Client(server=service.address, token=team_token(service.database, laboratory.state_dir))
+    with made_for_station(submission) as folder, packed(folder) as archive:
+        found: Any = client.upload(archive, track=TRACK, on_position=lambda _: None)
+    return UUID(found["evaluation"]["id"])
+
+
+def main() -> int:
+    """Print each attempt with its outcome, then the aims."""
+    given = parse()
+    starts = min(given.trials, STARTS)
+    with ExitStack() as stack:
+        state_dir = (given.state or Path(stack.enter_context(TemporaryDirectory()))).absolute()
+        state_dir.mkdir(parents=True, exist_ok=True)
+        state_dir.chmod(0o711)  # where this runs as root, the database has a user of its own
+        use_station_track(state_dir / "tracks", starts=starts, repeats=given.trials // starts)
+        notes = state_dir / "run.json"
+        earlier: dict[str, Any] = {"begun": [], "twin_s": 0.0, "real_s": 0.0}
+        earlier |= json.loads(notes.read_text()) if notes.exists() else {}
+        begun = {Fault(each) for each in earlier["begun"]}
+        settings = load_settings(state_dir=state_dir, port=0)
+        log = stack.enter_context((state_dir / "agent.log").open("ab"))
+        laboratory = stack.enter_context(
+            running_laboratory(
+                settings,
+                log=log.fileno(),
+                notify=print,
+                hidden=draw_hidden(given.secret.encode()),
+                script=faults_left(begun, given),
+            )
+        )
+        evaluation_id, began_s = submit(laboratory, given.submission), monotonic()
+        found = play(laboratory, evaluation_id, given)
+        begun |= set(laboratory.twin.begun())
+        twin_s, real_s = earlier["twin_s"] + laboratory.twin.time_s(), earlier["real_s"] + monotonic() - began_s
+        notes.write_text(json.dumps({"begun": sorted(begun), "twin_s": twin_s, "real_s": real_s}))
+    print(dict(Counter(outcome for _, outcome in found.outcomes)))
+    if found.state in (EvaluationState.QUEUED, EvaluationState.RUNNING):
+        print(f"{given.trials - len(found.outcomes)} trials are left; run it again with --state {state_dir}")
+        return 2
+    aims = [*check_aims(found, begun, given)]
+    aims.append(
+        (twin_s > real_s, f"{twin_s:.0f} s of the twin in {real_s:.0f} s: {twin_s / real_s:.1f} times real time")
     )
-    with (
-        twin_process(draw_hidden(given.secret.encode()), script=script) as twin,
-        staged(given.submission) as folder,
-        TemporaryDirectory() as records,
-        Player(description=validate(StationDescription, twin.description, "twin"), folder=Path(records)) as player,
-    ):
-        track = load_track(load_manifest(folder).track)
-        cuboids = [each.number for each in track.tasks["peg-insertion"].episodes if each.shape == "cuboid"]
-        numbers = [cuboids[n % len(cuboids)] for n in range(given.trials)]
-        began_s, trials = monotonic(), []
-        for start in range(0, len(numbers), len(cuboids)):
-            trials += rehearse(player, folder, track, episodes=numbers[start : start + len(cuboids)], on_trial=show)
-        real_s, twin_s = monotonic() - began_s, twin.time_s()
-    attempts = Counter(attempt.outcome for trial in trials for attempt in trial.attempts)
-    results = Counter(trial.outcome for trial in trials if trial.outcome.counts)
-    print(f"{len(trials)} trials, {results.total()} with a result: {dict(results)}; attempts: {dict(attempts)}")
-    print(f"{twin_s:.0f} s of the twin in {real_s:.0f} s: {twin_s / real_s:.1f} times faster than real time")
+    for is_reached, sentence in aims:
+        print("reached" if is_reached else "MISSED ", sentence)
+    return 0 if all(is_reached for is_reached, _ in aims) else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

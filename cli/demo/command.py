@@ -23,7 +23,7 @@ from ..client.submit import packed
 from ..service.database import load_settings
 from ..service.events import configure_events
 from ..service.process_tree import RunningService, running_service
-from ..service.stop_request import StopRequest
+from ..service.stop_request import Interrupted, StopRequest
 from ..service.web_server import bind_or_any
 from ..terminal.program import program_name
 from .display import INDENT, DemoDisplay
@@ -36,18 +36,12 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "peg_insertion_trai
 MAX_SLOTS = 4
 WORKER_START_LIMIT_S = 120.0
 POLL_S = 0.25
-TRIALS = (1, 4, 7)
-"""Episodes with the cuboid, whose hole the twin has."""
 WARM_UP = "import sys; from vitac.cli.demo.physics import warm_up; warm_up(sys.argv[1])"
 LOG = "demo.log"
 
 
 class DemoRefused(VitacError):
     """The demo cannot run here; the message says what to do."""
-
-
-class Interrupted(Exception):
-    """A request to stop was received before the evaluation ended."""
 
 
 def command(
@@ -58,7 +52,7 @@ def command(
     ] = None,
     submission: Annotated[Path, typer.Option(help="Submission to evaluate.")] = EXAMPLE,
     station: Annotated[
-        bool, typer.Option("--station", help="Play three trials on a simulated station instead, without the service.")
+        bool, typer.Option("--station", help="Play three trials on a simulated station instead, by its agent.")
     ] = False,
 ) -> None:
     """Start the service, evaluate the example submission on it and show the leaderboard.
@@ -69,11 +63,11 @@ def command(
         raise DemoRefused(f"No submission found at {submission}. Run the demo in a checkout, or give --submission.")
     from vitac.evaluator.submission.sources import read_manifest_file
 
+    display = DemoDisplay()
     if station:
-        _play_on_a_twin(submission, load_settings().state_dir / "station")
+        _play_on_a_station(submission, port, display)
         return
     settings = load_settings(port=port, worker_slots=min(usable_cores(), MAX_SLOTS))
-    display = DemoDisplay()
     display.title(version("vitac-arena"))
     settings.state_dir.mkdir(parents=True, exist_ok=True)
     with (settings.state_dir / LOG).open("a") as log, StopRequest().listening() as stop:
@@ -94,12 +88,22 @@ def command(
             raise typer.Exit(130) from None
 
 
-def _play_on_a_twin(submission: Path, pictures: Path) -> None:
-    """Play three trials on a twin in a process of its own, and say where its gels are shown."""
-    from ..rehearsal import rehearse_submission
+def _play_on_a_station(submission: Path, port: int | None, display: DemoDisplay) -> None:
+    """Play three trials by the agent of a twin, in a service of its own."""
+    from .laboratory import use_station_track
+    from .station import TRIALS, StationDemo
 
-    rehearse_submission(submission, "twin", TRIALS, json=None, pictures=pictures)
-    print(f"Both gels at every env step: {(pictures / 'index.html').resolve().as_uri()}")
+    state_dir = load_settings().state_dir / "station"
+    use_station_track(state_dir / "tracks", starts=TRIALS, repeats=1)
+    settings = load_settings(state_dir=state_dir, port=port)
+    display.title(version("vitac-arena"))
+    with StopRequest().listening() as stop:
+        demo = StationDemo(settings=settings, display=display, stop=stop, submission=submission, log=state_dir / LOG)
+        try:
+            demo.run()
+        except Interrupted:
+            display.interrupted()
+            raise typer.Exit(130) from None
 
 
 @dataclass(frozen=True, kw_only=True)

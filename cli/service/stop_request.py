@@ -8,6 +8,10 @@ from contextlib import contextmanager
 SUPERVISION_PERIOD_S = 0.5
 
 
+class Interrupted(Exception):
+    """A request to stop was received before the work was done."""
+
+
 class StopRequest:
     """A request to stop, by Ctrl-C or SIGTERM. A second signal ends the process at once."""
 

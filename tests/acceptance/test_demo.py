@@ -45,3 +45,16 @@ def test_the_example_reaches_the_leaderboard_and_stays_in_the_store(example: Pat
     assert second.returncode == 0, second.stdout + second.stderr
     assert "all 270 episodes reused" in second.stdout
     assert result_hash(second.stdout) == result_hash(first.stdout)
+
+
+@pytest.mark.slow
+def test_agent_of_a_station_plays_three_trials_and_both_gels_are_on_a_page() -> None:
+    state = state_directory()
+    played = vitac("demo", "--station", state=state)
+    assert played.returncode == 0, played.stdout + played.stderr
+    assert "of 3 succeeded" in played.stdout
+    page = state / "station" / "pictures" / "index.html"
+    assert page.as_uri() in played.stdout
+    shown = page.read_text(encoding="utf-8")
+    assert all(f"Trial {number}: " in shown for number in (1, 2, 3))
+    assert shown.count("<img ") >= 3 * 3

@@ -1,0 +1,151 @@
+"""A service with a laboratory: a twin, and the agent that plays on it. Called by `station` and a benchmark."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Final
+
+import yaml
+from vitac.server.settings import Settings
+
+from ..service.process_tree import RunningService, running_service
+from ..service.web_server import bind_or_any
+
+if TYPE_CHECKING:
+    from vitac.station.twin.faults import FaultScript
+    from vitac.station.twin.hidden import HiddenSettings
+    from vitac.station.twin.process import RunningTwin
+
+TRACK: Final = "station"
+_NAME: Final = "twin"
+_VITAC: Final = "import sys; from vitac.cli.main import main; main(sys.argv[1:])"
+_STOP_S: Final = 30.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Laboratory:
+    """A service, a twin whose devices a file describes, and the key of its station.
+
+    Attributes:
+        service: without workers.
+        twin: in a process of its own.
+        state_dir: of the service.
+    """
+
+    service: RunningService
+    twin: "RunningTwin"
+    state_dir: Path
+    _log: int
+
+    def start_agent(self, *options: str) -> "subprocess.Popen[bytes]":
+        """Start `vitac station run`, whose service events go to the log."""
+        file, key = _station_files(self.state_dir)
+        return subprocess.Popen(  # noqa: S603 - our own interpreter and code
+            [sys.executable, "-c", _VITAC, "station", "run", str(file), "--key", str(key), *options],
+            env=os.environ | {"VITAC_STATE_DIR": str(self.state_dir)},
+            stdin=subprocess.DEVNULL,
+            stdout=self._log,
+            stderr=self._log,
+        )
+
+    @contextmanager
+    def agent(self, *options: str) -> Iterator["subprocess.Popen[bytes]"]:
+        """Run the agent inside the block; it gives the running trial back afterwards."""
+        process = self.start_agent(*options)
+        try:
+            yield process
+        finally:
+            stop_agent(process)
+
+
+def stop_agent(process: "subprocess.Popen[bytes]") -> None:
+    """Ask an agent to end, and wait until it has."""
+    process.terminate()
+    try:
+        process.wait(_STOP_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def use_station_track(folder: Path, *, starts: int | None, repeats: int) -> None:
+    """Write the track of stations and name its folder in this process's environment; do so before tracks are read."""
+    from vitac.envs.geometry.pegs import PegShape
+    from vitac.evaluator.tracks.registry import TRACKS_FOLDER_VARIABLE
+    from vitac.station.track import make_station_track
+
+    folder.mkdir(parents=True, exist_ok=True)
+    content = make_station_track(PegShape.CUBOID, repeats, starts=starts)
+    (folder / f"{TRACK}.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    os.environ[TRACKS_FOLDER_VARIABLE] = str(folder)
+
+
+@contextmanager
+def running_laboratory(
+    settings: Settings,
+    *,
+    log: int,
+    notify: Callable[[str], None],
+    hidden: "HiddenSettings | None" = None,
+    script: "FaultScript | None" = None,
+) -> Iterator[Laboratory]:
+    """Run service and twin inside the block.
+
+    Args:
+        settings: of the service.
+        log: file descriptor for the agent's service events.
+        notify: called with a sentence when a process has ended.
+        hidden: what the twin is really like; public settings if None.
+        script: what breaks; nothing if None.
+    """
+    from vitac.station.twin.hidden import PUBLIC_SETTINGS
+    from vitac.station.twin.process import twin_process
+
+    with ExitStack() as stack:
+        twin = stack.enter_context(twin_process(hidden or PUBLIC_SETTINGS, script=script))
+        listener = bind_or_any(settings.host, settings.port)
+        service = stack.enter_context(running_service(settings, listener, workers=0, log=log, notify=notify))
+        file, key = _station_files(settings.state_dir)
+        file.write_text(yaml.safe_dump(twin.description, sort_keys=False), encoding="utf-8")
+        key.touch(mode=0o600)
+        key.write_text(_add_station(service), encoding="utf-8")
+        yield Laboratory(service=service, twin=twin, state_dir=settings.state_dir, _log=log)
+
+
+@contextmanager
+def made_for_station(submission: Path) -> Iterator[Path]:
+    """Yield a copy of a submission whose manifest names the track of stations; its code is the same."""
+    from vitac.evaluator.submission.names import MANIFEST_NAME
+    from vitac.evaluator.submission.sources import find_submission
+    from vitac.evaluator.tracks import load_track
+
+    track = load_track(TRACK)
+    with TemporaryDirectory() as folder:
+        copy = Path(folder) / track.folder
+        shutil.copytree(find_submission(submission), copy)
+        manifest = yaml.safe_load((copy / MANIFEST_NAME).read_text(encoding="utf-8"))
+        manifest |= {"track": TRACK, "tasks": list(track.tasks)}
+        (copy / MANIFEST_NAME).write_text(yaml.safe_dump(manifest), encoding="utf-8")
+        yield copy
+
+
+def _station_files(state_dir: Path) -> tuple[Path, Path]:
+    return state_dir / "station.yaml", state_dir / "station-key"
+
+
+def _add_station(service: RunningService) -> str:
+    """Return a new key of the station."""
+    from vitac.server.principals import CONSOLE
+    from vitac.server.stations import stations
+
+    with service.database.transaction() as session:
+        if any(station.name == _NAME for station in stations.list_stations(session)):
+            stations.remove_station(session, CONSOLE, _NAME)
+            session.flush()
+        return stations.add_station(session, CONSOLE, _NAME)

@@ -1,0 +1,208 @@
+"""`vitac station run` at twins: what it refuses before anything moves, and what neither its end nor a policy breaks."""
+
+import os
+import platform
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from cli_service import CliService, cli_service
+from databases import state_directory
+from sqlalchemy import select
+from submission_steps import make_worker
+from vitac.cli.client.http import Client
+from vitac.cli.client.submit import packed
+from vitac.cli.demo.laboratory import TRACK, made_for_station
+from vitac.envs.geometry.pegs import PegShape
+from vitac.server.db.models import EpisodeResult, Shard, Station, Worker
+from vitac.server.db.states import ShardState
+from vitac.server.principals import CONSOLE
+from vitac.server.stations import stations
+from vitac.station.track import make_station_track
+from vitac.station.twin.hidden import PUBLIC_SETTINGS
+from vitac.station.twin.laboratory import TwinStation, twin_station
+from vitac.station.twin.process import twin_process
+from worker_fakes import eventually
+
+MAIN = "import sys; from vitac.cli.main import main; main(sys.argv[1:])"
+AHEAD = """
+from datetime import datetime, timedelta
+from vitac.server.stations import stations
+class Ahead(datetime):
+    @classmethod
+    def now(cls, tz=None):
+        return datetime.now(tz) + timedelta(minutes=5)
+stations.datetime = Ahead
+"""
+LIMIT_S = 240.0
+POLICY = """
+import time
+import numpy as np
+
+class Policy:
+    def reset(self, task):
+        self.count = 0
+
+    def act(self, observation):
+        self.count += 1
+        {act}
+"""
+SLOW_THEN_NAN = "time.sleep(0.2); return np.full(3, 0.0 if self.count == 1 else np.nan)"
+"""Ten control periods for an answer, then no number."""
+TOO_SLOW = "time.sleep(30)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Laboratory:
+    """A service whose only task is one trial on a station, and the files of its agent."""
+
+    service: CliService
+    folder: Path
+    key: str
+
+    def describe(self, description: dict[str, Any]) -> None:
+        (self.folder / "station.yaml").write_text(yaml.safe_dump(description))
+
+    def start_agent(self, program: str = MAIN) -> "subprocess.Popen[str]":
+        (self.folder / "key").write_text(self.key)
+        command = ["station", "run", str(self.folder / "station.yaml"), "--key", str(self.folder / "key")]
+        environment = os.environ | self.service.environment | {"VITAC_LIMITS": '{"action_wall_s": 3}'}
+        return subprocess.Popen(
+            [sys.executable, "-c", program, *command], env=environment, stderr=subprocess.PIPE, text=True
+        )
+
+    def submit(self, submission: Path) -> str:
+        client = Client(server=self.service.address, token=self.service.environment["VITAC_TOKEN"])
+        with made_for_station(submission) as folder, packed(folder) as archive:
+            found = client.upload(archive, track=TRACK, on_position=lambda _: None)
+        return str(found["evaluation"]["id"])
+
+    def shard(self) -> Shard:
+        """The newest one."""
+        with self.service.database.transaction() as session:
+            return session.scalars(select(Shard).order_by(Shard.id.desc()).limit(1)).one()
+
+    def record(self) -> dict[str, Any]:
+        """What the newest trial left behind, as soon as it is over."""
+        eventually(lambda: self.shard().state is ShardState.DONE, LIMIT_S)
+        with self.service.database.transaction() as session:
+            return session.scalars(select(EpisodeResult).order_by(EpisodeResult.id.desc()).limit(1)).one().record
+
+
+@pytest.fixture
+def laboratory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Laboratory]:
+    track = make_station_track(PegShape.CUBOID, 1, starts=1)
+    (tmp_path / "tracks").mkdir()
+    (tmp_path / "tracks" / f"{TRACK}.yaml").write_text(yaml.safe_dump(track))
+    monkeypatch.setenv("VITAC_TRACKS_DIR", str(tmp_path / "tracks"))
+    with cli_service(state_directory()) as service:
+        with service.database.transaction() as session:
+            key = stations.add_station(session, CONSOLE, "lab")
+        yield Laboratory(service=service, folder=tmp_path, key=key)
+
+
+@pytest.fixture
+def twins() -> Iterator[TwinStation]:
+    with twin_station(picture_period_s=0.001) as station:
+        yield station
+
+
+def nothing(_: Laboratory, __: TwinStation) -> None:
+    """Arrange nothing."""
+
+
+def other_stage(_: Laboratory, twins: TwinStation) -> None:
+    twins.stage.serial_number = "STAGE-2"
+
+
+def other_gel(_: Laboratory, twins: TwinStation) -> None:
+    twins.description["left"]["calibration"]["serial_number"] = "28X1-OTHER"
+
+
+def removed_key(laboratory: Laboratory, _: TwinStation) -> None:
+    with laboratory.service.database.transaction() as session:
+        stations.remove_station(session, CONSOLE, "lab")
+
+
+def other_agent(laboratory: Laboratory, _: TwinStation) -> None:
+    make_worker(laboratory.service.database, host=platform.node(), pid=os.getpid())
+    with laboratory.service.database.transaction() as session:
+        session.get_one(Station, "lab").worker_id = session.scalars(select(Worker.id)).one()
+
+
+Arrange = Callable[[Laboratory, TwinStation], None]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("arrange", "program", "sentence"),
+    [
+        (other_stage, MAIN, "stage: Expected serial number STAGE-1, got STAGE-2."),
+        (other_gel, MAIN, "The calibration is of 28X1-OTHER, expected one of 28F0-GX7F."),
+        (removed_key, MAIN, "No station has this key."),
+        (other_agent, MAIN, f"The key of station lab is in use by process {os.getpid()} on"),
+        (nothing, AHEAD + MAIN, "The clock of this station is off by 300 s"),
+    ],
+)
+def test_agent_is_refused_in_a_sentence_before_anything_moves(
+    laboratory: Laboratory, twins: TwinStation, repository: Path, arrange: Arrange, program: str, sentence: str
+) -> None:
+    laboratory.submit(repository / "examples" / "peg_insertion_heuristic")
+    arrange(laboratory, twins)
+    laboratory.describe(twins.description)
+    _, errors = (agent := laboratory.start_agent(program)).communicate(timeout=LIMIT_S)
+    assert (agent.returncode, errors.count(sentence)) == (1, 1), errors
+    assert (twins.stage.position(), twins.gripper.position()) == ((0, 0, 0, 0), 0)
+    waiting = laboratory.shard()
+    assert (waiting.state, waiting.attempts, waiting.token) == (ShardState.QUEUED, 0, 0)
+
+
+@contextmanager
+def agent_of(laboratory: Laboratory) -> Iterator["subprocess.Popen[str]"]:
+    with laboratory.start_agent() as agent:
+        try:
+            yield agent
+        finally:
+            agent.kill()
+
+
+def submission(folder: Path, act: str) -> Path:
+    folder.mkdir()
+    (folder / "policy.py").write_text(POLICY.format(act=act))
+    (folder / "submission.yaml").write_text(f"track: track_1\ntasks: [peg-insertion]\nname: {folder.name}\n")
+    return folder
+
+
+@pytest.mark.slow
+def test_agent_outlives_bad_policies_and_loses_no_trial_when_it_is_stopped_or_killed(
+    laboratory: Laboratory, repository: Path
+) -> None:
+    with twin_process(PUBLIC_SETTINGS) as twin:
+        laboratory.describe(twin.description)
+        with agent_of(laboratory) as agent:
+            laboratory.submit(submission(laboratory.folder / "nan", SLOW_THEN_NAN))
+            record = laboratory.record()
+            assert (record["failure"]["code"], record["env_steps"]) == ("non_finite_action", 1)
+            laboratory.submit(submission(laboratory.folder / "slow", TOO_SLOW))
+            assert laboratory.record()["failure"]["code"] == "wall_time"
+            laboratory.submit(repository / "examples" / "peg_insertion_trained")
+            eventually(lambda: laboratory.shard().state is ShardState.RUNNING, LIMIT_S)
+            agent.send_signal(signal.SIGTERM)
+            assert agent.wait(LIMIT_S) == 0
+        given_back = laboratory.shard()
+        assert (given_back.state, given_back.attempts, given_back.repeats) == (ShardState.QUEUED, 0, [])
+        with agent_of(laboratory) as agent:
+            eventually(lambda: laboratory.shard().state is ShardState.RUNNING, LIMIT_S)
+            agent.kill()
+        with agent_of(laboratory):
+            record = laboratory.record()
+        assert record["outcome"] == "success"
+        played = laboratory.shard()
+        assert [each["cause"] for each in played.repeats] == ["lost"]
