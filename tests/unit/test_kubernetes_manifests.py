@@ -10,11 +10,10 @@ from typing import Any
 import kubernetes_validate
 import pytest
 import yaml
-from databases import fresh_database
+from databases import opened_database
 from service_factories import make_principal, make_upload
 from sqlalchemy import text
 from vitac.server.api import health
-from vitac.server.db.engine import Database
 from vitac.server.queue.depth import count_open_work
 from vitac.server.settings import Settings
 from vitac.server.submissions import creation
@@ -138,14 +137,12 @@ def test_scaled_object_has_its_target_and_its_secret(
 
 def test_query_of_the_scaled_object_counts_what_the_queue_does(keda: list[dict[str, Any]]) -> None:
     (trigger,) = keda[1]["spec"]["triggers"]
-    with fresh_database() as address:
-        database = Database(address)
+    with opened_database() as database:
         with database.transaction() as session:
             creation.create(session, make_principal(session), make_upload(archive_sha256="0" * 64))
         with database.transaction() as session:
             counted = session.scalar(text(trigger["metadata"]["query"]))
             assert counted == count_open_work(session) > 1
-        database.dispose()
 
 
 def test_images_are_of_this_release(manifests: list[dict[str, Any]], repository: Path) -> None:

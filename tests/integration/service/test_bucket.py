@@ -10,7 +10,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from databases import fresh_database
+from databases import opened_database
 from s3_server import S3Server, s3_server
 from service_client import make_archive, problem_of, running_service
 from service_factories import make_settings
@@ -47,10 +47,8 @@ def s3(server: S3Server, monkeypatch: pytest.MonkeyPatch) -> S3Server:
 
 @pytest.fixture
 def database() -> Iterator[Database]:
-    with fresh_database() as address:
-        database = Database(address)
+    with opened_database() as database:
         yield database
-        database.dispose()
 
 
 @pytest.fixture

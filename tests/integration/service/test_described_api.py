@@ -8,14 +8,13 @@ from typing import Any
 import pytest
 import requests
 import schemathesis
-from databases import fresh_database
+from databases import opened_database
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from hypothesis.errors import Unsatisfiable
 from schemathesis import Case, GenerationMode
 from schemathesis.core.result import Ok
 from service_client import Service, make_archive, running_service
-from vitac.server.db.engine import Database
 
 EXAMPLES = 5
 """Per operation, role and way of making them up; some operations have fewer that differ."""
@@ -43,12 +42,10 @@ KEYS = st.sampled_from(["track", "tasks", "name", "policy", "arguments", "furthe
 @pytest.fixture(scope="module")
 def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service with one submission, whose evaluation was cancelled."""
-    with fresh_database() as address:
-        database = Database(address)
+    with opened_database() as database:
         folder: Path = tmp_path_factory.mktemp("state")
         with running_service(database, folder, registrations_per_hour=1_000_000, client_share=1.0) as service:
             yield service
-        database.dispose()
 
 
 @pytest.fixture(scope="module")

@@ -10,14 +10,13 @@ from uuid import uuid4
 import numpy as np
 import pytest
 from asked_playbacks import Played
-from databases import fresh_database
+from databases import opened_database
 from service_factories import TASK, claim, make_principal, make_record, make_settings, shard_ids, store, submit
 from unpacked_files import unpack
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.tracks import find_task
-from vitac.server.db.engine import Database
 from vitac.server.db.states import PlaybackState
 from vitac.server.playbacks.files import PlaybackFile, find_digest, read
 from vitac.server.services import Services
@@ -29,12 +28,10 @@ from worker_fakes import FakeShards, eventually
 
 @pytest.fixture
 def services(tmp_path: Path) -> Iterator[Services]:
-    with fresh_database() as address:
-        settings = make_settings(state_dir=tmp_path, database_url=address, lease_s=30.0)
-        database = Database(address)
+    with opened_database() as database:
+        settings = make_settings(state_dir=tmp_path, database_url=database.address, lease_s=30.0)
         settings.scratch_dir.mkdir()
         yield Services(settings=settings, database=database, blobs=BlobStore.from_settings(settings), postgres=None)
-        database.dispose()
 
 
 def played_for_real(number: int) -> EpisodeRecord:

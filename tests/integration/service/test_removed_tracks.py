@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
-from databases import fresh_database
+from databases import opened_database
 from fastapi import FastAPI
 from httpx import Client, post
+from own_track import OWN_TRACK
 from served_pages import NO_CERTIFICATES, PageVisitor
 from service_factories import make_principal, make_secret, make_settings, make_upload, outdate, play_all
 from sqlalchemy import update
@@ -17,7 +18,6 @@ from sqlalchemy.orm import Session
 from starlette.routing import Route
 from vitac.cli.service.web_server import WebServer, bind, format_address
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult, Submission
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
@@ -31,32 +31,9 @@ from vitac.server.submissions import creation
 from vitac.web.application import create
 from vitac.web.pages.routes import pages
 
-TRACK = """
-name: pegs
-folder: Pegs
-title: Pegs
-summary: Insert a peg.
-ranking_rule: Higher success rate first.
-accepts: [model, log]
-tasks:
-  own-pegs:
-    name: own-pegs
-    env_id: ViTac/PegInsertion-v1
-    title: Own pegs
-    description: A peg stands above its hole.
-    success_rule: The peg is in the hole.
-    max_steps: 15
-    shard_size: 2
-    episode_list:
-      list_seed: 0
-      offset_option: offset_mm_deg
-      blocks:
-        - repeats: 2
-          starts: [{shape: trapezoid, offset: [1, 2, 3]}]
-"""
-SECOND = TRACK[TRACK.index("  own-pegs:") :].replace("own-pegs", "far-pegs")
-BOTH = TRACK.replace("accepts:", "combination_rule: The mean of both.\naccepts:") + SECOND.removeprefix("\n")
-REMOVED = {"track": BOTH.replace("pegs", "others"), "task": TRACK.replace("own-pegs", "far-pegs")}
+SECOND = OWN_TRACK[OWN_TRACK.index("  own-pegs:") :].replace("own-pegs", "far-pegs")
+BOTH = OWN_TRACK.replace("accepts:", "combination_rule: The mean of both.\naccepts:") + SECOND.removeprefix("\n")
+REMOVED = {"track": BOTH.replace("pegs", "others"), "task": OWN_TRACK.replace("own-pegs", "far-pegs")}
 """What is left in the folder of track files."""
 NAMES = ("done", "waits", "failed", "log")
 EXAMPLES = {"task": "own-pegs", "track": "pegs", "number": "1", "file": "scene", "action": "none"}
@@ -104,9 +81,8 @@ def remaining(
     (folder / "pegs.yaml").write_text(BOTH)
     left = REMOVED[request.param]
     (other / ("others.yaml" if "name: others" in left else "pegs.yaml")).write_text(left)
-    with pytest.MonkeyPatch.context() as patch, fresh_database() as address:
+    with pytest.MonkeyPatch.context() as patch, opened_database() as database:
         patch.setenv("VITAC_TRACKS_DIR", str(folder))
-        database = Database(address)
         blobs = BlobStore.from_settings(settings)
         with database.transaction() as session:
             team = make_principal(session)
@@ -142,7 +118,6 @@ def remaining(
             organizer=organizer,
         )
         server.stop()
-        database.dispose()
 
 
 def asked_of(remaining: RemainingSubmissions, name: str) -> dict[str, str]:

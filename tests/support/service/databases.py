@@ -8,7 +8,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -163,9 +163,14 @@ def fresh_database(template: str = TEMPLATE) -> Iterator[str]:
 
 
 @contextmanager
-def copied_database(address: str) -> Iterator[Database]:
-    """A copy of a database that nobody is connected to, with all its rows; dropped afterwards."""
-    with fresh_database(str(conninfo_to_dict(address)["dbname"])) as copied:
-        database = Database(copied)
+def opened_database(template: str = TEMPLATE) -> Iterator[Database]:
+    """A new database, a copy of the migrated template; dropped afterwards."""
+    with fresh_database(template) as address:
+        database = Database(address)
         yield database
         database.dispose()
+
+
+def copied_database(address: str) -> AbstractContextManager[Database]:
+    """A copy of a database that nobody is connected to, with all its rows; dropped afterwards."""
+    return opened_database(str(conninfo_to_dict(address)["dbname"]))

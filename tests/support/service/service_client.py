@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import uvicorn
-from databases import copied_database, fresh_database, make_template
+from databases import copied_database, make_template, opened_database
 from fastapi import FastAPI
 from httpx import Client, Response
 from service_factories import TASK, TRACK, make_principal, make_secret, make_settings
+from sqlalchemy import text
 from sqlalchemy.orm import Session
 from vitac.server.api.app import create_app
 from vitac.server.db.engine import Database
@@ -95,6 +96,16 @@ class Service:
         folders = (self.settings.scratch_dir, self.settings.state_dir / "blobs")
         return [path for folder in folders for path in folder.rglob("*") if path.is_file()]
 
+    def count(self, table: str) -> int:
+        """Number of rows."""
+        with self.database.transaction() as session:
+            return session.scalar(text(f"SELECT count(*) FROM {table}")) or 0  # noqa: S608 - fixed names
+
+    def assert_nothing_left(self) -> None:
+        """A refused upload leaves no file, row or job."""
+        assert self.leftovers() == []
+        assert [self.count(table) for table in ("submissions", "evaluations", "procrastinate_jobs")] == [0, 0, 0]
+
 
 @dataclass(frozen=True, kw_only=True)
 class People:
@@ -125,10 +136,8 @@ def template_with_people() -> tuple[str, People]:
 @contextmanager
 def database_with_people() -> Iterator[Database]:
     """A fresh database in which a service finds its people."""
-    with fresh_database(template_with_people()[0]) as address:
-        database = Database(address)
+    with opened_database(template_with_people()[0]) as database:
         yield database
-        database.dispose()
 
 
 def _people_of(session: Session) -> People:

@@ -9,10 +9,9 @@ from typing import Any
 import promql_parser
 import pytest
 import yaml
-from databases import fresh_database
+from databases import opened_database
 from prometheus_client.parser import text_string_to_metric_families
 from service_factories import make_settings
-from vitac.server.db.engine import Database
 from vitac.server.metrics.totals import TotalsWriter
 from vitac.server.operations.exposition import Exposition
 from vitac.server.services import Services
@@ -25,9 +24,8 @@ OF_PROMETHEUS = {"up"}
 @pytest.fixture(scope="module")
 def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
     """The samples of a server that something was counted in, with the names of their labels."""
-    with fresh_database() as address:
+    with opened_database() as database:
         settings = make_settings(state_dir=tmp_path_factory.mktemp("state"))
-        database = Database(address)
         services = Services(
             settings=settings, database=database, blobs=BlobStore.from_settings(settings), postgres=None
         )
@@ -35,7 +33,6 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
         services.instruments.requests_s.labels("GET", "/health", "2xx").observe(0.01)
         TotalsWriter(services.instruments).write(database)
         text = Exposition(services).text().decode()
-        database.dispose()
     found: dict[str, set[str]] = {}
     for family in text_string_to_metric_families(text):
         found.setdefault(family.name, set())

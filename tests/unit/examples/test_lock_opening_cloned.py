@@ -16,9 +16,7 @@ TASK = "lock-opening"
 KEYS = ("marker_flow", "relative_motion")
 
 
-@pytest.fixture(scope="module")
-def example(repository: Path) -> Path:
-    return repository / "examples" / "lock_opening_cloned"
+EXAMPLE = "lock_opening_cloned"
 
 
 @pytest.fixture(scope="module")

@@ -18,22 +18,12 @@ from vitac.training.search.recipe import read_search_recipe
 from vitac.training.streams import Use, stream
 
 TASK = "lock-opening"
-
-
-@pytest.fixture(scope="module")
-def example(repository: Path) -> Path:
-    return repository / "examples" / "lock_opening_trained"
+EXAMPLE = "lock_opening_trained"
 
 
 @pytest.fixture(scope="module")
 def policy(example: Path) -> Any:
     return run_path(str(example / "Track_1" / "policy.py"))["Policy"]()
-
-
-@pytest.fixture(scope="module")
-def figures(example: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((example / "figures.json").read_text())
-    return found
 
 
 def test_is_a_valid_submission_with_the_policy_of_the_search(example: Path, repository: Path) -> None:

@@ -8,10 +8,7 @@ import pytest
 from example_policies import flow, load
 from vitac.evaluator.submission.manifest import load_manifest
 
-
-@pytest.fixture(scope="module")
-def example(repository: Path) -> Path:
-    return repository / "examples" / "peg_insertion_heuristic"
+EXAMPLE = "peg_insertion_heuristic"
 
 
 @pytest.fixture(scope="module")

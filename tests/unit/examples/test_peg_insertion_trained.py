@@ -14,21 +14,12 @@ from vitac.training.recipe import read_recipe
 from vitac.training.streams import Use, stream
 from vitac.training.submission.policy import HISTORY_SIZE
 
-
-@pytest.fixture(scope="module")
-def example(repository: Path) -> Path:
-    return repository / "examples" / "peg_insertion_trained"
+EXAMPLE = "peg_insertion_trained"
 
 
 @pytest.fixture(scope="module")
 def policy(example: Path) -> Any:
     return run_path(str(example / "Track_1" / "policy.py"))["Policy"]()
-
-
-@pytest.fixture(scope="module")
-def figures(example: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((example / "figures.json").read_text())
-    return found
 
 
 def test_is_a_valid_submission_with_the_policy_of_the_training(example: Path, repository: Path) -> None:

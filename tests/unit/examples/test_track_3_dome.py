@@ -2,13 +2,9 @@ import importlib.util
 from pathlib import Path
 from types import ModuleType
 
-import pytest
 from vitac.evaluator.sensors.check import accepted_sensor
 
-
-@pytest.fixture(scope="module")
-def example(repository: Path) -> Path:
-    return repository / "examples" / "track_3_dome"
+EXAMPLE = "track_3_dome"
 
 
 def script(example: Path) -> ModuleType:

@@ -1,19 +1,26 @@
 from collections.abc import Iterator
 
 import pytest
-from databases import fresh_database
+from databases import opened_database
 from quota_clock import QuotaClock
+from service_factories import make_principal
 from vitac.server import quotas
 from vitac.server.db.engine import Database
+from vitac.server.principals import Principal
 
 
 @pytest.fixture
 def database() -> Iterator[Database]:
     """A fresh, migrated database."""
-    with fresh_database() as address:
-        database = Database(address)
+    with opened_database() as database:
         yield database
-        database.dispose()
+
+
+@pytest.fixture
+def principal(database: Database) -> Principal:
+    """A member of a team."""
+    with database.transaction() as session:
+        return make_principal(session)
 
 
 @pytest.fixture

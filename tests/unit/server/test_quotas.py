@@ -25,12 +25,6 @@ from vitac.server.uploads.partial import UploadPlan
 pytestmark = pytest.mark.usefixtures("quota_clock")
 
 
-@pytest.fixture
-def principal(database: Database) -> Principal:
-    with database.transaction() as session:
-        return make_principal(session)
-
-
 def submit(database: Database, principal: Principal, content: str, **limits: int) -> Submission:
     return create(database, principal, content, quotas=Quotas(**limits))[0]
 

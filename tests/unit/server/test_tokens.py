@@ -15,12 +15,6 @@ from vitac.server.principals import CONSOLE, Principal
 from vitac.server.teams import teams
 
 
-@pytest.fixture
-def principal(database: Database) -> Principal:
-    with database.transaction() as session:
-        return make_principal(session)
-
-
 def issue(
     database: Database, principal: Principal, lifetime: timedelta | None = None, label: str = "laptop"
 ) -> tokens.IssuedToken:

@@ -3,10 +3,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from databases import fresh_database
+from databases import opened_database
 from service_client import make_archive
 from service_factories import make_settings
-from vitac.server.db.engine import Database
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
 
@@ -16,12 +15,10 @@ FAST = {"lease_s": 1.5, "lease_renewal_s": 0.1, "sweep_interval_s": 0.1, "worker
 @pytest.fixture
 def services(tmp_path: Path) -> Iterator[Services]:
     """Open services with quick leases on a fresh database."""
-    with fresh_database() as address:
-        settings = make_settings(state_dir=tmp_path, database_url=address, **FAST)
-        database = Database(address)
+    with opened_database() as database:
+        settings = make_settings(state_dir=tmp_path, database_url=database.address, **FAST)
         settings.scratch_dir.mkdir()
         yield Services(settings=settings, database=database, blobs=BlobStore.from_settings(settings), postgres=None)
-        database.dispose()
 
 
 @pytest.fixture

@@ -4,12 +4,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from databases import fresh_database
+from databases import opened_database
 from service_client import make_archive
 from service_factories import TASK, make_principal, make_record, make_settings, play_all, submit
 from submission_steps import refused
 from vitac.server.appeals import appeals
-from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
 from vitac.server.errors import ProblemCode
 from vitac.server.principals import CONSOLE
@@ -24,10 +23,8 @@ from competitions import make_competition, put_in_place
 def services(tmp_path: Path) -> Iterator[Services]:
     settings = make_settings(state_dir=tmp_path / "state")
     settings.scratch_dir.mkdir(parents=True)
-    with fresh_database() as address:
-        database = Database(address)
+    with opened_database() as database:
         yield Services(settings=settings, database=database, blobs=BlobStore.from_settings(settings), postgres=None)
-        database.dispose()
 
 
 def appealed(services: Services, archive: bytes, tmp_path: Path) -> int:

@@ -9,7 +9,7 @@ import httpx
 import numpy as np
 import pytest
 from cutting_proxy import CuttingProxy
-from databases import fresh_database
+from databases import opened_database
 from service_client import MANIFEST, POLICY, Service, running_service, serving
 from sqlalchemy import func, select
 from vitac.cli.client import pieces
@@ -17,7 +17,6 @@ from vitac.cli.client.http import Client
 from vitac.cli.client.pieces import CHUNK_BYTES, MISPLACED, PAUSES_S, PieceSender
 from vitac.cli.client.refusals import RequestRefused, ServiceUnreachable
 from vitac.server.api.app import create_app
-from vitac.server.db.engine import Database
 from vitac.server.db.models import PartialUpload
 from worker_fakes import eventually
 
@@ -30,11 +29,8 @@ CUT_AT = 7 * MEGABYTE
 def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
     """A service whose clients pause shortly, and so often that none gives up while a busy machine stores a part."""
     monkeypatch.setattr(pieces, "PAUSES_S", (0.01,) * 10_000)
-    with fresh_database() as address:
-        database = Database(address)
-        with running_service(database, tmp_path / "state") as service:
-            yield service
-        database.dispose()
+    with opened_database() as database, running_service(database, tmp_path / "state") as service:
+        yield service
 
 
 @pytest.fixture

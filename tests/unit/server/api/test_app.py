@@ -3,12 +3,11 @@
 from pathlib import Path
 
 import pytest
-from databases import fresh_database
+from databases import opened_database
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 from service_client import API, Service, running_service
 from vitac.server.api.app import API_PREFIX, UNLIMITED, create_app
-from vitac.server.db.engine import Database
 from vitac.server.errors import ServiceError
 from vitac.server.settings import Settings, load_settings
 
@@ -100,14 +99,14 @@ def test_a_single_sign_in_an_hour_is_one_for_a_member_too(tmp_path: Path) -> Non
 
 
 def test_applications_of_one_process_share_their_routes_and_no_state(service: Service, tmp_path: Path) -> None:
-    with fresh_database() as address:
-        database = Database(address)
-        with running_service(database, tmp_path / "other", registrations_per_hour=1) as other:
-            assert other.client.get("/openapi.json").json() == service.client.get("/openapi.json").json()
-            assert other.client.get(f"{API}/nothing-here").status_code == 404
-            taken = [other.client.post(f"{API}/teams", json={"name": f"Team of {n}"}).status_code for n in "12"]
-            assert taken == [201, 429]
-            assert service.client.post(f"{API}/teams", json={"name": "Team of 1"}).status_code == 201
-            assert other.get("/submissions", service.token).status_code == 401
-            assert other.get("/submissions").status_code == service.get("/submissions").status_code == 200
-        database.dispose()
+    with (
+        opened_database() as database,
+        running_service(database, tmp_path / "other", registrations_per_hour=1) as other,
+    ):
+        assert other.client.get("/openapi.json").json() == service.client.get("/openapi.json").json()
+        assert other.client.get(f"{API}/nothing-here").status_code == 404
+        taken = [other.client.post(f"{API}/teams", json={"name": f"Team of {n}"}).status_code for n in "12"]
+        assert taken == [201, 429]
+        assert service.client.post(f"{API}/teams", json={"name": "Team of 1"}).status_code == 201
+        assert other.get("/submissions", service.token).status_code == 401
+        assert other.get("/submissions").status_code == service.get("/submissions").status_code == 200

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from service_client import Service, problem_of, running_service
 from service_factories import TRACK, make_failed_record, make_principal, make_record, make_secret
-from sqlalchemy import text
 from text_log_writer import text_log
 from uploaded_logs import a_log, a_text_log, packed, some_records, upload_log
 from vitac.evaluator.episodes.records import EpisodeRecord
@@ -29,16 +28,6 @@ TEXT_LINES = TEXT_LOG.splitlines(keepends=True)
 GIGABYTE = 1 << 30
 
 
-def count(service: Service, table: str) -> int:
-    with service.database.transaction() as session:
-        return session.scalar(text(f"SELECT count(*) FROM {table}")) or 0  # noqa: S608 - fixed names
-
-
-def assert_nothing_left(service: Service) -> None:
-    assert service.leftovers() == []
-    assert count(service, "submissions") == count(service, "evaluations") == count(service, "procrastinate_jobs") == 0
-
-
 def failures(episodes: set[int]) -> list[EpisodeRecord]:
     return [make_failed_record(n) if n in episodes else make_record(n) for n in range(1, 271)]
 
@@ -52,7 +41,7 @@ def test_log_is_accepted_with_its_claims_and_jobs(service: Service) -> None:
     assert (claimed["label"], claimed["verdict"]) == ("actions verified, policy not seen", None)
     assert (claimed["claimed_episodes"], claimed["claimed_success_rate"]) == (270, 1.0)
     assert (claimed["team_named"], claimed["made_on"]) == ("Team A", "x86_64-linux")
-    assert count(service, "procrastinate_jobs") == len(cut(load_track(TRACK).tasks["peg-insertion"]))
+    assert service.count("procrastinate_jobs") == len(cut(load_track(TRACK).tasks["peg-insertion"]))
 
 
 def test_log_may_name_no_team_or_its_own_in_another_spelling(service: Service) -> None:
@@ -64,7 +53,7 @@ def test_packed_log_is_the_same_submission(service: Service) -> None:
     first, second = upload_log(service, LOG), upload_log(service, packed(LOG))
     assert (first.status_code, second.status_code) == (202, 200)
     assert first.json()["id"] == second.json()["id"]
-    assert count(service, "evaluations") == 1
+    assert service.count("evaluations") == 1
 
 
 def test_same_log_at_the_same_time_is_one_submission(service: Service) -> None:
@@ -75,7 +64,7 @@ def test_same_log_at_the_same_time_is_one_submission(service: Service) -> None:
     for thread in threads:
         thread.join()
     assert sorted(answer.status_code for answer in answers) == [200, 202]
-    assert count(service, "submissions") == count(service, "evaluations") == 1
+    assert service.count("submissions") == service.count("evaluations") == 1
 
 
 def test_log_that_names_another_team_is_refused_also_from_an_organizer(service: Service) -> None:
@@ -84,7 +73,7 @@ def test_log_that_names_another_team_is_refused_also_from_an_organizer(service: 
         assert problem["line"] == 1
         assert "'Team A'" in problem["detail"]
         assert "'Team B'" in problem["detail"]
-    assert_nothing_left(service)
+    service.assert_nothing_left()
     assert upload_log(service, LOG, token=service.organizer_token, query="&team=Team A").status_code == 202
 
 
@@ -98,7 +87,7 @@ def test_damaged_log_is_refused_by_line_and_reason(service: Service) -> None:
         problem = problem_of(upload_log(service, log), 422, "log_rejected")
         assert (problem["reason"], problem["line"]) == (reason, line), problem["detail"]
         assert line is None or problem["detail"].startswith(f"Line {line}: ")
-        assert_nothing_left(service)
+        service.assert_nothing_left()
 
 
 def test_log_that_no_evaluation_can_have_made_is_refused_at_once(service: Service) -> None:
@@ -109,7 +98,7 @@ def test_log_that_no_evaluation_can_have_made_is_refused_at_once(service: Servic
     ]:
         problem = problem_of(upload_log(service, log), 422, "log_impossible")
         assert (problem["reason"], problem["line"], problem["episode"]) == (reason, line, episode), problem["detail"]
-        assert_nothing_left(service)
+        service.assert_nothing_left()
 
 
 def test_policy_may_fail_in_an_episode_of_a_log(service: Service) -> None:
@@ -131,7 +120,7 @@ def test_line_of_a_gigabyte_is_cut_off_at_the_limit_on_disk_and_in_memory(servic
     problem = problem_of(upload_log(service, endless_line()), 413, "upload_too_large")
     assert problem["limit_bytes"] == service.settings.log_bytes
     assert peak_bytes() - before < 100 << 20
-    assert_nothing_left(service)
+    service.assert_nothing_left()
 
 
 def test_size_that_is_announced_is_refused_before_the_body(service: Service) -> None:
@@ -148,14 +137,14 @@ def test_line_of_a_gigabyte_hidden_in_a_small_gzip_is_refused_in_little_memory(
     problem = problem_of(upload_log(service, bomb, kind), 422, "log_rejected")
     assert (problem["reason"], problem["line"]) == (reason, 1)
     assert peak_bytes() - before < 100 << 20
-    assert_nothing_left(service)
+    service.assert_nothing_left()
 
 
 def test_gzip_that_unpacks_to_more_than_the_limit_is_refused(database: Database, tmp_path: Path) -> None:
     with running_service(database, tmp_path, log_bytes=len(LOG) - 1) as service:
         problem = problem_of(upload_log(service, packed(LOG)), 422, "log_rejected")
         assert (problem["reason"], problem["line"]) == ("too_large", None)
-        assert_nothing_left(service)
+        service.assert_nothing_left()
 
 
 def test_wrong_content_type_says_which_are_right(service: Service) -> None:
@@ -176,7 +165,7 @@ def test_kinds_that_a_track_does_not_take_are_refused_by_name(
     for query in ("&track=track_1", ""):
         problem = problem_of(upload_log(service, LOG, query=query), 422, "unsupported_submission_kind")
         assert problem["supported"] == ["model"]
-    assert_nothing_left(service)
+    service.assert_nothing_left()
 
 
 # ---- 2025 text logs ----
@@ -208,7 +197,7 @@ def test_text_log_that_is_not_one_whole_evaluation_is_refused(service: Service) 
     ]:
         problem = problem_of(upload_log(service, log, "text_log"), 422, code)
         assert problem["reason"] == reason, problem["detail"]
-        assert_nothing_left(service)
+        service.assert_nothing_left()
 
 
 def test_problems_of_a_text_log_are_kept_short_and_printable(service: Service) -> None:
@@ -227,7 +216,7 @@ def test_problems_of_a_text_log_are_kept_short_and_printable(service: Service) -
 
 def test_text_log_of_another_team_is_refused(service: Service) -> None:
     problem_of(upload_log(service, a_text_log(team="Touch"), "text_log"), 422, "log_team_mismatch")
-    assert_nothing_left(service)
+    service.assert_nothing_left()
 
 
 # ---- the organizers' own logs ----

@@ -11,7 +11,7 @@ from measured_figures import GRASP, TOUCH, start
 from own_sensors import write_sensor
 from service_client import API, POLICY, Service, bearer, make_archive, problem_of
 from service_factories import claim, make_record, play_all, shard_ids, store
-from sqlalchemy import delete, select, text, update
+from sqlalchemy import delete, select, update
 from vitac.envs.errors import VitacError
 from vitac.evaluator.agent.verdicts import SandboxFailed
 from vitac.evaluator.estimator.regression import Coefficients
@@ -64,12 +64,6 @@ def stored(service: Service) -> list[str]:
         return stored_digests(session)
 
 
-def assert_nothing_left(service: Service) -> None:
-    assert service.leftovers() == []
-    with service.database.transaction() as session:
-        assert session.scalar(text("SELECT count(*) FROM submissions")) == 0
-
-
 def test_sensor_is_made_stored_by_digest_and_shown(service: Service, tmp_path: Path) -> None:
     answer = service.upload(package())
     assert answer.status_code == 202, answer.text
@@ -119,21 +113,21 @@ def test_sensor_that_breaks_a_rule_is_refused_by_its_sentence(service: Service) 
     for files, says in rows:
         problem = problem_of(service.upload(package(files)), 422, "sensor_rejected")
         assert says in problem["detail"]
-        assert_nothing_left(service)
+        service.assert_nothing_left()
 
 
 def test_file_that_unpacks_to_far_more_than_was_sent_is_refused(service: Service) -> None:
     for name in ["gel.stl", "design.pdf", "tet.msh"]:
         problem = problem_of(service.upload(package({name: bytes(17 * 2**20)})), 422, "archive_rejected")
         assert problem["reason"] == "compressed_too_much"
-        assert_nothing_left(service)
+        service.assert_nothing_left()
 
 
 def test_large_document_is_refused(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vitac.evaluator.sensors.package.MAX_DOCUMENT_BYTES", len(PDF) - 1)
     problem = problem_of(service.upload(package()), 422, "sensor_rejected")
     assert f"has {len(PDF)} bytes, expected 1 to {len(PDF) - 1}" in problem["detail"]
-    assert_nothing_left(service)
+    service.assert_nothing_left()
 
 
 def test_same_sensor_twice_is_one_submission_with_its_files_once(service: Service) -> None:
@@ -212,7 +206,7 @@ def test_sandbox_that_does_not_work_is_no_fault_of_the_team(
     assert "nothing is wrong with yours" in problem["detail"]
     assert "secret" not in answer.text
     assert answer.headers["retry-after"]
-    assert_nothing_left(service)
+    service.assert_nothing_left()
 
 
 def test_upload_in_pieces_stays_until_sensors_can_be_checked(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -238,7 +232,7 @@ def test_one_sensor_is_checked_at_a_time(service: Service) -> None:
         answer = service.upload(package())
         problem_of(answer, 429, "too_many_requests")
         assert answer.headers["retry-after"]
-        assert_nothing_left(service)
+        service.assert_nothing_left()
         assert service.upload(make_archive()).status_code == 202  # others do not wait for it
     assert service.upload(package()).status_code == 202
 

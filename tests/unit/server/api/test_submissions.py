@@ -22,16 +22,6 @@ from worker_fakes import eventually
 ARCHIVE = make_archive()
 
 
-def count(service: Service, table: str) -> int:
-    with service.database.transaction() as session:
-        return session.scalar(text(f"SELECT count(*) FROM {table}")) or 0  # noqa: S608 - fixed names
-
-
-def assert_nothing_left(service: Service) -> None:
-    assert service.leftovers() == []
-    assert count(service, "submissions") == count(service, "evaluations") == count(service, "procrastinate_jobs") == 0
-
-
 def submission_of(service: Service, identity: str) -> Submission:
     with service.database.transaction() as session:
         return session.get_one(Submission, identity)
@@ -46,7 +36,7 @@ def test_upload_is_accepted_with_an_id_a_position_and_jobs(service: Service) -> 
     assert (body["evaluation"]["state"], body["evaluation"]["queue_position"]) == ("queued", 1)
     assert body["archive_sha256"] == hashlib.sha256(ARCHIVE).hexdigest()
     assert service.get(f"/submissions/{body['id']}").json() == body
-    assert count(service, "procrastinate_jobs") == len(cut(load_track(TRACK).tasks[TASK]))
+    assert service.count("procrastinate_jobs") == len(cut(load_track(TRACK).tasks[TASK]))
     assert service.services.blobs.holds(body["archive_sha256"])
     assert list(service.settings.scratch_dir.iterdir()) == []
 
@@ -63,7 +53,7 @@ def test_same_content_packed_differently_is_answered_with_the_submission_that_ex
     assert other_zip != ARCHIVE
     again = service.upload(other_zip)
     assert (again.status_code, again.json()["id"]) == (200, first.json()["id"])
-    assert count(service, "evaluations") == 1
+    assert service.count("evaluations") == 1
 
 
 def test_same_upload_at_the_same_time_is_one_submission(service: Service) -> None:
@@ -75,7 +65,7 @@ def test_same_upload_at_the_same_time_is_one_submission(service: Service) -> Non
         thread.join()
     assert sorted(answer.status_code for answer in answers) == [200, 202]
     assert len({answer.json()["id"] for answer in answers}) == 1
-    assert count(service, "submissions") == count(service, "evaluations") == 1
+    assert service.count("submissions") == service.count("evaluations") == 1
 
 
 def test_again_starts_a_new_run_of_a_completed_submission(service: Service) -> None:
@@ -121,7 +111,7 @@ def test_no_or_unknown_token_is_refused_before_the_body_is_read(service: Service
         answer = service.client.post("/api/v1/submissions", content=ARCHIVE, headers=headers)
         problem_of(answer, 401, code)
         assert answer.headers["www-authenticate"] == "Bearer"
-        assert_nothing_left(service)
+        service.assert_nothing_left()
 
 
 def test_foreign_and_unknown_submissions_look_the_same(service: Service) -> None:
@@ -176,7 +166,7 @@ def test_other_content_types_are_refused(service: Service) -> None:
     for content_type in ["", "text/plain", "multipart/form-data; boundary=x", "application/gzip"]:
         problem = problem_of(service.upload(ARCHIVE, Content_Type=content_type), 415, "unsupported_content_type")
         assert problem["supported"] == ["application/zip"]
-        assert_nothing_left(service)
+        service.assert_nothing_left()
 
 
 def test_content_type_may_have_parameters_and_capitals(service: Service) -> None:
@@ -187,7 +177,7 @@ def test_unknown_track_is_refused_with_the_list_of_tracks(service: Service) -> N
     for query in ["?track=track_9", "?track=../../etc/passwd", "?track="]:
         problem = problem_of(service.upload(ARCHIVE, query=query), 404, "unknown_track")
         assert TRACK in problem["tracks"]
-        assert_nothing_left(service)
+        service.assert_nothing_left()
 
 
 def test_digest_that_came_along_is_verified(service: Service) -> None:
@@ -199,7 +189,7 @@ def test_digest_that_came_along_is_verified(service: Service) -> None:
         {"Content_Digest": "sha-256=:?:"},
     ):
         problem_of(service.upload(ARCHIVE, **headers), 400, "digest_mismatch")
-    assert_nothing_left(service)
+    service.assert_nothing_left()
     assert service.upload(ARCHIVE, X_Content_SHA256=digest.hexdigest().upper()).status_code == 202
     assert service.upload(ARCHIVE, Content_Digest=good).status_code == 200
 
@@ -216,12 +206,12 @@ def test_archive_that_breaks_a_rule_is_refused_and_nothing_is_left(service: Serv
     ]:
         problem = problem_of(service.upload(archive), 422, "archive_rejected")
         assert problem["reason"] == reason
-        assert_nothing_left(service)
+        service.assert_nothing_left()
 
 
 def test_empty_body_is_refused(service: Service) -> None:
     problem_of(service.upload(b""), 400, "upload_truncated")
-    assert_nothing_left(service)
+    service.assert_nothing_left()
 
 
 def test_size_limit_is_told_from_the_header_before_the_body_is_read(database: Database, tmp_path: Path) -> None:
@@ -230,7 +220,7 @@ def test_size_limit_is_told_from_the_header_before_the_body_is_read(database: Da
         assert answer.startswith("HTTP/1.1 413 ")
         assert "connection: close" in answer
         assert '"limit_bytes":1000' in answer
-        assert_nothing_left(service)
+        service.assert_nothing_left()
 
 
 def test_client_that_waits_for_continue_is_told_to_go_on(service: Service) -> None:
@@ -248,7 +238,7 @@ def test_connection_that_breaks_in_the_middle_leaves_nothing(service: Service) -
         connection.sendall(head(service, f"Content-Length: {len(ARCHIVE)}") + ARCHIVE[:100])
         eventually(lambda: bool(service.leftovers()))
     eventually(lambda: not list(service.settings.scratch_dir.iterdir()))
-    assert_nothing_left(service)
+    service.assert_nothing_left()
 
 
 def test_upload_that_sends_nothing_is_given_up(database: Database, tmp_path: Path) -> None:
@@ -256,7 +246,7 @@ def test_upload_that_sends_nothing_is_given_up(database: Database, tmp_path: Pat
         answer = talk(service, head(service, f"Content-Length: {len(ARCHIVE)}") + ARCHIVE[:100])
         assert answer.startswith("HTTP/1.1 400 ")
         assert "upload_truncated" in answer
-        assert_nothing_left(service)
+        service.assert_nothing_left()
 
 
 def test_only_so_many_uploads_of_a_team_at_once(database: Database, tmp_path: Path) -> None:
@@ -269,7 +259,7 @@ def test_only_so_many_uploads_of_a_team_at_once(database: Database, tmp_path: Pa
         problem_of(service.upload(ARCHIVE), 429, "too_many_requests")
         assert service.upload(ARCHIVE, service.other_token).status_code == 202
         connection.sendall(ARCHIVE[100:])
-        eventually(lambda: count(service, "submissions") == 2)
+        eventually(lambda: service.count("submissions") == 2)
 
 
 def head(service: Service, *headers: str) -> bytes:
@@ -294,7 +284,7 @@ def read_all(connection: socket.socket) -> str:
 def test_chunked_body_is_cut_at_the_limit(database: Database, tmp_path: Path) -> None:
     with running_service(database, tmp_path, limits=Limits(archive_packed_bytes=1000)) as service:
         problem_of(service.upload(iter([b"x" * 600] * 3)), 413, "upload_too_large")
-        assert_nothing_left(service)
+        service.assert_nothing_left()
 
 
 def test_wrong_parameters_are_problems_that_name_the_place(service: Service) -> None:

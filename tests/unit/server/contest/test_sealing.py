@@ -42,12 +42,6 @@ JUDGE = Principal(role=Role.JUDGE)
 
 
 @pytest.fixture
-def principal(database: Database) -> Principal:
-    with database.transaction() as session:
-        return make_principal(session)
-
-
-@pytest.fixture
 def sealed(database: Database, principal: Principal) -> Submission:
     """A submission whose evaluation plays the sealed list of a stage."""
     with database.transaction() as session:

@@ -15,7 +15,7 @@ from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from databases import FAST, fresh_database, shared_cluster, state_directory
+from databases import FAST, fresh_database, opened_database, shared_cluster, state_directory
 from procrastinate.schema import SchemaManager
 from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError, OperationalError
@@ -50,18 +50,14 @@ INDEXES = """
 
 @pytest.fixture
 def migrated() -> Iterator[Database]:
-    with fresh_database() as address:
-        database = Database(address)
+    with opened_database() as database:
         yield database
-        database.dispose()
 
 
 @pytest.fixture
 def empty() -> Iterator[Database]:
-    with fresh_database(template="template0") as address:
-        database = Database(address)
+    with opened_database("template0") as database:
         yield database
-        database.dispose()
 
 
 def downgrade(database: Database, revision: str) -> None:

@@ -45,12 +45,6 @@ def _whole_lists_are_one_shard(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def principal(database: Database) -> Principal:
-    with database.transaction() as session:
-        return make_principal(session)
-
-
-@pytest.fixture
 def other(database: Database) -> Principal:
     with database.transaction() as session:
         return make_principal(session, "Team B")

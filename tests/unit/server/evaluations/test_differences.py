@@ -4,7 +4,6 @@ import pytest
 from service_factories import (
     TASK,
     claim,
-    make_principal,
     make_record,
     make_settings,
     shard_ids,
@@ -22,12 +21,6 @@ from vitac.server.views.evaluations import DifferingEpisodeView
 
 SETTINGS = make_settings()
 FIRST, OTHER = make_record(3), make_record(3, EpisodeOutcome.STEPS)
-
-
-@pytest.fixture
-def principal(database: Database) -> Principal:
-    with database.transaction() as session:
-        return make_principal(session)
 
 
 @pytest.fixture

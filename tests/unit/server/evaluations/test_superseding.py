@@ -1,7 +1,7 @@
 from datetime import datetime
 
 import pytest
-from service_factories import make_principal, make_settings, play, play_all, shard_ids, submit, submit_to
+from service_factories import make_settings, play, play_all, shard_ids, submit, submit_to
 from sqlalchemy import select, text
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_version
@@ -22,12 +22,6 @@ from vitac.server.settings import OutdatedRule
 from vitac.server.submissions import listing
 
 SETTINGS = make_settings()
-
-
-@pytest.fixture
-def principal(database: Database) -> Principal:
-    with database.transaction() as session:
-        return make_principal(session)
 
 
 @pytest.fixture

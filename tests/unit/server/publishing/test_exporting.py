@@ -8,7 +8,7 @@ from uuid import UUID
 import numpy as np
 import pytest
 from audited_boards import complete, environment_of, played_again, sampled
-from databases import fresh_database
+from databases import opened_database
 from obstore.store import MemoryStore
 from service_factories import TASK, TRACK, forget_boards, make_principal, make_record, make_upload, sha256, submit_to
 from shown_sensors import a_made_sensor
@@ -73,12 +73,10 @@ def blobs() -> BlobStore:
 def database(blobs: BlobStore, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Database]:
     """A sensor of the Ants; and logs of the Bees and the Cats, of which the Drones have uploaded a copy."""
     folder = tmp_path_factory.mktemp("sensors")
-    with fresh_database() as address:
-        database = Database(address)
+    with opened_database() as database:
         _add_sensor(database, stored(blobs, MADE, folder))
         _add_logs(database)
         yield database
-        database.dispose()
 
 
 def _add_sensor(database: Database, file: UploadedFile) -> None:

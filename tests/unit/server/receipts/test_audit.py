@@ -10,7 +10,7 @@ from uuid import UUID
 
 import pytest
 from audited_boards import complete, environment_of, played_again, sampled
-from databases import fresh_database
+from databases import opened_database
 from made_receipts import KEY, PUBLIC_KEY
 from obstore.store import MemoryStore
 from service_factories import TASK, TRACK, forget_boards, make_principal, own_record, submit
@@ -64,14 +64,12 @@ def database() -> Iterator[Database]:
     """A database with three teams on a board; what a test changes in it is taken back."""
     entry, number = sampled(SEED, len(TEAMS))
     assert entry == 1, "the seed samples an episode of the second team"
-    with fresh_database() as address:
-        database = Database(address)
+    with opened_database() as database:
         env = environment_of(TASK)
         real = played_again(TASK, number, env)
         for team in range(len(TEAMS)):
             finish_all(database, team, env, real)
         yield database
-        database.dispose()
 
 
 def audited(

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 from audited_boards import complete, environment_of, played_again
-from databases import fresh_database
+from databases import opened_database
 from obstore.store import MemoryStore
+from own_track import OWN_TRACK
 from service_factories import make_principal, submit_to
 from vitac.evaluator.tracks.registry import TRACKS_FOLDER_VARIABLE
-from vitac.server.db.engine import Database
 from vitac.server.publishing.exporting import export_receipts
 from vitac.server.receipts.audit import audit
 from vitac.server.receipts.export import track_name
@@ -18,46 +18,21 @@ from vitac.server.storage.blobs import BlobStore
 
 from competitions import shown_stage
 
-FILE = """
-name: pegs
-folder: Pegs
-title: Pegs
-summary: Insert a peg.
-ranking_rule: Higher success rate first.
-accepts: [model, log]
-tasks:
-  own-pegs:
-    name: own-pegs
-    env_id: ViTac/PegInsertion-v1
-    title: Own pegs
-    description: A peg stands above its hole.
-    success_rule: The peg is in the hole.
-    max_steps: 15
-    shard_size: 2
-    episode_list:
-      list_seed: 0
-      offset_option: offset_mm_deg
-      blocks:
-        - repeats: 2
-          starts: [{shape: trapezoid, offset: [1, 2, 3]}]
-"""
-
 
 @pytest.fixture(scope="module")
 def export(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The board of an own track with one team, whose episodes were really played."""
     folder = tmp_path_factory.mktemp("own")
-    (folder / "pegs.yaml").write_text(FILE)
-    with pytest.MonkeyPatch.context() as patch, fresh_database() as address:
+    (folder / "pegs.yaml").write_text(OWN_TRACK)
+    with pytest.MonkeyPatch.context() as patch, opened_database() as database:
         patch.setenv(TRACKS_FOLDER_VARIABLE, str(folder))
-        database, env = Database(address), environment_of("own-pegs")
+        env = environment_of("own-pegs")
         with database.transaction() as session:
             submission = submit_to(session, make_principal(session), track="pegs", task="own-pegs")
         complete(database, submission, env, lambda task, number: played_again(task, number, env))
         with database.snapshot() as session:
             path = folder / "board.zip"
             export_receipts(session, BlobStore(MemoryStore()), path, shown_stage(session, "pegs"))
-        database.dispose()
     return path
 
 
@@ -83,7 +58,7 @@ def test_its_records_and_episodes_are_verified_with_the_track_file_of_the_export
 
 @pytest.mark.parametrize(
     "content",
-    [None, b"", FILE.replace("[1, 2, 3]", "[1, 2, 4]").encode(), FILE.replace("Insert", "Push").encode()],
+    [None, b"", OWN_TRACK.replace("[1, 2, 3]", "[1, 2, 4]").encode(), OWN_TRACK.replace("Insert", "Push").encode()],
     ids=["missing", "empty", "other start", "other words"],
 )
 def test_another_track_file_or_none_is_never_believed(export: Path, tmp_path: Path, content: bytes | None) -> None:

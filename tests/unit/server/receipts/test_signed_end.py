@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from audited_boards import complete, environment_of
-from databases import fresh_database
+from databases import opened_database
 from obstore.store import MemoryStore
 from service_factories import TASK, TRACK, forget_boards, make_principal, own_record, submit
 from sqlalchemy import text
@@ -42,8 +42,8 @@ def judged_cup() -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def database() -> Iterator[Database]:
     """A competition with its winners: the Cats failed most often, and the judges liked them best."""
-    with fresh_database() as address:
-        database, env = Database(address), environment_of(TASK)
+    with opened_database() as database:
+        env = environment_of(TASK)
         with database.transaction() as session:
             put_in_place(session, open_now(judged_cup()))
             submissions = [submit(session, make_principal(session, team), team) for team in TEAMS]
@@ -62,7 +62,6 @@ def database() -> Iterator[Database]:
                 give_marks(session, CONSOLE, submission.id, {"structure": float(mark)}, judge="X")
             assert [winner.team for winner in finalize(session, CONSOLE)] == ["Cats", "Bees", "Ants"]
         yield database
-        database.dispose()
 
 
 def findings(database: Database, folder: Path, *statements: str) -> list[str]:

@@ -1,7 +1,7 @@
 from collections.abc import Iterator
 
 import pytest
-from databases import fresh_database
+from databases import opened_database
 from service_factories import LOCK, TASK, make_principal, make_score, make_settings, submit_scored
 from sqlalchemy import event
 from vitac.server.db.engine import Database
@@ -10,10 +10,8 @@ from vitac.web.pages.submission_detail import read_detail
 
 @pytest.fixture
 def database() -> Iterator[Database]:
-    with fresh_database() as address:
-        database = Database(address)
+    with opened_database() as database:
         yield database
-        database.dispose()
 
 
 def test_a_submission_with_all_that_its_page_shows_is_read_by_few_statements_on_one_connection(

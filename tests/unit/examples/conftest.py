@@ -1,0 +1,17 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def example(request: pytest.FixtureRequest, repository: Path) -> Path:
+    """The folder that a test module names as `EXAMPLE`."""
+    return repository / "examples" / str(request.module.EXAMPLE)
+
+
+@pytest.fixture(scope="module")
+def figures(example: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((example / "figures.json").read_text())
+    return found
