@@ -155,6 +155,31 @@ def reference(
     print_pairs({"submission": submission})
 
 
+@app.command()
+def curves(
+    runs: Annotated[list[Path], typer.Argument(help="Folders of trainings, and files stored before.", exists=True)],
+    to: Annotated[Path | None, typer.Option(help="Folder for page, pictures and what is read again.")] = None,
+) -> None:
+    """Show success over env steps of trainings, several seeds of a method together."""
+    from itertools import groupby
+
+    from vitac.training.curve_drawing import draw_curves
+    from vitac.training.curves import make_page, read_curves, write_curves
+    from vitac.training.files import write_text
+
+    found = read_curves(runs)
+    tasks = {task: list(of_task) for task, of_task in groupby(found, key=lambda curve: curve.task)}
+    page = make_page(found, {task: f"{task}.svg" for task in tasks})
+    if to is None:
+        print(page)
+        return
+    for task, of_task in tasks.items():
+        write_text(to / f"{task}.svg", draw_curves(of_task))
+    write_text(to / "curves.json", write_curves(found))
+    write_text(to / "README.md", page)
+    print(to / "README.md")
+
+
 def _one_thread() -> None:
     """Let linear algebra use one thread; it must be said before NumPy is imported."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):

@@ -1,0 +1,182 @@
+"""Learning curves of trainings, read from their folders, as a table; `vitac train curves` prints and stores them."""
+
+import csv
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt, TypeAdapter, ValidationError
+from vitac.envs.errors import VitacError
+from vitac.evaluator.scoring.score import interval_of_mean, rate
+from vitac.evaluator.strict_model import StrictModel
+
+LINES = 12
+"""Approximate number of lines of a curve in a table."""
+PUBLISHED = {
+    "peg-insertion": (40, 270),
+    "lock-opening": (145, 160),
+    "fusion-insertion": (0, 150),
+    "sensor-design": (43, 270),
+}
+"""Successes and episodes in the logs that the challenge's organizers published, on its public lists."""
+
+
+class NoCurve(VitacError):
+    """A folder holds no training whose successes over env steps are known; the message says what was expected."""
+
+
+class Point(StrictModel):
+    """What a training solved of its held-out starts after some env steps."""
+
+    env_steps: NonNegativeInt
+    successes: NonNegativeInt
+    episodes: PositiveInt
+
+
+class Curve(StrictModel):
+    """A training.
+
+    `wanted` are the env steps after which it is finished, where these are known before, and `cpu_s` the CPU time so
+    far, where it is measured.
+    """
+
+    task: str
+    method: str
+    seed: NonNegativeInt
+    points: tuple[Point, ...]
+    wanted: PositiveInt | None = None
+    cpu_s: NonNegativeFloat | None = None
+
+    @property
+    def group(self) -> tuple[str, str]:
+        """Task and method, of which several seeds are drawn together."""
+        return self.task, self.method
+
+
+_STORED = TypeAdapter(tuple[Curve, ...])
+
+
+def read_curves(paths: Iterable[Path]) -> list[Curve]:
+    """Return the curves of folders of trainings and of stored files; of the same training the last one.
+
+    Raises:
+        NoCurve: one is neither, or has no evaluation yet.
+    """
+    found = {(*curve.group, curve.seed): curve for path in paths for curve in _read(path)}
+    return [found[key] for key in sorted(found)]
+
+
+def write_curves(curves: Sequence[Curve]) -> str:
+    """Return what is stored of curves."""
+    return _STORED.dump_json(tuple(curves), indent=1, exclude_none=True).decode() + "\n"
+
+
+def _read(path: Path) -> Iterator[Curve]:
+    try:
+        if path.is_file():
+            yield from _STORED.validate_json(path.read_bytes())
+            return
+        recipe = json.loads((path / "run.json").read_text())["recipe"]
+        is_reference = (path / "progress.csv").exists()
+        curves = [_of_reference(path, recipe)] if is_reference else list(_of_rounds(path, recipe))
+    except (OSError, ValueError, KeyError, ValidationError) as error:
+        raise NoCurve(
+            f"{path} holds no curve ({error}); expected the folder of `vitac train`, `train clone` or `train "
+            "reference`, or a file that `train curves` stored."
+        ) from error
+    if not all(curve.points for curve in curves):
+        raise NoCurve(f"{path} has no evaluation yet; expected at least one. Try again later.")
+    yield from curves
+
+
+def _of_reference(path: Path, recipe: Mapping[str, Any]) -> Curve:
+    with (path / "progress.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    episodes = recipe["evaluation_episodes"]
+    return Curve(
+        task=recipe["task"],
+        method="train reference",
+        seed=recipe["seed"],
+        wanted=recipe["env_steps"],
+        cpu_s=float(rows[-1]["time/cpu_s"]),
+        points=tuple(
+            Point(
+                env_steps=int(row["time/total_timesteps"]),
+                successes=round(float(row["eval/success_rate"]) * episodes),
+                episodes=episodes,
+            )
+            for row in rows
+            if row["eval/success_rate"]
+        ),
+    )
+
+
+def _of_rounds(path: Path, recipe: Mapping[str, Any]) -> Iterator[Curve]:
+    for folder, ending in ((path, ""), (path / "blind", ", blind")):
+        if (folder / "log.jsonl").exists():
+            rows = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+            is_clone = "solved" in rows[0]
+            yield Curve(
+                task=recipe["task"],
+                method=("train clone" if is_clone else "train") + ending,
+                seed=recipe["seed"],
+                points=tuple(_point(row["env_steps"], row["solved" if is_clone else "student"]) for row in rows),
+            )
+
+
+def _point(env_steps: int, found: Mapping[str, Any]) -> Point:
+    return Point(env_steps=env_steps, successes=found["successes"], episodes=found["episodes"])
+
+
+def make_page(curves: Sequence[Curve], pictures: Mapping[str, str]) -> str:
+    """Return the tables of curves as Markdown, with the name of a picture for each task."""
+    text = HEAD
+    for task, of_task in groupby(curves, key=lambda curve: curve.task):
+        text += f"\n## {task}\n![Successes over env steps]({pictures[task]})\n\n{TABLE}"
+        groups = [list(seeds) for _, seeds in groupby(of_task, key=lambda curve: curve.group)]
+        text += "".join(row for seeds in groups for row in _rows(seeds))
+        if task in PUBLISHED:
+            text += f"| the organizers' log | | | {_percent([PUBLISHED[task]])} | |\n"
+        unfinished = [curve for seeds in groups for curve in seeds if (curve.wanted or 0) > curve.points[-1].env_steps]
+        text += "".join(f"\n{_say_unfinished(curve)}\n" for curve in unfinished)
+    return text
+
+
+HEAD = """# Learning curves
+Written by `vitac train curves`. Success is that of held-out random starts without noise, in % with 95 % interval: of
+one training Wilson's, of several seeds that of their mean. The organizers' logs of 2025 are of the public lists, on the
+2025 simulator.
+"""
+TABLE = """| method | seeds | env steps | solved, % | each seed, % |
+|---|---|---|---|---|
+"""
+
+
+def _rows(seeds: Sequence[Curve]) -> Iterator[str]:
+    """Yield lines for the evaluations that all seeds have, in their order."""
+    count = min(len(curve.points) for curve in seeds)
+    shown = sorted({*range(0, count, -(-count // LINES)), count - 1})
+    for number in shown:
+        points = [curve.points[number] for curve in seeds]
+        env_steps = round(sum(point.env_steps for point in points) / len(points))
+        rates = [(point.successes, point.episodes) for point in points]
+        each = ", ".join(f"{100 * successes / episodes:.0f}" for successes, episodes in rates)
+        yield f"| `{seeds[0].method}` | {len(seeds)} | {env_steps:,} | {_percent(rates)} | {each} |\n"
+
+
+def _percent(found: Sequence[tuple[int, int]]) -> str:
+    rates = [rate(*each) for each in found]
+    mean, interval = sum(each.success_rate for each in rates) / len(rates), interval_of_mean(rates, of=len(rates))
+    return f"{100 * mean:.1f} [{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
+
+
+def _say_unfinished(curve: Curve) -> str:
+    done, wanted = curve.points[-1].env_steps, curve.wanted or 0
+    said = f"`{curve.method}`, seed {curve.seed}, was not trained to the end: {done:,} of {wanted:,} env steps"
+    if curve.cpu_s is not None:
+        said += f" in {curve.cpu_s / 60:.0f} minutes of CPU time, so the rest takes about "
+        said += f"{curve.cpu_s / done * (wanted - done) / 3600:.1f} hours of one core"
+    seed = f" --seed {curve.seed}" if curve.seed else ""
+    return f"{said}. `./vitac --torch train reference {curve.task} --out RUN{seed}` continues it from its folder RUN."
