@@ -107,7 +107,7 @@ def clone(
     task: Annotated[str, typer.Argument(help="A task that has an expert, such as peg-insertion.")],
     out: RunFolder,
     seed: Annotated[int, typer.Option(min=0, help="Seed of starts and learning.")] = 0,
-    rounds: Annotated[int, typer.Option(min=1, help="How often the policy is learned.")] = 8,
+    rounds: Annotated[int, typer.Option(min=1, help="How often the policy is learned.")] = 6,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes before each round.")] = 300,
     sensor: Sensor = None,
     processes: Processes = 1,

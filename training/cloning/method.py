@@ -49,11 +49,11 @@ class Plan(StrictModel):
     seed: Annotated[int, Field(ge=0, le=10_000)] = 0
     sensor: str | None = None
     """Digest of the sensor, in Track 3."""
-    rounds: Count = 8
+    rounds: Count = 6
     """How often the policy is learned; the expert plays before the first."""
     episodes: Count = 300
     """Episodes before each round."""
-    chosen_by: Count = 100
+    chosen_by: Count = 60
     """Held-out episodes by which the best round is chosen."""
     reported: Count = 300
     """Fresh starts by which the policy is compared with the blind one."""

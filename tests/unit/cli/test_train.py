@@ -1,6 +1,7 @@
 """`vitac train`."""
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ from typer.testing import CliRunner
 from vitac.cli.main import build_app
 from vitac.evaluator.strict_model import DocumentRejected
 from vitac.evaluator.submission.manifest import load_manifest
+from vitac.training.cloning import method
+from vitac.training.demonstrations import expert
 
 RECIPE = """task: peg-insertion
 seed: 1
@@ -98,6 +101,28 @@ def test_searches_and_writes_a_submission(tmp_path: Path) -> None:
     again = json.loads(vitac(*words, "--json").stdout)
     assert set(again["generations"]) == {"generation 1", "generation 2"}
     assert f"generation {again['best']}" in searched.stdout
+
+
+def test_clones_and_shows_the_curves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(expert, "make_environment", lambda _, observation_keys, settings: ToyPeg(observation_keys))
+    monkeypatch.setattr(expert, "held_pose_mm_deg", lambda grasped: grasped)
+    quick = partial(method.Plan, hidden=8, gradient_steps=20, chosen_by=5, reported=20)
+    monkeypatch.setattr(method, "Plan", quick)
+    out = tmp_path / "run"
+    words = ("train", "clone", "peg-insertion", "--out", str(out), "--rounds", "1", "--episodes", "25")
+    cloned = vitac(*words)
+    assert cloned.exit_code == 0, cloned.output
+    assert "gain by sensing" in cloned.stdout
+    gain = json.loads(vitac(*words, "--json").stdout)
+    assert gain == json.loads((out / "gain.json").read_text())
+    shown = vitac("train", "curves", str(out))
+    assert "| `train clone, blind` | 1 |" in shown.stdout
+    stored = vitac("train", "curves", str(out), "--to", str(tmp_path / "curves"))
+    assert stored.stdout.strip() == str(tmp_path / "curves" / "README.md")
+    assert (tmp_path / "curves" / "README.md").read_text().strip() == shown.stdout.strip()
+    assert (tmp_path / "curves" / "peg-insertion.svg").exists()
+    again = vitac("train", "curves", str(tmp_path / "curves" / "curves.json"))
+    assert again.stdout == shown.stdout
 
 
 @pytest.mark.parametrize(
