@@ -26,8 +26,9 @@ def draw_curves(curves: Sequence[Curve]) -> str:
     groups = [list(seeds) for _, seeds in groupby(curves, key=lambda curve: curve.group)]
     names = []
     for colour, seeds in zip(COLOURS, groups, strict=False):
-        rows = list(_means(seeds))
-        places = [(across(env_steps), *map(_up, values)) for env_steps, *values in rows]
+        places = [
+            (across(env_steps), _up(mean), _up(least), _up(most)) for env_steps, mean, least, most in _means(seeds)
+        ]
         parts.append(_band(places, colour))
         names.append((f"{seeds[0].method} ({len(seeds)})", colour, places[-1][1]))
     successes, episodes = PUBLISHED.get(curves[0].task, (0, 0))
