@@ -6,6 +6,7 @@ const SCALES = {
   depth: ["#440154", "#3b528b", "#21918c", "#5ec962", "#fde725"],
 };
 export const LEVELS = 256;
+export const LINES = ["#2f7fc1", "#c9640a", "#23895f", "#b0489c", "#8a6d1f", "#5b6ee1"]; // of plots, as in player.css
 
 /** 256 colours from the lower to the upper end of a scale, red, green and blue of 0 to 255. */
 export function scale(name) {

@@ -6,10 +6,10 @@ import { RoundedBoxGeometry } from "three/addons/geometries/RoundedBoxGeometry.j
 
 const HOUSING_MM = [31, 26, 13];
 const RIM_MM = 1.5; // of the frame around the back face
-const FINGER_MM = [46, 15, 7];
-const PALM_MM = [22, 34];
-const SHELL = { color: 0x3a4047, roughness: 0.6, metalness: 0.1 };
-const METAL = { color: 0x6d747c, roughness: 0.35, metalness: 0.85 };
+const FINGER_MM = [26, 15, 7]; // shortened, so that the parts are large in the picture
+const PALM_MM = [12, 34];
+const SHELL = { color: 0x515a63, roughness: 0.6, metalness: 0.1 };
+const METAL = { color: 0x9aa3ab, roughness: 0.4, metalness: 0.6 };
 
 /** Housing and finger in the frame of a gel, whose back face looks along its negative z axis; `along` is 1 or -1: the end of
  * the x axis at which the palm is. */
@@ -43,6 +43,11 @@ export class Palm {
     this.mesh.quaternion.copy(new Quaternion().setFromRotationMatrix(left));
     this.mesh.scale.set(PALM_MM[0], PALM_MM[1], first.distanceTo(second) + 2 * HOUSING_MM[2]);
   }
+}
+
+/** The corners of a box that a matrix places. */
+export function cornersOf({ min, max }, matrix) {
+  return [min.x, max.x].flatMap((x) => [min.y, max.y].flatMap((y) => [min.z, max.z].map((z) => new Vector3(x, y, z).applyMatrix4(matrix))));
 }
 
 function part(geometry, look) {

@@ -51,20 +51,21 @@ class Player {
   }
 
   /** `largest` are the upper ends of the colour scales, which all players of a page share. */
-  show(time, { quantity, isCutOpen, isXray, hasForces, hasPictures, view }, largest) {
+  show(time, { quantity, isCutOpen, isXray, hasForces, hasNames, hasPictures, view }, largest) {
     const step = this.episode.stepAt(time);
     const ended = Math.min(time, this.episode.lastStep);
     if (isCutOpen !== (this.shown.isCutOpen ?? true)) this.stage?.cutOpen(isCutOpen);
     if (isXray !== (this.shown.isXray ?? false)) this.stage?.xray(isXray);
     if (hasForces !== (this.shown.hasForces ?? true)) this.stage?.showForces(hasForces);
+    if (hasNames !== (this.shown.hasNames ?? true)) this.stage?.showNames(hasNames);
     if (view !== (this.shown.view ?? "task")) this.stage?.lookFrom(view);
     this.stage?.show(ended, quantity, largest[quantity]);
-    this.sections.show(this.episode.around(ended));
+    this.sections.show(this.episode.around(ended), step);
     this.plots.show(time);
     if (step !== this.shown.step || hasPictures !== this.shown.hasPictures) this.flows.show(step, hasPictures);
     if (step !== this.shown.step) this.cameras?.show(step);
     if (this.legend && quantity !== this.shown.quantity) this.#showLegend(quantity, largest);
-    this.shown = { step, quantity, isCutOpen, isXray, hasForces, hasPictures, view };
+    this.shown = { step, quantity, isCutOpen, isXray, hasForces, hasNames, hasPictures, view };
   }
 
   /** Shows the held part of another episode in this scene, too, if it is the same part. */
@@ -91,7 +92,8 @@ class Player {
     try {
       canvas.hidden = false;
       const stage = new Stage(canvas, this.episode, force);
-      this.section.querySelector(".still")?.classList.add("printed");
+      // After the first drawing, which was asked for before: the still stays until there is a scene.
+      requestAnimationFrame(() => this.section.querySelector(".still")?.classList.add("printed"));
       return stage;
     } catch {
       canvas.hidden = true;
@@ -126,9 +128,9 @@ class Player {
     const scale = this.stage.forces.scale;
     if (!scale) return [];
     const { held_name: held, fixed_name: fixed } = this.episode.header;
-    const arrow = (kind, text) => element("span", {}, element("span", { class: `arrow ${kind}`, "aria-hidden": "true" }, "➜"), ` ${text}`);
-    const length = `${scale.force} N are ${scale.length.toPrecision(2)} mm long`;
-    return [arrow("fixed", `Force of the ${fixed} on the ${held}`), arrow("gel", `of a gel on it; ${length}`)];
+    const arrow = (kind) => element("span", { class: `arrow ${kind}`, "aria-hidden": "true" }, "➜");
+    const length = `(${scale.force} N: an arrow of ${scale.length.toPrecision(2)} mm)`;
+    return [element("span", {}, `Force on the ${held}: `, arrow("fixed"), ` orange from the ${fixed}, `, arrow("gel"), ` violet from a gel ${length}`)];
   }
 
   #showLegend(quantity, largest) {
@@ -151,7 +153,7 @@ async function start() {
   const made = sections.filter((section) => section.dataset.state === "made");
   const form = document.querySelector("form.transport");
   if (!made.length || !form) return;
-  const loaded = await Promise.all(made.map(Player.load));
+  const [loaded] = await Promise.all([Promise.all(made.map(Player.load)), stillsAreShown()]);
   const factor = Math.min(...loaded.map(({ episode }) => magnification(episode)));
   const all = loaded.map(({ episode }) => episode);
   const force = Math.max(...all.map(largestForce));
@@ -170,12 +172,18 @@ async function start() {
   }
   players.forEach((player) => player.plots.follow((step) => transport.moveTo(step)));
   new Sharing(form.querySelector("[data-share]"), () => transport.time);
-  transport.moveTo(askedStep());
+  transport.moveTo(askedStep() ?? length); // the end, which the still shows and the sentence is about
   reveal("player");
   const seen = players.filter((player) => player.stage);
   if (!seen.length) return;
   new Film(form.querySelector("[data-film]"), seen, transport);
   reveal("scene");
+}
+
+/** Resolves when the browser shows the stills: the first scene can keep it busy for seconds. */
+async function stillsAreShown() {
+  await Promise.all([...document.querySelectorAll(".stage .still")].map((still) => still.decode?.().catch(() => {})));
+  await new Promise((resolve) => requestAnimationFrame(() => setTimeout(resolve)));
 }
 
 /** Shows the controls and the help that do nothing without the player, or without its 3D scene. */

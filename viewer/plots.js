@@ -104,7 +104,7 @@ function allSeries({ header, arrays, times }) {
 }
 
 function numbered({ shape }) {
-  return Array.from({ length: shape[1] }, (_, at) => `${at + 1}`);
+  return Array.from({ length: shape[1] }, (_, at) => `${at + 1}`); // as in the scene
 }
 
 function columns({ values, shape }, names) {

@@ -1,13 +1,17 @@
 // Two sections through held and fixed part, drawn to scale: level, as seen from above, and upright, as the scene is cut open.
 
+import { drawNumber } from "./labels.js";
+
 const MARGIN_MM = 4;
 const JUST_INSIDE_MM = 0.05; // of a face, which a plane through it would not cut
 const BAR_MM = 10;
+const FAR_MM = 500; // beyond every drawing
 const FILLS = { fixed: "#8d99a4", held: "#c99a52" };
 
 export class Sections {
   constructor(episode, { above, upright }) {
     this.episode = episode;
+    this.title = above.nextSibling.textContent;
     const { fixed_vertices_mm: fixed, held_vertices_mm: held } = episode.arrays;
     this.fixed = fixed.values;
     this.held = new Float32Array(held.values.length);
@@ -15,15 +19,17 @@ export class Sections {
     const { normal, offset_mm: offset } = episode.header.cut ?? { normal: [1, 0, 0], offset_mm: 0 };
     const across = [-normal[1], normal[0], 0];
     this.views = [
-      { canvas: above, axes: [[1, 0, 0], [0, 1, 0]], planes: () => this.#levels() },
-      { canvas: upright, axes: [across, [0, 0, 1]], planes: () => [[normal, offset], [normal, offset]] },
+      { canvas: above, axes: [[1, 0, 0], [0, 1, 0]], planes: () => this.#levels(), other: () => [normal, offset] },
+      { canvas: upright, axes: [across, [0, 0, 1]], planes: () => [[normal, offset], [normal, offset]], other: () => this.#levels()[0] },
     ];
     for (const view of this.views) view.window = this.#windowOf(view);
   }
 
-  show(place) {
+  show(place, step) {
     this.#placeHeld(place);
     for (const view of this.views) this.#draw(view);
+    const where = this.episode.header.positions?.[step];
+    if (where) this.views[0].canvas.nextSibling.textContent = `${this.title}: ${where}`;
   }
 
   #placeHeld(place) {
@@ -79,7 +85,28 @@ export class Sections {
     const middle = [0, 1].map((axis) => 0.5 * (shown.lowest[axis] + shown.highest[axis]));
     const toPixels = ([u, v]) => [0.5 * width + scale * (u - middle[0]), 0.5 * height - scale * (v - middle[1])];
     for (const [name, loops] of Object.entries(this.#outlines(view))) fill(context, loops.map((loop) => loop.map(toPixels)), FILLS[name]);
-    scaleBar(context, scale * BAR_MM, `${BAR_MM} mm`, getComputedStyle(canvas).color);
+    const { color } = getComputedStyle(canvas);
+    this.#drawOtherCut(context, view, toPixels, color);
+    for (const [at, vertex] of (this.episode.arrays.measured_vertices?.values ?? []).entries()) {
+      const place = this.held.subarray(3 * vertex, 3 * vertex + 3);
+      drawNumber(context, at, ...toPixels(view.axes.map((axis) => place.reduce((sum, value, part) => sum + axis[part] * value, 0))), 6.5);
+    }
+    scaleBar(context, scale * BAR_MM, `${BAR_MM} mm`, color);
+  }
+
+  /** A dashed line where the other section is. */
+  #drawOtherCut(context, { axes, other }, toPixels, colour) {
+    const [normal, offset] = other();
+    const inside = axes.map((axis) => axis.reduce((sum, value, part) => sum + value * normal[part], 0));
+    const ends = [-1, 1].map((end) => toPixels([inside[0] * offset - end * FAR_MM * inside[1], inside[1] * offset + end * FAR_MM * inside[0]]));
+    context.beginPath();
+    context.setLineDash([5, 4]);
+    ends.forEach((end) => context.lineTo(...end));
+    context.globalAlpha = 0.6;
+    context.strokeStyle = colour;
+    context.stroke();
+    context.globalAlpha = 1;
+    context.setLineDash([]);
   }
 }
 

@@ -51,7 +51,8 @@ async function copied(text) {
   }
 }
 
-/** The env step that the page's address asks for, or 0. */
+/** The env step that the page's address asks for; undefined where it names none. */
 export function askedStep() {
-  return Number(new URLSearchParams(window.location.search).get("step")) || 0;
+  const asked = new URLSearchParams(window.location.search).get("step");
+  return asked === null ? undefined : Number(asked) || 0;
 }

@@ -6,6 +6,7 @@ import {
   CatmullRomCurve3,
   EdgesGeometry,
   LineBasicMaterial,
+  Line3,
   LineSegments,
   Matrix4,
   Mesh,
@@ -19,10 +20,11 @@ import {
 
 import { Forces } from "./forces.js";
 import { GelSurface } from "./gel_surface.js";
-import { Palm, sensorBody } from "./gripper.js";
+import { cornersOf, Palm, sensorBody } from "./gripper.js";
+import { label } from "./labels.js";
 import { PartPressure } from "./pressure.js";
 import { Studio } from "./studio.js";
-import { geometryOf, INK, View } from "./view.js";
+import { framing, geometryOf, INK, View } from "./view.js";
 
 // A part is drawn a little behind its edges, which lie in its faces and would be broken lines.
 const BEHIND_EDGES = { flatShading: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 };
@@ -48,6 +50,7 @@ export class Stage extends View {
     const along = this.#palmSide();
     this.bodies = this.gels.map(() => sensorBody(episode.arrays.gel_nodes_mm.values, along));
     this.palm = new Palm(along);
+    this.palm.mesh.geometry.computeBoundingBox();
     const { cut } = episode.header; // what is on the positive side of the plane is taken away
     this.planes = cut ? [new Plane(new Vector3(...cut.normal).negate(), cut.offset_mm)] : [];
     this.held = this.#held();
@@ -57,10 +60,13 @@ export class Stage extends View {
     this.pressure = new PartPressure(episode);
     for (const { outside } of [this.held, this.fixed]) this.pressure.colour(outside);
     this.path = this.#path();
+    const parts = this.#pointsOfParts();
+    this.around = sphereAround(parts);
+    const all = [...parts, ...this.#pointsOfGripper()];
+    this.whole = framing(all, episode.header.view_deg);
     this.scene.add(...this.gels.map((gel) => gel.mesh), ...this.bodies, this.palm.mesh);
-    this.around = this.#sphereAroundAll();
-    new Studio(this, this.around, new Box3().setFromObject(this.fixed.mesh).min.z, () => this.draw());
-    this.lookAt(this.around, episode.header.view_deg);
+    new Studio(this, sphereAround(all), new Box3().setFromObject(this.fixed.mesh).min.z, () => this.draw());
+    this.lookAt(this.whole, episode.header.view_deg);
   }
 
   /** Shows a time, gels coloured by `displacement` or `pressure` from 0 to the largest value. */
@@ -85,6 +91,11 @@ export class Stage extends View {
     this.draw();
   }
 
+  showNames(areShown) {
+    for (const name of this.names) name.visible = areShown;
+    this.draw();
+  }
+
   cutOpen(isOpen) {
     this.fixed.cut(isOpen ? this.planes : []);
     this.draw();
@@ -101,10 +112,12 @@ export class Stage extends View {
   /** Looks from a named place: `task`, `above`, `section`, `left` or `right`. */
   lookFrom(name) {
     const [side, other] = name === "left" ? [0, 1] : name === "right" ? [1, 0] : [];
+    const isAbove = name === "above"; // where the gripper would hide the parts
     this.gels.forEach((gel, at) => {
-      gel.mesh.visible = this.bodies[at].visible = at !== other;
+      gel.mesh.visible = at !== other;
+      this.bodies[at].visible = at !== other && !isAbove;
     });
-    this.palm.mesh.visible = side === undefined;
+    this.palm.mesh.visible = side === undefined && !isAbove;
     this.held.cut(name === "section" ? this.planes : []);
     this.flyTo(...this.#view(name, side));
   }
@@ -128,7 +141,7 @@ export class Stage extends View {
       const { x, y } = this.planes[0]?.normal ?? { x: -1, y: 0 };
       return [this.#contact(), [(Math.atan2(-y, -x) * 180) / Math.PI, 4]];
     }
-    if (side === undefined) return [this.around, this.episode.header.view_deg];
+    if (side === undefined) return [this.whole, this.episode.header.view_deg];
     const gel = this.gels[side].mesh.matrix;
     const away = new Vector3().setFromMatrixColumn(gel, 2);
     const sphere = new Sphere(new Vector3().setFromMatrixPosition(gel), 22);
@@ -154,6 +167,7 @@ export class Stage extends View {
     const { held_vertices_mm: vertices, held_triangles: triangles } = this.episode.arrays;
     const held = solid(geometryOf(vertices, triangles), look, HELD_SECTION);
     Object.assign(held.mesh, { matrixAutoUpdate: false, renderOrder: 1 });
+    if (look === HELD) held.mesh.add(...(this.names = this.#names(vertices.values)));
     this.scene.add(held.mesh);
     return held;
   }
@@ -181,26 +195,46 @@ export class Stage extends View {
   }
 
   #boxOfHeld(moment) {
-    const pose = this.episode.heldPose({ before: moment, next: moment, fraction: 0 }, this.pose);
-    return new Box3().setFromArray(this.episode.arrays.held_vertices_mm.values).applyMatrix4(matrixOf(pose));
+    return new Box3().setFromPoints(this.#pointsOfHeld(moment));
   }
 
-  /** Around what is left of the fixed part, the held part at both ends, and the gels. */
-  #sphereAroundAll() {
-    const box = new Box3();
-    const { fixed_vertices_mm: fixed } = this.episode.arrays;
-    eachPoint(fixed.values, (point) => {
-      if (this.planes.every((plane) => plane.distanceToPoint(point) >= 0)) box.expandByPoint(point);
-    });
-    for (const moment of [0, this.episode.times.length - 1]) {
-      box.union(this.#boxOfHeld(moment));
-      for (const side of [0, 1]) {
-        const gel = matrixOf(this.episode.sensorPose({ before: moment, next: moment, fraction: 0 }, side, this.pose));
-        box.expandByPoint(new Vector3().setFromMatrixPosition(gel));
-      }
-    }
-    return box.getBoundingSphere(new Sphere());
+  #pointsOfHeld(moment) {
+    const matrix = matrixOf(this.episode.heldPose({ before: moment, next: moment, fraction: 0 }, this.pose));
+    return pointsOf(this.episode.arrays.held_vertices_mm.values).map((point) => point.applyMatrix4(matrix));
   }
+
+  /** What is left of the fixed part, and the held part at both ends. */
+  #pointsOfParts() {
+    const { fixed_vertices_mm: fixed, fixed_triangles: triangles } = this.episode.arrays;
+    const left = this.planes.reduce((points, plane) => cutPoints(points, triangles.values, plane), pointsOf(fixed.values));
+    return [...left, ...this.#ends().flatMap((moment) => this.#pointsOfHeld(moment))];
+  }
+
+  /** The gripper at both ends; its parts must not be in the scene yet. */
+  #pointsOfGripper() {
+    return this.#ends().flatMap((moment) => {
+      const place = { before: moment, next: moment, fraction: 0 };
+      const gels = [0, 1].map((side) => matrixOf(this.episode.sensorPose(place, side, this.pose)));
+      this.palm.show(...gels);
+      this.palm.mesh.updateMatrix();
+      const palm = cornersOf(this.palm.mesh.geometry.boundingBox, this.palm.mesh.matrix);
+      return [...palm, ...this.bodies.flatMap((body, side) => cornersOf(new Box3().setFromObject(body), gels[side]))];
+    });
+  }
+
+  #ends() {
+    return [0, this.episode.times.length - 1];
+  }
+
+  /** Numbers at the points of the held part by which success is judged. */
+  #names(own) {
+    const points = Array.from(this.episode.arrays.measured_vertices?.values ?? []);
+    return points.map((vertex, at) => label(at, own.subarray(3 * vertex, 3 * vertex + 3)));
+  }
+}
+
+function sphereAround(points) {
+  return new Box3().setFromPoints(points).getBoundingSphere(new Sphere());
 }
 
 /** A part with its edges. Where planes cut it, its faces are seen from inside: those are drawn as the section's surface. */
@@ -220,8 +254,17 @@ function matrixOf(pose, made = new Matrix4()) {
   return made.set(a, b, c, x, d, e, f, y, g, h, i, z, 0, 0, 0, 1);
 }
 
-function eachPoint(values, use) {
-  for (let at = 0; at < values.length; at += 3) use(new Vector3(values[at], values[at + 1], values[at + 2]));
+/** Those of a surface's corners that a plane leaves, and where it cuts the edges. */
+function cutPoints(points, triangles, plane) {
+  const cuts = Array.from(triangles, (from, at) => {
+    const to = triangles[at % 3 === 2 ? at - 2 : at + 1];
+    return plane.intersectLine(new Line3(points[from], points[to]), new Vector3());
+  });
+  return [...points.filter((point) => plane.distanceToPoint(point) >= 0), ...cuts.filter(Boolean)];
+}
+
+function pointsOf(values) {
+  return Array.from({ length: values.length / 3 }, (_, at) => new Vector3().fromArray(values, 3 * at));
 }
 
 function applyPose(object, pose) {

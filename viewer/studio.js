@@ -14,8 +14,8 @@ import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
 
 const DARK = window.matchMedia("(prefers-color-scheme: dark)");
 const MOODS = {
-  light: { table: 0xa9b1b8, line: 0x6d7780, environment: 0.55, key: 2.2 },
-  dark: { table: 0x23292e, line: 0x6b7680, environment: 0.38, key: 1.8 },
+  light: { table: 0xb4bbc1, line: 0x7d868e, environment: 0.6, key: 2.0, rim: 0.3, shadow: 0.5 },
+  dark: { table: 0x2b3238, line: 0x59646d, environment: 0.5, key: 1.7, rim: 0.8, shadow: 0.45 },
 };
 const GRID_MM = 10;
 const SHADOW_PIXELS = 1024;
@@ -42,8 +42,11 @@ export class Studio {
     scene.environmentRotation.x = Math.PI / 2; // its ceiling is along y, ours along z
     generator.dispose();
     this.key = keyLight(around);
+    this.rim = new DirectionalLight(0xdfe9ff); // from behind, so that dark edges stand out from a dark page
+    this.rim.position.copy(around.center).add({ x: -around.radius, y: around.radius, z: 0.15 * around.radius });
+    this.rim.target = this.key.target;
     this.table = table(around, floor);
-    scene.add(this.key, this.key.target, this.table);
+    scene.add(this.key, this.key.target, this.rim, this.table);
     this.#setMood();
     DARK.addEventListener("change", () => {
       this.#setMood();
@@ -55,6 +58,8 @@ export class Studio {
     const mood = DARK.matches ? MOODS.dark : MOODS.light;
     this.scene.environmentIntensity = mood.environment;
     this.key.intensity = mood.key;
+    this.key.shadow.intensity = mood.shadow;
+    this.rim.intensity = mood.rim;
     this.table.material.color.set(mood.table);
     this.table.material.userData.line.set(mood.line);
   }
@@ -62,7 +67,7 @@ export class Studio {
 
 function keyLight(around) {
   const light = new DirectionalLight(0xfff4e6);
-  const reach = 1.5 * around.radius;
+  const reach = 1.2 * around.radius;
   light.position.copy(around.center).add({ x: -0.9 * reach, y: -0.7 * reach, z: 2.2 * reach });
   light.target.position.copy(around.center);
   light.castShadow = true;
@@ -75,7 +80,7 @@ function keyLight(around) {
 }
 
 function table(around, floor) {
-  const radius = 5 * around.radius;
+  const radius = 3 * around.radius;
   const material = new MeshStandardMaterial({ transparent: true, roughness: 0.9, metalness: 0 });
   material.userData.line = new Color();
   material.onBeforeCompile = (shader) => {

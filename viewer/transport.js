@@ -22,7 +22,7 @@ export class Transport {
     play.addEventListener("click", () => this.toggle());
     back.addEventListener("click", () => this.moveTo(Math.ceil(this.time - 1e-6) - 1));
     forward.addEventListener("click", () => this.moveTo(Math.floor(this.time + 1e-6) + 1));
-    for (const name of ["quantity", "view", "cut", "xray", "forces", "pictures"]) form.elements[name].addEventListener("change", () => this.#show());
+    for (const name of ["quantity", "view", "cut", "xray", "forces", "names", "pictures"]) form.elements[name].addEventListener("change", () => this.#show());
     form.querySelectorAll("details.menu").forEach(operate);
     form.addEventListener("submit", (event) => event.preventDefault());
     document.addEventListener("keydown", (event) => this.#byKey(event));
@@ -82,8 +82,8 @@ export class Transport {
 
   /** Draws another time than the one that it is. */
   drawAt(time) {
-    const { quantity, view, cut, xray, forces, pictures } = this.form.elements;
-    const layers = { isCutOpen: cut.checked, isXray: xray.checked, hasForces: forces.checked, hasPictures: pictures.checked };
+    const { quantity, view, cut, xray, forces, names, pictures } = this.form.elements;
+    const layers = { isCutOpen: cut.checked, isXray: xray.checked, hasForces: forces.checked, hasNames: names.checked, hasPictures: pictures.checked };
     this.draw(time, { quantity: quantity.value, view: view.value, ...layers });
   }
 
@@ -108,4 +108,5 @@ function operate(menu) {
     menu.open = false;
     menu.querySelector("summary").focus();
   });
+  menu.addEventListener("focusout", ({ relatedTarget }) => relatedTarget && (menu.open &&= menu.contains(relatedTarget)));
 }

@@ -7,7 +7,8 @@ import { Resolution } from "./resolution.js";
 
 const FIELD_OF_VIEW_DEG = 28;
 const TURN_RAD = Math.PI / 36;
-const FILLED = 0.9; // of the picture by the sphere around all
+const FILLED = 0.9; // of the picture by what is looked at
+const NARROWEST = 1.5; // width of a picture by its height, down to which all is in it
 const LOWEST_RAD = 0.05;
 const ZOOM = 1.1;
 const FLIGHT_MS = 300;
@@ -157,12 +158,34 @@ export class View {
   }
 }
 
-/** Where the camera stands to see all of a sphere from an azimuth and an elevation [degree]. */
+const HALF_FIELD = (0.5 * FIELD_OF_VIEW_DEG * Math.PI) / 180;
+
+/** Where the camera stands to see all of a sphere, or from a `distance`, from an azimuth and an elevation [degree]. */
 function placeOf(around, view) {
+  return around.center.clone().addScaledVector(directionOf(view), around.distance ?? (FILLED * around.radius) / Math.sin(HALF_FIELD));
+}
+
+/** What a camera looks at, and from how far, to see points from there (envs/playback_files/still.py does the same). */
+export function framing(points, view) {
+  const away = directionOf(view);
+  const right = new Vector3(0, 0, 1).cross(away).normalize();
+  const center = new Vector3();
+  for (const axis of [right, away.clone().cross(right), away]) {
+    const places = points.map((point) => point.dot(axis));
+    center.addScaledVector(axis, 0.5 * (Math.min(...places) + Math.max(...places)));
+  }
+  const distances = points.map((point) => {
+    const offset = point.clone().sub(center);
+    const [depth, across] = [offset.dot(away), Math.abs(offset.dot(right))];
+    const up = Math.sqrt(Math.max(0, offset.lengthSq() - depth ** 2 - across ** 2));
+    return depth + Math.max(up, across / NARROWEST) / (FILLED * Math.tan(HALF_FIELD));
+  });
+  return { center, distance: Math.max(...distances) };
+}
+
+function directionOf(view) {
   const [azimuth, elevation] = view.map((angle) => (angle * Math.PI) / 180);
-  const away = new Vector3(Math.cos(azimuth) * Math.cos(elevation), Math.sin(azimuth) * Math.cos(elevation), Math.sin(elevation));
-  const distance = (FILLED * around.radius) / Math.sin((0.5 * FIELD_OF_VIEW_DEG * Math.PI) / 180);
-  return around.center.clone().addScaledVector(away, distance);
+  return new Vector3(Math.cos(azimuth) * Math.cos(elevation), Math.sin(azimuth) * Math.cos(elevation), Math.sin(elevation));
 }
 
 export function geometryOf(vertices, triangles) {

@@ -86,6 +86,7 @@ class Playback:
         camera: intrinsics of both sensors.
         physics: materials of the gels.
         held: the part in the grasp, in its own frame.
+        measured: its vertices by whose heights success is judged, in their order; empty where the task names none.
         fixed: the part it goes into.
         fixed_m: vertices of that part in the world [m], shape [v, 3].
         moments: at least one.
@@ -98,6 +99,7 @@ class Playback:
     camera: CameraIntrinsics
     physics: PhysicsSettings
     held: SurfaceMesh
+    measured: NDArray[np.int64]
     fixed: SurfaceMesh
     fixed_m: FloatArray
     moments: tuple[Moment, ...]
@@ -199,6 +201,7 @@ def _playback(
         camera=scene.camera,
         physics=scene.physics,
         held=scene.held.mesh,
+        measured=getattr(env.task_scene, "measured_vertices", np.zeros(0, dtype=np.int64)),
         fixed=fixed,
         fixed_m=fixed.vertices_m,
         moments=moments,

@@ -31,7 +31,7 @@ ROTATION_DECIMALS: Final = 4
 _PRESSURE_LEVELS = 255
 _EVERY = (1, 2, 4, 8)
 """Intervals of IPC steps that are tried until the file is small enough; the end of each env step is always kept."""
-_DEFAULT_VIEW = (-38.0, 24.0)
+DEFAULT_VIEW = (-38.0, 24.0)
 """Azimuth and elevation [deg] for a task without a perspective."""
 
 
@@ -62,7 +62,7 @@ def _packed(playback: Playback, moments: list[Moment]) -> bytes:
     pressures_pa = np.array([_pressures_pa(playback, moment) for moment in moments])
     pressure_unit_pa = max(float(pressures_pa.max()), 1.0) / _PRESSURE_LEVELS
     flows = np.stack([moment.marker_flow for moment in ends])
-    perspective = _perspective(playback.env_id)
+    perspective = perspective_of(playback.env_id)
     header = {
         "env_id": playback.env_id,
         "end_reason": ends[-1].end_reason,
@@ -76,7 +76,7 @@ def _packed(playback: Playback, moments: list[Moment]) -> bytes:
         "sensor_camera": list(playback.camera),
         "surface_limit_mm": 1e3 * LARGEST_SURFACE_DIFF_M,
         "force_limit_n": ends[-1].info.get("force_limit_n"),
-        **_described(perspective),
+        **_described(perspective, ends),
     }
     arrays: dict[str, NDArray[Any] | Changes] = {
         "moment_env_steps": np.array([moment.env_step for moment in moments], dtype=np.uint16),
@@ -92,6 +92,7 @@ def _packed(playback: Playback, moments: list[Moment]) -> bytes:
         "pressures": Changes(values=whole_numbers(pressures_pa, pressure_unit_pa, np.uint8)),
         "held_vertices_mm": _mm(playback.held.vertices_m),
         "held_triangles": playback.held.triangles.astype(np.uint16),
+        "measured_vertices": playback.measured.astype(np.uint16),
         "held_poses": _rounded_poses([_held_pose_mm(playback, moment) for moment in moments]),
         "fixed_vertices_mm": _mm(playback.fixed_m),
         "fixed_triangles": playback.fixed.triangles.astype(np.uint16),
@@ -111,16 +112,17 @@ def _packed(playback: Playback, moments: list[Moment]) -> bytes:
     return pack(header, arrays)
 
 
-def _perspective(env_id: str) -> Perspective | None:
+def perspective_of(env_id: str) -> Perspective | None:
+    """Return how a task is looked at; None where it does not say."""
     try:
         return find_perspective(env_id)
     except NotDrawable:
         return None
 
 
-def _described(perspective: Perspective | None) -> dict[str, Any]:
+def _described(perspective: Perspective | None, ends: list[Moment]) -> dict[str, Any]:
     if perspective is None:
-        return {"held_name": "held part", "fixed_name": "fixed part", "view_deg": _DEFAULT_VIEW}
+        return {"held_name": "held part", "fixed_name": "fixed part", "view_deg": DEFAULT_VIEW}
     progress = perspective.progress
     return {
         "held_name": perspective.held_name,
@@ -129,6 +131,7 @@ def _described(perspective: Perspective | None) -> dict[str, Any]:
         "cut": {"normal": perspective.cut.normal, "offset_mm": 1e3 * perspective.cut.offset_m},
         "heights_title": progress.title,
         "heights_goal_mm": progress.goal_mm,
+        "positions": [perspective.position(moment.info) for moment in ends],
     }
 
 

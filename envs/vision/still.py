@@ -29,7 +29,7 @@ class StillCamera:
     def __init__(self, grasped: GraspedScene, perspective: Perspective) -> None:
         self._grasped = grasped
         fixed, gel = grasped.fixed_surface(), grasped.gel
-        self._fixed_m, fixed_triangles = _cut_open(fixed.vertices_m, fixed.triangles, perspective.cut)
+        self._fixed_m, fixed_triangles = cut_open(fixed.vertices_m, fixed.triangles, perspective.cut)
         self._held_vertices = np.arange(len(grasped.held.mesh.vertices_m))
         gels = [
             Body(vertex_count=len(gel.rest_position_m), triangles=gel.surface_triangles, label=label)
@@ -78,7 +78,7 @@ def _framing(vertices_m: FloatArray, perspective: Perspective) -> tuple[CameraPo
     return pose, Intrinsics(focal_px, focal_px, 0.5 * WIDTH_PX, 0.5 * HEIGHT_PX)
 
 
-def _cut_open(vertices_m: FloatArray, triangles: IndexArray, plane: Plane) -> tuple[FloatArray, IndexArray]:
+def cut_open(vertices_m: FloatArray, triangles: IndexArray, plane: Plane) -> tuple[FloatArray, IndexArray]:
     """Return a surface without what is on the plane's positive side; its inside can then be seen."""
     heights_m = plane.heights_m(vertices_m)
     points: list[FloatArray] = []

@@ -6,7 +6,6 @@ No policy runs: the recorded actions go through the physics again, and every sta
 import os
 import sys
 from collections.abc import Callable
-from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 OnStep = Callable[[int], None]
 """Gets the number of env steps that are played."""
 
-STILL_WIDTH_PX = 1200
+STILL_QUALITY = 85
 
 
 def make(order: PlaybackOrder, on_step: OnStep) -> None:
@@ -55,7 +54,7 @@ def make(order: PlaybackOrder, on_step: OnStep) -> None:
     if cameras is not None:
         (order.folder / CAMERAS_FILE).write_bytes(cameras)
     if can_draw():
-        _draw_still(playback, f"{task.title}, episode {order.record.episode}: {order.record.shape}", order.folder)
+        _write_still(playback, order.folder / STILL_FILE)
 
 
 def replay(
@@ -103,26 +102,15 @@ def replay(
 
 
 def can_draw() -> bool:
-    """Return whether the packages that draw stills are installed (extra `show`)."""
-    return find_spec("matplotlib") is not None and find_spec("PIL") is not None
+    """Return whether Pillow is installed, which writes stills (extra `show`)."""
+    return find_spec("PIL") is not None
 
 
-def _draw_still(playback: "Playback", title: str, folder: Path) -> None:
-    """Draw the end of the episode as `vitac show` does."""
-    from vitac.envs.drawing.colouring import Quantity
-    from vitac.envs.drawing.drawable import NotDrawable
-    from vitac.envs.drawing.files import Destination, Frame
-    from vitac.envs.drawing.picture import Caption, draw
+def _write_still(playback: "Playback", path: Path) -> None:
+    from PIL import Image
+    from vitac.envs.playback_files.still import draw_still
 
-    pictures = draw(
-        playback,
-        Caption(title=title, actions="as recorded"),
-        quantity=Quantity.STRESS,
-        width_px=STILL_WIDTH_PX,
-        moments=slice(-1, None),
-    )
-    with suppress(NotDrawable):
-        Destination.from_path(folder / STILL_FILE).write(Frame(picture=picture, name="still") for picture in pictures)
+    Image.fromarray(draw_still(playback)).save(path, "webp", quality=STILL_QUALITY)
 
 
 def serve(order: bytes, answers: IO[str]) -> None:

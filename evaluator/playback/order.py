@@ -12,10 +12,10 @@ from ..sensors.made import MadeSensor
 from ..strict_model import StrictModel
 from ..tracks import Task
 
-FORMAT: Final = 2
+FORMAT: Final = 3
 """Number of the file format; playbacks in an older one are made again."""
 
-SCENE_FILE, CAMERAS_FILE, STILL_FILE, FILM_FILE = "scene.bin.gz", "cameras.bin.gz", "still.png", "film.webp"
+SCENE_FILE, CAMERAS_FILE, STILL_FILE, FILM_FILE = "scene.bin.gz", "cameras.bin.gz", "still.webp", "film.webp"
 
 
 class NotPlayable(VitacError):

@@ -20,7 +20,7 @@ class PlaybackFile(StrEnum):
     CAMERAS = "cameras"
     """What the camera rig saw; compressed with gzip."""
     STILL = "still"
-    """The end of the episode as `vitac show` draws it, PNG."""
+    """The end of the episode as the player first shows its scene, or the last picture of the film; WebP."""
     FILM = "film"
     """Pictures of an episode of ManiSkill one after the other, an animated WebP."""
 

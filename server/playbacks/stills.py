@@ -62,7 +62,9 @@ def ask_for_missing_stills(session: Session, settings: Settings, seen: set[UUID]
         seen: evaluations that were asked for, even where there can be no still; grows.
     """
     newest = (
-        select(Submission.id, Submission.digest, Submission.track, Evaluation.id.label("evaluation_id"))
+        select(
+            Submission.id, Submission.digest, Submission.track, Evaluation.id.label("by"), Evaluation.evaluator_version
+        )
         .join(Evaluation, Evaluation.submission_id == Submission.id)
         .where(
             Submission.is_public,
@@ -73,9 +75,13 @@ def ask_for_missing_stills(session: Session, settings: Settings, seen: set[UUID]
         .limit(LOOKED_AFTER)
         .subquery()
     )
-    played = (EpisodeResult.submission_digest == newest.c.digest, EpisodeResult.track == newest.c.track)
-    has_playback = exists().where(*played, Playback.episode_id == EpisodeResult.id)
-    rows = session.execute(select(newest.c.evaluation_id, newest.c.id).where(~has_playback)).all()
+    has_playback = exists().where(
+        EpisodeResult.submission_digest == newest.c.digest,
+        EpisodeResult.track == newest.c.track,
+        EpisodeResult.evaluator_version == newest.c.evaluator_version,
+        Playback.episode_id == EpisodeResult.id,
+    )
+    rows = session.execute(select(newest.c.by, newest.c.id).where(~has_playback)).all()
     asked = [(evaluation, submission) for evaluation, submission in rows if evaluation not in seen][:ASKED_AT_ONCE]
     public = public_among(session, [submission for _, submission in asked])
     for evaluation, submission in asked:

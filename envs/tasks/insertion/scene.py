@@ -105,6 +105,11 @@ class InsertionScene(ABC, Generic[OffsetT, SettingsT]):
             peg_relative_z_mm=self.peg_relative_z_mm(),
         )
 
+    @property
+    def measured_vertices(self) -> NDArray[np.int64]:
+        """Vertices of the peg whose heights are measured."""
+        return self._parts.peg_bottom
+
     def peg_relative_z_mm(self) -> FloatArray:
         """Return the height of the peg's bottom corners above the rim [mm], in the order of the logs."""
         return self.grasped.held_vertices_m(self._parts.peg_bottom)[:, 2] * 1e3 - self._parts.rim_mm

@@ -131,6 +131,11 @@ class LockScene:
             surface_diff_m=self.grasped.surface_diff_m(),
         )
 
+    @property
+    def measured_vertices(self) -> NDArray[np.int64]:
+        """Vertices of the key whose heights are measured: of its rear tooth, then of the front one."""
+        return np.concatenate([self._vertices.rear_tooth, self._vertices.front_tooth])
+
     def rear_slot_m(self) -> FloatArray:
         """Return the lower corners of the slot for the rear tooth [m], shape [4, 3]."""
         return self._lock_points.rear_slot_m.copy()

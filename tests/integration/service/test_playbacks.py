@@ -90,4 +90,4 @@ def test_an_episode_becomes_files_that_a_page_plays(services: Services) -> None:
         }
     scene = read(services.database, services.blobs, digests[PlaybackFile.SCENE])
     assert unpack(scene).arrays["action_values"].tolist() == [[0.25, 0.25, 0.25]] * 2
-    assert read(services.database, services.blobs, digests[PlaybackFile.STILL]).startswith(b"\x89PNG")
+    assert read(services.database, services.blobs, digests[PlaybackFile.STILL]).startswith(b"RIFF")

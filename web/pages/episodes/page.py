@@ -36,7 +36,7 @@ EMBED = "/embed"
 """Before an episode's address: its player alone, for frames of other sites."""
 PLAYER = "playback.js"
 ONE_YEAR_S = 365 * 24 * 3600
-_PICTURES = {PlaybackFile.STILL: "image/png", PlaybackFile.FILM: "image/webp"}
+_PICTURES = (PlaybackFile.STILL, PlaybackFile.FILM)
 _PLACES = "Expected an episode as NUMBER, or SUBMISSION:NUMBER for one of another submission, got {!r:.60}."
 
 
@@ -183,7 +183,7 @@ async def playback_file(request: Request) -> Response:
         "Vary": "Cookie",
     }
     if file in _PICTURES:
-        return Response(content, media_type=_PICTURES[file], headers=headers)
+        return Response(content, media_type="image/webp", headers=headers)
     headers["Content-Encoding"] = "gzip"  # As it is stored; the browser unpacks it.
     return Response(content, media_type="application/octet-stream", headers=headers)
 

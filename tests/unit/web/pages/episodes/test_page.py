@@ -214,7 +214,7 @@ def test_files_are_kept_by_the_browser_under_their_key_only(data: FixedData, vis
     assert scene.content.startswith(b"VITACPB1")  # unpacked on the way, as a browser does
     assert scene.headers["cache-control"] == "private, max-age=31536000, immutable"
     still = visitor.get(f"{folder}/still")
-    assert still.headers["content-type"] == "image/png"
+    assert still.headers["content-type"] == "image/webp"
     assert still.headers["cache-control"] == "no-cache"
 
 

@@ -366,7 +366,7 @@ def test_a_result_begins_with_stills_that_lead_to_a_success_and_a_failure(
     ]
     sign_in(browser, "Gelbots")
     html = browser.get(f"/submissions/{COMPLETED.id}").text
-    shown = re.findall(r'<li><a href="([^"]+)"><img class="drawn" src="\1/playback/still\?v=(?:5eed){16}"', html)
+    shown = re.findall(r'<li><a href="([^"]+)"><img src="\1/playback/still\?v=(?:5eed){16}"', html)
     assert shown == [f"/submissions/{COMPLETED.id}/episodes/{TASK}/{number}" for number in (9, 4)]
     assert html.index("Mean env steps") < html.index('class="stills"') < html.index('class="maps"')
     data.stills.clear()

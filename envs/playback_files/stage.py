@@ -1,0 +1,140 @@
+"""What stands on the player's stage at the end of an episode: the parts, the gels in colours, and the gripper.
+
+Sizes and colours are those of `stage`, `gripper` and `colours` in `viewer`. Called by `still`.
+"""
+
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..drawing.playback import Moment, Playback
+from ..drawing.stress import displacement_m
+from ..geometry.solid import prism_faces, rectangle, solid_from_faces
+from ..scene.gripper import SensorPose
+from ..vision.still import cut_open
+from .scene import perspective_of
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+_HELD, _FIXED, _SHELL, _METAL = 0xC4A063, 0xAAB2BA, 0x515A63, 0x9AA3AB
+_HELD_SECTION, _FIXED_SECTION = 0xE0C592, 0x8D6F6A
+_DISPLACEMENT = (0xF4FBD2, 0xB7E2B4, 0x5FC0C0, 0x2F8FC0, 0x234DA0)
+_HOUSING_MM, _RIM_MM, _FINGER_MM, _PALM_MM = (31.0, 26.0, 13.0), 1.5, (26.0, 15.0, 7.0), (12.0, 34.0)
+
+
+class Part(NamedTuple):
+    """A closed surface; `rgb` is of all its triangles or of each, `section` that of its inside where it is cut open."""
+
+    vertices_m: FloatArray
+    triangles: IndexArray
+    rgb: FloatArray
+    section: FloatArray | None = None
+    is_inked: bool = False
+
+
+class _Box(NamedTuple):
+    """A box along the axes of a pose: its lengths and its middle in that frame [mm]."""
+
+    colour: int
+    lengths_mm: FloatArray
+    middle_mm: FloatArray
+    pose: SensorPose
+
+    def corners_mm(self) -> FloatArray:
+        """Return its corners in the frame of its pose, shape [8, 3]."""
+        return 0.5 * np.array(tuple(product((-1.0, 1.0), repeat=3))) * self.lengths_mm + self.middle_mm
+
+    def part(self) -> Part:
+        """Return its surface in the world."""
+        x, y, z = 0.5 * self.lengths_mm
+        solid = solid_from_faces(prism_faces(rectangle(-x, x, -y, y), -z, z), "box")
+        return Part(_placed(solid.vertices_m + 1e-3 * self.middle_mm, self.pose), solid.triangles, linear(self.colour))
+
+
+def list_framed_points(playback: Playback) -> FloatArray:
+    """Return the points that the player's camera has in its picture: the parts and the gripper at both ends [m]."""
+    ends = (playback.moments[0], playback.moments[-1])
+    return np.concatenate(
+        [
+            _fixed(playback)[0],
+            *(moment.held_m for moment in ends),
+            *(_corners_of_gripper(playback, moment) for moment in ends),
+        ]
+    )
+
+
+def _fixed(playback: Playback) -> tuple[FloatArray, IndexArray]:
+    """Return vertices [m] and triangles of the fixed part, cut open where its task says so."""
+    perspective, surface = perspective_of(playback.env_id), (playback.fixed_m, playback.fixed.triangles)
+    return surface if perspective is None else cut_open(*surface, perspective.cut)
+
+
+def list_parts(playback: Playback) -> list[Part]:
+    """Return everything that is seen; gels are coloured by displacement, on the scale of the episode."""
+    moment, gel = playback.moments[-1], playback.gel
+    parts = [
+        Part(*_fixed(playback), linear(_FIXED), linear(_FIXED_SECTION), is_inked=True),
+        Part(moment.held_m, playback.held.triangles, linear(_HELD), is_inked=True),
+    ]
+    moved_m = [
+        [
+            displacement_m(gel.rest_position_m, nodes_m, pose.rotation, pose.centre_m)
+            for nodes_m, pose in zip(found.gel_nodes_m, found.sensor_poses, strict=True)
+        ]
+        for found in playback.moments
+    ]
+    largest_m = max(float(np.max(moved_m)), 1e-9)
+    stops = np.array([linear(colour) for colour in _DISPLACEMENT])
+    for nodes_m, own_m in zip(moment.gel_nodes_m, moved_m[-1], strict=True):
+        level = own_m[gel.surface_triangles].mean(axis=1) / largest_m * (len(stops) - 1)
+        rgb = np.column_stack([np.interp(level, np.arange(len(stops)), stops[:, channel]) for channel in range(3)])
+        parts.append(Part(nodes_m, gel.surface_triangles, rgb))
+    return parts + [box.part() for box in _gripper(playback, moment)]
+
+
+def _gripper(playback: Playback, moment: Moment) -> list[_Box]:
+    """Return housing, frame and finger behind each gel, and last the palm, away from the fixed part."""
+    left, right = moment.sensor_poses
+    first = playback.moments[0].sensor_poses[0]
+    fixed_m = 0.5 * (playback.fixed_m.min(axis=0) + playback.fixed_m.max(axis=0))
+    along = -1.0 if (fixed_m - first.centre_m) @ first.rotation[:, 0] > 0.0 else 1.0
+    back = 1e3 * float(playback.gel.rest_position_m[:, 2].min())
+    length, width, depth = _HOUSING_MM
+    finger_x = along * (0.5 * (length + _FINGER_MM[0]) - 6.0)
+    boxes = (
+        (_SHELL, _HOUSING_MM, (0.0, 0.0, back - 0.5 * depth - _RIM_MM)),
+        (_METAL, (length - 3.0, width - 3.0, _RIM_MM), (0.0, 0.0, back - 0.5 * _RIM_MM)),
+        (_METAL, _FINGER_MM, (finger_x, 0.0, back - _RIM_MM - 0.6 * depth)),
+    )
+    apart = 1e3 * float(np.linalg.norm(left.centre_m - right.centre_m))
+    middle = SensorPose(rotation=left.rotation, centre_m=0.5 * (left.centre_m + right.centre_m))
+    palm_x = along * (0.5 * length + _FINGER_MM[0] - 2.0)
+    fingers = [
+        _Box(colour, np.array(size), np.array(place), pose) for pose in (left, right) for colour, size, place in boxes
+    ]
+    return [*fingers, _Box(_SHELL, np.array([*_PALM_MM, apart + 2.0 * depth]), np.array([palm_x, 0.0, 0.0]), middle)]
+
+
+def _corners_of_gripper(playback: Playback, moment: Moment) -> FloatArray:
+    """Return the corners of a box around each sensor with its finger, and of the palm [m]."""
+    *sensors, palm = _gripper(playback, moment)
+    found = []
+    for group in (sensors[:3], sensors[3:], [palm]):
+        corners_mm = np.concatenate([box.corners_mm() for box in group])
+        low, high = corners_mm.min(axis=0), corners_mm.max(axis=0)
+        around = group[0]._replace(lengths_mm=high - low, middle_mm=0.5 * (low + high))
+        found.append(_placed(1e-3 * around.corners_mm(), around.pose))
+    return np.concatenate(found)
+
+
+def _placed(own_m: FloatArray, pose: SensorPose) -> FloatArray:
+    return np.asarray(own_m @ pose.rotation.T + pose.centre_m)
+
+
+def linear(colour: int) -> FloatArray:
+    """Return the light of a colour of screens (IEC 61966-2-1), red, green and blue in 0 to 1."""
+    shown = np.array([colour >> 16, colour >> 8 & 255, colour & 255]) / 255.0
+    return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
