@@ -316,16 +316,17 @@ class Progress:
             console=Console(file=sys.stderr),
         )
         self._successes = 0
+        self._total = total
         self._task = self.bar.add_task("starting", total=total)
 
     def advance(self, record: "EpisodeRecord") -> None:
         """Count an episode."""
         self._successes += record.success
-        self.bar.update(self._task, advance=1, description=f"{self._successes} successes")
+        self.bar.update(self._task, advance=1, total=self._total, description=f"{self._successes} successes")
 
     def describe(self, step: str) -> None:
-        """Say what is done before the first episode; as a line where stderr is no terminal."""
-        self.bar.update(self._task, description=step)
+        """Say what is done before the first episode, with a bar that moves; as a line where stderr is no terminal."""
+        self.bar.update(self._task, description=step, total=None)
         if not self.bar.console.is_terminal:
             print(f"vitac: {step}", file=sys.stderr, flush=True)
 

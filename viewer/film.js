@@ -1,17 +1,13 @@
 // Records the scenes of a page as a film, picture by picture: as sharp and as even on a slow machine as on a fast one.
 
-import { webm } from "./webm.js";
+import { BufferTarget, CanvasSource, getFirstEncodableVideoCodec, Output, WebMOutputFormat } from "mediabunny";
 
 const PER_S = 30;
 const LAST_S = 0.5; // for which the end is shown
 const CAPTION_PX = 44;
-const KEY_EVERY = 60;
-const WAITING = 3; // pictures that the encoder may have before it
+const KEY_EVERY_S = 2;
 const BITS_PER_PIXEL = 0.12;
-const CODECS = [
-  ["vp09.00.40.08", "V_VP9"],
-  ["vp8", "V_VP8"],
-];
+const CODECS = ["vp9", "vp8"];
 
 export class Film {
   /** `menu` holds the controls; `players` are filmed as `transport` has them drawn. */
@@ -53,26 +49,26 @@ export class Film {
     const speed = this.transport.speed;
     const pictures = Math.round((length / speed + LAST_S) * PER_S);
     const canvas = this.#canvas(stages);
-    const { encoder, codec, chunks } = await encoderFor(canvas);
+    const source = await sourceOf(canvas);
+    const output = new Output({ format: new WebMOutputFormat(), target: new BufferTarget() });
+    output.addVideoTrack(source, { frameRate: PER_S });
+    await output.start();
     try {
       for (let at = 0; at < pictures; at += 1) {
         const time = Math.min(length, (at * speed) / PER_S);
         this.transport.drawAt(time);
         this.#compose(canvas, stages, time);
-        const picture = new VideoFrame(canvas, { timestamp: (at * 1e6) / PER_S, duration: 1e6 / PER_S });
-        encoder.encode(picture, { keyFrame: at % KEY_EVERY === 0 });
-        picture.close();
+        await source.add(at / PER_S, 1 / PER_S); // waits while the encoder has enough
         this.progress.value = at / pictures;
-        do await new Promise((resolve) => setTimeout(resolve));
-        while (encoder.encodeQueueSize > WAITING && !signal.aborted && encoder.state === "configured");
+        await new Promise((resolve) => setTimeout(resolve));
         signal.throwIfAborted();
       }
-      await encoder.flush();
-    } finally {
-      if (encoder.state !== "closed") encoder.close();
+      await output.finalize();
+    } catch (error) {
+      await output.cancel();
+      throw error;
     }
-    const seconds = pictures / PER_S;
-    return { seconds, file: webm({ codec, width: canvas.width, height: canvas.height, durationMs: 1000 * seconds, chunks }) };
+    return { seconds: pictures / PER_S, file: new Blob([output.target.buffer], { type: "video/webm" }) };
   }
 
   /** Scenes one beside another, as wide to their heights as the page shows them, over a line of words. */
@@ -115,25 +111,13 @@ export class Film {
   }
 }
 
-async function encoderFor({ width, height }) {
+async function sourceOf(canvas) {
   if (typeof VideoEncoder === "undefined") throw new Error("this browser does not encode films, or does so at addresses with https only.");
-  const settings = { width, height, framerate: PER_S, bitrate: Math.round(BITS_PER_PIXEL * width * height * PER_S), latencyMode: "quality" };
-  for (const [codec, name] of CODECS) {
-    const { supported } = await VideoEncoder.isConfigSupported({ codec, ...settings });
-    if (!supported) continue;
-    const chunks = [];
-    const encoder = new VideoEncoder({
-      output: (chunk) => {
-        const data = new Uint8Array(chunk.byteLength);
-        chunk.copyTo(data);
-        chunks.push({ timeMs: chunk.timestamp / 1000, isKey: chunk.type === "key", data });
-      },
-      error: () => {}, // it is closed then, and refuses the next picture
-    });
-    encoder.configure({ codec, ...settings });
-    return { encoder, codec: name, chunks };
-  }
-  throw new Error("this browser encodes neither VP9 nor VP8.");
+  const { width, height } = canvas;
+  const settings = { width, height, bitrate: Math.round(BITS_PER_PIXEL * width * height * PER_S) };
+  const codec = await getFirstEncodableVideoCodec(CODECS, settings);
+  if (!codec) throw new Error("this browser encodes neither VP9 nor VP8.");
+  return new CanvasSource(canvas, { codec, bitrate: settings.bitrate, keyFrameInterval: KEY_EVERY_S, latencyMode: "quality" });
 }
 
 function even(length) {

@@ -19,6 +19,9 @@ import { Transport } from "./transport.js";
 
 const LEGENDS = { displacement: ["Displacement", "mm"], pressure: ["Contact pressure", "kPa"] };
 
+const FRAMES_OF_STILL = 4; // until a decoded still is on the screen of a page that is
+const MOST_FRAMES = 120;
+
 class Player {
   static async load(section) {
     const { playback, version } = section.dataset;
@@ -183,7 +186,10 @@ async function start() {
 /** Resolves when the browser shows the stills: the first scene can keep it busy for seconds. */
 async function stillsAreShown() {
   await Promise.all([...document.querySelectorAll(".stage .still")].map((still) => still.decode?.().catch(() => {})));
-  await new Promise((resolve) => requestAnimationFrame(() => setTimeout(resolve)));
+  const isPainted = () => performance.getEntriesByName("first-contentful-paint").length > 0;
+  for (let frame = 0; frame < FRAMES_OF_STILL || (frame < MOST_FRAMES && !isPainted()); frame += 1) {
+    await new Promise(requestAnimationFrame);
+  }
 }
 
 /** Shows the controls and the help that do nothing without the player, or without its 3D scene. */

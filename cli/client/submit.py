@@ -1,5 +1,6 @@
 """`vitac submit`: uploads a model or a log to a service."""
 
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,6 +19,9 @@ from .http import Client, Json, make_client
 from .packing import pack
 from .progress import missing_tasks, nobody
 from .status import format_time, show_when_ended
+
+
+CHECKING = "the service checks it, and meshes the gel of a sensor"
 
 
 def command(
@@ -114,13 +118,21 @@ def upload_bar(total_bytes: int, *, shown: bool) -> Iterator[Callable[[int], Non
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
     console = Console(stderr=True)
-    if not shown or not console.is_terminal:
+    if not shown:
         yield lambda _: None
         return
-    columns = (TextColumn("upload"), BarColumn(), DownloadColumn(binary_units=True), TransferSpeedColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(binary_units=True), TransferSpeedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("upload", total=total_bytes)
-        yield lambda position: progress.update(task, completed=position)
+
+        def show(position: int) -> None:
+            progress.update(task, completed=position)
+            if position >= total_bytes:
+                progress.update(task, description=CHECKING, total=None)  # a bar that moves
+                if not console.is_terminal:
+                    print(f"vitac: uploaded; {CHECKING}", file=sys.stderr, flush=True)
+
+        yield show
 
 
 def describe(client: Client, answer: Json, *, is_known: bool) -> None:

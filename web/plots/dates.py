@@ -89,14 +89,15 @@ def _steps_up(places: Sequence[tuple[float, float]]) -> str:
 
 
 def _written_dates(first: datetime, last: datetime) -> list[tuple[datetime, str]]:
-    """Return moments and what is written below them: days, or where these would repeat, minutes; one of a moment."""
+    """Return moments and what is written below them: days, or where these would repeat, minutes, each once."""
     if _minute(first) == _minute(last):
         return [(first, _minute(first))]
     moments = [first + (last - first) * part / (DATES_WRITTEN - 1) for part in range(DATES_WRITTEN)]
     if len(set(map(_date, moments))) == DATES_WRITTEN:
         return [(moment, _date(moment)) for moment in moments]
     without_year = len("2026-")
-    return [(moment, _minute(moment)[without_year:]) for moment in moments]
+    written = {_minute(moment)[without_year:]: moment for moment in reversed(moments)}
+    return [(moment, text) for text, moment in reversed(written.items())]
 
 
 def _date(moment: datetime) -> str:

@@ -13,6 +13,7 @@ from vitac.server.views.submissions import EpisodeView
 from ..rendering import percent, words
 from .axis import Axis, below, beside
 from .figure import Figure, Table, element, joined
+from .starts import describe_start
 
 CELL_PX = 20.0
 MAP_PX = 300
@@ -48,7 +49,12 @@ def _offset_map(
     height = MAP_PX if up is not None else 110
     y = _axis([0.0 if up is None else offset[up] for offset in starts], height - 52, 16)
     squares = joined(
-        _square(x.place(offset[across]), y.place(0.0 if up is None else offset[up]), offset, ends)
+        _square(
+            x.place(offset[across]),
+            y.place(0.0 if up is None else offset[up]),
+            describe_start(definition, offset),
+            ends,
+        )
         for offset, ends in starts.items()
     )
     axes = below(x, height - 36) + element(
@@ -70,7 +76,7 @@ def _offset_map(
             columns=("Start offset", "Solved", "Outcomes"),
             rows=tuple(
                 (
-                    _written(offset),
+                    describe_start(definition, offset),
                     f"{sum(end.success for end in ends)} of {len(ends)}",
                     ", ".join(words(end.outcome) for end in ends),
                 )
@@ -93,9 +99,9 @@ def _axis(values: Sequence[float], begin: float, end: float) -> Axis:
     return Axis(low=min(values), high=max(values), begin=begin + inward, end=end - inward)
 
 
-def _square(x: float, y: float, offset: tuple[float, ...], ends: Sequence[EpisodeView]) -> Markup:
+def _square(x: float, y: float, start: str, ends: Sequence[EpisodeView]) -> Markup:
     width = CELL_PX / len(ends)
-    title = f"Start {_written(offset)}: {', '.join(words(end.outcome) for end in ends)}"
+    title = f"Start {start}: {', '.join(words(end.outcome) for end in ends)}"
     return element(
         "g",
         element("title", title)
@@ -111,10 +117,6 @@ def _square(x: float, y: float, offset: tuple[float, ...], ends: Sequence[Episod
             for number, end in enumerate(ends)
         ),
     )
-
-
-def _written(offset: tuple[float, ...]) -> str:
-    return f"({', '.join(f'{value:g}' for value in offset)})"
 
 
 def count_outcomes(ends: Sequence[EpisodeView]) -> list[EpisodeOutcome]:

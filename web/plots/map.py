@@ -4,17 +4,18 @@ Called by `pages.submissions`.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Literal
 
 from markupsafe import Markup, escape
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.evaluator.tracks import Episode, Track, load_track
+from vitac.evaluator.tracks import Task, Track, load_track
 from vitac.server.views.submissions import EpisodeView
 
 from ..rendering import words
+from .starts import describe_start
 
 CellState = Literal["success", "other", "waiting"]
 
@@ -161,18 +162,18 @@ def title_of_task(track: Track, task: str) -> str:
 def _layout(track: str, task: str, *, known: bool) -> Mapping[str, tuple[Place, ...]]:
     """Return the places of all episodes, by shape."""
     definition = load_track(track).task(task)
-    return {shape: _places(shape, definition.episodes, known=known) for shape in definition.episode_list.shapes}
+    return {shape: _places(shape, definition, known=known) for shape in definition.episode_list.shapes}
 
 
-def _places(shape: str, episodes: Sequence[Episode], *, known: bool) -> tuple[Place, ...]:
+def _places(shape: str, task: Task, *, known: bool) -> tuple[Place, ...]:
     columns: dict[tuple[float, ...], int] = {}
     repeats: Counter[tuple[float, ...]] = Counter()
     places = []
-    for episode in episodes:
+    for episode in task.episodes:
         if episode.shape == shape:
             column = columns.setdefault(episode.offset, len(columns))
-            start = ", ".join(f"{value:g}" for value in episode.offset)
-            label = f"Episode {episode.number}, start ({start}): " if known else f"Episode {episode.number}: "
+            start = f", start {describe_start(task, episode.offset)}" if known else ""
+            label = f"Episode {episode.number}{start}: "
             places.append(Place(number=episode.number, column=column, row=repeats[episode.offset], label=label))
             repeats[episode.offset] += 1
     return tuple(places)

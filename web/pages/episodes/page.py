@@ -11,7 +11,6 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from vitac.envs.maniskill.definition import is_maniskill
-from vitac.envs.scene.perspective import signed
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.playback.order import NotPlayable, require_playable
 from vitac.evaluator.tracks import Task, load_track
@@ -25,6 +24,7 @@ from vitac.server.playbacks.files import PlaybackFile
 from vitac.server.principals import Principal
 from vitac.server.views.playbacks import EpisodeChoiceView, PlaybackView, ShownEpisodeView
 
+from ...plots.starts import describe_start
 from ...rendering import STATIC, words
 from ...session.forms import read_form
 from ...site import Viewer, get_principal, get_site, get_viewer, open_to_all, page, require_form_token
@@ -90,11 +90,8 @@ class Player:
         """How the episode is called above its player."""
         if self.is_filmed:  # the start follows from a seed, and has no name
             return f"{self.shown.submission_name}, episode {self.shown.episode}"
-        third = "turned {}°" if any(action.name == "theta" for action in self.task.definition.actions) else "z {} mm"
-        labels = ("x {} mm", "y {} mm", third, "z {} mm")
-        pairs = zip(labels, self.shown.initial_offset, strict=False)  # fusion adds its hole
-        parts = [words(self.shown.shape), *(label.format(signed(value)) for label, value in pairs)]
-        return f"{self.shown.submission_name}, episode {self.shown.episode}: {', '.join(parts)}"
+        start = f"{words(self.shown.shape)}, {describe_start(self.task, self.shown.initial_offset)}"
+        return f"{self.shown.submission_name}, episode {self.shown.episode}: {start}"
 
     @property
     def text(self) -> str:
