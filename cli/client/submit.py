@@ -20,7 +20,6 @@ from .packing import pack
 from .progress import missing_tasks, nobody
 from .status import format_time, show_when_ended
 
-
 CHECKING = "the service checks it, and meshes the gel of a sensor"
 
 

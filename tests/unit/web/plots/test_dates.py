@@ -103,5 +103,10 @@ def test_ranks_over_time_are_a_line_for_each_team_with_its_name_and_a_row_for_ea
 
 def test_no_minute_is_written_twice_below_a_plot() -> None:
     begun = datetime(2026, 11, 26, 5, 34, 40, tzinfo=UTC)
-    rates = [DatedRate(name=str(seconds), at=begun + timedelta(seconds=seconds), success_rate=0.5) for seconds in (0, 30)]
-    assert re.findall(r">(11-26 [0-9:]+)<", rates_by_date("key", "title", rates).drawing) == ["11-26 05:34", "11-26 05:35"]
+    rates = [
+        DatedRate(name=str(seconds), at=begun + timedelta(seconds=seconds), success_rate=0.5) for seconds in (0, 30)
+    ]
+    assert re.findall(r">(11-26 [0-9:]+)<", rates_by_date("key", "title", rates).drawing) == [
+        "11-26 05:34",
+        "11-26 05:35",
+    ]

@@ -43,8 +43,7 @@ def test_repeats_of_a_start_stand_side_by_side_in_their_order() -> None:
     assert squares(figure) == ["tactile", "success", "steps"]
     places = [float(x) for x in re.findall(r'<rect [^>]*\bx="([\d.]+)"', figure.drawing)]
     assert places == sorted(places)
-    written = f"({', '.join(f'{value:g}' for value in first.offset)})"
-    assert figure.table.rows == ((written, "1 of 3", "tactile, success, steps"),)
+    assert figure.table.rows == (("x −4.00 mm, y −4.00 mm, turned −8.00°", "1 of 3", "tactile, success, steps"),)
     assert "1 of 3 episodes solved" in figure.summary
 
 

@@ -7,6 +7,8 @@ from vitac.web.plots.map import Cell, episode_map
 FOLDER = "/submissions/1/episodes/peg-insertion"
 TASK = load_track("track_1").tasks["peg-insertion"]
 
+START = ", start x −4.00 mm, y −4.00 mm, turned −8.00°"
+
 
 def an_end(number: int, outcome: EpisodeOutcome, env_steps: int = 3) -> EpisodeView:
     success = outcome is EpisodeOutcome.SUCCESS
@@ -45,8 +47,8 @@ def test_shows_how_an_episode_ended() -> None:
     laid_out = episode_map("track_1", "peg-insertion", ends, folder=FOLDER)
     cells = {cell.label: cell.state for shape in laid_out.shapes for cell in shape.cells if cell.state != "waiting"}
     assert cells == {
-        "Episode 1, start x −4.00 mm, y −4.00 mm, turned −8.00°: success at env step 4. The task was solved.": "success",
-        "Episode 2, start x −4.00 mm, y −4.00 mm, turned −8.00°: tactile at env step 2. The gel surface of a sensor moved too far.": "other",
+        f"Episode 1{START}: success at env step 4. The task was solved.": "success",
+        f"Episode 2{START}: tactile at env step 2. The gel surface of a sensor moved too far.": "other",
     }
     counted = [(end.outcome, end.count, end.address) for end in laid_out.outcomes]
     assert counted == [("success", 1, f"{FOLDER}/1"), ("tactile", 1, f"{FOLDER}/2")]
@@ -70,7 +72,7 @@ def test_an_outcome_cannot_bring_markup_into_the_drawing() -> None:
     shape = episode_map("track_1", "peg-insertion", {1: an_end(1, EpisodeOutcome.STEPS)}, folder=FOLDER).shapes[0]
     hostile = Cell(column=0, row=0, state="other", label="<script>")
     assert shape.drawing.count("<rect") == 90
-    assert "Episode 1, start x −4.00 mm, y −4.00 mm, turned −8.00°: steps at env step 3. All env steps were used up.</title>" in shape.drawing
+    assert f"Episode 1{START}: steps at env step 3. All env steps were used up.</title>" in shape.drawing
     assert "<script>" not in hostile.drawing
 
 
