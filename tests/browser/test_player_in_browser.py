@@ -203,9 +203,14 @@ def parts(page: Page, repository: Path, *intervals: float | None) -> list[float]
 
 def test_slow_frames_are_drawn_with_fewer_pixels_until_they_come_in_time(empty_page: Page, repository: Path) -> None:
     first, slow, slower, in_time = (parts(empty_page, repository, *steps)[-1] for steps in (
-        [16.7], [40.0] * 6, [40.0] * 6 + [25.0] * 6, [40.0] * 6 + [25.0] * 6 + [16.7] * 12,
+        [16.7], [24.0] * 6, [24.0] * 6 + [20.0] * 6, [24.0] * 6 + [20.0] * 6 + [16.7] * 12,
     ))  # fmt: skip
     assert first > slow > slower == in_time > 0
+
+
+def test_a_scene_never_has_less_than_three_quarters_of_the_pages_pixels(empty_page: Page, repository: Path) -> None:
+    falling = [400.0 * 0.8**number for number in range(12) for _ in range(6)]
+    assert PIXELS_AT_REST * min(parts(empty_page, repository, *falling)) == pytest.approx(0.75)
 
 
 def test_one_slow_frame_changes_nothing(empty_page: Page, repository: Path) -> None:
