@@ -1,14 +1,23 @@
 """Opens the service's database and files for the commands that work on them directly: `serve`, `demo`, `admin`."""
 
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
+from vitac.server.db.availability import DatabaseUnreachable
+from vitac.server.db.engine import is_cancelled, is_temporary
 from vitac.server.services import Services
 from vitac.server.settings import Settings
 
+from ..terminal.output import warn
 from .events import keep_events_off_output
+
+SAID_AFTER_S = 10.0
+"""Time after which a command says that it waits for the database."""
+STATEMENT_TIMEOUT_S = 60.0
 
 
 def load_settings(**overrides: Any) -> Settings:
@@ -43,6 +52,37 @@ def open_service(settings: Settings, *, statement_timeout_s: float | None = None
 
 @contextmanager
 def transaction() -> Iterator[Session]:
-    """Open the service that the environment names and one transaction on its database."""
-    with open_service(load_settings()) as services, services.database.transaction() as session:
-        yield session
+    """Open the service that the environment names and one transaction on its database.
+
+    Raises:
+        DatabaseUnreachable: it does not answer, is lost meanwhile, or a statement takes too long, as behind a lock.
+    """
+    with _said_if_slow():
+        try:
+            with (
+                open_service(load_settings(), statement_timeout_s=STATEMENT_TIMEOUT_S) as services,
+                services.database.transaction() as session,
+            ):
+                yield session
+        except DBAPIError as error:
+            if is_cancelled(error):
+                raise DatabaseUnreachable(
+                    f"The database took longer than {STATEMENT_TIMEOUT_S:.0f} s, perhaps because a lock stands in the "
+                    "way (docs/monitoring.md says how to find it). Nothing was changed."
+                ) from error
+            if is_temporary(error):
+                raise DatabaseUnreachable.from_driver(error) from error
+            raise
+
+
+@contextmanager
+def _said_if_slow() -> Iterator[None]:
+    """Say on standard error that the database does not answer, where the block has not ended by then."""
+    sentence = f"The database has not answered for {SAID_AFTER_S:.0f} s; still waiting. Ctrl-C ends this command."
+    timer = threading.Timer(SAID_AFTER_S, warn, [sentence])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

@@ -14,7 +14,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 from vitac.evaluator.tracks import UnknownTask, UnknownTrack
 
-from ..db.engine import is_cancelled, is_connection_loss
+from ..db.engine import has_no_free_connection, is_cancelled, is_connection_loss
 from ..errors import TRACK_REMOVED, ProblemCode, ServiceError, storage_full
 from ..settings import Settings
 from ..storage.disk_space import has_space, is_disk_full
@@ -154,7 +154,10 @@ def refusal_of_failure(request: Request, error: Exception) -> ServiceError | Non
     settings: Settings = request.app.state.settings
     if settings.database_url is None and not has_space(settings.state_dir):
         return storage_full()
-    detail = "The database is starting or unavailable; try again in a moment."
+    reason = "is starting or unavailable"
+    if isinstance(error, DBAPIError) and has_no_free_connection(error):
+        reason = "has no free connection"
+    detail = f"The database {reason}; try again in a moment."
     return ServiceError(ProblemCode.DATABASE_UNAVAILABLE, detail)
 
 

@@ -9,7 +9,7 @@ from psycopg.pq import PGconn, Ping
 from sqlalchemy.exc import DBAPIError
 from vitac.envs.errors import VitacError
 
-from .engine import Database, is_connection_loss
+from .engine import Database, has_no_free_connection, is_connection_loss
 
 logger = structlog.get_logger(__name__)
 
@@ -27,6 +27,8 @@ class DatabaseUnreachable(VitacError):
     @classmethod
     def from_driver(cls, error: DBAPIError) -> "DatabaseUnreachable":
         """Return the error that says in one line what the driver said."""
+        if has_no_free_connection(error):
+            return cls("The database has no free connection: run fewer processes, or raise its max_connections.")
         return cls(f"The database cannot be used: {' '.join(str(error.orig).split())}.")
 
 

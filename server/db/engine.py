@@ -120,7 +120,7 @@ class Database:
             except DBAPIError as error:
                 if not is_temporary(error) or time.monotonic() > deadline:
                     raise
-                logger.warning("database_unavailable", failures=failures + 1)
+                logger.warning("database_unavailable", failures=failures + 1, error=" ".join(str(error.orig).split()))
                 time.sleep(RETRY_PAUSES_S[min(failures, len(RETRY_PAUSES_S) - 1)])
                 failures += 1
 
@@ -164,6 +164,14 @@ def _has_said_something(connection: DBAPIConnection) -> bool:
 def is_cancelled(error: DBAPIError) -> bool:
     """Return whether the database has ended a statement because it took too long."""
     return getattr(error.orig, "sqlstate", None) == QUERY_CANCELED
+
+
+def has_no_free_connection(error: DBAPIError) -> bool:
+    """Return whether the database runs, and all connections that it takes are in use.
+
+    The driver gives an error of connecting no state, so that the text has to tell.
+    """
+    return any(text in str(error.orig) for text in ("too many clients", "too many connections", "connection slots"))
 
 
 def is_connection_loss(error: DBAPIError) -> bool:

@@ -261,7 +261,7 @@ class Cluster:
             "listen_addresses": "",
             "unix_socket_directories": str(self.socket_dir),
             "unix_socket_permissions": "0700",
-            "max_connections": "200",
+            "max_connections": "500",
             "shared_buffers": "64MB",
             "timezone": "UTC",
             "log_timezone": "UTC",

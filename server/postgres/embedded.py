@@ -15,6 +15,8 @@ from typing import Self
 
 import psycopg
 import structlog
+from psycopg.conninfo import make_conninfo
+from psycopg.pq import PGconn, Ping
 from vitac.envs.errors import VitacError
 
 from .cluster import Cluster, DatabaseStartFailed
@@ -26,6 +28,8 @@ OWNER_POLL_S = 0.2  # how often a process that does not own the database tries t
 RESTART_PAUSE_S = (0.0, 0.1, 0.5, 2.0)  # before the next start of a server that keeps dying at once
 HEALTHY_AFTER_S = 30.0
 FIRST_NOTICE_S = 2.0  # an ordinary start is quicker
+ANSWER_S = 2  # within which a server that is there takes a connection
+SILENCE_S = 30.0  # a server of another process that says nothing for so long hangs
 
 
 class EmbeddedPostgres:
@@ -51,6 +55,7 @@ class EmbeddedPostgres:
         self._keeper: threading.Thread | None = None
         self._failure: VitacError | None = None
         self._process: subprocess.Popen[bytes] | None = None
+        self._owns = False
 
     @property
     def server_pid(self) -> int | None:
@@ -61,18 +66,27 @@ class EmbeddedPostgres:
         """Make the database available and return its address; wait for as long as it recovers or another starts it.
 
         Raises:
-            VitacError: it cannot be started here; the message says why.
+            VitacError: it cannot be started here, or that of another process hangs; the message says why.
         """
         if self._may_run:
             self.cluster.make_folder()
             # A thread of its own, alive until `stop`: the server's death signal is tied to the thread that started it.
             self._keeper = threading.Thread(target=self._keep, name="embedded-postgres", daemon=True)
             self._keeper.start()
-        noticed = time.monotonic() - NOTICE_EVERY_S + FIRST_NOTICE_S
+        heard = time.monotonic()
+        noticed = heard - NOTICE_EVERY_S + FIRST_NOTICE_S
         while (address := self._address()) is None:
             if self._failure is not None:
                 self.stop()
                 raise self._failure
+            if self._owns or not self._may_run or not self._is_silent():
+                heard = time.monotonic()
+            elif time.monotonic() - heard > SILENCE_S:
+                self.stop()
+                raise DatabaseStartFailed(
+                    f"The database in {self.cluster.folder} is run by another process and has not answered for "
+                    f"{SILENCE_S:.0f} s. Look at that process and at its disk."
+                )
             if time.monotonic() - noticed > NOTICE_EVERY_S:
                 noticed = time.monotonic()
                 logger.warning("database_awaited", started_by="this process" if self._may_run else "`vitac serve`")
@@ -96,10 +110,18 @@ class EmbeddedPostgres:
         """Return the address if somebody answers there."""
         try:
             address = self.cluster.dsn_file.read_text()
-            psycopg.connect(address, connect_timeout=2).close()
+            psycopg.connect(address, connect_timeout=ANSWER_S).close()
         except (FileNotFoundError, psycopg.OperationalError):
             return None
         return address
+
+    def _is_silent(self) -> bool:
+        """Return whether there should be a server that neither takes connections nor says that it starts."""
+        try:
+            address = make_conninfo(self.cluster.dsn_file.read_text(), connect_timeout=ANSWER_S)
+            return PGconn.ping(address.encode()) != Ping.REJECT
+        except FileNotFoundError:
+            return False
 
     def _keep(self) -> None:
         with self.cluster.lock_file.open("a") as lock:
@@ -108,7 +130,9 @@ class EmbeddedPostgres:
                 if not _try_lock(lock.fileno()):
                     self._stopping.wait(OWNER_POLL_S)
                     continue
+                self._owns = True
                 self._own()
+                self._owns = False
                 fcntl.flock(lock, fcntl.LOCK_UN)
 
     def _own(self) -> None:

@@ -15,7 +15,18 @@ from vitac.server.db.roles import service_role
 from vitac.server.settings import Settings
 
 SERVICE_KEYS = {
-    *("build", "cap_drop", "depends_on", "environment", "healthcheck", "image", "init", "mem_limit", "networks"),
+    *(
+        "build",
+        "cap_drop",
+        "command",
+        "depends_on",
+        "environment",
+        "healthcheck",
+        "image",
+        "init",
+        "mem_limit",
+        "networks",
+    ),
     *("pids_limit", "ports", "read_only", "restart", "security_opt", "shm_size", "stop_grace_period", "tmpfs"),
     "volumes",
 }

@@ -2,8 +2,10 @@ import json
 from datetime import timedelta
 from uuid import UUID, uuid4
 
+import pytest
 from cli_service import CliService
-from sqlalchemy import func
+from sqlalchemy import func, text
+from vitac.cli.service import database
 from vitac.server.db.models import Worker
 from vitac.server.db.states import WorkerOrder, WorkerState
 
@@ -43,3 +45,15 @@ def test_an_organizer_cordons_and_drains_workers(service: CliService) -> None:
         assert order_of(service, worker) is order
     ended = add_worker(service, WorkerState.STOPPED, timedelta(0))
     assert service.run("admin", "worker", "drain", str(ended)).exit_code == 1
+
+
+def test_a_lock_that_stands_in_the_way_ends_a_command_with_a_sentence(
+    service: CliService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(database, "STATEMENT_TIMEOUT_S", 0.4)
+    monkeypatch.setattr(database, "SAID_AFTER_S", 0.1)
+    with service.database.transaction() as session:
+        session.execute(text("LOCK TABLE workers"))
+        result = service.run("admin", "worker", "list")
+    assert "The database took longer than" in str(result.exception)
+    assert "The database has not answered for" in result.stderr

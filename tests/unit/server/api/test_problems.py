@@ -29,6 +29,7 @@ TO_RAISE: dict[str, Exception] = {
     "removed-track": UnknownTrack("There is no track 'gone'."),
     "removed-task": UnknownTask("Track 'pegs' has no task 'gone'."),
     "connection": OperationalError("SELECT 1", {}, Exception("gone"), connection_invalidated=True),
+    "connections": OperationalError("SELECT 1", {}, Exception("FATAL:  sorry, too many clients already"), False, True),
 }
 
 
@@ -163,6 +164,12 @@ def test_a_lost_database_is_told_with_when_to_try_again(client: Client) -> None:
     content = problem_of(answer)
     assert (content["status"], content["code"]) == (503, "database_unavailable")
     assert answer.headers["retry-after"] == "2"
+
+
+def test_a_database_without_a_free_connection_is_told_from_one_that_is_away(client: Client) -> None:
+    content = problem_of(client.get("/raise/connections"))
+    assert (content["status"], content["code"]) == (503, "database_unavailable")
+    assert content["detail"] == "The database has no free connection; try again in a moment."
 
 
 def test_a_lost_database_of_our_own_on_a_full_disk_is_a_full_disk(

@@ -56,6 +56,20 @@ def test_work_is_done_again_after_a_lost_connection_but_not_for_ever(database: D
     assert len(tried) == REFUSALS
 
 
+def test_a_database_whose_connections_are_all_in_use_says_so() -> None:
+    folder = state_directory()
+    with EmbeddedPostgres(folder, options=["max_connections=3", "superuser_reserved_connections=1"]) as postgres:
+        database, held = Database(postgres.cluster.service_dsn()), list[psycopg.Connection]()
+        with pytest.raises(psycopg.OperationalError):
+            while True:
+                held.append(psycopg.connect(database.address))
+        with pytest.raises(DatabaseUnreachable, match="has no free connection: run fewer processes"):
+            once_available(database, lambda found: found.engine.connect().close(), patience_s=60.0)
+        for connection in held:
+            connection.close()
+    shutil.rmtree(folder)
+
+
 def test_place_of_a_silent_server_is_named_without_the_password() -> None:
     database = Database("postgresql://me:secret@127.0.0.1:9/none")
     with pytest.raises(DatabaseUnreachable, match=r"No database answers at 127\.0\.0\.1 port 9") as refusal:

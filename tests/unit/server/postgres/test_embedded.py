@@ -12,7 +12,8 @@ from pathlib import Path
 import psycopg
 import pytest
 from databases import state_directory
-from vitac.server.postgres import cluster, leftovers
+from vitac.envs.errors import VitacError
+from vitac.server.postgres import cluster, embedded, leftovers
 from vitac.server.postgres.binaries import PostgresNotFound, copy_binaries, find_binaries
 from vitac.server.postgres.cluster import SOCKET_PATH_LIMIT, Cluster, StateDirectoryUnreachable
 from vitac.server.postgres.embedded import EmbeddedPostgres
@@ -281,3 +282,18 @@ def test_missing_binaries_are_named_with_what_to_do(folder: Path) -> None:
 def test_failed_start_says_what_the_server_said(folder: Path) -> None:
     with pytest.raises(Exception, match="no_such_setting"):
         EmbeddedPostgres(folder, options=("no_such_setting=1",)).start()
+
+
+@pytest.mark.slow
+def test_the_server_of_another_process_that_hangs_is_not_waited_for_without_end(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(embedded, "SILENCE_S", 1.0)
+    with EmbeddedPostgres(folder) as postgres:
+        assert postgres.server_pid is not None
+        os.kill(postgres.server_pid, signal.SIGSTOP)
+        try:
+            with pytest.raises(VitacError, match="is run by another process and has not answered for 1 s"):
+                EmbeddedPostgres(folder).start()
+        finally:
+            os.kill(postgres.server_pid, signal.SIGCONT)
