@@ -1,13 +1,14 @@
 """Divides a server among its clients, so that one who asks for much does not keep the others waiting.
 
-A client is the account that a token or session belongs to, or without one an address. Whoever has used least of the
-processor's time comes first, and who has used more than a share of it waits. Uploads and event streams have limits of
-their own.
+A client is the account that a token or session belongs to, or without one an address. Who has used more than a share
+of the processor's time is refused. Among those who wait, whoever has used least of it lately, together with all others
+at the same address, comes first. Uploads and event streams have limits of their own.
 """
 
 import asyncio
 import heapq
 import itertools
+import math
 import time
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
@@ -36,6 +37,14 @@ BURST_S = 10.0
 PLACE_TIMEOUT_S = 15.0
 """Longest time that a request waits for a place before it is refused."""
 BUSY = "The server is busy, or its database does not answer; try again in a moment."
+HALF_LIFE_S = 10.0
+"""Time after which half of what a client has used lately is forgotten."""
+REQUEST_S = 0.02
+"""Processor time that an unanswered request is taken for, so that many at once do not come before it is known."""
+REFUSAL_S = 0.001
+"""Processor time that a refusal is taken for."""
+UPLOAD_S = 0.05
+"""Processor time that an upload, which is not measured, is taken for."""
 MAX_CLIENTS = 10_000
 """Clients that are remembered; then those are forgotten that have not asked for long."""
 LEAVE_PLACE = "leave_place"
@@ -50,11 +59,13 @@ class Client:
     Attributes:
         requests: that have not been answered.
         used_s: processor time that its share has not yet covered.
-        at_s: when that was so.
+        lately_s: processor time, of which half is forgotten after `HALF_LIFE_S`.
+        at_s: when both were so.
     """
 
     requests: int = 0
     used_s: float = 0.0
+    lately_s: float = 0.0
     at_s: float = 0.0
 
     def end_request(self) -> None:
@@ -69,7 +80,15 @@ class Client:
     def use(self, used_s: float, now_s: float, share: float) -> None:
         """Add processor time, less what the share of the time since has covered."""
         self.used_s = max(0.0, self.used_s - (now_s - self.at_s) * share) + used_s
+        self.lately_s = self._left_of_lately(now_s) + used_s
         self.at_s = now_s
+
+    def expect(self, now_s: float) -> float:
+        """Return what it has used lately, with what its unanswered requests will [s]."""
+        return self._left_of_lately(now_s) + REQUEST_S * self.requests
+
+    def _left_of_lately(self, now_s: float) -> float:
+        return self.lately_s * math.pow(0.5, (now_s - self.at_s) / HALF_LIFE_S)
 
 
 class Places:
@@ -152,23 +171,32 @@ class Shares:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Hand the request on when its client has a place, or refuse it."""
-        if scope["type"] != "http" or scope["path"] in _ALWAYS_ANSWERED or matches_route(self._apart, scope):
+        if scope["type"] != "http" or scope["path"] in _ALWAYS_ANSWERED:
+            await self._app(scope, receive, send)
+            return
+        neighbours = self._client(f"at {get_client_address(HTTPConnection(scope))}")
+        if matches_route(self._apart, scope):
+            neighbours.use(UPLOAD_S, time.monotonic(), self._share)
             await self._app(scope, receive, send)
             return
         key = self._choose_key(scope)
         client = self._client(key)
         refusal = self._refusal(key, client)
         if refusal is not None:
+            neighbours.use(REFUSAL_S, time.monotonic(), self._share)
             await _answer(scope, refusal)(scope, receive, send)
             return
-        client.requests += 1
+        both = client, neighbours
+        for one in both:
+            one.requests += 1
         try:
-            await self._work(key, client, scope, receive, send)
+            await self._work(key, both, scope, receive, send)
         finally:
-            client.end_request()
+            for one in both:
+                one.end_request()
             self._note_account(scope)
 
-    async def _work(self, key: str, client: Client, scope: Scope, receive: Receive, send: Send) -> None:
+    async def _work(self, key: str, clients: Collection[Client], scope: Scope, receive: Receive, send: Send) -> None:
         """Hand the request on; it has a place from when its body is there until its answer begins.
 
         So neither a body that trickles nor an answer that nobody reads holds one.
@@ -179,11 +207,13 @@ class Shares:
             async def take() -> None:
                 try:
                     async with asyncio.timeout(PLACE_TIMEOUT_S):
-                        await self._places.take(0.0 if _is_privileged(key) else client.used_s)
+                        now_s = time.monotonic()
+                        used_s = sum(one.expect(now_s) for one in clients)
+                        await self._places.take(0.0 if _is_privileged(key) else used_s)
                 except TimeoutError:
                     raise ServiceError(ProblemCode.DATABASE_UNAVAILABLE, BUSY) from None
                 place.callback(self._places.leave)
-                place.callback(self._charge, client, self._time.begin())
+                place.callback(self._charge, clients, self._time.begin())
 
             async def received() -> Message:
                 nonlocal has_body
@@ -206,8 +236,10 @@ class Shares:
                     return
             await self._app(scope, received, sent)
 
-    def _charge(self, client: Client, begun_s: float) -> None:
-        client.use(self._time.end(begun_s), time.monotonic(), self._share)
+    def _charge(self, clients: Collection[Client], begun_s: float) -> None:
+        used_s, now_s = self._time.end(begun_s), time.monotonic()
+        for one in clients:
+            one.use(used_s, now_s, self._share)
 
     def _client(self, key: str) -> Client:
         if len(self._clients) >= MAX_CLIENTS:

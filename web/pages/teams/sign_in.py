@@ -72,10 +72,11 @@ async def _find_member(request: Request, team: str, member: str, password: str) 
     site = get_site(request)
     cookie = request.cookies.get(signer.DEVICE_COOKIE)
     device = site.signer.read_device(cookie, member_key(team, member), now=datetime.now(UTC))
-    leave_place(request)
-    await asyncio.sleep(await asyncio.to_thread(note_password, request, team, member, device=device))
+    wait_s = await asyncio.to_thread(note_password, request, team, member, device=device)
     thread = passwords.UNKNOWN_DEVICES if device is None else passwords.KNOWN_DEVICES
     with request.app.state.sign_in_limiters.place(get_client_address(request), device=device):
+        leave_place(request)  # not before: pages that refuse are made in turn with those of others
+        await asyncio.sleep(wait_s)
         made = await none_if_unknown(
             thread.wait_for(members.sign_in, site.services.database, team, member, password, signer.LIFETIME)
         )

@@ -17,6 +17,7 @@ class Server:
     def __init__(self, *, share: float = 0.1) -> None:
         self.may_end = asyncio.Event()
         self.at_work = 0
+        self.order: list[str] = []
         routes = [Route("/page", self.page), Route("/stream", self.stream), Route("/health", self.page)]
         routes += [Route("/form", self.form, methods=["POST"]), Route("/waits", self.wait)]
         self.app = Shares(Starlette(routes=routes), share=share, apart=[("POST", "/uploads")])
@@ -24,6 +25,7 @@ class Server:
     async def page(self, request: Request) -> Response:
         request.state.account = request.headers.get("authorization", "").removeprefix("Bearer ")
         self.at_work += 1
+        self.order.append(request.client.host if request.client else "")
         await self.may_end.wait()
         return PlainTextResponse("page")
 
@@ -103,6 +105,22 @@ def test_places_go_to_whoever_has_used_least() -> None:
         return order
 
     assert asyncio.run(take_all()) == ["honest", "flood", "flood again"]
+
+
+def test_whoever_asks_for_little_comes_before_a_flood_that_has_used_nothing_yet() -> None:
+    async def attack() -> list[str]:
+        server = Server()
+        tokens = ["", *(f"team:self made {number}" for number in range(5))]
+        flood = [server.ask(token=token, address="192.0.2.1") for token in tokens for _ in range(WAITING // 6)]
+        tasks = [asyncio.create_task(one) for one in flood]
+        await settled()
+        tasks.append(asyncio.create_task(server.ask(address="192.0.2.2")))
+        await settled()
+        server.may_end.set()
+        await asyncio.gather(*tasks)
+        return server.order
+
+    assert asyncio.run(attack()).index("192.0.2.2") == AT_WORK
 
 
 def test_a_body_that_trickles_and_what_only_waits_hold_no_place() -> None:
