@@ -43,6 +43,7 @@ OWNER_ROLE = "vitac_owner"
 SERVICE_ROLE = "vitac_service"
 """Works with them, and can change no table's rules."""
 SOCKET_PATH_LIMIT = 107  # bytes in sockaddr_un.sun_path, less the closing zero
+MAX_CONNECTIONS = 500  # docs/capacity.md says for how many workers
 STOP_LIMIT_S = 20.0
 LOG_LIMIT_BYTES = 8 << 20
 _SOCKET_NAME = ".s.PGSQL.5432"
@@ -261,7 +262,7 @@ class Cluster:
             "listen_addresses": "",
             "unix_socket_directories": str(self.socket_dir),
             "unix_socket_permissions": "0700",
-            "max_connections": "500",
+            "max_connections": str(MAX_CONNECTIONS),
             "shared_buffers": "64MB",
             "timezone": "UTC",
             "log_timezone": "UTC",

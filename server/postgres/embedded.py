@@ -29,7 +29,7 @@ RESTART_PAUSE_S = (0.0, 0.1, 0.5, 2.0)  # before the next start of a server that
 HEALTHY_AFTER_S = 30.0
 FIRST_NOTICE_S = 2.0  # an ordinary start is quicker
 ANSWER_S = 2  # within which a server that is there takes a connection
-SILENCE_S = 30.0  # a server of another process that says nothing for so long hangs
+NO_ANSWER_S = 30.0  # a server of another process that says nothing for so long hangs
 
 
 class EmbeddedPostgres:
@@ -79,13 +79,13 @@ class EmbeddedPostgres:
             if self._failure is not None:
                 self.stop()
                 raise self._failure
-            if self._owns or not self._may_run or not self._is_silent():
+            if self._owns or not self._may_run or not self._hangs():
                 heard = time.monotonic()
-            elif time.monotonic() - heard > SILENCE_S:
+            elif time.monotonic() - heard > NO_ANSWER_S:
                 self.stop()
                 raise DatabaseStartFailed(
                     f"The database in {self.cluster.folder} is run by another process and has not answered for "
-                    f"{SILENCE_S:.0f} s. Look at that process and at its disk."
+                    f"{NO_ANSWER_S:.0f} s. Look at that process and at its disk."
                 )
             if time.monotonic() - noticed > NOTICE_EVERY_S:
                 noticed = time.monotonic()
@@ -115,7 +115,7 @@ class EmbeddedPostgres:
             return None
         return address
 
-    def _is_silent(self) -> bool:
+    def _hangs(self) -> bool:
         """Return whether there should be a server that neither takes connections nor says that it starts."""
         try:
             address = make_conninfo(self.cluster.dsn_file.read_text(), connect_timeout=ANSWER_S)

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import yaml
 from vitac.server.db.roles import service_role
+from vitac.server.postgres.cluster import MAX_CONNECTIONS
 from vitac.server.settings import Settings
 
 SERVICE_KEYS = {
@@ -91,7 +92,23 @@ def test_pins_every_image_by_name_and_version(services: dict[str, dict[str, Any]
     images = set(re.findall(r"^FROM (\S+) AS", dockerfile, re.MULTILINE)) - stages
     images |= {service["image"] for service in services.values() if "image" in service}
     assert images
-    assert all(re.fullmatch(r"[a-z]+:\d[\w.]*-\w[\w-]*", image) for image in images), images
+    named = r"[a-z]+:\d[\w.]*-\w[\w-]*(@sha256:[0-9a-f]{64})?"
+    assert all(re.fullmatch(named, image) for image in images), images
+
+
+def test_a_player_that_cannot_be_bundled_fails_the_build(dockerfile: str) -> None:
+    (line,) = (line for line in dockerfile.splitlines() if "build_viewer.sh" in line)
+    assert line == "RUN setup/build_viewer.sh /opt/vitac/bin/python"
+
+
+def test_the_database_takes_as_many_connections_as_the_documents_say(
+    repository: Path, services: dict[str, dict[str, Any]]
+) -> None:
+    taken = int(services["postgres"]["command"].partition("max_connections=")[2])
+    (row,) = (line for line in (repository / "docs/capacity.md").read_text().splitlines() if "max_connections" in line)
+    of_worker, of_server, _, documented, workers, servers = map(int, re.findall(r"\b\d+\b", row))
+    assert taken == documented == MAX_CONNECTIONS
+    assert of_worker * workers + of_server * servers <= taken
 
 
 def test_sets_only_settings_that_exist(services: dict[str, dict[str, Any]], dockerfile: str) -> None:

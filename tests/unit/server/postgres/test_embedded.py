@@ -288,7 +288,7 @@ def test_failed_start_says_what_the_server_said(folder: Path) -> None:
 def test_the_server_of_another_process_that_hangs_is_not_waited_for_without_end(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(embedded, "SILENCE_S", 1.0)
+    monkeypatch.setattr(embedded, "NO_ANSWER_S", 1.0)
     with EmbeddedPostgres(folder) as postgres:
         assert postgres.server_pid is not None
         os.kill(postgres.server_pid, signal.SIGSTOP)
