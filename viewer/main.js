@@ -20,7 +20,7 @@ import { Transport } from "./transport.js";
 const LEGENDS = { displacement: ["Displacement", "mm"], pressure: ["Contact pressure", "kPa"] };
 
 const FRAMES_OF_STILL = 4; // until a decoded still is on the screen of a page that is
-const MOST_FRAMES = 120;
+const MAX_FRAMES = 120;
 
 class Player {
   static async load(section) {
@@ -187,7 +187,7 @@ async function start() {
 async function stillsAreShown() {
   await Promise.all([...document.querySelectorAll(".stage .still")].map((still) => still.decode?.().catch(() => {})));
   const isPainted = () => performance.getEntriesByName("first-contentful-paint").length > 0;
-  for (let frame = 0; frame < FRAMES_OF_STILL || (frame < MOST_FRAMES && !isPainted()); frame += 1) {
+  for (let frame = 0; frame < FRAMES_OF_STILL || (frame < MAX_FRAMES && !isPainted()); frame += 1) {
     await new Promise(requestAnimationFrame);
   }
 }
