@@ -21,6 +21,7 @@ class TrackCard:
         further: whether it is none of the challenge's own.
         title: of the track.
         summary: what it is about.
+        picture: static file with one of its scenes; None where there is none.
         ranked: number of teams on its board.
         is_practice: whether the board is for practice.
         leader: the first one, if any.
@@ -32,6 +33,7 @@ class TrackCard:
     further: bool
     title: str
     summary: str
+    picture: str | None
     ranked: int
     is_practice: bool
     leader: LeaderboardEntryView | None

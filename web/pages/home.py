@@ -32,6 +32,10 @@ EXAMPLE = "example.scene"
 """The playback of an episode of peg insertion in which the peg goes straight to its hole."""
 
 
+PICTURES = {"track_1": "lock-opening.webp", "track_2": "fusion-insertion.webp", "track_3": "example.webp"}
+"""Stills of the challenge's tracks: the end of an episode as `envs/playback_files/still.py` draws it."""
+
+
 async def home(request: Request) -> Response:
     """Show the front page; the player is loaded when somebody wants to play."""
     site = get_site(request)
@@ -100,6 +104,7 @@ def _card(name: str, board: LeaderboardView, cup: CompetitionView | None) -> Tra
         further=not is_challenge_track(track),
         title=track.title,
         summary=track.summary,
+        picture=PICTURES.get(name),
         ranked=len(ranked),
         is_practice=board.is_practice,
         leader=ranked[0] if ranked else None,
