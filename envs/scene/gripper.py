@@ -125,18 +125,22 @@ class Gripper:
         """Return the world positions [m] of both gels' driven nodes when the gripper is at this pose, shapes [d, 3]."""
         sine, cosine = sine_cosine(pose.angle_rad)
         left, right = (
-            _placed(driven, sine, cosine, pose, mount.side * pose.half_opening_m)
+            _placed(driven, sine, cosine, (pose.x_m, pose.y_m, pose.z_m), mount.side * pose.half_opening_m)
             for driven, mount in zip(self._driven_m, self._mounts, strict=True)
         )
         return left, right
 
 
-def _placed(driven_m: FloatArray, sine: float, cosine: float, pose: GripperPose, offset_m: float) -> FloatArray:
-    x, y = driven_m[:, 0], driven_m[:, 1] + offset_m
+@allocating_kernel
+def _placed(
+    driven_m: FloatArray, sine: float, cosine: float, centre_m: tuple[float, float, float], offset_m: float
+) -> FloatArray:
     out = np.empty_like(driven_m)
-    out[:, 0] = cosine * x - sine * y + pose.x_m
-    out[:, 1] = sine * x + cosine * y + pose.y_m
-    out[:, 2] = driven_m[:, 2] + pose.z_m
+    for i in range(len(driven_m)):
+        x, y = driven_m[i, 0], driven_m[i, 1] + offset_m
+        out[i, 0] = cosine * x - sine * y + centre_m[0]
+        out[i, 1] = sine * x + cosine * y + centre_m[1]
+        out[i, 2] = driven_m[i, 2] + centre_m[2]
     return out
 
 

@@ -1,5 +1,8 @@
 """Builds the arrays of a scene's model from its bodies and settings."""
 
+from functools import lru_cache
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -7,12 +10,34 @@ from ..affine.affine_body import frame_mass
 from ..elastic.neo_hookean import lame_parameters_pa
 from ..linear.system import SystemLayout, gel_block_places, system_layout
 from ..model.bodies import GelBody, RigidBody
+from ..model.mesh import GelMesh
 from ..model.model import PRESCRIBED, Affine, Elastic, Model, Parameters, Points, Surfaces, Unknowns
 from ..model.settings import AnyContactSettings, SolverSettings
 from .node_layout import NodeLayout
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
+
+# Every episode builds its scene; what follows from the meshes of the gels alone is kept for this number of them.
+_LAYOUTS_KEPT = 8
+
+
+class GelLayout(NamedTuple):
+    """What follows from the meshes of all gels alone.
+
+    Attributes:
+        order: free nodes in order of elimination.
+        tetrahedra: nodes of all gels, shape [t, 4].
+        places: see `Elastic`.
+        reaction: see `Elastic`.
+        system: places of the Newton matrix, with the frame points of the movable bodies.
+    """
+
+    order: IndexArray
+    tetrahedra: IndexArray
+    places: IndexArray
+    reaction: NDArray[np.bool_]
+    system: SystemLayout
 
 
 def build_model(
@@ -25,14 +50,16 @@ def build_model(
 ) -> Model:
     """Return the model of gels and bodies whose nodes stand as in `layout`, stepped by time_step_s [s]."""
     constants = contact.constants(time_step_s)
-    unknowns, system = _build_unknowns(gels, bodies, layout)
+    movable = sum(not body.fixed for body in bodies)
+    of_gels = lay_out_gels(tuple(gel.mesh for gel in gels), 4 * movable)
+    unknowns = _build_unknowns(gels, bodies, layout, of_gels)
     return Model(
-        elastic=_build_elastic(gels, layout, unknowns, system),
+        elastic=_build_elastic(gels, of_gels),
         affine=_build_affine(bodies, layout, unknowns, constants.affine_stiffness_pa),
         points=_build_points(gels, bodies, layout),
         surfaces=_build_surfaces(gels, bodies, contact),
         unknowns=unknowns,
-        system=system,
+        system=of_gels.system,
         parameters=Parameters(
             time_step_s=time_step_s,
             d_hat_m=constants.d_hat_m,
@@ -45,26 +72,42 @@ def build_model(
     )
 
 
-def _build_elastic(gels: tuple[GelBody, ...], layout: NodeLayout, unknowns: Unknowns, system: SystemLayout) -> Elastic:
-    nodes, gradients, volumes, mu, lam = [], [], [], [], []
-    for gel, rows in zip(gels, layout.gel_slices, strict=True):
+@lru_cache(maxsize=_LAYOUTS_KEPT)
+def lay_out_gels(meshes: tuple[GelMesh, ...], frame_points: int) -> GelLayout:
+    """Return the layout of gels, numbered one after the other, and of this number of frame points; made once."""
+    starts = np.cumsum([0, *(len(mesh.rest_position_m) for mesh in meshes)])
+    placed = list(zip(meshes, starts[:-1], strict=True))
+    order = np.concatenate([mesh.elimination.nodes + start for mesh, start in placed])
+    tetrahedra = np.concatenate([mesh.tetrahedra + start for mesh, start in placed])
+    slot = np.full(starts[-1], PRESCRIBED, dtype=np.int64)
+    slot[order] = np.arange(len(order))
+    first, second = np.repeat(slot[tetrahedra], 4, axis=1), np.tile(slot[tetrahedra], 4)
+    system = system_layout([mesh.elimination for mesh in meshes], frame_points)
+    return GelLayout(
+        order=order,
+        tetrahedra=tetrahedra,
+        places=gel_block_places(system.neighbours, first, second),
+        reaction=(first == PRESCRIBED) != (second == PRESCRIBED),
+        system=system,
+    )
+
+
+def _build_elastic(gels: tuple[GelBody, ...], of_gels: GelLayout) -> Elastic:
+    gradients, volumes, mu, lam = [], [], [], []
+    for gel in gels:
         mu_pa, lambda_pa = lame_parameters_pa(gel.youngs_modulus_pa, gel.poisson_ratio)
-        nodes.append(gel.mesh.tetrahedra + rows.start)
         gradients.append(_rotated(gel.mesh.rest_gradients_1_m, gel.rotation))
         volumes.append(gel.mesh.volumes_m3)
         mu.append(np.full(len(gel.mesh.tetrahedra), mu_pa))
         lam.append(np.full(len(gel.mesh.tetrahedra), lambda_pa))
-    all_nodes = np.concatenate(nodes)
-    slots = unknowns.slot[all_nodes]
-    first, second = np.repeat(slots, 4, axis=1), np.tile(slots, 4)
     return Elastic(
-        nodes=all_nodes,
+        nodes=of_gels.tetrahedra,
         gradients_1_m=np.concatenate(gradients),
         volume_m3=np.concatenate(volumes),
         mu_pa=np.concatenate(mu),
         lambda_pa=np.concatenate(lam),
-        places=gel_block_places(system.neighbours, first, second),
-        reaction=(first == PRESCRIBED) != (second == PRESCRIBED),
+        places=of_gels.places,
+        reaction=of_gels.reaction,
     )
 
 
@@ -157,23 +200,22 @@ def _touching_pairs(
 
 
 def _build_unknowns(
-    gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...], layout: NodeLayout
-) -> tuple[Unknowns, SystemLayout]:
+    gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...], layout: NodeLayout, of_gels: GelLayout
+) -> Unknowns:
     total = layout.body_slices[-1].stop if bodies else layout.gel_slices[-1].stop
     slot = np.full(total, PRESCRIBED, dtype=np.int64)
     mass = np.zeros(total)
-    order: list[int] = []
     for gel, rows in zip(gels, layout.gel_slices, strict=True):
         np.add.at(
             mass,
             gel.mesh.tetrahedra + rows.start,
             0.25 * gel.density_kg_m3 * gel.mesh.volumes_m3[:, None],
         )
-        order.extend((gel.mesh.elimination.nodes + rows.start).tolist())
-    gel_unknowns = len(order)
-    for body, rows in zip(bodies, layout.body_slices, strict=True):
-        if not body.fixed:
-            order.extend(range(rows.start, rows.stop))
+    frames = [
+        np.arange(rows.start, rows.stop)
+        for body, rows in zip(bodies, layout.body_slices, strict=True)
+        if not body.fixed
+    ]
+    order = np.concatenate([of_gels.order, *frames])
     slot[order] = np.arange(len(order))
-    system = system_layout([gel.mesh.elimination for gel in gels], len(order) - gel_unknowns)
-    return Unknowns(slot=slot, node=np.array(order, dtype=np.int64), node_mass_kg=mass), system
+    return Unknowns(slot=slot, node=order, node_mass_kg=mass)

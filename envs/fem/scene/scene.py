@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -36,8 +37,6 @@ from .node_layout import NodeLayout
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
-# Coordinates that follow x, y and z, and those that follow these: of a vector product, without numpy's slow one.
-_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 # Parts of the way from an IPC step's start to its end, where balances are followed along it.
 _FIRST_STRIDE, _SHORTEST_STRIDE, _MOST_STRIDES = 1 / 8, 1 / 1024, 100
 # Matrices on the path of balances, as a multiple of Newton's iterations.
@@ -160,6 +159,8 @@ class Scene:
         check_bodies(self._gels, self._bodies)
         check_settings(time_step_s, self._contact, self._solver)
         self._layout = NodeLayout(self._gels, self._bodies)
+        placed = zip(self._gels, self._layout.gel_slices, strict=True)
+        self._driven = [gel.mesh.driven_nodes + rows.start for gel, rows in placed]
         self._model = build_model(
             self._gels,
             self._bodies,
@@ -265,15 +266,15 @@ class Scene:
         if len(driven_targets_m) != len(self._gels):
             raise SceneError(f"Got driven targets for {len(driven_targets_m)} gels, expected {len(self._gels)}.")
         target = self._x.copy()
-        for index, (gel, wanted) in enumerate(zip(self._gels, driven_targets_m, strict=True)):
-            expected = (len(gel.mesh.driven_nodes), 3)
+        for index, (driven, wanted) in enumerate(zip(self._driven, driven_targets_m, strict=True)):
+            expected = (len(driven), 3)
             if wanted.shape != expected:
                 raise SceneError(f"Driven targets of gel {index} have shape {wanted.shape}, expected {expected} [m].")
-            wrong = np.flatnonzero(~np.isfinite(wanted).all(axis=1))
-            if len(wrong):
-                node, given = gel.mesh.driven_nodes[wrong[0]], wanted[wrong[0]]
+            if not np.isfinite(wanted).all():
+                wrong = int(np.flatnonzero(~np.isfinite(wanted).all(axis=1))[0])
+                node, given = self._gels[index].mesh.driven_nodes[wrong], wanted[wrong]
                 raise SceneError(f"The target of node {node} of gel {index} is {given}, expected finite numbers [m].")
-            target[self._layout.gel_slices[index]][gel.mesh.driven_nodes] = wanted
+            target[driven] = wanted
         return target
 
     def _solve(self, attempt: _Attempt) -> tuple[StepStatus, int]:
@@ -376,19 +377,22 @@ class Scene:
         return solve_step(self._model, self._x, step, tolerances, self._workspace, attempt.record)
 
     def _gel_forces_n(self, gradient: FloatArray) -> tuple[tuple[float, float, float], ...]:
-        held = (
-            gradient[rows][gel.mesh.driven_nodes].sum(axis=0)
-            for gel, rows in zip(self._gels, self._layout.gel_slices, strict=True)
-        )
-        return tuple((-float(x), -float(y), -float(z)) for x, y, z in held)
+        held = (gradient[driven].sum(axis=0).tolist() for driven in self._driven)
+        return tuple((-x, -y, -z) for x, y, z in held)
 
     def _net_load(self, gradient: FloatArray) -> tuple[float, float]:
         """Return the largest net force [N] and torque [N m] left on a movable body, summed over its frame points."""
         force, torque = 0.0, 0.0
         for body, rows in zip(self._bodies, self._layout.body_slices, strict=True):
             if not body.fixed:
-                loads, arms = gradient[rows], self._x[rows] - self._x[rows.start]
-                turning = arms[:, _NEXT] * loads[:, _LAST] - arms[:, _LAST] * loads[:, _NEXT]
-                force = max(force, float(np.sqrt((loads.sum(axis=0) ** 2).sum())))
-                torque = max(torque, float(np.sqrt((turning.sum(axis=0) ** 2).sum())))
+                loads, places = gradient[rows].tolist(), self._x[rows].tolist()
+                (fx, fy, fz), (tx, ty, tz) = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
+                for (px, py, pz), (lx, ly, lz) in zip(places, loads, strict=True):
+                    ax, ay, az = px - places[0][0], py - places[0][1], pz - places[0][2]
+                    fx, fy, fz = fx + lx, fy + ly, fz + lz
+                    tx, ty, tz = tx + (ay * lz - az * ly), ty + (az * lx - ax * lz), tz + (ax * ly - ay * lx)
+                force, torque = (
+                    max(force, sqrt(fx * fx + fy * fy + fz * fz)),
+                    max(torque, sqrt(tx * tx + ty * ty + tz * tz)),
+                )
         return force, torque
