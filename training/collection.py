@@ -15,6 +15,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from vitac.envs.tasks.fidelity import Fidelity
 from vitac.evaluator.version import evaluator_hash
 
 from .actors import ActorKind, critic_actor, guided_actor, random_actor, student_actor
@@ -38,6 +39,7 @@ class Batch:
         first: number of the first episode; batches that must differ have numbers of their own.
         count: how many.
         noise: largest spread of the noise on the actions of student and critic.
+        fidelity: of the simulation.
     """
 
     kind: ActorKind
@@ -46,6 +48,7 @@ class Batch:
     first: int
     count: int
     noise: float = 0.0
+    fidelity: Fidelity = Fidelity.FULL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,7 +150,7 @@ def _made(works: list[_Work], processes: int) -> Iterator[None]:
 def _make(work: _Work) -> None:
     """Play the episodes of a file, and write it."""
     batch = work.batch
-    env = _environment()
+    env = _environment(batch.fidelity)
     played = play(env, _actor(work), stream(batch.seed, batch.use), range(work.first, work.first + work.count))
     save(work.path, played.arrays())
 
@@ -165,12 +168,12 @@ def _actor(work: _Work) -> MakeActor:
     return critic_actor(critic, noise)
 
 
-_ENVIRONMENTS: dict[int, Any] = {}
-"""Environment of each process."""
+_ENVIRONMENTS: dict[tuple[int, Fidelity], Any] = {}
+"""Environments of each process."""
 
 
-def _environment() -> Any:
-    process = os.getpid()
-    if process not in _ENVIRONMENTS:
-        _ENVIRONMENTS[process] = make_environment()
-    return _ENVIRONMENTS[process]
+def _environment(fidelity: Fidelity) -> Any:
+    key = os.getpid(), fidelity
+    if key not in _ENVIRONMENTS:
+        _ENVIRONMENTS[key] = make_environment(fidelity=fidelity.value)
+    return _ENVIRONMENTS[key]

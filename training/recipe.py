@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
+from vitac.envs.tasks.fidelity import Fidelity
 from vitac.evaluator.strict_model import StrictModel, read_yaml
 
 from .learning.assessor import AssessorPlan
@@ -24,6 +25,8 @@ class Recipe(StrictModel):
     """What is learned."""
     seed: Annotated[int, Field(ge=0, le=10_000)]
     """Seed of the streams of starts and of all that is drawn while learning."""
+    fidelity: Fidelity = Fidelity.FULL
+    """Of the simulation that is learned from; rounds are judged at full fidelity."""
     random_episodes: Count = 1500
     """Episodes of the actor with random motions."""
     guided_episodes: Count = 1500

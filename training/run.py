@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from vitac.envs.errors import VitacError
+from vitac.envs.tasks.fidelity import Fidelity
 from vitac.evaluator.scoring.score import Rate, rate
 from vitac.evaluator.tracks.versions import differing_parts
 from vitac.evaluator.version import evaluator_parts, sources_hash
@@ -188,7 +189,10 @@ class Run:
         self.tell(f"round {result.number} of {self.recipe.rounds}: {found}{left}")
 
     def _batch(self, kind: ActorKind, use: Use, first: int, count: int, noise: float) -> Batch:
-        return Batch(kind=kind, seed=self.recipe.seed, use=use, first=first, count=count, noise=noise)
+        fidelity = self.recipe.fidelity if use is Use.COLLECT else Fidelity.FULL
+        return Batch(
+            kind=kind, seed=self.recipe.seed, use=use, first=first, count=count, noise=noise, fidelity=fidelity
+        )
 
     def _collected(self, batch: Batch, networks: Networks | None) -> Episodes:
         progress = Progress()
