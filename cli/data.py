@@ -15,6 +15,9 @@ app = typer.Typer(no_args_is_help=True)
 Form = Literal["lerobot-v3.0", "lerobot-v2.1", "minari"]
 DataSet = Annotated[Path, typer.Argument(callback=existing, help="Folder of the data set.")]
 Processes = Annotated[int, typer.Option(min=1, help="Processes that play episodes.")]
+Ray = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Ray cluster that plays instead, such as 10.0.0.1:6379 or auto.")
+]
 
 
 @app.command()
@@ -24,6 +27,7 @@ def collect(
     successes: Annotated[int, typer.Option(min=1, help="Successful demonstrations of each task.")] = 290,
     seed: Annotated[int, typer.Option(min=0, help="Of the starts.")] = 0,
     processes: Processes = 1,
+    ray: Ray = None,
     as_json: AsJson = False,
 ) -> None:
     """Let an expert that knows the truth play; the same bytes however many processes play, and after any kill.
@@ -39,7 +43,7 @@ def collect(
     for task in tasks or list_tasks():
         with compiling_shown(), _Counter() as counter:
             report = partial(counter.show_collected, task, successes)
-            path = collect_task(task, out, successes=successes, seed=seed, processes=processes, report=report)
+            path = collect_task(task, out, successes=successes, seed=seed, processes=processes, ray=ray, report=report)
         rows += [{"task": task, **row, "file": str(path)} for row in count_outcomes(path)]
     if as_json:
         print_json({"demonstrations": rows})

@@ -28,13 +28,16 @@ app = typer.Typer(cls=_RecipeFirst, no_args_is_help=True)
 RecipeFile = Annotated[Path, typer.Argument(help="YAML file that says what is learned.", exists=True, dir_okay=False)]
 RunFolder = Annotated[Path, typer.Option("--out", help="Folder of the run; an existing run is continued.")]
 Processes = Annotated[int, typer.Option(min=1, help="Processes that play episodes.")]
+Ray = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Ray cluster that plays instead, such as 10.0.0.1:6379 or auto.")
+]
 Sensor = Annotated[
     Path | None, typer.Option(help="Folder of your own sensor, for sensor-design.", exists=True, file_okay=False)
 ]
 
 
 @app.command()
-def run(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json: AsJson = False) -> None:
+def run(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, ray: Ray = None, as_json: AsJson = False) -> None:
     """Train a policy, or continue its training; Ctrl-C loses at most the current round.
 
     Weights that are learned use one thread, so that their bits do not depend on the number of cores.
@@ -43,7 +46,7 @@ def run(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json: A
     from vitac.training.recipe import read_recipe
     from vitac.training.run import Folder, Run, best, format_rate
 
-    training = Run(recipe=read_recipe(recipe), folder=Folder(path=out), processes=processes, tell=_tell)
+    training = Run(recipe=read_recipe(recipe), folder=Folder(path=out), processes=processes, ray=ray, tell=_tell)
     with _going_on_later(out):
         results = training.go()
     chosen = best(results)
@@ -55,13 +58,13 @@ def run(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json: A
 
 
 @app.command()
-def collect(recipe: RecipeFile, out: RunFolder, processes: Processes = 1) -> None:
+def collect(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, ray: Ray = None) -> None:
     """Play the episodes of the first round only; a later `vitac train` finds them."""
     _one_thread()
     from vitac.training.recipe import read_recipe
     from vitac.training.run import Folder, Run
 
-    training = Run(recipe=read_recipe(recipe), folder=Folder(path=out), processes=processes, tell=_tell)
+    training = Run(recipe=read_recipe(recipe), folder=Folder(path=out), processes=processes, ray=ray, tell=_tell)
     with _going_on_later(out):
         episodes = training.collect_first()
     print_pairs({"episodes": episodes})

@@ -11,10 +11,10 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from numpy.typing import NDArray
 from vitac.envs.tasks.fidelity import Fidelity
 from vitac.evaluator.version import evaluator_hash
 
@@ -22,6 +22,7 @@ from .actors import ActorKind, critic_actor, guided_actor, random_actor, student
 from .episodes import TASK, Episodes, MakeActor, joined, make_environment, play
 from .files import FileDamaged, digest, load, save
 from .learning.critic import Critic, CriticPlan
+from .pool import map_in_order
 from .streams import Use, stream
 from .submission.policy import felt_motion
 
@@ -87,6 +88,7 @@ def collect(
     *,
     networks: Networks | None = None,
     processes: int = 1,
+    ray: str | None = None,
     report_file: Callable[[int, int], None] = _tell_nobody,
 ) -> Episodes:
     """Return the episodes of a batch: those that are in files already, and the others after making their files.
@@ -96,6 +98,7 @@ def collect(
         folder: of the files.
         networks: what the actors act by.
         processes: how many play.
+        ray: address of a Ray cluster that plays instead.
         report_file: called with the number of files and the total.
 
     Raises:
@@ -105,7 +108,9 @@ def collect(
     works = list(_works(batch, folder, networks))
     missing = [work for work in works if not _is_whole(work.path)]
     report_file(len(works) - len(missing), len(works))
-    for done, _ in enumerate(_made(missing, processes), start=len(works) - len(missing) + 1):
+    made = map_in_order(_play, missing, processes, ray=ray)
+    for done, (work, arrays) in enumerate(zip(missing, made, strict=True), start=len(works) - len(missing) + 1):
+        save(work.path, arrays)
         report_file(done, len(works))
     return joined([Episodes(**load(work.path)) for work in works])
 
@@ -138,21 +143,12 @@ def _is_whole(path: Path) -> bool:
     return True
 
 
-def _made(works: list[_Work], processes: int) -> Iterator[None]:
-    if processes == 1 or len(works) <= 1:
-        yield from map(_make, works)
-        return
-    # Forked: what is loaded here is loaded there. Each process makes an environment of its own.
-    with get_context("fork").Pool(processes) as pool:
-        yield from pool.imap_unordered(_make, works)
-
-
-def _make(work: _Work) -> None:
-    """Play the episodes of a file, and write it."""
+def _play(work: _Work) -> dict[str, NDArray[Any]]:
+    """Play the episodes of a file, and return what goes into it."""
     batch = work.batch
     env = _environment(batch.fidelity)
     played = play(env, _actor(work), stream(batch.seed, batch.use), range(work.first, work.first + work.count))
-    save(work.path, played.arrays())
+    return played.arrays()
 
 
 def _actor(work: _Work) -> MakeActor:

@@ -92,12 +92,14 @@ class Run:
         recipe: what is done.
         folder: where its files are.
         processes: how many play episodes.
+        ray: address of a Ray cluster that plays them instead.
         tell: called with each line of progress.
     """
 
     recipe: Recipe
     folder: Folder
     processes: int = 1
+    ray: str | None = None
     tell: Tell = field(default=lambda _: None)
 
     def __post_init__(self) -> None:
@@ -201,7 +203,12 @@ class Run:
             self.tell(f"{batch.kind} episodes: {done} of {files} files{progress.left(done, files)}")
 
         return collect(
-            batch, self.folder.episodes, networks=networks, processes=self.processes, report_file=report_file
+            batch,
+            self.folder.episodes,
+            networks=networks,
+            processes=self.processes,
+            ray=self.ray,
+            report_file=report_file,
         )
 
     def _tell_turn(self, charts: Charts, number: int, who: str, turn: int, loss: float) -> None:

@@ -15,7 +15,7 @@ MILLIMETRE_M = 1e-3
 # Height of the sensing face's highest point in the frame of a gel made here.
 SENSING_HEIGHT_MM = 2.0
 # Cells between the bevels of the gel for training, along x and along y.
-COARSE_CELLS = 2
+COARSE_CELLS = 4
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,6 +28,7 @@ URL_HOSTS = {
     "creativecommons.org",
     "doi.org",
     "docs.astral.sh",
+    "docs.ray.io",
     "github.com",
     "json-schema.org",
     "keepachangelog.com",

@@ -22,9 +22,9 @@ from vitac.evaluator.strict_model import StrictModel
 from vitac.evaluator.tracks import find_task
 
 from ..charts import Charts
-from ..demonstrations.ordered_pool import map_in_order
 from ..files import load, remove_leftovers, save, write_bytes, write_text
 from ..log import Row, extend_log, read_log
+from ..pool import map_in_order
 from ..progress import Progress
 from ..run import Folder, Tell, claimed, format_rate
 from ..sensor import make_sensor

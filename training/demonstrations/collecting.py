@@ -15,6 +15,7 @@ from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome
 from vitac.evaluator.tracks import find_task, list_tracks, load_track
 
 from ..files import not_saved
+from ..pool import map_in_order
 from ..streams import Use, stream
 from .demonstration import (
     FILE,
@@ -26,7 +27,6 @@ from .demonstration import (
     read_demonstrations,
 )
 from .expert import PLANS, Expert, Plan, add_noise
-from .ordered_pool import map_in_order
 
 _KINDS = (
     *(DemonstrationKind.CLEAN, DemonstrationKind.NOISY) * 4,
@@ -73,6 +73,7 @@ def collect(
     successes: int,
     seed: int = 0,
     processes: int = 1,
+    ray: str | None = None,
     report: Callable[[int, int], None] = _report_nowhere,
 ) -> Path:
     """Collect demonstrations until this many are successful, and return the file.
@@ -86,6 +87,7 @@ def collect(
         successes: episode by episode until then.
         seed: of the starts.
         processes: that play.
+        ray: address of a Ray cluster that plays instead.
         report: called with the numbers of episodes and of successes after each.
 
     Raises:
@@ -105,7 +107,7 @@ def collect(
         report(n_episodes, n_successes)
         if n_successes >= successes:
             return path
-        for played in map_in_order(partial(_play, expert, source), count(n_episodes + 1), processes):
+        for played in map_in_order(partial(_play, expert, source), count(n_episodes + 1), processes, ray=ray):
             file.write(make_line(played))
             file.flush()
             n_episodes, n_successes = n_episodes + 1, n_successes + played.is_success

@@ -5,6 +5,7 @@ Collecting demonstrations uses it, and the benchmarks of the variants.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pkgutil import resolve_name
 from typing import Any
 
@@ -94,6 +95,11 @@ class Expert:
             raise NoExpert(f"{task.name} has no expert, expected a task whose definition has a guided_motion.")
         self.env: Any = make_environment(task, observation_keys=observation_keys, settings=settings)
         self._way = resolve_name(task.definition.guided_motion)
+        self._again = partial(Expert, task, tuple(observation_keys), **settings)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Make another one where it is sent to; an environment stays in its process."""
+        return self._again, ()
 
     def play(self, options: Mapping[str, Any], plans: Sequence[Plan] = PLANS) -> Played:
         """Play the first plan that succeeds, or the last."""

@@ -9,13 +9,13 @@ from pathlib import Path
 from vitac.envs.errors import VitacError
 
 from ..files import write_text
+from ..pool import map_in_order
 from .card import make_card
 from .demonstration import Demonstration, read_demonstrations, read_source
 from .frames import Frames, choose_observables, make_observed_environment, play_again
 from .lerobot.layout import Version, list_features
 from .lerobot.writing import write_lerobot
 from .minari import write_minari
-from .ordered_pool import map_in_order
 from .origin import Origin, StoredEpisode, write_origin
 
 

@@ -28,7 +28,7 @@ student: {networks: 1, hidden: 8, epochs: 1}
 
 @pytest.fixture(autouse=True)
 def toy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vitac.training.collection.make_environment", ToyPeg)
+    monkeypatch.setattr("vitac.training.collection.make_environment", lambda **_: ToyPeg())
     monkeypatch.setattr("vitac.training.collection._ENVIRONMENTS", {})
     monkeypatch.setattr("vitac.training.search.method.lock_environment", ToyLock)
     # The command sets them for the whole process, which here is that of all tests.

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from toy_peg import ToyPeg
+from vitac.envs.tasks.fidelity import Fidelity
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.version import evaluator_parts
 from vitac.training.charts import FOLDER, Charts
@@ -382,3 +383,20 @@ def test_killed_run_goes_on_to_the_same_bits(tmp_path: Path, count: int) -> None
     go(killed)
     go(whole)
     assert files(killed) == files(whole)
+
+
+def test_a_recipe_is_learned_from_at_its_fidelity_and_judged_at_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: dict[str, ToyPeg] = {}
+
+    def make(fidelity: str) -> ToyPeg:
+        made[fidelity] = ToyPeg()
+        return made[fidelity]
+
+    monkeypatch.setattr("vitac.training.collection.make_environment", make)
+    go_at_training = run(tmp_path)
+    go_at_training.recipe = go_at_training.recipe.model_copy(update={"fidelity": Fidelity.TRAINING})
+    go_at_training.go()
+    streams = {fidelity: {seed for seed, _ in toy.resets} for fidelity, toy in made.items()}
+    assert streams == {"training": {stream(2, Use.COLLECT)}, "full": {stream(2, Use.CHOOSE)}}

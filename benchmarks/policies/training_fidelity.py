@@ -1,6 +1,6 @@
 """What `fidelity="training"` gives up and gains: speed, motion of the gels, forces, and successes on the same starts.
 
-python benchmarks/training_fidelity.py [--starts 60] [--replays 30] [--json FILE]
+python benchmarks/policies/training_fidelity.py [--starts 60] [--replays 30] [--json FILE]
 
 - Speed: env steps per CPU second of one process with random actions, resets included, at both fidelities in turn.
 - Motion and forces: actions of random size from the same starts at both; differences of the sensing nodes, projected
@@ -19,7 +19,7 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parent / "variants"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "variants"))
 
 import numpy as np
 from players import EXAMPLES, Example, Planner, Player

@@ -1,0 +1,53 @@
+"""The pool gives results in order, whatever processes are lost. On a Ray cluster: `tests/integration/libraries`."""
+
+import os
+import signal
+from functools import partial
+from itertools import count, islice
+from pathlib import Path
+
+import pytest
+from vitac.training.pool import ProcessesLost, RayMissing, map_in_order
+
+
+def square(number: int) -> int:
+    return number * number
+
+
+def end_once(folder: Path, number: int) -> int:
+    """End the process at every third number, the first time that it comes."""
+    mark = folder / str(number)
+    if number % 3 == 1 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return square(number)
+
+
+def end_always(number: int) -> int:
+    if number == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return square(number)
+
+
+@pytest.mark.parametrize("processes", [1, 3])
+def test_results_come_in_order_of_items_without_end(processes: int) -> None:
+    results = map_in_order(square, count(), processes)
+    assert list(islice(results, 20)) == [square(number) for number in range(20)]
+
+
+def test_a_process_that_is_killed_is_replaced_and_its_items_are_worked_on_again(tmp_path: Path) -> None:
+    """With a plain pool of multiprocessing this never ends."""
+    assert list(map_in_order(partial(end_once, tmp_path), range(8), 2)) == [square(number) for number in range(8)]
+
+
+def test_an_item_that_kills_its_process_again_and_again_is_named() -> None:
+    results = map_in_order(end_always, range(8), 2)
+    assert list(islice(results, 2)) == [0, 1]
+    with pytest.raises(ProcessesLost, match="ended 3 times while it worked on 2 or the items after it"):
+        list(results)
+
+
+def test_without_ray_the_command_that_installs_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vitac.training.pool.find_spec", lambda _: None)
+    with pytest.raises(RayMissing, match=r"Ray is not installed; install it with: .*ray"):
+        next(map_in_order(square, range(2), ray="auto"))
