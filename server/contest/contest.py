@@ -14,6 +14,7 @@ from sqlalchemy import ColumnElement, and_, select
 from sqlalchemy.orm import Session
 
 from ..confirmations import compute_revision
+from ..db.engine import READS_ONLY
 from ..db.models import Competition, Rejudgement, Submission
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
@@ -54,7 +55,19 @@ class Contest:
 
     @classmethod
     def read_all(cls, session: Session) -> Sequence[Self]:
-        """Return all contests, the one that opened last first; without any a single one that is not held."""
+        """Return all contests, the one that opened last first; without any a single one that is not held.
+
+        A page asks for them several times: a session that only reads does so once.
+        """
+        if not session.info.get(READS_ONLY):
+            return cls._read_all(session)
+        if cls not in session.info:
+            session.info[cls] = cls._read_all(session)
+        found: Sequence[Self] = session.info[cls]
+        return found
+
+    @classmethod
+    def _read_all(cls, session: Session) -> Sequence[Self]:
         rows = session.scalars(select(Competition).order_by(Competition.name)).all()
         if not rows:
             return [cls._from_row(session, None)]

@@ -26,6 +26,9 @@ QUERY_CANCELED = "57014"
 ENCODING = {"client_encoding": "utf8"}
 """Setting of all connections: without it the driver gives bytes instead of text where the database has no encoding."""
 
+READS_ONLY = "reads_only"
+"""Key of `Session.info` in a session of `Database.reading`: what it has read once need not be read again."""
+
 LIMITS = (
     "SET idle_in_transaction_session_timeout = '10min'",
     "SET tcp_keepalives_idle = 10",
@@ -92,7 +95,7 @@ class Database:
         Raises:
             RuntimeError: a row was changed as an object, which would be lost.
         """
-        with self._readers() as session:
+        with self._readers(info={READS_ONLY: True}) as session:
             session.connection(execution_options={"isolation_level": "AUTOCOMMIT"})
             yield session
             if session.new or session.dirty or session.deleted:

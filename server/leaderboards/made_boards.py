@@ -7,7 +7,7 @@ under which names teams are shown, say whether a board that was made before is s
 import hashlib
 from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from importlib.metadata import version
 from typing import Generic, TypeVar
 
@@ -68,6 +68,12 @@ class MadeBoards(Generic[BoardT]):
         return made
 
 
+@cache
+def read_release() -> str:
+    """Return the version of what makes the boards; its file is long, and every look at a board asks."""
+    return version("vitac-arena")
+
+
 def compute_revision(board: str, entries: Iterable[object]) -> str:
     """Return what changes with everything that a board shows: its entries, their order, the software that made it.
 
@@ -75,5 +81,5 @@ def compute_revision(board: str, entries: Iterable[object]) -> str:
         board: its name.
         entries: in their order, each as what identifies it and its place when printed.
     """
-    parts = [version("vitac-arena"), evaluator_version(), board, *map(str, entries)]
+    parts = [read_release(), evaluator_version(), board, *map(str, entries)]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]

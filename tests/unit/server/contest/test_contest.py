@@ -152,3 +152,12 @@ def test_frozen_and_final_hold_for_the_stages_of_the_competition_and_not_for_pra
     assert stage.counted_results(live=True).frozen_at is None
     today = CountedResults(evaluator_version=evaluator_version(), frozen_at=None, final_since=None)
     assert practice.counted_results() == today
+
+
+def test_a_session_that_only_reads_asks_for_the_competitions_once(database: Database) -> None:
+    with database.reading() as session:
+        assert Contest.read_all(session) is Contest.read_all(session)
+    with database.transaction() as session:
+        assert not Contest.read_all(session)[0].is_held
+        put_in_place(session, make_competition())
+        assert Contest.read_all(session)[0].is_held

@@ -97,7 +97,7 @@ def test_a_revision_is_short_and_depends_on_every_entry_and_their_order() -> Non
     assert compute_revision("board", iter(["a", "b"])) == compute_revision("board", ("a", "b"))
 
 
-@pytest.mark.parametrize("name", ["version", "evaluator_version"])
+@pytest.mark.parametrize("name", ["read_release", "evaluator_version"])
 def test_a_revision_changes_with_the_software(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     before = compute_revision("board", ["a"])
     monkeypatch.setattr(made_boards, name, lambda *_: "another")
