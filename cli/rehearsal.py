@@ -30,29 +30,32 @@ def rehearse_submission(
     from vitac.evaluator.submission.manifest import load_manifest
     from vitac.evaluator.submission.sources import staged, submission_digest
     from vitac.evaluator.tracks import load_track
-    from vitac.station.rehearsal import RehearsalReport, found_station, rehearse
+    from vitac.station.rehearsal import RehearsalReport, find_station_task, found_station, rehearse
     from vitac.station.trials import Player
 
     album = Album(pictures) if pictures else None
     folder = pictures or (json.absolute().parent if json else Path.cwd())
-    with staged(submission) as staged_folder, found_station(named) as description:
+    with staged(submission) as staged_folder:
         manifest = load_manifest(staged_folder)
-        with Player(
-            description=description,
-            folder=folder,
-            make_safe=make_safe(description),
-            show=album.show if album else no_pictures,
-        ) as player:
-            trials = rehearse(
-                player, staged_folder, load_track(manifest.track), episodes=episodes, on_trial=print_trial
-            )
+        track = load_track(manifest.track)
+        task = find_station_task(track)
+        with (
+            found_station(named, task) as description,
+            Player(
+                description=description,
+                folder=folder,
+                make_safe=make_safe(description),
+                show=album.show if album else no_pictures,
+            ) as player,
+        ):
+            trials = rehearse(player, staged_folder, track, episodes=episodes, on_trial=print_trial)
         report = RehearsalReport.from_trials(
             trials,
             station=description.name,
             submission=manifest.name,
             submission_digest=submission_digest(submission),
             track=manifest.track,
-            task="peg-insertion",
+            task=task,
         )
     if json:
         json.write_text(report.model_dump_json(indent=1) + "\n", encoding="utf-8")

@@ -17,6 +17,7 @@ _DATABASE_S = 60.0
 
 if TYPE_CHECKING:
     from vitac.envs.geometry.pegs import PegShape
+    from vitac.station.twin.grasp import Mounted
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -58,11 +59,15 @@ def twin(
     ] = None,
     faults: Annotated[Path | None, typer.Option(help="Script of what breaks, and when (YAML).")] = None,
     shape: Annotated[str, typer.Option(help="Peg and hole: cuboid, trapezoid or concave1.")] = "cuboid",
+    fusion: Annotated[
+        bool,
+        typer.Option("--fusion", help="Mount the base with two holes and an RGB-D camera; shape: hexagon or cuboid."),
+    ] = False,
     fast: Annotated[
         bool, typer.Option("--fast", help="Take 10 pictures a second instead of 25, and run as fast as it can.")
     ] = False,
 ) -> None:
-    """Run twins of all devices but the RGB-D camera, which behave by our physics, until Ctrl-C."""
+    """Run twins of all devices, which behave by our physics, until Ctrl-C."""
     from signal import pause
 
     from vitac.station.twin.bench import Bench
@@ -75,7 +80,7 @@ def twin(
     bench = Bench(
         hidden=draw_hidden(secret.read_bytes()) if secret else PUBLIC_SETTINGS,
         script=read_faults(faults) if faults else FaultScript(),
-        shape=_read_shape(shape),
+        mounted=_find_mounted(shape, fusion=fusion),
         period_s=0.1 if fast else 0.04,
         speed=None if fast else 1.0,
     )
@@ -83,6 +88,18 @@ def twin(
         station.write(file)
         print(f"{file} describes the twins. They run until Ctrl-C; check them with: vitac station check {file}")
         pause()
+
+
+def _find_mounted(shape: str, *, fusion: bool) -> "Mounted":
+    from vitac.station.description import StationTask
+    from vitac.station.fusion_trial import HOLES_Y_MM
+    from vitac.station.twin.grasp import Mounted
+
+    if not fusion:
+        return Mounted(shape=_read_shape(shape))
+    if shape not in HOLES_Y_MM:
+        raise typer.BadParameter(f"expected one of {', '.join(HOLES_Y_MM)}, got {shape!r}.", param_hint="--shape")
+    return Mounted(StationTask.FUSION, shape)
 
 
 def _read_shape(name: str) -> "PegShape":
@@ -97,12 +114,15 @@ def _read_shape(name: str) -> "PegShape":
 def track(
     shape: Annotated[str, typer.Option(help="Peg and hole: cuboid, trapezoid or concave1.")] = "cuboid",
     repeats: Annotated[int, typer.Option(min=1, help="How often every start is played.")] = 5,
+    fusion: Annotated[bool, typer.Option("--fusion", help="Of the fusion task; shape: hexagon or cuboid.")] = False,
 ) -> None:
     """Print a track file for VITAC_TRACKS_DIR: the public starts of a shape, played on stations."""
     import yaml
     from vitac.station.track import make_station_track
 
-    print(yaml.safe_dump(make_station_track(_read_shape(shape), repeats), sort_keys=False, allow_unicode=True), end="")
+    task, mounted = _find_mounted(shape, fusion=fusion)
+    content = make_station_track(mounted, repeats, task=task)
+    print(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), end="")
 
 
 @app.command("run")

@@ -94,7 +94,7 @@ def _check_tactile_camera(camera: TactileCameraDescription) -> Iterator[Problem]
 
 def _check_depth_camera(camera: DepthCamera) -> Iterator[Problem]:
     yield from _check_calibration(camera.serial_number, camera.calibration)
-    with depth_camera.DepthCamera(camera.serial_number) as opened:
+    with depth_camera.open_depth_camera(camera) as opened:
         yield from _check_identity(opened.identify(), camera.serial_number, camera.firmware)
         measured, stored = camera.calibration, opened.intrinsics()
         for name in ("width", "height", "fx", "fy", "cx", "cy"):

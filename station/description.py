@@ -12,6 +12,13 @@ Byte = Annotated[int, Field(ge=0, le=255)]
 Row = tuple[float, float, float, float, float, float]
 
 
+class StationTask(StrEnum):
+    """A simulated task that stations play, by its name."""
+
+    PEG = "peg-insertion"
+    FUSION = "fusion-insertion"
+
+
 class Calibration(StrictModel):
     """What was measured on one device, and stays true only for that device."""
 
@@ -51,6 +58,8 @@ class DepthCamera(StrictModel):
 
     serial_number: Word
     firmware: Word
+    stream: str | None = None
+    """Address where another program gives its pairs of pictures, as a twin does."""
     calibration: DepthCalibration
 
 
@@ -151,6 +160,13 @@ class Place(StrictModel):
     rotation_deg: float = 0.0
 
 
+class Prompts(StrictModel):
+    """Pixels, u and v, of the RGB-D camera's picture at which the segmentation begins."""
+
+    peg: tuple[int, int]
+    base: tuple[int, int]
+
+
 class Release(StrEnum):
     """Who lets a station move again that has stopped."""
 
@@ -194,6 +210,10 @@ class Procedure(StrictModel):
     open_position: Byte = 100
     """Position of the open gripper; one further closed holds a peg."""
     grip_force: Byte = 50
+    prompts: Prompts | None = None
+    """Needed where policies read the points of objects."""
+    sam_weights: Path | None = None
+    """Weights of SAM (ViT-B), which segments in place of colour and depth."""
     zero_n: PositiveFloat = 2.0
     """What the force/torque sensor may show of a peg that hangs in free air; more is an error of its zero."""
     zero_nm: PositiveFloat = 0.1

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from vitac.envs.errors import VitacError
 
 from .description import Procedure, StationDescription
+from .devices.depth_camera import AnyDepthCamera, open_depth_camera
 from .devices.force_torque import ForceTorqueSensor
 from .devices.gripper import Gripper
 from .devices.stage import Stage, StageState
@@ -33,6 +34,7 @@ class OpenStation:
     gripper: Gripper
     guard: Guard
     eyes: Eyes
+    depth_camera: AnyDepthCamera | None = None
     thresholds_px: tuple[float, float] | None = None
 
 
@@ -55,6 +57,10 @@ def open_station(description: StationDescription) -> Iterator[OpenStation]:
         gripper = stack.enter_context(Gripper(description.gripper.port, unit=description.gripper.unit))
         box = stack.enter_context(ForceTorqueSensor(description.force_torque.host, description.force_torque.port))
         left, right = open_cameras(description, stack)
+        described = description.depth_camera
+        depth_camera: AnyDepthCamera | None = open_depth_camera(described) if described else None
+        if depth_camera is not None:
+            stack.enter_context(depth_camera)
         _make_ready(stage, gripper, box, description)
         guard = stack.enter_context(Guard(limits=description.limits, stage=stage, gripper=gripper, force_torque=box))
         eyes = stack.enter_context(Eyes(left=left, right=right, guard=guard))
@@ -65,6 +71,7 @@ def open_station(description: StationDescription) -> Iterator[OpenStation]:
             gripper=gripper,
             guard=guard,
             eyes=eyes,
+            depth_camera=depth_camera,
         )
 
 

@@ -41,7 +41,7 @@ _COUNTED: Final = frozenset(
     }
 )
 _SENTENCES: Final = {
-    TrialOutcome.SUCCESS: "The peg is in its hole and passed the push test.",
+    TrialOutcome.SUCCESS: "The peg is in its hole, as gels and encoders say.",
     TrialOutcome.STEPS: "All env steps were used up.",
     TrialOutcome.TACTILE: "A marker moved further than the limit of over-force.",
     TrialOutcome.ERROR: "An action led out of the range of offsets; nothing moved.",

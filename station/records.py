@@ -1,6 +1,6 @@
 """What a station leaves behind of a trial: all its attempts, of which at most the last one counts."""
 
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +12,12 @@ from vitac.evaluator.tracks import Episode
 from .outcome import TrialOutcome
 from .trial import Attempt
 
-_NUMBERS: Final = 3
-"""Of an action of the peg task."""
-
 Pair = tuple[float, float]
 
 
 def pack_actions(attempt: Attempt) -> NDArray[np.float32]:
-    """Return the actions of an attempt, shape [env steps, 3]."""
-    return np.array(attempt.actions, dtype=np.float32).reshape(len(attempt.actions), _NUMBERS)
+    """Return the actions of an attempt, shape [env steps, numbers of an action]."""
+    return np.array(attempt.actions, dtype=np.float32).reshape(len(attempt.actions), attempt.action_numbers)
 
 
 class AttemptRecord(StrictModel):

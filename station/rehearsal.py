@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final, Self
 
 from pydantic import NonNegativeInt
 from vitac.envs.errors import VitacError
-from vitac.envs.geometry.pegs import PegShape
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.episodes.reading import make_reading
 from vitac.evaluator.scoring.score import Rate, rate
@@ -18,7 +17,7 @@ from vitac.evaluator.submission.manifest import load_manifest
 from vitac.evaluator.tracks import Task, Track
 
 from .check import check_station
-from .description import StationDescription, read_description
+from .description import StationDescription, StationTask, read_description
 from .outcome import TrialOutcome
 from .records import TrialRecord
 from .trials import Player
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
 
 TWIN: Final = "twin"
 """Name of a twin of public settings, in place of a station's file."""
-TASK: Final = "peg-insertion"
 
 
 class StationRefused(VitacError):
@@ -65,13 +63,13 @@ class RehearsalReport(StrictModel):
 
 
 @contextmanager
-def found_station(named: str, shape: str | None = None) -> Iterator[StationDescription]:
+def found_station(named: str, task: StationTask = StationTask.PEG) -> Iterator[StationDescription]:
     """Return the station of a file, or start a twin of public settings; refuse one whose devices are not right.
 
     Raises:
         StationRefused: a sentence for each thing that is wrong with it.
     """
-    with _start_twin(shape) if named == TWIN else nullcontext() as twin:
+    with _start_twin(task) if named == TWIN else nullcontext() as twin:
         description = validate(StationDescription, twin.description, TWIN) if twin else read_description(Path(named))
         refuse_wrong_devices(description)
         yield description
@@ -88,11 +86,12 @@ def refuse_wrong_devices(description: StationDescription) -> None:
         raise StationRefused(" ".join(f"{device}: {sentence}" for device, sentence in found))
 
 
-def _start_twin(shape: str | None) -> "AbstractContextManager[RunningTwin]":
+def _start_twin(task: StationTask) -> "AbstractContextManager[RunningTwin]":
+    from .twin.grasp import Mounted
     from .twin.hidden import PUBLIC_SETTINGS
     from .twin.process import twin_process
 
-    return twin_process(PUBLIC_SETTINGS, shape=PegShape(shape or PegShape.CUBOID))
+    return twin_process(PUBLIC_SETTINGS, mounted=Mounted(task=task))
 
 
 def rehearse(
@@ -137,8 +136,18 @@ def rehearse(
 
 
 def _find_task(track: Track) -> Task:
-    if TASK not in track.tasks:
-        raise StationRefused(
-            f"A station plays {TASK}, which {track.name} does not have. Choose a submission to track_1."
-        )
-    return track.tasks[TASK]
+    return track.tasks[find_station_task(track)]
+
+
+def find_station_task(track: Track) -> StationTask:
+    """Return which task of a track stations play.
+
+    Raises:
+        StationRefused: none.
+    """
+    for task in StationTask:
+        if task in track.tasks:
+            return task
+    raise StationRefused(
+        f"A station plays {' and '.join(StationTask)}; {track.name} has neither. Choose a submission to another track."
+    )

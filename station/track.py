@@ -1,43 +1,50 @@
 """The track that a service needs so that its queue has trials for stations."""
 
-from typing import Any
+from typing import Any, Final
 
-from vitac.envs.geometry.pegs import PegShape
 from vitac.evaluator.strict_model import validate
 from vitac.evaluator.tracks import Track, load_track
 
-TASK = "peg-insertion"
+from .description import StationTask
+
+_NAMES: Final = {StationTask.PEG: ("track_1", "station"), StationTask.FUSION: ("track_2", "station_fusion")}
+"""Of the simulated track, and of that of stations."""
 
 
-def make_station_track(shape: PegShape, repeats: int, *, starts: int | None = None) -> dict[str, Any]:
+def make_station_track(
+    shape: str, repeats: int, *, starts: int | None = None, task: StationTask = StationTask.PEG
+) -> dict[str, Any]:
     """Return the content of a track file: public starts of a shape, each so often, one trial in a shard.
 
     Args:
-        shape: that is mounted.
+        shape: of the peg that is mounted.
         repeats: of each start.
         starts: how many of them, the first ones; all if None.
+        task: that is played.
     """
-    simulated = load_track("track_1")
-    task = simulated.tasks[TASK]
-    found = dict.fromkeys((start.shape, start.offset) for start in task.episode_list.starts if start.shape == shape)
+    source, name = _NAMES[task]
+    simulated = load_track(source)
+    played = simulated.tasks[task]
+    found = dict.fromkeys((start.shape, start.offset) for start in played.episode_list.starts if start.shape == shape)
     chosen = list(found)[:starts]
-    own: dict[str, Any] = task.model_dump(mode="json", exclude_defaults=True, exclude={"name_2025", "profiles"})
-    own |= {"name": f"{TASK}-station", "title": "Peg insertion on a station", "station_of": TASK, "shard_size": 1}
+    own: dict[str, Any] = played.model_dump(mode="json", exclude_defaults=True, exclude={"name_2025", "profiles"})
+    own |= {"name": f"{task}-station", "title": f"{played.title} on a station", "station_of": str(task)}
+    own["shard_size"] = 1
     own["episode_list"] = {
-        "list_seed": task.episode_list.list_seed,
-        "offset_option": task.episode_list.offset_option,
+        "list_seed": played.episode_list.list_seed,
+        "offset_option": played.episode_list.offset_option,
         "blocks": [
             {"repeats": repeats, "starts": [{"shape": shape, "offset": list(offset)} for shape, offset in chosen]}
         ],
     }
     content = {
-        "name": "station",
+        "name": name,
         "folder": simulated.folder,
-        "title": "Station",
-        "summary": f"Insert the {shape} on a laboratory's devices, by touch alone.",
+        "title": f"Station: {played.title}",
+        "summary": f"{played.title} on a laboratory's devices, with the {shape}.",
         "ranking_rule": simulated.ranking_rule,
         "accepts": ["model"],
         "tasks": {own["name"]: own},
     }
-    validate(Track, content, "station.yaml")
+    validate(Track, content, f"{name}.yaml")
     return content

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,7 @@ class Attempt:
         failure: of the policy.
         output: what the policy printed.
         policy_s: CPU time of the policy.
+        action_numbers: how many an action has.
     """
 
     outcome: TrialOutcome = TrialOutcome.REFUSED
@@ -71,6 +72,7 @@ class Attempt:
     failure: PolicyFailed | None = None
     output: str = ""
     policy_s: float = 0.0
+    action_numbers: int = 3
 
 
 class Trial:
@@ -100,16 +102,20 @@ class Trial:
         self._station, self._arm = station, Arm(station)
         self._task, self._reading, self._open_session = task, reading, open_session
         self._task_name = task.station_of or task.name
-        x_mm, y_mm, theta_deg = episode.offset
-        self._start: Offset = (x_mm, y_mm, theta_deg)
+        self._start = self._find_start(episode)
         self._folder, self._show = folder, show
         self._generator = np.random.default_rng((episode.list_seed, episode.number))
         self._z_step_mm = station.procedure.z_step_mm
         self._attempt = Attempt()
 
+    def _find_start(self, episode: Episode) -> Offset:
+        """Return where the peg stands at the start: x and y [mm] from the place in the file, angle [deg]."""
+        x_mm, y_mm, theta_deg = episode.offset
+        return x_mm, y_mm, theta_deg
+
     def play(self) -> Attempt:
         """Play it, and lift the peg off the plate unless the station is stopped."""
-        attempt = self._attempt = Attempt()
+        attempt = self._attempt = Attempt(action_numbers=len(self._task.actions))
         try:
             attempt.outcome = self._play()
         except PolicyFailed as failed:
@@ -122,13 +128,20 @@ class Trial:
     def _play(self) -> TrialOutcome:
         check_ready(self._station, self._folder)
         self._grasp()
-        contact_mm = self._descend()
-        self._arm.go(self._arm.pose()._replace(z_mm=contact_mm - self._z_step_mm))
-        with self._open_session().episode(task=self._task_name, action_shape=(len(self._task.actions),)) as policy:
+        start_mm = self._approach()
+        with self._open_session().episode(
+            task=self._task_name, action_shape=(len(self._task.actions),), clouds=self._reading.clouds
+        ) as policy:
             try:
-                return self._insert(policy, contact_mm)
+                return self._insert(policy, start_mm)
             finally:
                 self._attempt.output, self._attempt.policy_s = policy.output, policy.cpu_s
+
+    def _approach(self) -> float:
+        """Go where the policy begins; return the stage's height at the contact [mm]."""
+        contact_mm = self._descend()
+        self._arm.go(self._arm.pose()._replace(z_mm=contact_mm - self._z_step_mm))
+        return contact_mm
 
     def _grasp(self) -> None:
         """Hold the peg at the height beside the hole, grasped again where it has moved between the gels."""
@@ -211,24 +224,32 @@ class Trial:
         self._attempt.movement_px.append(sight.movement_px())
         return sight
 
-    def _observe(self, sight: Sight) -> dict[str, NDArray[np.float32]]:
+    def _observe(self, sight: Sight) -> dict[str, NDArray[Any]]:
         """Return what the policy reads: markers as in simulation, motion from the stage's encoders."""
         first, now = np.array(self._attempt.encoders[0]), np.array(self._attempt.encoders[-1])
         x_mm, y_mm, z_mm, rotation_deg = (now - first).tolist()
-        values = {
+        values: dict[str, NDArray[Any]] = {
             "relative_motion": np.array((x_mm, y_mm, rotation_deg, z_mm), dtype=np.float32),
             "marker_flow": marker_flow(sight.left, sight.right, self._generator),
         }
+        values |= self._see_scene()
         return {name: values[name] for name in self._reading.sent}
+
+    def _see_scene(self) -> dict[str, NDArray[Any]]:
+        """Return what a camera beside the gripper sees; nothing in a task of touch alone."""
+        return {}
 
     def _moved(self, offset: Offset, action: NDArray[np.float32]) -> Offset:
         """Return the offset after an action: scaled, clipped, turned by the angle before, as in simulation."""
-        scale = np.array([component.scale for component in self._task.actions])
-        dx, dy, dtheta = np.clip(action * scale, -scale, scale).tolist()
+        dx, dy, dtheta, *_ = self._scaled(action)
         x, y, theta_deg = offset
         angle = math.radians(theta_deg)
         turned = math.cos(angle) * dx - math.sin(angle) * dy, math.sin(angle) * dx + math.cos(angle) * dy
         return x + turned[0], y + turned[1], theta_deg + dtheta
+
+    def _scaled(self, action: NDArray[np.float32]) -> list[float]:
+        scale = np.array([component.scale for component in self._task.actions])
+        return [float(value) for value in np.clip(action * scale, -scale, scale)]
 
     def _is_relaxed(self) -> bool:
         """Return whether both gels feel as little as a peg in its hole lets them."""

@@ -11,9 +11,10 @@ from vitac.evaluator.episodes.episode import OpenSession
 from vitac.evaluator.episodes.reading import Reading
 from vitac.evaluator.tracks import Episode, Task
 
-from .description import StationDescription
+from .description import StationDescription, StationTask
 from .devices.device import DeviceFault, DeviceNotFound
 from .eyes import Sight
+from .fusion_trial import FusionTrial
 from .opened import OpenStation, open_station
 from .outcome import ATTEMPTS, TrialOutcome
 from .trial import Attempt, Trial
@@ -81,7 +82,8 @@ class Player:
             self._close()
             self._stopped_for = str(error)
             return Attempt(outcome=TrialOutcome.DEVICE_FAULT, reason=str(error))
-        attempt = Trial(
+        is_fusion = StationTask(task.station_of or task.name) is StationTask.FUSION
+        attempt = (FusionTrial if is_fusion else Trial)(
             station,
             task=task,
             episode=episode,

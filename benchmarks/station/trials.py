@@ -154,7 +154,7 @@ def parse() -> argparse.Namespace:
 
 def faults_left(begun: set[Fault], given: argparse.Namespace) -> FaultScript:
     """Spread the faults that did not come yet over the trials."""
-    every = max(given.trials // (len(Fault) + 1), 2)
+    every = max(given.trials // (len(Fault) + 1), 4)  # a trial that is repeated meets no other one
     left = enumerate((fault for fault in Fault if fault not in begun), start=1)
     return FaultScript(faults=tuple(ScriptedFault(fault=fault, contact=every * n) for n, fault in left))
 

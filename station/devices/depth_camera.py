@@ -1,11 +1,15 @@
 """Driver of the RGB-D camera: RealSense D415 by `pyrealsense2`, depth aligned to colour."""
 
+import json
+import struct
 from dataclasses import dataclass
 from typing import Any, Final, Self
+from urllib.request import urlopen
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..description import DepthCamera as Described
 from .device import DeviceFault, DeviceNotFound, Identity
 
 WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
@@ -86,6 +90,66 @@ class DepthCamera:
         depth = np.asanyarray(frames.get_depth_frame().get_data())
         colour = np.asanyarray(frames.get_color_frame().get_data()).copy()
         return ColourDepth(colour=colour, depth_m=depth.astype(np.float32) * np.float32(self._metres_per_unit))
+
+
+class StreamedDepthCamera:
+    """A camera whose pairs another program gives over HTTP, as a twin does; used as `DepthCamera`."""
+
+    def __init__(self, serial_number: str, stream: str) -> None:
+        """Ask who it is; raise DeviceNotFound where nobody answers."""
+        self._name, self._stream = f"RGB-D camera {serial_number} at {stream}", stream
+        try:
+            self._about: dict[str, Any] = json.loads(self._get("about"))
+        except DeviceFault as error:
+            raise DeviceNotFound(str(error)) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing stays open."""
+
+    def identify(self) -> Identity:
+        """Return its serial number and firmware."""
+        return Identity(serial_number=self._about["serial_number"], firmware=self._about["firmware"])
+
+    def intrinsics(self) -> Intrinsics:
+        """Return the intrinsics of the colour camera."""
+        return Intrinsics(**self._about["intrinsics"])
+
+    def read(self) -> ColourDepth:
+        """Return a pair that is taken now; raise DeviceFault if the camera does not send one."""
+        import cv2
+
+        body = self._get("pair")
+        (length,) = struct.unpack(">I", body[:4])
+        colour = cv2.imdecode(np.frombuffer(body[4 : 4 + length], np.uint8), cv2.IMREAD_COLOR)
+        depth = cv2.imdecode(np.frombuffer(body[4 + length :], np.uint8), cv2.IMREAD_UNCHANGED)
+        if colour is None or depth is None:
+            raise DeviceFault(f"The {self._name} sent no pictures, but {len(body)} bytes. Restart it.")
+        depth_m = depth.astype(np.float32) / np.float32(self._about["units_per_m"])
+        return ColourDepth(colour=np.asarray(colour, dtype=np.uint8), depth_m=depth_m)
+
+    def _get(self, what: str) -> bytes:
+        try:
+            with urlopen(f"{self._stream}/{what}", timeout=_ANSWER_MS / 1e3) as answer:  # noqa: S310 - of the station's file
+                return bytes(answer.read())
+        except OSError as error:
+            raise DeviceFault(f"The {self._name} does not answer: {error}. Check that it runs and sees.") from error
+
+
+AnyDepthCamera = DepthCamera | StreamedDepthCamera
+
+
+def open_depth_camera(described: Described) -> AnyDepthCamera:
+    """Open the camera of a station's file.
+
+    Raises:
+        DeviceNotFound: it is not there.
+    """
+    if described.stream is not None:
+        return StreamedDepthCamera(described.serial_number, described.stream)
+    return DepthCamera(described.serial_number)
 
 
 def _library() -> Any:

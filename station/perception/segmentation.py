@@ -1,9 +1,12 @@
 """Finds the object at a point of an RGB-D picture, without a network: as far as colour and depth are continuous.
 
-The challenge prompts SAM at the centres of peg and hole; its weights cannot be delivered, so this takes its place.
+The challenge prompts SAM at the centres of peg and hole; its weights cannot be delivered, so this takes its place where
+none are given.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -62,6 +65,37 @@ def segment(seen: ColourDepth, prompt_px: tuple[int, int], settings: Segmentatio
     distance = np.linalg.norm(chroma - np.median(chroma[nearby].reshape(-1, 2), axis=0), axis=2)
     is_like = (distance <= settings.colour) & (np.abs(seen.depth_m - depth_m) <= settings.reach_m)
     return _connected(is_like & (seen.depth_m > 0), seen.depth_m, prompt_px, settings.step_m)
+
+
+class SamMissing(VitacError):
+    """SAM cannot be loaded; the message says what is missing."""
+
+
+Segmenter = Callable[[ColourDepth, tuple[int, int]], Mask]
+
+
+def make_segmenter(weights: Path | None) -> Segmenter:
+    """Return what finds the object at a prompt: `segment`, or SAM (ViT-B) where its weights are given.
+
+    Raises:
+        SamMissing: the package or the file of weights.
+    """
+    if weights is None:
+        return segment
+    if not weights.is_file():
+        raise SamMissing(f"Expected the weights of SAM at {weights}, got no file. Correct `sam_weights`, or remove it.")
+    try:
+        from segment_anything import SamPredictor, sam_model_registry  # type: ignore[import-not-found]
+    except ImportError as error:
+        raise SamMissing(f"Expected the package segment-anything for `sam_weights`: {error}. Install it.") from error
+    predictor = SamPredictor(sam_model_registry["vit_b"](checkpoint=str(weights)))
+
+    def segment_by_network(seen: ColourDepth, prompt_px: tuple[int, int]) -> Mask:
+        predictor.set_image(seen.colour, "BGR")
+        masks, scores, _ = predictor.predict(np.array([prompt_px]), np.ones(1, dtype=int))
+        return np.asarray(masks[int(np.argmax(scores))], dtype=bool)
+
+    return segment_by_network
 
 
 def object_points_m(

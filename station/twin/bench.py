@@ -4,20 +4,22 @@ import logging
 from collections import deque
 from dataclasses import dataclass, field
 from math import dist
-from threading import Condition, Event, Thread
+from threading import Condition, Event, Lock, Thread
 from time import monotonic
 from typing import Final, Self
 
 import numpy as np
 from vitac.envs.assets import Meshes
 from vitac.envs.errors import VitacError
-from vitac.envs.geometry.pegs import PegShape
+from vitac.envs.vision.camera import Sight
 
+from ..description import StationTask
+from .depth_pictures import DepthCameraTwin
 from .faults import Fault, FaultScript
 from .force_torque import ForceTorqueTwin
 from .gel_view import GelView, Picture
-from .grasp import Axes, HeldPeg, Wrench
-from .gripper import GripperFault, GripperTwin
+from .grasp import CUBOID_PEG, Axes, HeldPeg, Mounted, Wrench, hold_peg
+from .gripper import GripperTwin
 from .hidden import HiddenSettings
 from .pictures import CameraFault, CameraTwin
 from .stage import StageFault, StageTwin
@@ -77,7 +79,7 @@ class Bench:
 
     Attributes:
         hidden: what it is really like.
-        shape: of peg and hole.
+        mounted: peg, and the plate or base with its hole.
         period_s: time between pictures.
         speed: how much faster than real time it may run; what the computer can do where None.
         script: what breaks.
@@ -87,7 +89,7 @@ class Bench:
     """
 
     hidden: HiddenSettings
-    shape: PegShape = PegShape.CUBOID
+    mounted: Mounted = CUBOID_PEG
     period_s: float = 0.04
     speed: float | None = 1.0
     script: FaultScript = field(default_factory=FaultScript)
@@ -106,6 +108,7 @@ class Bench:
         self.cameras = [CameraTwin(picture=_Reader(self, side), period_s=1e-3) for side in range(2)]
         lost = self.hidden.lost_steps
         self._axes = [Backlash(self.hidden.backlash_mm, lost) for _ in range(2)] + [Backlash(self.hidden.backlash_mm)]
+        self.depth_camera = DepthCameraTwin(look=self.look) if self.mounted.task is StationTask.FUSION else None
         self.held: HeldPeg | None = None
         self._is_in_garage, self._is_touching = True, False
         self._wrench: Wrench = _NO_WRENCH
@@ -113,9 +116,12 @@ class Bench:
         self._running: list[tuple[float, Fault]] = []
         self._generator = np.random.default_rng(self.hidden.left.seed + self.hidden.right.seed)
         self._number, self._taken = 0, [0, 0]
-        self._changed, self._over = Condition(), Event()
+        self._changed, self._over, self._world = Condition(), Event(), Lock()
         # Kernels are loaded now: later, none of the twin's lines would answer meanwhile.
-        self._look(HeldPeg(self.shape, self._in_world(GARAGE), self.hidden, self._meshes))
+        self._garaged = hold_peg(self.mounted, self._in_world(GARAGE), self.hidden, self._meshes)
+        self._look(self._garaged)
+        self._garaged.wrench()
+        self._garaged.look()
         self._let_go()
 
     def __enter__(self) -> Self:
@@ -142,6 +148,11 @@ class Bench:
             self._changed.notify_all()
             return self._seen[side][0]
 
+    def look(self) -> Sight | None:
+        """Return what the RGB-D camera sees: the peg in the gripper, or else in its garage; None without a camera."""
+        with self._world:
+            return (self.held or self._garaged).look()
+
     @property
     def is_whole(self) -> bool:
         """Whether nothing is broken."""
@@ -159,7 +170,7 @@ class Bench:
             case Fault.FROZEN_STREAM:
                 left.faults.add(CameraFault.FROZEN)
             case Fault.STUCK_GRIPPER:
-                self.gripper.faults.add(GripperFault.STUCK)
+                self.gripper.stick()
             case Fault.STAGE_ALARM:
                 self.stage.faults.add(StageFault.ALARM)
             case Fault.NETWORK_CUT:
@@ -204,7 +215,8 @@ class Bench:
     def advance(self) -> None:
         """Let one period pass and take both pictures."""
         self.now_s += self.period_s
-        self._move()
+        with self._world:
+            self._move()
         self._break_and_mend()
         if self._number and not any(self._readers()):
             return
@@ -238,7 +250,7 @@ class Bench:
 
     def _grasp(self, at: Axes) -> None:
         try:
-            self.held = HeldPeg(self.shape, self._in_world(at), self.hidden, self._meshes)
+            self.held = hold_peg(self.mounted, self._in_world(at), self.hidden, self._meshes)
         except VitacError as error:
             _logger.warning("The twin's gripper could not close on the peg: %s", error)
         else:

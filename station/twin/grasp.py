@@ -3,22 +3,37 @@
 import logging
 from dataclasses import dataclass
 from math import ceil, radians
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from vitac.envs.assets import Meshes
 from vitac.envs.fem.model.bodies import GEL_MATERIAL, PART_MATERIAL
 from vitac.envs.fem.model.settings import ArenaContactSettings, PairFriction
+from vitac.envs.geometry.bases import RIM_MM
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, PhysicsSettings
 from vitac.envs.scene.gripper import GripperPose
 from vitac.envs.scene.stopwatch import Stopwatch
+from vitac.envs.tasks.fusion_insertion.scene import FusionScene
+from vitac.envs.tasks.fusion_insertion.settings import FusionInsertionSettings
+from vitac.envs.tasks.fusion_insertion.variation import START_GAP_MM as FUSION_GAP_MM
+from vitac.envs.tasks.fusion_insertion.variation import (
+    Z_TARGET_MM,
+    FusionOffset,
+    FusionShape,
+    FusionStart,
+    RigVariation,
+    Target,
+)
 from vitac.envs.tasks.insertion.offset import PegOffset
 from vitac.envs.tasks.insertion.scene import InsertionScene
 from vitac.envs.tasks.peg_insertion.scene import START_GAP_MM, PegScene
 from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
 from vitac.envs.tasks.peg_insertion.variation import PegStart
+from vitac.envs.vision.camera import Sight
+from vitac.envs.vision.rig import RigShift
 
+from ..description import StationTask
 from .hidden import HiddenSettings
 
 _logger = logging.getLogger(__name__)
@@ -30,10 +45,22 @@ _TIME_STEP_S: Final = 0.04
 _WAY_MM: Final = 0.5
 """Longest way in one IPC step."""
 _TURN_DEG: Final = 1.0
+_GRIP_MM: Final = -8.0
+"""Of the gripper from the peg's upper end."""
 _PEG, _PLATE = 2, 3
 """Their numbers among the bodies of the scene: the gels are the first two."""
 _SENSOR_ABOVE_M: Final = 0.15
 """Middle of the force/torque sensor above the grasp: the length of a Hand-E and its flange."""
+
+
+class Mounted(NamedTuple):
+    """What stands before the gripper: the parts of a task, by its name, and the shape of the peg."""
+
+    task: StationTask = StationTask.PEG
+    shape: str = PegShape.CUBOID
+
+
+CUBOID_PEG: Final = Mounted()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,17 +83,9 @@ class HeldPeg:
         scene: gels, peg and plate.
     """
 
-    def __init__(self, shape: PegShape, axes: Axes, hidden: HiddenSettings, meshes: Meshes) -> None:
+    def __init__(self, peg: InsertionScene[Any, Any], axes: Axes) -> None:
         """Close on a peg that stands upright where the gripper is."""
-        x_mm, y_mm, z_mm, rotation_deg = axes
-        settings = _settings(hidden)
-        # The peg stands where the gripper is, but for the grasp; PegScene places it above the plate's face.
-        self._height_mm = z_mm - hidden.grasp_z_mm - START_GAP_MM
-        offset = PegOffset(x_mm=x_mm - hidden.grasp_x_mm, y_mm=y_mm, theta_deg=rotation_deg)
-        clocks = Clocks(physics=Stopwatch(), markers=Stopwatch())
-        self._peg = _RaisedPeg(
-            self._height_mm, start=PegStart(shape=shape, offset=offset), meshes=meshes, settings=settings, clocks=clocks
-        )
+        self._peg = peg
         InsertionScene.grasp(self._peg)
         self.scene = self._peg.grasped
         self._start = _Grasp(axes=axes, pose=self.scene.pose)
@@ -112,9 +131,46 @@ class HeldPeg:
         x, y, z, turn_x, turn_y, turn_z = np.concatenate((force_n, torque_nm)).tolist()
         return x, y, z, turn_x, turn_y, turn_z
 
+    def look(self) -> Sight | None:
+        """Return what an RGB-D camera beside the gripper sees now; None where the scene has none."""
+        if not isinstance(self._peg, _SeenPeg):
+            return None
+        x, y, z, rotation = (now - before for now, before in zip(self._axes, self._start.axes, strict=True))
+        return self._peg.look_from(x, y, rotation, z)
+
     def depth_mm(self) -> float:
         """Return how deep the highest corner of the peg's lower end is below the rim [mm]."""
         return -float(self._peg.peg_relative_z_mm().max())
+
+
+def hold_peg(mounted: "Mounted", axes: Axes, hidden: HiddenSettings, meshes: Meshes) -> HeldPeg:
+    """Return the mounted peg in the gripper, where that is now."""
+    x_mm, y_mm, z_mm, rotation_deg = axes
+    clocks = Clocks(physics=Stopwatch(), markers=Stopwatch())
+    # The peg stands where the gripper is, but for the grasp.
+    x_mm, z_mm = x_mm - hidden.grasp_x_mm, z_mm - hidden.grasp_z_mm
+    if mounted.task is StationTask.FUSION:
+        target = Target.from_shape(FusionShape(mounted.shape))
+        place = FusionOffset(
+            x_mm=x_mm,
+            y_mm=y_mm - target.y_mm,
+            theta_deg=rotation_deg,
+            z_mm=z_mm + RIM_MM - Z_TARGET_MM - FUSION_GAP_MM,
+        )
+        start = FusionStart(offset=place, target=target)
+        return HeldPeg(
+            _SeenPeg(start=start, meshes=meshes, settings=_fusion_settings(hidden), clocks=clocks, rig=_rig(hidden)),
+            axes,
+        )
+    offset = PegOffset(x_mm=x_mm, y_mm=y_mm, theta_deg=rotation_deg)
+    raised = _RaisedPeg(
+        z_mm - START_GAP_MM,  # PegScene places it above the plate's face
+        start=PegStart(shape=PegShape(mounted.shape), offset=offset),
+        meshes=meshes,
+        settings=_peg_settings(hidden),
+        clocks=clocks,
+    )
+    return HeldPeg(raised, axes)
 
 
 class _RaisedPeg(PegScene):
@@ -130,7 +186,41 @@ class _RaisedPeg(PegScene):
         return x_mm, y_mm, z_mm + self._height_mm
 
 
-def _settings(hidden: HiddenSettings) -> PegInsertionSettings:
+class _SeenPeg(FusionScene):
+    """A peg above the base with two holes, at which a camera looks that moves with the stage."""
+
+    def look_from(self, x_mm: float, y_mm: float, theta_deg: float, z_mm: float) -> Sight:
+        """Return what the camera sees after a motion since the grasp."""
+        start = self._initial
+        self.offset = FusionOffset(
+            x_mm=start.x_mm + x_mm,
+            y_mm=start.y_mm + y_mm,
+            theta_deg=start.theta_deg + theta_deg,
+            z_mm=start.z_mm + z_mm,
+        )
+        self.env_steps, self._sight = self.env_steps + 1, None  # the noise is another one each time
+        return self.sight()
+
+
+def _peg_settings(hidden: HiddenSettings) -> PegInsertionSettings:
+    return PegInsertionSettings(
+        indentation_mm=hidden.indentation_mm,
+        gripper_x_mm=hidden.grasp_x_mm,
+        gripper_z_mm=_GRIP_MM + hidden.grasp_z_mm,
+        physics=_physics(hidden),
+    )
+
+
+def _fusion_settings(hidden: HiddenSettings) -> FusionInsertionSettings:
+    return FusionInsertionSettings(
+        indentation_mm=hidden.indentation_mm,
+        gripper_x_mm=hidden.grasp_x_mm,
+        gripper_z_mm=_GRIP_MM + hidden.grasp_z_mm,
+        physics=_physics(hidden),
+    )
+
+
+def _physics(hidden: HiddenSettings) -> PhysicsSettings:
     contact = ArenaContactSettings(
         pair_frictions=(
             PairFriction(first=GEL_MATERIAL, second=PART_MATERIAL, coefficient=hidden.gel_friction),
@@ -138,9 +228,10 @@ def _settings(hidden: HiddenSettings) -> PegInsertionSettings:
             PairFriction(first=GEL_MATERIAL, second=GEL_MATERIAL, coefficient=hidden.gel_friction),
         )
     )
-    return PegInsertionSettings(
-        indentation_mm=hidden.indentation_mm,
-        gripper_x_mm=hidden.grasp_x_mm,
-        gripper_z_mm=-8.0 + hidden.grasp_z_mm,
-        physics=PhysicsSettings(time_step_s=_TIME_STEP_S, contact=contact, youngs_modulus_pa=hidden.youngs_modulus_pa),
-    )
+    return PhysicsSettings(time_step_s=_TIME_STEP_S, contact=contact, youngs_modulus_pa=hidden.youngs_modulus_pa)
+
+
+def _rig(hidden: HiddenSettings) -> RigVariation:
+    x_mm, z_mm, turn_deg = hidden.rig
+    shift = RigShift(turn_rad=radians(turn_deg), offset_m=(1e-3 * x_mm, 0.0, 1e-3 * z_mm))
+    return RigVariation(shift=shift, noise_seed=hidden.left.seed)

@@ -59,6 +59,11 @@ class GripperTwin:
         step = reach * (self.clock() - self._began_s)
         return min(self._start + step, target) if target > self._start else max(self._start - step, target)
 
+    def stick(self) -> None:
+        """Leave the fingers where they are."""
+        self._start, self._began_s = self.position(), self.clock()
+        self.faults.add(GripperFault.STUCK)
+
     def _request_length(self) -> int:
         """Return the length of the first request if it is complete, else 0."""
         if len(self._data) < 8:

@@ -60,6 +60,8 @@ class HiddenSettings(StrictModel):
     """Speed at which markers leave their places as the sensors warm up."""
     force_drift_n_h: float = 0.0
     """Speed at which the zero of the force/torque sensor drifts along z."""
+    rig: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """How the RGB-D camera is mounted off its place: x and z [mm], turn [deg]."""
     left: HiddenSensor = HiddenSensor(seed=1)
     right: HiddenSensor = HiddenSensor(seed=2)
 
@@ -91,6 +93,7 @@ def draw_hidden(secret: bytes) -> HiddenSettings:
         left=_draw_sensor(generator),
         right=_draw_sensor(generator),
         force_drift_n_h=between(-2.0, 2.0),
+        rig=(between(-0.5, 0.5), between(-0.5, 0.5), between(-0.1, 0.1)),
     )
 
 

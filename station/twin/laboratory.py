@@ -12,8 +12,10 @@ from typing import Any, Final
 import numpy as np
 import yaml
 from numpy.typing import NDArray
+from vitac.envs.vision.optics import COLOUR_INTRINSICS, HEIGHT_PX, WIDTH_PX
 
 from .bench import GARAGE, HOLE, Bench
+from .depth_pictures import UNITS_PER_M, DepthCameraTwin
 from .force_torque import ForceTorqueTwin
 from .gripper import GripperTwin
 from .pictures import CameraTwin
@@ -38,6 +40,7 @@ _PLAYING_LIMITS: Final[dict[str, Any]] = {
     "reading_s": 5.0,  # its process shares cores with the station
     "heartbeat_s": 5.0,
 }
+_PROMPTS: Final = {"peg": [346, 290], "base": [342, 225]}
 
 
 @dataclass
@@ -81,7 +84,7 @@ def playing_station(bench: Bench) -> Iterator[TwinStation]:
         station = _at_lines(stack, left, right, box, bench.stage, bench.gripper)
         station.description["limits"] |= _PLAYING_LIMITS
         station.description["procedure"] = {
-            "shape": str(bench.shape),
+            "shape": str(bench.mounted.shape),
             "hole": _describe_place(HOLE),
             "garage": _describe_place(GARAGE),
             "safe_z_mm": -20.0,
@@ -89,7 +92,21 @@ def playing_station(bench: Bench) -> Iterator[TwinStation]:
             "release": "automatic",
             "latency_s": 0.12 + 2 * bench.period_s,
         }
+        if bench.depth_camera is not None:
+            _add_depth_camera(station.description, stack.enter_context(bench.depth_camera))
         yield station
+
+
+def _add_depth_camera(description: dict[str, Any], camera: DepthCameraTwin) -> None:
+    """Describe the camera, where its prompts are, and a workspace over both holes."""
+    fx, fy, cx, cy = COLOUR_INTRINSICS
+    intrinsics = {"width": WIDTH_PX, "height": HEIGHT_PX, "fx": fx, "fy": fy, "cx": cx, "cy": cy}
+    known = {"serial_number": "D415-1", "firmware": "5.13.0.50"}
+    camera.about = {**known, "intrinsics": intrinsics, "units_per_m": UNITS_PER_M}
+    calibration = {"serial_number": known["serial_number"], **intrinsics}
+    description["depth_camera"] = {**known, "stream": camera.stream, "calibration": calibration}
+    description["procedure"]["prompts"] = _PROMPTS
+    description["limits"]["workspace"] |= {"y_mm": [-35, 80], "z_mm": [-50, 0]}
 
 
 def _at_lines(

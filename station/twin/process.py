@@ -7,10 +7,9 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any
 
-from vitac.envs.geometry.pegs import PegShape
-
 from .bench import Bench
 from .faults import Fault, FaultScript
+from .grasp import CUBOID_PEG, Mounted
 from .hidden import HiddenSettings
 from .laboratory import playing_station
 
@@ -53,14 +52,14 @@ class RunningTwin:
 def twin_process(
     hidden: HiddenSettings,
     *,
-    shape: PegShape = PegShape.CUBOID,
+    mounted: Mounted = CUBOID_PEG,
     script: FaultScript | None = None,
     period_s: float = 0.1,
 ) -> Iterator[RunningTwin]:
     """Start a twin that runs as fast as it can."""
     context = get_context("spawn")
     ours, theirs = context.Pipe()
-    arguments = (theirs, hidden, shape, script or FaultScript(), period_s)
+    arguments = (theirs, hidden, mounted, script or FaultScript(), period_s)
     process = context.Process(target=_run, args=arguments, daemon=True)
     process.start()
     theirs.close()
@@ -71,12 +70,12 @@ def twin_process(
         process.join()
 
 
-def _run(caller: Connection, hidden: HiddenSettings, shape: PegShape, script: FaultScript, period_s: float) -> None:
+def _run(caller: Connection, hidden: HiddenSettings, mounted: Mounted, script: FaultScript, period_s: float) -> None:
     """Run until the caller closes its end or dies."""
     import cv2
 
     cv2.setNumThreads(1)
-    bench = Bench(hidden=hidden, shape=shape, script=script, period_s=period_s, speed=None)
+    bench = Bench(hidden=hidden, mounted=mounted, script=script, period_s=period_s, speed=None)
     with playing_station(bench) as station:
         caller.send(station.description)
         while True:

@@ -1,12 +1,15 @@
 """The object at a prompt: on rendered pictures of the fusion task with known truth, and on pictures made by hand."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from visible_scenes import STARTS, fusion_scene
 from vitac.envs.vision.camera import DepthMode, Sight
 from vitac.envs.vision.surfaces import Label
 from vitac.station.devices.depth_camera import ColourDepth, Intrinsics
-from vitac.station.perception.segmentation import NothingAtPrompt, object_points_m, segment
+from vitac.station.perception.segmentation import NothingAtPrompt, SamMissing, make_segmenter, object_points_m, segment
 
 INTRINSICS = Intrinsics(width=60, height=40, fx=50.0, fy=50.0, cx=30.0, cy=20.0)
 RED, BLUE = (40, 40, 200), (200, 40, 40)
@@ -79,3 +82,16 @@ def test_points_lie_on_the_object() -> None:
     assert points_m[:, 0].max() <= 0.5 * (50 - 30) / 50
     with pytest.raises(NothingAtPrompt, match="no pixel with a depth"):
         object_points_m(np.zeros((40, 60), bool), seen.depth_m, INTRINSICS, np.random.default_rng(1))
+
+
+def test_sam_is_asked_for_by_its_weights_and_what_is_missing_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert make_segmenter(None) is segment
+    weights = tmp_path / "sam_vit_b.pth"
+    with pytest.raises(SamMissing, match="Expected the weights of SAM at"):
+        make_segmenter(weights)
+    weights.touch()
+    monkeypatch.setitem(sys.modules, "segment_anything", None)
+    with pytest.raises(SamMissing, match="Expected the package segment-anything"):
+        make_segmenter(weights)

@@ -95,6 +95,15 @@ def test_plate_is_felt_beside_the_hole_and_not_over_it_and_a_script_breaks_what_
     assert bench.held.depth_mm() == pytest.approx(1.0, abs=0.2)
 
 
+def test_stuck_gripper_holds_on_to_its_peg(bench: Bench) -> None:
+    fetch(bench)
+    bench.begin(Fault.STUCK_GRIPPER, 1.0)
+    for _ in range(12):
+        bench.advance()
+        assert bench.held is not None
+        assert round(bench.gripper.position()) == PEG_AT
+
+
 def test_dropped_peg_leaves_the_gels_at_rest_until_a_person_puts_it_back(bench: Bench) -> None:
     before = centres(bench)
     fetch(bench)
