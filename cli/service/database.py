@@ -5,10 +5,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
-from vitac.server.db.availability import DatabaseUnreachable
-from vitac.server.db.engine import is_cancelled, is_temporary
+from vitac.server.db.availability import failures_explained
 from vitac.server.services import Services
 from vitac.server.settings import Settings
 
@@ -57,22 +55,13 @@ def transaction() -> Iterator[Session]:
     Raises:
         DatabaseUnreachable: it does not answer, is lost meanwhile, or a statement takes too long, as behind a lock.
     """
-    with _said_if_slow():
-        try:
-            with (
-                open_service(load_settings(), statement_timeout_s=STATEMENT_TIMEOUT_S) as services,
-                services.database.transaction() as session,
-            ):
-                yield session
-        except DBAPIError as error:
-            if is_cancelled(error):
-                raise DatabaseUnreachable(
-                    f"The database took longer than {STATEMENT_TIMEOUT_S:.0f} s, perhaps because a lock stands in the "
-                    "way (docs/monitoring.md says how to find it). Nothing was changed."
-                ) from error
-            if is_temporary(error):
-                raise DatabaseUnreachable.from_driver(error) from error
-            raise
+    with (
+        _said_if_slow(),
+        failures_explained(STATEMENT_TIMEOUT_S),
+        open_service(load_settings(), statement_timeout_s=STATEMENT_TIMEOUT_S) as services,
+        services.database.transaction() as session,
+    ):
+        yield session
 
 
 @contextmanager

@@ -1,7 +1,8 @@
-"""Waits for a database that starts, recovers or restarts; called by `services` before its first transaction."""
+"""Waits for a database that starts, recovers or restarts, and says why it fails; called by `services` and commands."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import structlog
 from psycopg.conninfo import conninfo_to_dict, make_conninfo
@@ -9,7 +10,7 @@ from psycopg.pq import PGconn, Ping
 from sqlalchemy.exc import DBAPIError
 from vitac.envs.errors import VitacError
 
-from .engine import Database, has_no_free_connection, is_connection_loss
+from .engine import Database, has_no_free_connection, is_cancelled, is_connection_loss, is_temporary
 
 logger = structlog.get_logger(__name__)
 
@@ -30,6 +31,26 @@ class DatabaseUnreachable(VitacError):
         if has_no_free_connection(error):
             return cls("The database has no free connection: run fewer processes, or raise its max_connections.")
         return cls(f"The database cannot be used: {' '.join(str(error.orig).split())}.")
+
+
+@contextmanager
+def failures_explained(limit_s: float) -> Iterator[None]:
+    """Let a block that changes nothing when it fails say why: the database was lost, or took longer than the limit.
+
+    Raises:
+        DatabaseUnreachable: one of the two.
+    """
+    try:
+        yield
+    except DBAPIError as error:
+        if is_cancelled(error):
+            raise DatabaseUnreachable(
+                f"The database took longer than {limit_s:.0f} s, perhaps because a lock stands in the way "
+                "(docs/monitoring.md says how to find it). Nothing was changed."
+            ) from error
+        if is_temporary(error):
+            raise DatabaseUnreachable.from_driver(error) from error
+        raise
 
 
 def once_available(database: Database, work: Callable[[Database], None], *, patience_s: float) -> None:
