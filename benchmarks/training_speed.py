@@ -1,6 +1,6 @@
 """Where the time of data for training goes: resets against env steps, and env steps per second of a vector environment.
 
-python benchmarks/training_speed.py [--envs 8] [--episodes 30] [--env-steps 100]
+python benchmarks/training_speed.py [--envs 8] [--episodes 30] [--env-steps 100] [--fidelity training]
 
 CPU times are of one process with random actions. The rate of the vector environment needs an idle machine.
 """
@@ -36,9 +36,10 @@ class Share:
         return f"{1e3 * self.cpu_s / self.calls:6.1f} ms with {self.ipc_steps / self.calls:.1f} IPC steps"
 
 
-def shares(env_id: str, episodes: int) -> tuple[Share, Share]:
+def shares(env_id: str, episodes: int, fidelity: str) -> tuple[Share, Share]:
     """Return the CPU times of resets and of env steps with random actions."""
-    env: Any = gymnasium.make(env_id, disable_env_checker=True, observation_keys=KEYS).unwrapped
+    made = gymnasium.make(env_id, disable_env_checker=True, observation_keys=KEYS, fidelity=fidelity)
+    env: Any = made.unwrapped
     env.reset(seed=0)
     env.step(np.zeros(env.action_space.shape, dtype=np.float32))
     reset, step = Share(), Share()
@@ -63,9 +64,9 @@ def timed(env: Any, share: Share, call: Any) -> Any:
     return result
 
 
-def vector_rate(env_id: str, envs: int, env_steps: int) -> float:
+def vector_rate(env_id: str, envs: int, env_steps: int, fidelity: str) -> float:
     """Return the env steps per second of a vector environment, those that reset an episode not counted."""
-    vector: Any = gymnasium.make_vec(env_id, envs, observation_keys=KEYS)
+    vector: Any = gymnasium.make_vec(env_id, envs, observation_keys=KEYS, fidelity=fidelity)
     vector.reset(seed=0)
     random, played, started = np.random.default_rng(0), 0, perf_counter()
     for _ in range(env_steps):
@@ -82,10 +83,11 @@ def main() -> None:
     parser.add_argument("--envs", type=int, default=8)
     parser.add_argument("--episodes", type=int, default=30)
     parser.add_argument("--env-steps", type=int, default=100)
+    parser.add_argument("--fidelity", default="full", help="full or training")
     chosen = parser.parse_args()
     for env_id in sorted(vitac.envs.ENVIRONMENTS):
-        reset, step = shares(env_id, chosen.episodes)
-        rate = vector_rate(env_id, chosen.envs, chosen.env_steps)
+        reset, step = shares(env_id, chosen.episodes, chosen.fidelity)
+        rate = vector_rate(env_id, chosen.envs, chosen.env_steps, chosen.fidelity)
         print(env_id)
         print(f"  reset    {reset.sentence()}")
         print(f"  env step {step.sentence()}, {step.calls / chosen.episodes:.1f} per episode")
