@@ -59,8 +59,10 @@ class Plan(StrictModel):
     """Fresh starts by which the policy is compared with the blind one."""
     hidden: Count = 192
     """Units of both layers."""
-    gradient_steps: Count = 3000
+    gradient_steps: Count = 5000
     """Of each round."""
+    weight_decay: Annotated[float, Field(ge=0, le=10)] = 1.0
+    """Part of the learning rate by which weights get smaller; without it the policy learns the markers' noise."""
     batch: Count = 256
     """Moments of a gradient step."""
     learning_rate: Annotated[float, Field(gt=0, le=0.1)] = 1e-3
@@ -203,7 +205,7 @@ class Cloning:
         for step in range(plan.gradient_steps):
             chosen = random.integers(len(inputs), size=plan.batch)
             learning_rate = plan.learning_rate * 0.1 ** (step / plan.gradient_steps)
-            network.learn(inputs[chosen], played.actions[chosen], rate=learning_rate)
+            network.learn(inputs[chosen], played.actions[chosen], rate=learning_rate, decay=plan.weight_decay)
         return {**network.parameters, "mean": mean, "scale": scale}
 
     def export(self, number: int, sensor: Path | None) -> Path:

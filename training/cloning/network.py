@@ -29,8 +29,14 @@ class Network:
             self.parameters[f"bias{number}"] = np.zeros(shape[1], dtype=np.float32)
         self.adam = Adam(self.parameters)
 
-    def learn(self, inputs: FloatArray, actions: FloatArray, *, rate: float) -> float:
-        """Make one gradient step, and return the mean squared error before it.
+    def learn(self, inputs: FloatArray, actions: FloatArray, *, rate: float, decay: float) -> float:
+        """Make one gradient step, let the weights decay (Loshchilov and Hutter 2019), and return the error before.
+
+        Args:
+            inputs: shape [n, i].
+            actions: of the expert, shape [n, a].
+            rate: of learning.
+            decay: part of the rate by which weights, not biases, get smaller.
 
         Raises:
             TrainingDiverged: it is no finite number.
@@ -41,6 +47,8 @@ class Network:
         if not np.isfinite(loss):
             raise TrainingDiverged(f"The loss is {loss} after {self.adam.steps} gradient steps; expected a number.")
         self.adam.descend(_gradients(self.parameters, layers, slope * np.float32(2.0 / slope.size)), rate)
+        for number in range(LAYERS):
+            self.parameters[f"weight{number}"] *= np.float32(1.0 - rate * decay)
         return loss
 
 
