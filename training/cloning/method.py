@@ -11,6 +11,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from math import prod
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,7 +33,7 @@ from ..streams import Use, stream
 from . import policy
 from .network import Network
 from .playing import Played, Stage, join
-from .policy import FloatArray, make_windows
+from .policy import MARKERS, PICTURE, FloatArray, make_windows
 
 FILE_EPISODES = 25
 """Episodes of a file: a kill loses at most those of one for each process."""
@@ -69,9 +70,8 @@ class Plan(StrictModel):
     """At the start of a round; it falls to a tenth."""
 
 
-SIGHTED = ("marker_flow", "rgb_picture", "relative_motion")
-"""What a policy observes, where the task has it."""
-BLIND = ("relative_motion",)
+FEW_NUMBERS = 16
+"""What has no more is observed as it is, by the blind policy, too: it feels and sees nothing else."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,10 +252,11 @@ def clone(
     track, task = find_task(plan.task)
     made = make_sensor(track, task.name, sensor)
     plan = plan.model_copy(update={"sensor": made.digest if made else None})
-    seen = {entry.name for entry in task.observables}
+    known = [entry.name for entry in task.observables if prod(entry.shape) <= FEW_NUMBERS]
+    sensed = [entry.name for entry in task.observables if entry.name in (MARKERS, PICTURE)]
     ended = []
     with claimed(folder, plan.model_dump(mode="json"), tell):
-        for path, keys in ((folder, [key for key in SIGHTED if key in seen]), (folder / "blind", BLIND)):
+        for path, keys in ((folder, [*sensed, *known]), (folder / "blind", known)):
             cloning = Cloning(
                 plan=plan,
                 folder=Folder(path=path),

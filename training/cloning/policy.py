@@ -1,8 +1,8 @@
 """Acts as an expert would, by a network that learned the expert's actions from what a policy observes.
 
 This file is a whole submission with `weights.npz` beside it, and needs only NumPy. Training imports the same file, so
-that what is learned is what is played. It reads whatever its submission lists of `marker_flow`, `rgb_picture` and
-`relative_motion`; a blind policy lists the last only.
+that what is learned is what is played. It reads what its submission lists: `marker_flow`, `rgb_picture`, and whatever
+has few numbers as it is.
 """
 
 from collections.abc import Mapping
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float32]
 
+MARKERS, PICTURE = "marker_flow", "rgb_picture"
 WINDOW = 8  # env steps that are remembered
 LAYERS = 3
 IMAGE_CENTRE = np.array([160.0, 125.0])  # of a sensor's camera [pixel]
@@ -88,14 +89,14 @@ def make_windows(rows: FloatArray) -> FloatArray:
 
 def read_observation(observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
     """Return the numbers that the network gets of an observation."""
-    parts = [np.asarray(observation["relative_motion"], dtype=np.float64)]
-    if "marker_flow" in observation:
-        felt = [fit_motion(*flow) for flow in observation["marker_flow"]]
+    parts = [np.ravel(observation[key]) for key in sorted(observation) if key not in (MARKERS, PICTURE)]
+    if MARKERS in observation:
+        felt = [fit_motion(*flow) for flow in observation[MARKERS]]
         parts += [np.arcsinh(each / NOISE_PX) for each in felt]
-    if "rgb_picture" in observation:
-        red, green, blue = np.moveaxis(observation["rgb_picture"][SEEN], 2, 0)
+    if PICTURE in observation:
+        red, green, blue = np.moveaxis(observation[PICTURE][SEEN], 2, 0)
         parts += [compute_moments((red > 200) & (green < 100)), compute_moments((blue > 200) & (green < 100))]
-    return np.concatenate(parts)
+    return np.concatenate(parts, dtype=np.float64)
 
 
 def fit_motion(reference: NDArray[Any], current: NDArray[Any]) -> NDArray[np.float64]:

@@ -76,6 +76,7 @@ class SwitchScene:
         self, shape: Button, height_mm: float, *, meshes: Meshes, settings: SwitchSettings, clocks: Clocks
     ) -> None:
         self.env_steps = 0
+        self.shape = shape  # demonstrations name it
         self._height_mm, self._settings = height_mm, settings
         finger = finger_mesh()
         self._bottom = np.flatnonzero(finger.vertices_m[:, 2] == 0.0)
