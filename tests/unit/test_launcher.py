@@ -217,7 +217,9 @@ def test_data_sets_bring_what_writes_them_but_collecting_does_not(
 
 
 @pytest.mark.parametrize(
-    "noun", [noun for noun in NOUNS if noun.name not in {"show", "serve", "demo"}], ids=lambda noun: noun.name
+    "noun",
+    [noun for noun in NOUNS if noun.name not in {"show", "serve", "demo", "witness"}],
+    ids=lambda noun: noun.name,
 )
 def test_only_commands_of_the_service_bring_server_and_database(checkout: Checkout, noun: Noun) -> None:
     checkout.run(str(checkout.root / "vitac"), noun.name, "word")
@@ -243,6 +245,8 @@ def test_only_commands_of_the_service_bring_server_and_database(checkout: Checko
         ("sandbox", "base"),
         ("admin appeal replay 1", "server"),
         ("admin appeal list", "server"),
+        ("witness serve", "server"),
+        ("witness run address", "base"),
     ],
 )
 def test_verbs_bring_what_they_need_and_no_more(checkout: Checkout, words: str, lock: str) -> None:
