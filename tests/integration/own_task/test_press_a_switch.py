@@ -100,6 +100,11 @@ def test_it_is_drawn_with_all_fixed_parts(packages: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
+def test_its_expert_gives_demonstrations(packages: Path, tmp_path: Path) -> None:
+    vitac(packages, "data", "collect", "press-switch", "--successes", 1, "--out", tmp_path)
+    assert '"shape":"' in (tmp_path / "press-switch" / "demonstrations.jsonl").read_text()
+
+
 def test_it_stands_on_a_board(packages: Path) -> None:
     folders = {"VITAC_STATE_DIR": str(state_directory()), "VITAC_PORT": "0"}
     output = vitac(packages, "demo", "--exit", "--submission", SUBMISSION, **folders)
