@@ -46,13 +46,13 @@ class Network:
         loss = float((slope * slope).mean())
         if not np.isfinite(loss):
             raise TrainingDiverged(f"The loss is {loss} after {self.adam.steps} gradient steps; expected a number.")
-        self.adam.descend(_gradients(self.parameters, layers, slope * np.float32(2.0 / slope.size)), rate)
+        self.adam.descend(compute_gradients(self.parameters, layers, slope * np.float32(2.0 / slope.size)), rate)
         for number in range(LAYERS):
             self.parameters[f"weight{number}"] *= np.float32(1.0 - rate * decay)
         return loss
 
 
-def _gradients(
+def compute_gradients(
     parameters: Mapping[str, FloatArray], layers: list[FloatArray], slope: FloatArray
 ) -> dict[str, FloatArray]:
     """Return the gradients by the chain rule, from the slope of the loss by the outputs."""
