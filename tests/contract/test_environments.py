@@ -18,6 +18,7 @@ from trajectories import trajectory_digest
 from vitac.envs.errors import VitacError
 from vitac.envs.tasks.options import ResetOptionsError
 from vitac.envs.tasks.task_env import ActionError
+from vitac.evaluator.tracks.families import environment_definition
 
 ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
 EVERY_TASKS_KEYS = {"marker_flow", "relative_motion"}
@@ -76,7 +77,13 @@ def test_privileged_keys_are_added_to_the_public_ones(env_id: str) -> None:
 
 
 def test_docstring_tables_list_every_observation_and_action(env_id: str) -> None:
-    env: Any = gymnasium.make(env_id, disable_env_checker=True, privileged=True).unwrapped
+    optional = environment_definition(env_id, {}).optional_observables
+    env: Any = gymnasium.make(
+        env_id,
+        disable_env_checker=True,
+        privileged=True,
+        optional_observables=[entry.name for entry in optional],
+    ).unwrapped
     docstring = type(env).__doc__ or ""
     rows = dict(re.findall(r"^ *\| (\w+) \| (\([\d, ]+\)) \|", docstring, re.MULTILINE))
     assert {key: str(space.shape) for key, space in env.observation_space.spaces.items()} == rows

@@ -150,6 +150,7 @@ Arrange = Callable[[Laboratory, TwinStation], None]
         (other_agent, MAIN, f"The key of station lab is in use by process {os.getpid()} on"),
         (nothing, AHEAD + MAIN, "The clock of this station is off by 300 s"),
     ],
+    ids=["other stage", "other gel", "removed key", "other agent", "clock ahead"],
 )
 def test_agent_is_refused_in_a_sentence_before_anything_moves(
     laboratory: Laboratory, twins: TwinStation, repository: Path, arrange: Arrange, program: str, sentence: str

@@ -44,7 +44,7 @@ def helps_of(option: str, commands: dict[str, Any]) -> dict[str, str]:
         ("--server", 20, {"logout"}),
         ("--token-file", 20, {"login"}),
         ("--json", 90, {"evaluate", "resimulate", "sensor evaluate"}),  # a file
-        ("--episodes", 2, {"log verify", "receipt audit"}),
+        ("--episodes", 2, {"log verify", "receipt audit", "train clone"}),  # how many
         ("--workers", 2, {"demo", "serve", "train reference"}),
         ("--assets", 3, {"evaluate"}),
     ],
