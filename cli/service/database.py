@@ -66,8 +66,11 @@ def transaction() -> Iterator[Session]:
 
 @contextmanager
 def _said_if_slow() -> Iterator[None]:
-    """Say on standard error that the database does not answer, where the block has not ended by then."""
-    sentence = f"The database has not answered for {SAID_AFTER_S:.0f} s; still waiting. Ctrl-C ends this command."
+    """Say on standard error what may be the reason, where the block has not ended by then."""
+    sentence = (
+        f"This has taken {SAID_AFTER_S:.0f} s: the database is busy, locked, or does not answer. "
+        "Ctrl-C ends this command."
+    )
     timer = threading.Timer(SAID_AFTER_S, warn, [sentence])
     timer.daemon = True
     timer.start()

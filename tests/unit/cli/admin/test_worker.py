@@ -56,4 +56,4 @@ def test_a_lock_that_stands_in_the_way_ends_a_command_with_a_sentence(
         session.execute(text("LOCK TABLE workers"))
         result = service.run("admin", "worker", "list")
     assert "The database took longer than" in str(result.exception)
-    assert "The database has not answered for" in result.stderr
+    assert "the database is busy, locked, or does not answer" in result.stderr
