@@ -48,9 +48,10 @@ def test_the_example_reaches_the_leaderboard_and_stays_in_the_store(example: Pat
 
 
 @pytest.mark.slow
-def test_agent_of_a_station_plays_three_trials_and_both_gels_are_on_a_page() -> None:
+def test_agent_of_a_station_plays_three_trials_and_both_gels_are_on_a_page(repository: Path) -> None:
     state = state_directory()
-    played = vitac("demo", "--station", state=state)
+    submission = repository / "examples" / "peg_insertion_trained"
+    played = vitac("demo", "--station", "--submission", str(submission), state=state)
     assert played.returncode == 0, played.stdout + played.stderr
     assert "of 3 succeeded" in played.stdout
     page = state / "station" / "pictures" / "index.html"
