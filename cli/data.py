@@ -8,16 +8,13 @@ from typing import Annotated, Literal
 import typer
 
 from .terminal.existing import existing
+from .terminal.options import Processes, Ray
 from .terminal.output import AsJson, print_json, print_table
 
 app = typer.Typer(no_args_is_help=True)
 
 Form = Literal["lerobot-v3.0", "lerobot-v2.1", "minari"]
 DataSet = Annotated[Path, typer.Argument(callback=existing, help="Folder of the data set.")]
-Processes = Annotated[int, typer.Option(min=1, help="Processes that play episodes.")]
-Ray = Annotated[
-    str | None, typer.Option(metavar="ADDRESS", help="Ray cluster that plays instead, such as 10.0.0.1:6379 or auto.")
-]
 
 
 @app.command()

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from .terminal.options import Processes, Ray
 from .terminal.output import AsJson, print_json, print_pairs
 
 
@@ -27,10 +28,6 @@ app = typer.Typer(cls=_RecipeFirst, no_args_is_help=True)
 
 RecipeFile = Annotated[Path, typer.Argument(help="YAML file that says what is learned.", exists=True, dir_okay=False)]
 RunFolder = Annotated[Path, typer.Option("--out", help="Folder of the run; an existing run is continued.")]
-Processes = Annotated[int, typer.Option(min=1, help="Processes that play episodes.")]
-Ray = Annotated[
-    str | None, typer.Option(metavar="ADDRESS", help="Ray cluster that plays instead, such as 10.0.0.1:6379 or auto.")
-]
 Sensor = Annotated[
     Path | None, typer.Option(help="Folder of your own sensor, for sensor-design.", exists=True, file_okay=False)
 ]

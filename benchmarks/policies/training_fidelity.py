@@ -14,7 +14,6 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator
-from math import comb
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -25,6 +24,7 @@ import numpy as np
 from players import EXAMPLES, Example, Planner, Player
 from vitac.envs.tactile.camera import CHALLENGE_CAMERA, project
 from vitac.envs.tasks.fidelity import Fidelity
+from vitac.evaluator.scoring.comparison import mcnemar_p_value
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.tracks import find_task
 from vitac.training.demonstrations.frames import make_observed_environment
@@ -133,7 +133,7 @@ def compare_successes(task: str, name: str, count: int) -> dict[str, Any]:
     pairs = list(zip(*solved.values(), strict=True))
     lost, won = pairs.count((True, False)), pairs.count((False, True))
     rates = {str(fidelity): format_rate(rate(sum(each), count)) for fidelity, each in solved.items()}
-    return {**rates, "only_full": lost, "only_training": won, "p": mcnemar(lost, won)}
+    return {**rates, "only_full": lost, "only_training": won, "p": mcnemar_p_value(lost, won)}
 
 
 def make_player(task: str, name: str, fidelity: Fidelity) -> Player:
@@ -142,13 +142,6 @@ def make_player(task: str, name: str, fidelity: Fidelity) -> Player:
     if name == "planner":
         return Planner(found, fidelity=fidelity.value)
     return Example(found, EXAMPLES / name / track.folder, named=task, fidelity=fidelity.value)
-
-
-def mcnemar(lost: int, won: int) -> float:
-    """Return the two-sided probability of differing pairs as unequal as these, if both kinds are equally likely."""
-    total = lost + won
-    tail: float = sum(comb(total, k) for k in range(min(lost, won) + 1)) / 2**total
-    return min(1.0, 2.0 * tail)
 
 
 def rms(values: Any) -> float:

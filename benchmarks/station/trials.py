@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import monotonic, sleep
@@ -81,7 +82,7 @@ def read_state(laboratory: Laboratory, evaluation_id: UUID) -> State:
             verdict=evaluation.verdict_message or "",
             outcomes=[(each.episode, each.outcome) for each in results],
             repeats=[(each["cause"], each["reason"]) for shard in shards for each in shard.repeats],
-            running_for_s=(max(begun).now(max(begun).tzinfo) - max(begun)).total_seconds() if begun else None,
+            running_for_s=(datetime.now(UTC) - max(begun)).total_seconds() if begun else None,
         )
 
 

@@ -54,10 +54,7 @@ def show(evaluation: EvaluationId, as_json: AsJson = False) -> None:
     print()
     columns = ("shard", "task", "episodes", "state", "attempts", "worker")
     print_table(columns, [_shard(shard) for shard in found.shards], none="It has no shards.")
-    repeats = [
-        [shard.number, each.at, each.cause.value, each.reason] for shard in found.shards for each in shard.repeats
-    ]
-    if repeats:
+    if repeats := _repeats(found.shards):
         print()
         print_table(("shard", "queued again", "cause", "reason"), repeats, none="")
     if found.differing_episodes:

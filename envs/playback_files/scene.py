@@ -62,7 +62,7 @@ def _packed(playback: Playback, moments: list[Moment]) -> bytes:
     pressures_pa = np.array([_pressures_pa(playback, moment) for moment in moments])
     pressure_unit_pa = max(float(pressures_pa.max()), 1.0) / _PRESSURE_LEVELS
     flows = np.stack([moment.marker_flow for moment in ends])
-    perspective = perspective_of(playback.env_id)
+    perspective = look_up_perspective(playback.env_id)
     header = {
         "env_id": playback.env_id,
         "end_reason": ends[-1].end_reason,
@@ -112,7 +112,7 @@ def _packed(playback: Playback, moments: list[Moment]) -> bytes:
     return pack(header, arrays)
 
 
-def perspective_of(env_id: str) -> Perspective | None:
+def look_up_perspective(env_id: str) -> Perspective | None:
     """Return how a task is looked at; None where it does not say."""
     try:
         return find_perspective(env_id)

@@ -14,7 +14,7 @@ from ..drawing.stress import displacement_m
 from ..geometry.solid import prism_faces, rectangle, solid_from_faces
 from ..scene.gripper import SensorPose
 from ..vision.still import cut_open
-from .scene import perspective_of
+from .scene import look_up_perspective
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -68,7 +68,7 @@ def list_framed_points(playback: Playback) -> FloatArray:
 
 def _fixed(playback: Playback) -> tuple[FloatArray, IndexArray]:
     """Return vertices [m] and triangles of the fixed part, cut open where its task says so."""
-    perspective, surface = perspective_of(playback.env_id), (playback.fixed_m, playback.fixed.triangles)
+    perspective, surface = look_up_perspective(playback.env_id), (playback.fixed_m, playback.fixed.triangles)
     return surface if perspective is None else cut_open(*surface, perspective.cut)
 
 

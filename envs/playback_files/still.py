@@ -16,7 +16,7 @@ from ..vision.optics import Intrinsics
 from ..vision.pictures import unit_normals
 from ..vision.pinhole import CameraPose
 from ..vision.rasterizer import View, rasterize
-from .scene import DEFAULT_VIEW, perspective_of
+from .scene import DEFAULT_VIEW, look_up_perspective
 from .stage import Part, linear, list_framed_points, list_parts
 
 FloatArray = NDArray[np.float64]
@@ -95,7 +95,7 @@ class _Scene:
     """Everything that is seen, where from, and how each triangle is lit."""
 
     def __init__(self, playback: Playback) -> None:
-        perspective = perspective_of(playback.env_id)
+        perspective = look_up_perspective(playback.env_id)
         self._floor_m = float(playback.fixed_m[:, 2].min()) - 5e-5
         view = DEFAULT_VIEW if perspective is None else (perspective.azimuth_deg, perspective.elevation_deg)
         azimuth, elevation = np.radians(view)

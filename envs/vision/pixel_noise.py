@@ -16,7 +16,7 @@ _ADD_FOUR = np.uint64(0x0001000100010001)
 
 
 @kernel
-def noise_of(key: np.uint64, counter: np.uint64) -> float:
+def draw_noise(key: np.uint64, counter: np.uint64) -> float:
     """Return a number that is nearly standard normal: the sum of the eight bytes of a mixed counter, scaled.
 
     The mixer is splitmix64 (Steele, Lea & Flood 2014). A counter rather than a stream, so that the noise of a pixel

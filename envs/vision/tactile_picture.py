@@ -22,7 +22,7 @@ from ..tactile.thickness import eye_distance_m, highest_mm
 from .optics import TACTILE_HEIGHT_PX as HEIGHT_PX
 from .optics import TACTILE_WIDTH_PX as WIDTH_PX
 from .optics import Intrinsics
-from .pixel_noise import noise_of
+from .pixel_noise import draw_noise
 from .rasterizer import rasterize
 
 FloatArray = NDArray[np.float64]
@@ -246,7 +246,7 @@ def _expose(
             for c in range(channels):
                 light = (background[j, i, c] + change[c, j, i]) * share[j, i]
                 if noise_sd > 0.0:
-                    light += noise_sd * noise_of(noise_key, np.uint64((j * width + i) * channels + c))
+                    light += noise_sd * draw_noise(noise_key, np.uint64((j * width + i) * channels + c))
                 picture[j, i, c] = np.uint8(min(max(light, 0.0), 255.0))
 
 

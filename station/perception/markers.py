@@ -21,7 +21,7 @@ _CLOSING: Final = 4
 _MIN_DISTANCE_PX: Final = 12.0
 _AREA_PX: Final = (25.0, 400.0)
 _THRESHOLDS: Final = (1.0, 2.0, 0.5)
-"""The challenge goes on to 20, but a mask has two values: all thresholds give the same blobs, and two must agree."""
+"""The challenge's thresholds reach 20, but a mask has two values: all give the same blobs, and two must agree."""
 
 
 def cut_picture(picture: Picture) -> Picture:

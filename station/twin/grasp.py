@@ -3,7 +3,7 @@
 import logging
 from dataclasses import dataclass
 from math import ceil, radians
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 from vitac.envs.assets import Meshes
@@ -159,7 +159,13 @@ def hold_peg(mounted: "Mounted", axes: Axes, hidden: HiddenSettings, meshes: Mes
         )
         start = FusionStart(offset=place, target=target)
         return HeldPeg(
-            _SeenPeg(start=start, meshes=meshes, settings=_fusion_settings(hidden), clocks=clocks, rig=_rig(hidden)),
+            _SeenPeg(
+                start=start,
+                meshes=meshes,
+                settings=_settings(FusionInsertionSettings, hidden),
+                clocks=clocks,
+                rig=_rig(hidden),
+            ),
             axes,
         )
     offset = PegOffset(x_mm=x_mm, y_mm=y_mm, theta_deg=rotation_deg)
@@ -167,7 +173,7 @@ def hold_peg(mounted: "Mounted", axes: Axes, hidden: HiddenSettings, meshes: Mes
         z_mm - START_GAP_MM,  # PegScene places it above the plate's face
         start=PegStart(shape=PegShape(mounted.shape), offset=offset),
         meshes=meshes,
-        settings=_peg_settings(hidden),
+        settings=_settings(PegInsertionSettings, hidden),
         clocks=clocks,
     )
     return HeldPeg(raised, axes)
@@ -202,17 +208,11 @@ class _SeenPeg(FusionScene):
         return self.sight()
 
 
-def _peg_settings(hidden: HiddenSettings) -> PegInsertionSettings:
-    return PegInsertionSettings(
-        indentation_mm=hidden.indentation_mm,
-        gripper_x_mm=hidden.grasp_x_mm,
-        gripper_z_mm=_GRIP_MM + hidden.grasp_z_mm,
-        physics=_physics(hidden),
-    )
+_Settings = TypeVar("_Settings", PegInsertionSettings, FusionInsertionSettings)
 
 
-def _fusion_settings(hidden: HiddenSettings) -> FusionInsertionSettings:
-    return FusionInsertionSettings(
+def _settings(kind: type[_Settings], hidden: HiddenSettings) -> _Settings:
+    return kind(
         indentation_mm=hidden.indentation_mm,
         gripper_x_mm=hidden.grasp_x_mm,
         gripper_z_mm=_GRIP_MM + hidden.grasp_z_mm,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...compilation import kernel, large_kernel
 from ..optics import Intrinsics
-from ..pixel_noise import noise_of
+from ..pixel_noise import draw_noise
 from ..rasterizer import NO_TRIANGLE
 from .dot_pattern import HALF_WIDTH
 from .method import METHOD
@@ -97,8 +97,8 @@ def _expose(
                 towards = -(n[0] * a + n[1] * y + n[2]) / np.sqrt(a * a + y * y + 1.0)
                 brightness += max(towards, 0.0) * _sample_pattern(projector.pattern, a, y) / 255.0
             pixel = np.uint64(j * width + i)
-            speckle = 1.0 + SPECKLE_SD * noise_of(noise_key, np.uint64(2) * pixel)
-            thermal = THERMAL_SD_GREY * noise_of(noise_key, np.uint64(2) * pixel + np.uint64(1))
+            speckle = 1.0 + SPECKLE_SD * draw_noise(noise_key, np.uint64(2) * pixel)
+            thermal = THERMAL_SD_GREY * draw_noise(noise_key, np.uint64(2) * pixel + np.uint64(1))
             grey = 255.0 * ALBEDO * brightness * speckle + thermal
             picture[j, i] = np.uint8(min(max(grey, 0.0), 255.0))
 

@@ -58,11 +58,11 @@ def test_a_cluster_of_three_nodes_that_loses_one_gives_the_same_bytes(cluster: A
     batch = Batch(kind=ActorKind.RANDOM, seed=2, use=Use.COLLECT, first=0, count=120, fidelity=Fidelity.TRAINING)
     collect(batch, tmp_path / "here", processes=2)
     collect(batch, tmp_path / "ray", ray=cluster.address)
-    assert bytes_of(tmp_path / "ray") == bytes_of(tmp_path / "here")
+    assert read_files(tmp_path / "ray") == read_files(tmp_path / "here")
     for name, ray in (("here", None), ("ray", cluster.address)):
         collect_demonstrations("peg-insertion", tmp_path / f"data-{name}", successes=4, seed=2, ray=ray)
-    assert bytes_of(tmp_path / "data-ray") == bytes_of(tmp_path / "data-here")
+    assert read_files(tmp_path / "data-ray") == read_files(tmp_path / "data-here")
 
 
-def bytes_of(folder: Path) -> dict[str, bytes]:
+def read_files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

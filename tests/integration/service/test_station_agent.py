@@ -166,7 +166,7 @@ def test_agent_is_refused_in_a_sentence_before_anything_moves(
 
 
 @contextmanager
-def agent_of(laboratory: Laboratory) -> Iterator["subprocess.Popen[str]"]:
+def running_agent(laboratory: Laboratory) -> Iterator["subprocess.Popen[str]"]:
     with laboratory.start_agent() as agent:
         try:
             yield agent
@@ -187,7 +187,7 @@ def test_agent_outlives_bad_policies_and_loses_no_trial_when_it_is_stopped_or_ki
 ) -> None:
     with twin_process(PUBLIC_SETTINGS) as twin:
         laboratory.describe(twin.description)
-        with agent_of(laboratory) as agent:
+        with running_agent(laboratory) as agent:
             laboratory.submit(submission(laboratory.folder / "nan", SLOW_THEN_NAN))
             record = laboratory.record()
             assert (record["failure"]["code"], record["env_steps"]) == ("non_finite_action", 1)
@@ -199,10 +199,10 @@ def test_agent_outlives_bad_policies_and_loses_no_trial_when_it_is_stopped_or_ki
             assert agent.wait(LIMIT_S) == 0
         given_back = laboratory.shard()
         assert (given_back.state, given_back.attempts, given_back.repeats) == (ShardState.QUEUED, 0, [])
-        with agent_of(laboratory) as agent:
+        with running_agent(laboratory) as agent:
             eventually(lambda: laboratory.shard().state is ShardState.RUNNING, LIMIT_S)
             agent.kill()
-        with agent_of(laboratory):
+        with running_agent(laboratory):
             record = laboratory.record()
         assert record["outcome"] == "success"
         played = laboratory.shard()
