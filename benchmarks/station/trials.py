@@ -17,6 +17,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from subprocess import Popen
 from tempfile import TemporaryDirectory
 from time import monotonic, sleep
 from typing import Any
@@ -86,6 +87,22 @@ def read_state(laboratory: Laboratory, evaluation_id: UUID) -> State:
         )
 
 
+def count_kills(found: State) -> int:
+    """Count the trials that were queued again because their agent was killed."""
+    return [cause for cause, _ in found.repeats].count(RepeatCause.LOST)
+
+
+def replace_agent(laboratory: Laboratory, agent: Popen[bytes], evaluation_id: UUID) -> Popen[bytes]:
+    """Kill the agent, start another one, and wait until the killed one's trial is queued again."""
+    kills = count_kills(read_state(laboratory, evaluation_id))
+    agent.kill()
+    agent.wait()
+    successor = laboratory.start_agent()
+    while count_kills(read_state(laboratory, evaluation_id)) == kills:
+        sleep(LOOK_S)
+    return successor
+
+
 def play(laboratory: Laboratory, evaluation_id: UUID, given: argparse.Namespace) -> State:
     """Run the agent, and kill it now and then, until everything is played or the time is over."""
     generator, end_s = np.random.default_rng(1), monotonic() + 60 * given.minutes
@@ -98,22 +115,13 @@ def play(laboratory: Laboratory, evaluation_id: UUID, given: argparse.Namespace)
                 if line not in shown:
                     shown.add(line)
                     print(": ".join(map(str, line)), flush=True)
-            ended = found.state not in (EvaluationState.QUEUED, EvaluationState.RUNNING)
-            if ended or monotonic() > end_s:
+            if found.state not in (EvaluationState.QUEUED, EvaluationState.RUNNING) or monotonic() > end_s:
                 return found
-            kills = [cause for cause, _ in found.repeats].count(RepeatCause.LOST)
-            due = (kills + 1) * given.trials / (given.kills + 1)
-            after_s = generator.uniform(0.5, LONGEST_S)
-            is_due = kills < given.kills and len(found.outcomes) >= due and found.running_for_s is not None
-            if is_due and (found.running_for_s or 0.0) > after_s:
-                agent.kill()
-                agent.wait()
-                print(f"agent {agent.pid} is killed, {found.running_for_s:.1f} s after a trial has begun", flush=True)
-                agent = laboratory.start_agent()
-                while [cause for cause, _ in read_state(laboratory, evaluation_id).repeats].count(
-                    RepeatCause.LOST
-                ) == kills:
-                    sleep(LOOK_S)
+            kills, running_s = count_kills(found), found.running_for_s or 0.0
+            is_due = kills < given.kills and len(found.outcomes) >= (kills + 1) * given.trials / (given.kills + 1)
+            if is_due and running_s > generator.uniform(0.5, LONGEST_S):
+                print(f"agent {agent.pid} is killed, {running_s:.1f} s after a trial has begun", flush=True)
+                agent = replace_agent(laboratory, agent, evaluation_id)
             if agent.poll() is not None:
                 print(f"the agent ended with code {agent.returncode}; it is started again", flush=True)
                 agent = laboratory.start_agent()
@@ -126,12 +134,11 @@ def check_aims(found: State, begun: set[Fault], given: argparse.Namespace) -> It
     """Yield each aim and whether it is reached."""
     counted = Counter(number for number, _ in found.outcomes)
     lost = sorted(set(range(1, given.trials + 1)) - set(counted))
-    causes = Counter(cause for cause, _ in found.repeats)
     reasons = [reason for cause, reason in found.repeats if cause == RepeatCause.BROKE]
     yield found.state is EvaluationState.COMPLETED, f"the evaluation is {found.state} {found.verdict}"
     yield not lost, f"{len(counted)} of {given.trials} trials have a result; lost: {lost or 'none'}"
     yield max(counted.values(), default=0) == 1, f"results of one trial, at most: {max(counted.values(), default=0)}"
-    yield causes[RepeatCause.LOST] == given.kills, f"{causes[RepeatCause.LOST]} of {given.kills} kills, each repeated"
+    yield count_kills(found) == given.kills, f"{count_kills(found)} of {given.kills} kills, each repeated"
     for fault in Fault:
         named = sum(bool(re.search(SAYS[fault], reason)) for reason in reasons)
         yield (
