@@ -302,6 +302,7 @@ class Progress:
             BarColumn,
             MofNCompleteColumn,
             Progress,
+            TaskProgressColumn,
             TextColumn,
             TimeElapsedColumn,
             TimeRemainingColumn,
@@ -310,6 +311,7 @@ class Progress:
         self.bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
+            TaskProgressColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
             TimeRemainingColumn(),
@@ -329,6 +331,13 @@ class Progress:
         self.bar.update(self._task, description=step, total=None)
         if not self.bar.console.is_terminal:
             print(f"vitac: {step}", file=sys.stderr, flush=True)
+
+    def count(self, done: int, total: int) -> None:
+        """Show how far the described step is; any thread may call it, and the episodes then begin at 0."""
+        if done < total:
+            self.bar.update(self._task, completed=done, total=total)
+        else:
+            self.bar.update(self._task, description="starting", completed=0, total=self._total)
 
     def __enter__(self) -> "Progress":
         self.bar.start()

@@ -181,6 +181,7 @@ def evaluate(
             keep=None if fresh else _stored_shards_folder(),
             on_episode=progress.advance,
             on_step=progress.describe,
+            on_calibration=progress.count,
         )
     report = found.report()
     if json:

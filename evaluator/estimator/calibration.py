@@ -1,6 +1,6 @@
 """Calibrates the standard estimator to a sensor, at starts that no evaluation plays."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -26,7 +26,9 @@ Sample = tuple[int, list[float], list[float]]
 """Env step, row of features, and the offset in the gripper's frame."""
 
 
-def calibrate(env: Environment, task: Task, *, starts: int = STARTS) -> Coefficients:
+def calibrate(
+    env: Environment, task: Task, *, starts: int = STARTS, on_start: Callable[[int, int], None] = lambda *_: None
+) -> Coefficients:
     """Return the coefficients of a sensor.
 
     The peg's shapes take turns. The environment draws each start from the seed (`SEED`, number) among those where the
@@ -36,11 +38,13 @@ def calibrate(env: Environment, task: Task, *, starts: int = STARTS) -> Coeffici
         env: of the task, with the sensor.
         task: a peg task; its own starts are not used.
         starts: number of episodes.
+        on_start: gets how many episodes are played, after each, and of how many.
     """
     samples: list[list[tuple[list[float], list[float]]]] = [[] for _ in range(ENV_STEPS)]
     for number in range(starts):
         for env_step, row, target in _episode(env, task, number):
             samples[env_step].append((row, target))
+        on_start(number + 1, starts)
     return Coefficients(
         mesh_hash=env.mesh_hash(),
         starts=starts,
@@ -51,11 +55,12 @@ def calibrate(env: Environment, task: Task, *, starts: int = STARTS) -> Coeffici
 _calibrated: dict[tuple[str, Path], Coefficients] = {}
 
 
-def calibrated(task: Task, sensor: Path) -> Coefficients:
+def calibrated(task: Task, sensor: Path, on_start: Callable[[int, int], None] = lambda *_: None) -> Coefficients:
     """Return the coefficients of the sensor in a folder or file, calibrated once in a process and its copies."""
     key = task.env_id, sensor
     if key not in _calibrated:
-        _calibrated[key] = calibrate(make_environment(task, sensor=read_design(sensor)), task)
+        env = make_environment(task, sensor=read_design(sensor))
+        _calibrated[key] = calibrate(env, task, on_start=on_start)
     return _calibrated[key]
 
 

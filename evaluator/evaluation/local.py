@@ -17,7 +17,7 @@ from ..figures.figures import FigureChoice, FiguresPart
 from ..scoring.failures import breaking_failure
 from ..scoring.score import Score, score
 from ..shards.host_process import HostProcess
-from ..shards.order import ShardOrder
+from ..shards.order import OnCalibration, ShardOrder
 from ..shards.process import ShardProcess, ShardProcesses
 from ..shards.result import ShardEnd, ShardResult
 from ..submission_kinds import SubmissionKind
@@ -71,6 +71,7 @@ def evaluate(
     coefficients: Coefficients | None = None,
     stored: StoredShards | None = None,
     on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
+    on_calibration: OnCalibration = lambda *_: None,
     host: HostProcess | None = None,
 ) -> Evaluation:
     """Evaluate a submission in processes of its own, one shard at a time in each.
@@ -89,6 +90,7 @@ def evaluate(
         coefficients: of the standard estimator for the sensor; it is calibrated without them.
         stored: finished shards, which are not played again; new ones are added.
         on_episode: gets each record, in the order in which episodes end.
+        on_calibration: gets how far the calibration of the sensor is, from threads.
         host: has begun to load the simulation; one is started where it is None.
 
     Raises:
@@ -115,7 +117,7 @@ def evaluate(
     ]
     records = []
     with ShardProcesses(host) as processes:
-        pool = _ShardPool(processes, orders, min(workers, len(orders)), stored)
+        pool = _ShardPool(processes, orders, min(workers, len(orders)), stored, on_calibration)
         with closing(pool.run()) as finished:
             for record in finished:
                 records.append(record)
@@ -134,9 +136,15 @@ class _ShardPool:
     """Threads that each wait for one shard process after another."""
 
     def __init__(
-        self, processes: ShardProcesses, orders: Sequence[ShardOrder], workers: int, stored: StoredShards | None
+        self,
+        processes: ShardProcesses,
+        orders: Sequence[ShardOrder],
+        workers: int,
+        stored: StoredShards | None,
+        on_calibration: OnCalibration,
     ) -> None:
         self.results: list[ShardResult] = []
+        self._on_calibration = on_calibration
         self._stored = stored
         self._coefficients: Coefficients | None = None
         """Coefficients from a finished shard, so that later shards need not calibrate again."""
@@ -194,7 +202,7 @@ class _ShardPool:
         given = {"coefficients": order.coefficients or self._coefficients}
         with self._processes.running_shard(order.model_copy(update=given)) as process:
             self._register(slot, process)
-            for record in process.records():
+            for record in process.records(self._on_calibration):
                 records.append(record)
                 self._queue.put(record)
         if process.result.end is ShardEnd.BROKEN:

@@ -16,6 +16,7 @@ from ..scoring.gain import SensingGain, sensing_gain
 from ..scoring.score import Rate
 from ..sensors.check import accepted_sensor
 from ..sensors.made import MadeSensor, made_sensor
+from ..shards.order import OnCalibration
 from ..strict_model import StrictModel
 from ..tracks import Player, load_track
 from .local import Evaluation, evaluate
@@ -106,6 +107,7 @@ def evaluate_sensor(
     keep: Path | None = None,
     on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
     on_step: Callable[[str], None] = lambda _: None,
+    on_calibration: OnCalibration = lambda *_: None,
 ) -> SensorEvaluation:
     """Make the sensor in a folder and play both runs of the standard estimator.
 
@@ -117,6 +119,7 @@ def evaluate_sensor(
         keep: folder where finished shards are stored and looked for; None keeps none.
         on_episode: gets each record of both runs.
         on_step: gets a few words before what takes seconds and gives no record.
+        on_calibration: gets how far the calibration is, from threads.
 
     Raises:
         SensorRefused: the sensor breaks a rule.
@@ -142,6 +145,7 @@ def evaluate_sensor(
             figures=figures,
             stored=None if keep is None else StoredShards(keep, of=made.digest),
             on_episode=on_episode,
+            on_calibration=on_calibration,
         )
         standard = run(task=tasks[Player.ESTIMATOR])
         blind = run(task=tasks[Player.BLIND], coefficients=standard.coefficients)

@@ -30,7 +30,7 @@ from vitac.envs.kernel_cache.progress import STARTED_LOG
 from vitac.envs.maniskill.definition import is_maniskill
 
 from ..episodes.episode import make_environment
-from ..estimator.calibration import calibrated, is_calibrated, take
+from ..estimator.calibration import STARTS, calibrated, is_calibrated, take
 from ..estimator.regression import Coefficients
 from ..sensors.made import read_design
 from ..tracks import Player, Task
@@ -38,7 +38,7 @@ from ..tracks.registry import list_tracks, load_track
 from ..tracks.versions import compute_hash, list_parts
 from .execution import execute
 from .host_process import LOAD_ALL
-from .order import PROCESS_ID, WAITS, ShardOrder
+from .order import PROCESS_ID, ShardOrder, encode_waiting
 from .preparation import Preparation
 
 _PR_SET_PDEATHSIG = 1
@@ -115,7 +115,7 @@ class SimulationHost:
         ordered = _Ordered(order=order, connection=connection, exit_pipe=exit_pipe)
         if self._waits_for_calibration(ordered):
             with suppress(OSError):  # It was given up meanwhile; its copy will find nobody to answer.
-                connection.sendall(WAITS)
+                connection.sendall(encode_waiting(0, STARTS))
         else:
             self._start_shard(ordered)
         return True
@@ -138,9 +138,10 @@ class SimulationHost:
             found = _Calibration(task=task, sensor=sensor, memory=os.memfd_create("coefficients"))
             self._calibrations[key] = found
             found.waiting.append(ordered)
-            if not self._fork(partial(_calibrate, found), partial(self._end_calibration, found)):
-                os.close(found.memory)
-                found.waiting.clear()
+            with ordered.connection.dup() as answers:  # a copy closes those of all that wait
+                if not self._fork(partial(_calibrate, found, answers), partial(self._end_calibration, found)):
+                    os.close(found.memory)
+                    found.waiting.clear()
         elif self._calibrations[key].waiting:
             self._calibrations[key].waiting.append(ordered)
         return bool(self._calibrations[key].waiting)
@@ -234,9 +235,14 @@ def _known_task(order: ShardOrder) -> Task | None:
     return None
 
 
-def _calibrate(calibration: _Calibration) -> None:
-    """Calibrate in a copy of the host."""
-    coefficients = calibrated(calibration.task, calibration.sensor)
+def _calibrate(calibration: _Calibration, answers: socket.socket) -> None:
+    """Calibrate in a copy of the host; the other end of the first order that waits gets how far it is."""
+
+    def report(played: int, starts: int) -> None:
+        with suppress(OSError):  # it was given up meanwhile; others may wait
+            answers.sendall(encode_waiting(played, starts))
+
+    coefficients = calibrated(calibration.task, calibration.sensor, report)
     with open(calibration.memory, "wb") as memory:  # noqa: PTH123 - a descriptor
         memory.write(coefficients.as_bytes())
 

@@ -1,6 +1,7 @@
 """The protocol with a shard's process: one order to it, one message for each line from it."""
 
 import struct
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -21,8 +22,27 @@ from .result import ShardResult
 PROCESS_ID: Final = struct.Struct("<q")
 """How the process of a shard introduces itself before its first message; its pidfd comes along."""
 
-WAITS: Final = PROCESS_ID.pack(0)
-"""The host's word, instead of an introduction, that the process will be forked after the calibration of its sensor."""
+OnCalibration = Callable[[int, int], None]
+"""Gets how many starts of a sensor's calibration are played, and of how many."""
+
+_CALIBRATION: Final = struct.Struct("<ii")
+
+
+def encode_waiting(played: int, starts: int) -> bytes:
+    """Return the host's word, instead of an introduction, that it forks the process after a sensor's calibration.
+
+    Args:
+        played: starts of the calibration that are played; 0 before the first.
+        starts: all of them.
+    """
+    return _CALIBRATION.pack(played, starts)
+
+
+def decode_waiting(word: bytes) -> tuple[int, int]:
+    """Return how many starts of the calibration are played, and of how many."""
+    played, starts = _CALIBRATION.unpack(word)
+    return played, starts
+
 
 _OF_ONE_SHARD: Final = frozenset({"secret", "shard", "episodes", "skip", "earlier_failures", "coefficients"})
 """Which episodes are played, and from where they are taken; environment and policy are the same for all lists."""

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 
 from ..episodes.records import EpisodeRecord
 from .host_process import HostProcess, ShardProcessFailed
-from .order import PROCESS_ID, WAITS, ShardMessage, ShardOrder
+from .order import PROCESS_ID, OnCalibration, ShardMessage, ShardOrder, decode_waiting
 from .result import ShardResult
 
 IDLE_KEPT_S = 3.0
@@ -192,13 +192,16 @@ class ShardProcess:
             raise ShardProcessFailed(f"The process of a shard ended with exit code {code} and no result; run it again.")
         return self._result
 
-    def records(self) -> Iterator[EpisodeRecord]:
+    def records(self, on_calibration: OnCalibration = lambda *_: None) -> Iterator[EpisodeRecord]:
         """Yield each record as soon as its episode is over; afterwards `result` is there.
+
+        Args:
+            on_calibration: gets how far the calibration of its sensor is, while the shard waits for it.
 
         Raises:
             ShardProcessFailed: the process ended early.
         """
-        self._forked()
+        self._forked(on_calibration)
         try:
             with self._connection.makefile("rb") as answers:
                 yield from self._read_records(answers)
@@ -273,15 +276,17 @@ class ShardProcess:
         """Wait for the end of the process and return its exit code, `unknown` where the host ended as well."""
         return os.read(self._exit_pipe, 16).decode() or "unknown"
 
-    def _forked(self) -> "_Fork":
+    def _forked(self, on_calibration: OnCalibration = lambda *_: None) -> "_Fork":
         """Return the process, which introduces itself before its first answer."""
         while self._fork is None:
-            fork = _Fork.received(self._connection)
+            received = _Fork.receive(self._connection)
             self._is_taken = True
-            if fork is None:  # The host lets it wait.
+            if isinstance(received, tuple):  # The host lets it wait; the first of those that wait gets how far it is.
+                if received[0]:
+                    on_calibration(*received)
                 continue
             with self._lock:
-                self._fork = fork
+                self._fork = fork = received
                 if self._is_killed:
                     fork.kill()
         return self._fork
@@ -295,8 +300,8 @@ class _Fork:
         self._pidfd: int | None = pidfd
 
     @classmethod
-    def received(cls, connection: socket.socket) -> Self | None:
-        """Wait for the process to introduce itself; None where the host says that it will be forked later.
+    def receive(cls, connection: socket.socket) -> Self | tuple[int, int]:
+        """Wait for the process to introduce itself; where it waits, return how far its sensor's calibration is.
 
         Raises:
             ShardProcessFailed: it never will.
@@ -307,10 +312,10 @@ class _Fork:
             raise ShardProcessFailed(
                 f"The process of a shard was not started: {error.strerror}; run it again."
             ) from error
-        if introduction == WAITS:
-            return None
-        if not descriptors:
+        if len(introduction) < PROCESS_ID.size:
             raise ShardProcessFailed("The process of a shard was not started; run it again.")
+        if not descriptors:
+            return decode_waiting(introduction)
         (pid,) = PROCESS_ID.unpack(introduction)
         return cls(pid, descriptors[0])
 

@@ -7,6 +7,7 @@ import os
 import signal
 import stat
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -79,12 +80,13 @@ def load_policy(submission_dir: Path, limits: Limits, packages: tuple[str, ...])
     return FakeSession(answers[behaviour]).load()
 
 
-def calibrated(_: Task, sensor: Path) -> Coefficients:
+def calibrated(_: Task, sensor: Path, on_start: Callable[[int, int], None]) -> Coefficients:
     """Has found the coefficients once somebody writes how many starts were played into the sensor's folder."""
     (sensor / "begun").touch()
     starts = sensor / "starts"
     while not starts.exists() or not starts.read_text():
         time.sleep(0.01)
+    on_start(1, 2)
     return Coefficients(mesh_hash="0" * 64, starts=int(starts.read_text()), regressions=())
 
 

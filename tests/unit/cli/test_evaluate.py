@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import typer
 from vitac.cli import main as cli
-from vitac.cli.evaluate import parse_episodes
+from vitac.cli.evaluate import Progress, parse_episodes
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import result_hash
 from vitac.evaluator.evaluation.report import EvaluationReport
@@ -172,3 +172,15 @@ def test_what_is_no_submission_is_refused(tmp_path: Path, capsys: pytest.Capture
     code, _, err = run(capsys, tmp_path / "nothing")
     assert code == 1
     assert "nothing does not exist; folder" in err
+
+
+def test_progress_shows_how_far_a_step_is_before_episodes_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
+    progress = Progress(4)
+    progress.describe("calibrating the standard estimator")
+    [line] = progress.bar.tasks
+    assert line.total is None
+    progress.count(45, 180)
+    assert (line.description, line.percentage) == ("calibrating the standard estimator", 25.0)
+    progress.count(180, 180)
+    assert (line.completed, line.total) == (0, 4)
+    assert capsys.readouterr().err == "vitac: calibrating the standard estimator\n"

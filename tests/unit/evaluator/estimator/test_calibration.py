@@ -66,7 +66,9 @@ def test_calibration_plays_no_env_step_of_which_it_learns_nothing(
     ends_after: int | None, played: int, learned: int
 ) -> None:
     env = Counting(ends_after)
-    found = calibrate(env, TASK, starts=3)  # type: ignore[arg-type]
+    told: list[tuple[int, int]] = []
+    found = calibrate(env, TASK, starts=3, on_start=lambda *how_far: told.append(how_far))  # type: ignore[arg-type]
+    assert told == [(1, 3), (2, 3), (3, 3)]
     assert env.env_steps == [played] * 3
     assert len(found.regressions) == learned
 

@@ -29,7 +29,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Calibrate with few starts, and measure starts without playing them."""
     calibrate = calibration.calibrate
-    monkeypatch.setattr(calibration, "calibrate", lambda env, task: calibrate(env, task, starts=2))
+    monkeypatch.setattr(calibration, "calibrate", lambda *of, **given: calibrate(*of, starts=2, **given))
     monkeypatch.setattr(Measurement, "start", lambda _, episode: measured(episode))
 
 

@@ -10,7 +10,7 @@ from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import FailureStage, PolicyFailure
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice
-from vitac.evaluator.shards.order import PROCESS_ID, WAITS, ShardMessage, ShardOrder
+from vitac.evaluator.shards.order import PROCESS_ID, ShardMessage, ShardOrder, decode_waiting, encode_waiting
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 FAILURE = PolicyFailure(
@@ -73,8 +73,8 @@ def test_an_order_that_cannot_be_is_refused(change: dict[str, Any]) -> None:
         order(**change)
 
 
-def test_a_message_says_one_thing_and_waiting_is_no_process() -> None:
+def test_a_message_says_one_thing_and_waiting_how_far_the_calibration_is() -> None:
     told = ShardMessage(error="It failed.").model_dump_json(exclude_none=True)
     assert told == '{"error":"It failed."}'
-    assert PROCESS_ID.unpack(WAITS) == (0,), "no process has this number"
-    assert len(WAITS) == PROCESS_ID.size == 8
+    assert decode_waiting(encode_waiting(17, 180)) == (17, 180)
+    assert len(encode_waiting(0, 180)) == PROCESS_ID.size, "either is read as the first word"

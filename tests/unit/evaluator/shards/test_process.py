@@ -12,7 +12,7 @@ from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.shards import process as shard_process
 from vitac.evaluator.shards.host_process import HostProcess, ShardProcessFailed
-from vitac.evaluator.shards.order import ShardOrder
+from vitac.evaluator.shards.order import OnCalibration, ShardOrder
 from vitac.evaluator.shards.process import ShardProcess, ShardProcesses
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks import load_track
@@ -302,7 +302,9 @@ def test_while_a_sensor_is_calibrated_other_shards_run_and_its_own_wait(
         eventually((first / "begun").exists)
         eventually((second / "begun").exists)
         (first / "starts").write_text("1")
-        assert [starts_of(process) for process in waiting[:2]] == [1, 1]
+        played: list[tuple[int, int]] = []
+        assert [starts_of(process, lambda *how_far: played.append(how_far)) for process in waiting[:2]] == [1, 1]
+        assert played == [(1, 2)], "the first of both says how far their calibration is"
         assert sockets_of(waiting[0].pid) == sockets_of(waiting[1].pid) == 1
         (second / "starts").write_text("2")
         assert starts_of(waiting[2]) == 2
@@ -339,9 +341,9 @@ def sockets_of(pid: int) -> int:
     return sum(link.startswith("socket:") for link in links)
 
 
-def starts_of(process: ShardProcess) -> int | None:
+def starts_of(process: ShardProcess, on_calibration: OnCalibration = lambda *_: None) -> int | None:
     """Of the calibration that a shard found in its process."""
-    assert list(process.records()) == []
+    assert list(process.records(on_calibration)) == []
     coefficients = process.result.coefficients
     return None if coefficients is None else coefficients.starts
 
