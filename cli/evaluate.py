@@ -319,7 +319,7 @@ class Progress:
         )
         self._successes = 0
         self._total = total
-        self._task = self.bar.add_task("starting", total=total)
+        self._task = self.bar.add_task("starting", total=None)
 
     def advance(self, record: "EpisodeRecord") -> None:
         """Count an episode."""
@@ -328,7 +328,7 @@ class Progress:
 
     def describe(self, step: str) -> None:
         """Say what is done before the first episode, with a bar that moves; as a line where stderr is no terminal."""
-        self.bar.update(self._task, description=step, total=None)
+        self.bar.update(self._task, description=step)
         if not self.bar.console.is_terminal:
             print(f"vitac: {step}", file=sys.stderr, flush=True)
 

@@ -178,9 +178,9 @@ def test_progress_shows_how_far_a_step_is_before_episodes_are_counted(capsys: py
     progress = Progress(4)
     progress.describe("calibrating the standard estimator")
     [line] = progress.bar.tasks
-    assert line.total is None
+    assert line.total is None, "the bar moves"
     progress.count(45, 180)
-    assert (line.description, line.percentage) == ("calibrating the standard estimator", 25.0)
+    assert line.percentage == 25.0
     progress.count(180, 180)
-    assert (line.completed, line.total) == (0, 4)
+    assert f"{line.completed} of {line.total}" == "0 of 4"
     assert capsys.readouterr().err == "vitac: calibrating the standard estimator\n"
