@@ -9,7 +9,7 @@ from vitac.evaluator.tracks import Track
 from vitac.server.views.contest import CompetitionView
 from vitac.server.views.leaderboards import LeaderboardEntryView
 from vitac.server.views.messages import AnnouncementView
-from vitac.server.views.playbacks import PublicEpisodeView
+from vitac.server.views.playbacks import PublicEpisodeView, StillView
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +48,7 @@ class Front:
     Attributes:
         cards: the tracks.
         news: the newest entries of boards, with their tracks.
+        stills: of episodes of their public submissions, by submission.
         ranks_before: ranks of their teams before them, by evaluation; teams that were on no board have none.
         running: number of evaluations that run now.
         waiting: number of evaluations in the queue.
@@ -59,6 +60,7 @@ class Front:
 
     cards: Sequence[TrackCard]
     news: Sequence[tuple[Track, LeaderboardEntryView]]
+    stills: Mapping[UUID, StillView]
     ranks_before: Mapping[UUID, int]
     running: int
     waiting: int

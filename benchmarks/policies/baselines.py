@@ -34,6 +34,13 @@ starts are random ones that no baseline learned from (stream {stream}).
 | task | baseline | {starts} fresh starts | env steps | public list | env steps | CPU ms per episode |
 |---|---|---|---|---|---|---|
 """
+SHAPES = """
+## By shape
+Successes on the public list, which the boards show in the baselines' rows.
+
+| task | baseline | shapes |
+|---|---|---|
+"""
 SEEDS = """
 ## Training seeds
 The trained baselines again with other seeds of the same recipe, as `figures.json` of each example has them. Each seed
@@ -73,7 +80,8 @@ def main() -> None:
     rows = [row for task in BASELINES for row in make_rows(task, chosen.seed, chosen.starts)]
     head = HEAD.format(stream=stream(chosen.seed, Use.REPORT), starts=chosen.starts)
     seeds = "".join(seed_line(task, name, seed, found) for task, name, seed, found in training_seeds())
-    chosen.out.write_text(head + "".join(line(row) for row in rows) + SEEDS + seeds)
+    shapes = "".join(map(shapes_line, rows))
+    chosen.out.write_text(head + "".join(map(line, rows)) + SHAPES + shapes + SEEDS + seeds)
 
 
 def make_rows(task: str, seed: int, starts: int) -> list[Row]:
@@ -101,6 +109,12 @@ def line(row: Row) -> str:
     for found in (row.fresh, row.public):
         cells += [percent(found), f"{found['mean_steps']:.2f}" if found["successes"] else "-"]
     return f"| {' | '.join(cells)} | {1000 * row.cpu_s / episodes:.0f} |\n"
+
+
+def shapes_line(row: Row) -> str:
+    """Return the line with the successes by shape."""
+    shapes = (f"{shape} {rate['successes']} of {rate['episodes']}" for shape, rate in row.public["by_shape"].items())
+    return f"| {row.task} | {row.name} | {', '.join(shapes)} |\n"
 
 
 def training_seeds() -> Iterator[tuple[str, str, str, Mapping[str, Any]]]:

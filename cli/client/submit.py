@@ -20,7 +20,7 @@ from .packing import pack
 from .progress import missing_tasks, nobody
 from .status import format_time, show_when_ended
 
-CHECKING = "the service checks it, and meshes the gel of a sensor"
+CHECKING = "the service checks it, and meshes the gel if it is a sensor"
 
 
 def command(

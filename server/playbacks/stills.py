@@ -1,20 +1,21 @@
-"""Stills of a result's episodes, from their playbacks. Called by the page of a submission and the housekeeping."""
+"""Stills of a result's episodes, from their playbacks. Called by the pages that show results and the housekeeping."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from uuid import UUID
 
-from sqlalchemy import exists, select
+from sqlalchemy import and_, exists, func, select
 from sqlalchemy.dialects.postgresql import distinct_on
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import Session, aliased, contains_eager
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks.versions import current_versions
 
+from ..db.among import among
 from ..db.models import EpisodeResult, Evaluation, Playback, Submission
 from ..db.states import EvaluationState
 from ..errors import ServiceError
 from ..evaluations.episode_store import find_shown_key
-from ..evaluations.history import newest_evaluation
+from ..evaluations.history import newest_evaluation, select_newest
 from ..principals import CONSOLE, VISITOR, Principal
 from ..settings import Settings
 from ..sharing.public_pages import public_among, readable
@@ -43,11 +44,48 @@ def list_stills(session: Session, by: Principal, submission_id: UUID) -> Sequenc
         .order_by(EpisodeResult.task, EpisodeResult.outcome, EpisodeResult.episode)
         .ext(distinct_on(EpisodeResult.task, EpisodeResult.outcome))
     )
-    return [
-        StillView(task=found.task, episode=found.episode, outcome=EpisodeOutcome(found.outcome), key=shown)
-        for found, shown in rows
-        if shown == playback_key(found)
-    ]
+    return [_view(found, shown) for found, shown in rows if shown == playback_key(found)]
+
+
+def find_stills(session: Session, by: Principal, submissions: Collection[UUID]) -> Mapping[UUID, StillView]:
+    """Return a still of each submission that has one: of a success, if there is any.
+
+    Args:
+        session: of the transaction.
+        by: who asks; of sealed lists only organizers get stills.
+        submissions: ids of some that `by` may see.
+    """
+    newest = aliased(Evaluation)
+    key = and_(
+        EpisodeResult.submission_digest == Submission.digest,
+        EpisodeResult.track == Submission.track,
+        EpisodeResult.evaluator_version == newest.evaluator_version,
+        EpisodeResult.run == newest.run,
+        EpisodeResult.commitment == func.coalesce(newest.commitment, ""),
+    )
+    rows = session.execute(
+        select(newest, EpisodeResult, Playback.key)
+        .join(Submission, Submission.id == newest.submission_id)
+        .join(EpisodeResult, key)
+        .join(Playback, Playback.episode_id == EpisodeResult.id)
+        .where(
+            among(Submission.id, submissions),
+            newest.id == select_newest(Evaluation.id),
+            Playback.still_sha256.is_not(None),
+        )
+        .options(contains_eager(newest.submission))
+        .order_by(Submission.id, EpisodeResult.success.desc(), EpisodeResult.task, EpisodeResult.episode)
+        .ext(distinct_on(Submission.id))
+    )
+    return {
+        evaluation.submission_id: _view(found, shown)
+        for evaluation, found, shown in rows
+        if shown == playback_key(found) and find_shown_key(session, by, evaluation) is not None
+    }
+
+
+def _view(found: EpisodeResult, key: str) -> StillView:
+    return StillView(task=found.task, episode=found.episode, outcome=EpisodeOutcome(found.outcome), key=key)
 
 
 def ask_for_missing_stills(session: Session, settings: Settings, seen: set[UUID]) -> None:

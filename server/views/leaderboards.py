@@ -11,7 +11,7 @@ from vitac.evaluator.tracks import ListKind
 
 from .base import View
 from .evaluations import CopyView
-from .scores import PlayedScoreView, TaskScoreView
+from .scores import PlayedScoreView, TaskRateView, TaskScoreView
 
 
 class BoardEntryView(View):
@@ -67,6 +67,7 @@ class BaselineView(View):
     success_rate: float
     success_rate_interval: tuple[float, float] = Field(description="Wilson score interval, 95 %.")
     mean_steps: float
+    scores: list[TaskRateView] = Field(description="In each task.")
 
 
 class LeaderboardView(View):

@@ -16,8 +16,8 @@ class ShapeScoreView(View):
     success_rate_interval: tuple[float, float] = Field(description="Wilson score interval, 95 %.")
 
 
-class TaskScoreView(View):
-    """Score of one task."""
+class TaskRateView(View):
+    """Success rate in one task, also by shape."""
 
     task: str
     episodes: int
@@ -26,6 +26,11 @@ class TaskScoreView(View):
     success_rate_interval: tuple[float, float] = Field(description="Wilson score interval, 95 %.")
     mean_steps: float | None = Field(description="Mean env steps of the successful episodes; null without a success.")
     shapes: list[ShapeScoreView]
+
+
+class TaskScoreView(TaskRateView):
+    """Score of one task."""
+
     outcomes: dict[str, int] = Field(description="How many episodes ended in which way.")
     forces: ForceSummary | None = Field(
         default=None, description="Contact forces, medians over the episodes; null where none are recorded."

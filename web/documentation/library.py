@@ -25,6 +25,8 @@ TABLES = {
     "outcomes": tables.outcomes,
     "verdicts": tables.verdicts,
 }
+REFERENCE = "reference/"
+"""Begins the names of documents that are made of the code; searches prefer those that people wrote."""
 MAX_FOUND = 20
 EXCERPT = 160
 """Characters before and after the first word that was found."""
@@ -108,7 +110,7 @@ class Library:
         if not words:
             return []
         scored = [
-            (_score(words, document.title, section), name, section)
+            (_score(words, document.title, section) / (2 if name.startswith(REFERENCE) else 1), name, section)
             for name in self.names
             for document in [self.document(name)]
             for section in document.sections

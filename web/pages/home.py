@@ -15,6 +15,7 @@ from vitac.server.evaluations.progress import count_open
 from vitac.server.leaderboards.shown import shown_leaderboard, shown_rank_history
 from vitac.server.messages import announcements
 from vitac.server.playbacks.recent import newest_public_episode
+from vitac.server.playbacks.stills import find_stills
 from vitac.server.principals import VISITOR
 from vitac.server.sharing.public_pages import public_among
 from vitac.server.tracks import is_challenge_track
@@ -55,6 +56,7 @@ def _front(session: Session, site: Site) -> Front:
     cup = _competition(session)
     ranked = [(load_track(name), entry) for name, board in boards.items() for entry in board.entries if entry.rank]
     news = sorted(ranked, key=lambda new: new[1].evaluated_at, reverse=True)[:NEWS]
+    public = public_among(session, [entry.submission_id for _, entry in news])
     open_now = count_open(session)
     return Front(
         ranks_before=_find_ranks_before(session, news),
@@ -62,7 +64,8 @@ def _front(session: Session, site: Site) -> Front:
         waiting=open_now[EvaluationState.QUEUED],
         cards=[_card(name, board, cup) for name, board in boards.items()],
         news=news,
-        public=public_among(session, [entry.submission_id for _, entry in news]),
+        public=public,
+        stills=find_stills(session, VISITOR, public),
         cup=cup,
         said=announcements.shown(session)[:ANNOUNCEMENTS],
         episode=newest_public_episode(session, site.services.settings),

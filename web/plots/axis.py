@@ -20,6 +20,8 @@ class Axis:
     high: float
     begin: float
     end: float
+    is_whole: bool = False
+    """Whether only whole numbers are written beside it."""
 
     def place(self, value: float) -> float:
         """Return where a value is drawn [px]; in the middle if the axis has one value only."""
@@ -34,6 +36,8 @@ class Axis:
             return [self.low]
         magnitude = 10 ** floor(log10(span / MAX_TICKS))
         step = next(nice * magnitude for nice in NICE if span / (nice * magnitude) <= MAX_TICKS)
+        if self.is_whole:
+            step = ceil(step)
         first = ceil(self.low / step - 1e-9)
         return [round(number * step, 10) for number in range(first, floor(self.high / step + 1e-9) + 1)]
 

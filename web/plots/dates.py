@@ -120,7 +120,7 @@ def ranks_by_date(key: str, title: str, teams: Sequence[TeamRanksView], until: d
     begun = min(team.ranks[0].at for team in teams)
     ranks = [one.rank for team in teams for one in team.ranks]
     x = Axis(low=begun.timestamp(), high=until.timestamp(), begin=70.0, end=440.0)
-    y = Axis(low=1.0, high=float(max(2, *ranks)), begin=14.0, end=190.0)
+    y = Axis(low=1.0, high=float(max(2, *ranks)), begin=14.0, end=190.0, is_whole=True)
     return Figure(
         key=key,
         title=title,

@@ -30,7 +30,6 @@ def peak_forces(task: str, ends: Sequence[EpisodeView]) -> Figure | None:
     x = Axis(low=0.0, high=max(threshold_n, *(each.part.peak_n for each in everything)), begin=_LEFT, end=_WIDTH - 16.0)
     bottom = _ROW * len(shown) + 8.0
     limit = element("line", class_="threshold", x1=x.place(threshold_n), x2=x.place(threshold_n), y1=4.0, y2=bottom)
-    unit = element("text", "N", class_="tick", x=_WIDTH - 4.0, y=bottom + 16.0, text_anchor="end")
     rows = joined(_row(name, forces, number, x) for number, (name, forces) in enumerate(shown.items()))
     medians = ", ".join(f"{name.lower()} {_peak_n(forces):.1f} N" for name, forces in shown.items())
     return Figure(
@@ -39,7 +38,7 @@ def peak_forces(task: str, ends: Sequence[EpisodeView]) -> Figure | None:
         summary=f"Largest force on the held part, medians of episodes: {medians}. Dashed: {threshold_n:g} N.",
         width=_WIDTH,
         height=round(bottom) + 24,
-        drawing=limit + rows + below(x, bottom) + unit,
+        drawing=limit + rows + below(x, bottom, "{:g} N".format),
         table=_table(shown, everything),
     )
 

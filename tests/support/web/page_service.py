@@ -357,6 +357,7 @@ for _module, _name, _data_of in (
     (asking, "ask", lambda data: data.ask),
     (asking, "playback_view", playback_of),
     (stills, "list_stills", lambda data: lambda *_: data.stills),
+    (stills, "find_stills", lambda data: lambda _, ids: dict.fromkeys(ids, data.stills[0]) if data.stills else {}),
     (comparisons, "list_choices", lambda _: lambda *_: ()),
     (recent, "newest_public_episode", lambda data: lambda _: data.public_one),
     (announcements, "shown", lambda data: lambda: data.said),

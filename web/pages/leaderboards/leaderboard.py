@@ -1,8 +1,8 @@
 """The leaderboard of a track: of all tasks, or of one."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 from uuid import UUID
 
 from sqlalchemy.orm import Session
@@ -13,6 +13,7 @@ from vitac.server.leaderboards.shown import shown_leaderboard, shown_rank_histor
 from vitac.server.sharing.descriptions import descriptions_among
 from vitac.server.sharing.public_pages import public_among
 from vitac.server.views.leaderboards import BaselineView, LeaderboardEntryView, LeaderboardView, TeamRanksView
+from vitac.server.views.scores import TaskRateView, TaskScoreView
 
 from ...plots.dates import DatedRate, ranks_by_date, rates_by_date
 from ...plots.figure import Figure
@@ -21,6 +22,8 @@ from ...site import Site, get_principal, get_site, get_viewer, page
 from ..addresses import AskedBoard
 from .paging import BoardPage, board_page
 from .tabs import known_track, read_surroundings
+
+RowT = TypeVar("RowT", LeaderboardEntryView, BaselineView)
 
 PLOTTED = 100
 """Number of teams that the plot against dates shows: each point has a row in the table behind it."""
@@ -71,8 +74,9 @@ async def leaderboard(request: Request) -> Response:
         own_names=own_names,
         combined=_is_combined(track, task),
         columns=shown_columns,
-        baselines=_find_baselines(board, values["shown"]),
-        rows=[(entry, [_cell(column, entry) for column in shown_columns]) for entry in values["shown"].entries],
+        baselines=_with_cells(shown_columns, _find_baselines(board, values["shown"])),
+        all_baselines=_with_cells(shown_columns, board.baselines),
+        rows=_with_cells(shown_columns, values["shown"].entries),
         dates=_dates(site, board, own_names),
         ranks_plot=_draw_ranks(site, board, values["ranks"]),
         list_kind=board.list_kind.value,
@@ -121,12 +125,17 @@ def _is_combined(track: Track, task: str | None) -> bool:
     return task is None and len(track.tasks) > 1
 
 
-def _cell(column: Column, entry: LeaderboardEntryView) -> Cell:
-    score = next((score for score in entry.scores if score.task == column.task), None)
+def _with_cells(shown: Sequence[Column], rows: Iterable[RowT]) -> list[tuple[RowT, list[Cell]]]:
+    return [(row, [_cell(column, row.scores) for column in shown]) for row in rows]
+
+
+def _cell(column: Column, scores: Sequence[TaskRateView]) -> Cell:
+    score = next((score for score in scores if score.task == column.task), None)
     if score is None:
         return Cell(notes=("not submitted",))
     if column.is_force:
-        return Cell(text=f"{score.forces.part.peak_n:.1f} N" if score.forces else "–")
+        forces = score.forces if isinstance(score, TaskScoreView) else None
+        return Cell(text=f"{forces.part.peak_n:.1f} N" if forces else "–")
     if column.shape is None:
         notes = (f"{score.successes} of {score.episodes}",)
         return Cell(

@@ -1,11 +1,13 @@
 """Pages of a team's submissions: the list, one submission, its live updates, and cancelling."""
 
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from http import HTTPStatus
 from typing import Any, cast
+from uuid import UUID
 
+from sqlalchemy.orm import Session
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
@@ -16,14 +18,14 @@ from vitac.server.appeals.appeals import takes_appeals
 from vitac.server.contest.view import competition_list_view, track_stages
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from vitac.server.errors import TRACK_REMOVED
-from vitac.server.playbacks.stills import list_stills
+from vitac.server.playbacks.stills import find_stills, list_stills
 from vitac.server.submissions import runs
 from vitac.server.submissions.listing import list_submissions
 from vitac.server.submissions.watch import Changes
 from vitac.server.views.evaluations import TaskProgressView
 from vitac.server.views.playbacks import StillView
 from vitac.server.views.scores import PracticeScoreView, TaskScoreView
-from vitac.server.views.submissions import EpisodeView, RankView, SubmissionView
+from vitac.server.views.submissions import EpisodeView, RankView, SubmissionListView, SubmissionView
 
 from ...plots.map import EpisodeMap, episode_map, title_of_task
 from ...rendering import render
@@ -55,15 +57,19 @@ async def submissions(request: Request) -> Response:
     viewer = await require_viewer(request)
     before = request.query_params.get("before")
     cursor, settings = None if before is None else as_id(before), get_site(request).services.settings
-    found = await get_site(request).read(
-        lambda session: list_submissions(session, settings, viewer.principal, before=cursor)
-    )
+
+    def read(session: Session) -> tuple[SubmissionListView, Mapping[UUID, StillView]]:
+        listed = list_submissions(session, settings, viewer.principal, before=cursor)
+        return listed, find_stills(session, viewer.principal, [item.id for item in listed.items])
+
+    found, stills = await get_site(request).read(read)
     return page(
         request,
         "submissions.html",
         viewer=viewer,
         section="/submissions",
         found=found,
+        stills=stills,
     )
 
 

@@ -28,6 +28,16 @@ def test_figures_are_the_measured_ones(repository: Path) -> None:
     assert set(shown) == set(measured)
 
 
+def test_figures_by_shape_are_the_measured_ones(repository: Path) -> None:
+    text = (repository / "benchmarks" / "baselines.md").read_text().partition("## By shape")[2]
+    measured = dict(re.findall(r"^\| [a-z-]+ \| (\w+) \| (\w+ \d+ of [^|]+) \|", text, re.MULTILINE))
+    shown = {one.name: one.scores for task in (TASK, LOCK) for one in list_baselines(load_track(TRACK), task)}
+    assert len(shown) == len(measured) == 5
+    for name, [score] in shown.items():
+        shapes = sorted(f"{part.shape} {part.successes} of {part.episodes}" for part in score.shapes)
+        assert ", ".join(shapes) == measured[name]
+
+
 @pytest.mark.parametrize(("track", "depth"), [("track_2", "stereo"), ("track_2_gt", "exact")])
 def test_figures_of_track_2_are_those_of_its_example(repository: Path, track: str, depth: str) -> None:
     text = (repository / "examples" / "track_2_fusion" / "README.md").read_text()

@@ -10,7 +10,7 @@ from vitac.server.db.models import EpisodeResult, Playback
 from vitac.server.db.states import PlaybackState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.playbacks import stills
-from vitac.server.playbacks.stills import ask_for_missing_stills, list_stills
+from vitac.server.playbacks.stills import ask_for_missing_stills, find_stills, list_stills
 from vitac.server.principals import VISITOR
 from vitac.server.sharing.public_pages import set_public
 
@@ -38,6 +38,17 @@ def test_the_first_episode_of_each_end_that_has_a_still_is_shown_to_whom_it_may_
         assert len(still.key) == 64
         with pytest.raises(ServiceError):
             list_stills(session, VISITOR, team_a.submission.id)
+
+
+def test_a_list_shows_the_first_still_of_each_submission_to_whom_it_may_be(database: Database, team_a: Played) -> None:
+    other = played(database, "Team B", "other content")
+    both = [team_a.submission.id, other.submission.id]
+    for number in (3, 2):
+        draw(team_a, number)
+        with database.transaction() as session:
+            found = find_stills(session, team_a.by, both)
+            assert {submission: still.episode for submission, still in found.items()} == {both[0]: number}
+            assert find_stills(session, VISITOR, both) == {}
 
 
 def test_the_first_success_and_the_first_failure_of_public_results_are_asked_for_once(

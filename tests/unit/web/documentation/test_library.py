@@ -63,6 +63,14 @@ def test_search_finds_sections_with_all_words_and_prefers_headings(small: Librar
     assert small.search(" ") == []
 
 
+def test_search_prefers_what_people_wrote_to_what_is_made_of_the_code(tmp_path: Path) -> None:
+    (tmp_path / "reference").mkdir()
+    for name in ("reference/code", "text"):
+        (tmp_path / f"{name}.md").write_text("# Gels\n\nSoft rubber.\n")
+    (tmp_path / "index.md").write_text("# All\n\n- [Code](reference/code.md)\n- [Text](text.md)\n")
+    assert [one.address for one in library(tmp_path).search("gels")] == ["/docs/text#gels", "/docs/reference/code#gels"]
+
+
 def test_a_block_stands_for_what_the_service_says_of_itself(tmp_path: Path) -> None:
     (tmp_path / "api.md").write_text("# API\n\n```rest\n```\n")
     assert "A soft one." in library(tmp_path).document("api").html

@@ -12,11 +12,12 @@ from page_service import FixedData, an_application
 from PIL import Image
 from played_episodes import KEY, a_playback, a_shown_episode, real_files
 from visits import COMPLETED
+from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server.api.conditional import compress
 from vitac.server.playbacks.files import PlaybackFile
 from vitac.server.views.contest import CompetitionTrackView, CompetitionView, StageView
 from vitac.server.views.messages import AnnouncementView
-from vitac.server.views.playbacks import PublicEpisodeView
+from vitac.server.views.playbacks import PublicEpisodeView, StillView
 from vitac.web.pages import home
 from vitac.web.rendering import STATIC
 
@@ -88,6 +89,7 @@ def test_what_happened_lately_comes_first_and_links_what_is_public(data: FixedDa
     stale = an_entry(None, "Old Team", *SCORES)
     data.board = a_leaderboard(*entries, newest, stale)
     data.found = [found.model_copy(update={"public": found.id == COMPLETED.id}) for found in data.found]
+    data.stills[:] = [StillView(task=TASK, episode=7, outcome=EpisodeOutcome.SUCCESS, key="a")]
     html = browser.get("/").text.replace("\N{NO-BREAK SPACE}", " ")
     recent = html.split('id="recent"')[1]
     assert recent.count("<li>") == home.NEWS
@@ -96,7 +98,8 @@ def test_what_happened_lately_comes_first_and_links_what_is_public(data: FixedDa
     assert "Old Team" not in html
     assert f'<a href="/submissions/{COMPLETED.id}">' in recent
     assert "86.7 % in peg insertion, rank 9" in recent
-    assert recent.count('href="/submissions/') == 1
+    assert f'<a class="thumbnail" href="/submissions/{COMPLETED.id}/episodes/{TASK}/7"><img src=' in recent
+    assert (recent.count('href="/submissions/'), recent.count("<img")) == (2, 1)
     assert "9 teams ranked, first <bdi>Team 1</bdi> with" in html
 
 

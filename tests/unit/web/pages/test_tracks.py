@@ -87,6 +87,7 @@ def test_baselines_stand_below_the_entries_without_a_rank_and_on_an_empty_board(
         assert len(rows) == 2
         assert "peg insertion trained" in rows[0]
         assert "211 of 270" in rows[0]
+        assert re.findall(r"</span> ([0-9.]+).%</td>", rows[0]) == ["83.3", "86.7", "64.4"], "by shape"
         assert 'type="checkbox"' not in rows[0] + rows[1]
     data.task_boards[TASK] = a_leaderboard(an_entry(1, "Bears", BEARS_PEG, task=TASK), task=TASK)
     assert 'class="reference"' not in browser.get(f"/tracks/track_1?task={TASK}&q=bears").text

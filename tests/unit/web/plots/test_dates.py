@@ -99,6 +99,7 @@ def test_ranks_over_time_are_a_line_for_each_team_with_its_name_and_a_row_for_ea
     first, second = re.findall(r'd="M[0-9.]+ ([0-9.]+)[^"]*V([0-9.]+)H440.00"', found.drawing)
     assert first == (first[0], first[0]), "first at the begin and at the end"
     assert second[0] == first[0] < second[1]
+    assert re.findall(r">([0-9.]+)<", found.drawing) == ["1", "2"], "there is no rank between"
 
 
 def test_no_minute_is_written_twice_below_a_plot() -> None:

@@ -369,5 +369,8 @@ def test_a_result_begins_with_stills_that_lead_to_a_success_and_a_failure(
     shown = re.findall(r'<li><a href="([^"]+)"><img src="\1/playback/still\?v=(?:5eed){16}"', html)
     assert shown == [f"/submissions/{COMPLETED.id}/episodes/{TASK}/{number}" for number in (9, 4)]
     assert html.index("Mean env steps") < html.index('class="stills"') < html.index('class="maps"')
+    thumbnails = re.findall(r'class="thumbnail" href="([^"]+)"', browser.get("/submissions").text)
+    assert f"/submissions/{COMPLETED.id}/episodes/{TASK}/4" in thumbnails
     data.stills.clear()
+    assert "thumbnail" not in browser.get("/submissions").text
     assert 'class="stills"' not in browser.get(f"/submissions/{COMPLETED.id}").text
