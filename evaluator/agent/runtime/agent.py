@@ -206,7 +206,7 @@ def list_available(error: BaseException, submission: str, module_name: str) -> s
 
     packages = [each.partition(" ")[0] for each in installed_packages()]
     near = difflib.get_close_matches(error.name or "", packages, NAMES_SHOWN)
-    like = f", like it {', '.join(near)}" if near else ""
+    like = f" (names like it: {', '.join(near)})" if near else ""
     return f"{hint}. None of the {len(packages)} installed packages has it{like}; `vitac sandbox` lists them."
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import jinja2
 import pytest
+from vitac.server.views.submissions import ArchiveContents, ModelCardView
 from vitac.web import rendering
 from vitac.web.rendering import STATIC, environment, static_url
 
@@ -174,3 +175,18 @@ def test_templates_are_those_of_the_start_whatever_becomes_of_the_files(
 )
 def test_the_time_until_an_instant_has_two_units(seconds: float, shown: str) -> None:
     assert rendering.remaining(seconds) == shown
+
+
+def test_the_card_of_a_sensor_without_code_names_no_policy() -> None:
+    contents = ArchiveContents(frameworks=[], code_bytes=0, weights_bytes=0)
+    card = ModelCardView(
+        name="dome", track="track_3", tasks=["sensor-standard"], observation_keys=None, control_modes={},
+        archive_bytes=3700, contents=contents, isolation=[], policy_ms=None,
+    )  # fmt: skip
+    about = environment().get_template("about.html").make_module({"submission": {"description": None}})
+    sensor = about.model_card(card)  # type: ignore[attr-defined]
+    assert "Sensor without a policy" in sensor
+    assert "Reads" not in sensor
+    assert "Computes with" not in sensor
+    coded = card.model_copy(update={"contents": contents.model_copy(update={"code_bytes": 900})})
+    assert "<dt>Policy</dt>" in about.model_card(coded)  # type: ignore[attr-defined]

@@ -50,7 +50,7 @@ def test_many_files_are_counted(tmp_path: Path) -> None:
 
 def test_missing_package_is_said_in_one_sentence_with_those_of_a_like_name(submission: str) -> None:
     text = hint(ModuleNotFoundError("No module named 'nunpy'", name="nunpy"), submission)
-    said = r"\. None of the \d+ installed packages has it, like it .*numpy.*; `vitac sandbox` lists them\."
+    said = r"\. None of the \d+ installed packages has it \(names like it: .*numpy.*\); `vitac sandbox` lists them\."
     assert re.fullmatch(re.escape(FILES) + said, text)
     assert len(text.removeprefix(FILES)) < 200
 
