@@ -9,6 +9,10 @@ class DeviceNotFound(VitacError):
     """Nothing answers at the device's address; check cable, power and the address in the station's file."""
 
 
+class DeviceInUse(DeviceNotFound):
+    """Another program talks to the device, perhaps while it moves; end that one first."""
+
+
 class DeviceFault(VitacError):
     """A device answers wrongly, reports a fault or stopped answering; the message says which and what to do."""
 

@@ -69,6 +69,7 @@ class ForceTorqueSensor:
     def start(self, rate_hz: int) -> None:
         """Set the rate and start the stream of frames, also where another program has left one running."""
         self.stop()
+        self._ask("DCKMD=SUM")
         self._ask(f"SMPR={rate_hz}")
         self._ask(f"SGDM={_FORMAT}")
         with self._reported():
@@ -109,16 +110,17 @@ class ForceTorqueSensor:
             self._pending = self._pending[1 - len(_HEAD) :]
 
     def _ask(self, command: str) -> str:
-        """Send one line of set-up and return what is between `ACK+NAME=` and `$OK`."""
+        """Send one line of set-up and return what is between `ACK+NAME=` and `$OK`; skip answers to earlier lines."""
         with self._reported():
             self._socket.sendall(f"AT+{command}\r\n".encode())
         end = monotonic() + _ANSWER_S
         name = command.partition("=")[0]
-        while (found := re.search(rb"ACK\+([^\r\n]*)\r\n", self._pending)) is None:
+        answered = re.compile(rb"ACK\+(%s\b[^\r\n]*)\r\n" % re.escape(name.encode()))
+        while (found := answered.search(self._pending)) is None:
             self._receive(end - monotonic())
         self._pending = self._pending[found.end() :]
         answer = found[1].decode("ascii", "replace")
-        if not answer.startswith(f"{name}=") or not answer.endswith("$OK"):
+        if not answer.endswith("$OK"):
             raise DeviceFault(f"The force/torque box at {self._place} refused {command!r:.60}: {answer:.80}.")
         return answer.removeprefix(f"{name}=").removesuffix("$OK")
 

@@ -22,6 +22,8 @@ _RETRIES: Final = 3
 _ACTIVATION_S: Final = 10.0
 _POLL_S: Final = 0.01
 _ACTIVATED: Final = 3
+_WAS_SILENT: Final = 0x09
+"""Nobody spoke to it for a second, as in any long motion of the stage; it reports that in its next answer."""
 
 
 class Grasp(IntEnum):
@@ -100,7 +102,7 @@ class Gripper:
         self.check_fault(status)
 
     def start_move(self, position: int, *, speed: int, force: int) -> None:
-        """Start to open (0) or close (255); checked by nobody, see `vitac.station.motion`."""
+        """Start to open (0) or close (255) without a check: `vitac.station.guard` makes it."""
         self._request = position
         self._write(((_ACTIVATE | _GO) << 8, position, speed << 8 | force))
 
@@ -155,7 +157,6 @@ _FAULTS: Final = {
     0x05: "the action waits for activation",
     0x07: "it must be activated first",
     0x08: "it is too hot, let it cool below 80 degrees",
-    0x09: "no communication for a second",
     0x0A: "its supply is below its minimum voltage",
     0x0B: "automatic release is in progress",
     0x0C: "internal fault, contact its maker",
@@ -170,11 +171,11 @@ def _parse_status(registers: "Sequence[int]") -> GripperStatus:
         raise DeviceFault(
             f"Expected {_STATUS_REGISTERS} registers from the gripper, got {len(registers)}. Ask it again."
         )
-    state = registers[0] >> 8
+    state, fault = registers[0] >> 8, registers[1] >> 8 & 0x0F
     return GripperStatus(
         is_activated=(state >> 4) & 3 == _ACTIVATED,
         grasp=Grasp((state >> 6) & 3),
-        fault=(registers[1] >> 8) & 0x0F,
+        fault=0 if fault == _WAS_SILENT else fault,
         request=registers[1] & 0xFF,
         position=registers[2] >> 8,
         current=registers[2] & 0xFF,

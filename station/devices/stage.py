@@ -11,15 +11,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
+from errno import EWOULDBLOCK
 from threading import Lock
-from time import monotonic
-from typing import Final, NamedTuple, Self
+from time import monotonic, sleep
+from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
-from .device import DeviceFault, DeviceNotFound, Identity
+from .device import DeviceFault, DeviceInUse, DeviceNotFound, Identity
+
+if TYPE_CHECKING:
+    from serial import Serial
 
 _BAUD: Final = 115_200
 _ANSWER_S: Final = 1.0
 _HOME_S: Final = 120.0
+_POLL_S: Final = 0.01
 _TRIES: Final = 3
 _HOLD, _RESET, _STATUS = b"!", b"\x18", b"?"
 _FIELD = re.compile(r"(\w+):([^|>]*)")
@@ -69,15 +74,14 @@ class Stage:
     """A stage at an open serial port; use it in `with`."""
 
     def __init__(self, port: str) -> None:
-        """Open the port; raise DeviceNotFound where there is none, or nothing answers at it."""
-        from serial import Serial, SerialException
+        """Open the port for this program alone.
 
-        self._lock = Lock()
-        try:
-            self._line = Serial(port, _BAUD, timeout=0.02, write_timeout=_ANSWER_S)
-        except (SerialException, OSError) as error:
-            raise DeviceNotFound(f"No stage at {port}: {error}. Check its cable and `port` in the file.") from error
-        self._port = port
+        Raises:
+            DeviceInUse: another program has it.
+            DeviceNotFound: there is none, or nothing answers at it.
+        """
+        self._lock, self._port = Lock(), port
+        self._line = _open_line(port)
         self._await_start()
 
     def __enter__(self) -> Self:
@@ -99,17 +103,27 @@ class Stage:
         return {int(each[1]): float(each[2]) for each in found if each}
 
     def status(self) -> StageStatus:
-        """Ask for state and position; works during a motion."""
+        """Ask for state and position; works during a motion.
+
+        Raises:
+            DeviceFault: the controller went into alarm, or does not answer, as after that until it is reset.
+        """
         with self._lock, self._reported():
             self._line.write(_STATUS)
-            return _parse_status(next(line for line in self._lines(_ANSWER_S) if line.startswith("<")))
+            for line in self._lines(_ANSWER_S):
+                if line.startswith("<"):
+                    return _parse_status(line)
+                if line.startswith("ALARM:"):
+                    raise DeviceFault(f"The stage went into alarm, {line}. {_REMEDIES.get(line, _LOOK_UP)}")
+        raise AssertionError  # lines end only in an exception
 
     def home(self) -> None:
-        """Drive all axes to their switches; return when they are there."""
+        """Reset the controller, which a limit switch has locked, and drive all axes to their switches."""
+        self.forget_motion()
         self._command("$H", answer_s=_HOME_S)
 
     def start_move(self, target: Pose, *, feed: float) -> None:
-        """Start a straight motion; it is checked by nobody, see `vitac.station.motion`.
+        """Start a straight motion without a check: `vitac.station.guard` makes it.
 
         Args:
             target: where to.
@@ -149,11 +163,17 @@ class Stage:
         self._command("$X")
 
     def _await_start(self) -> None:
-        """Wait until the controller answers; behind an Arduino's USB it restarts when its port is opened."""
+        """Wait until the controller answers.
+
+        Behind an Arduino's USB it restarts when its port is opened. After a limit switch it answers nothing until it is
+        reset; its alarm stays.
+        """
         for _ in range(_TRIES):
             try:
                 self.status()
             except StageSilent:
+                with self._reported():
+                    self._line.write(_RESET)
                 continue
             return
         self._line.close()
@@ -193,6 +213,22 @@ class Stage:
             yield
         except (SerialException, OSError) as error:
             raise DeviceFault(f"The line to the stage at {self._port} broke: {error}. Check its cable.") from error
+
+
+def _open_line(port: str) -> "Serial":
+    """Open a port for this program alone, also where what holds the stage of a killed one has not ended yet."""
+    from serial import Serial, SerialException
+
+    end = monotonic() + _ANSWER_S
+    while True:
+        try:
+            return Serial(port, _BAUD, timeout=0.02, write_timeout=_ANSWER_S, exclusive=True)
+        except (SerialException, OSError) as error:
+            if error.errno != EWOULDBLOCK:
+                raise DeviceNotFound(f"No stage at {port}: {error}. Check its cable and `port` in the file.") from error
+            if monotonic() > end:
+                raise DeviceInUse(f"The stage at {port} is used by another program. End that one first.") from error
+        sleep(_POLL_S)
 
 
 _LOOK_UP: Final = "GRBL's manual lists the codes."

@@ -104,10 +104,15 @@ class ForceTorqueTwin:
                     due_s = monotonic()
 
     def _answer(self, line: str) -> bytes:
-        if line in ("AT+GSD", "AT+GSD=STOP"):
-            self._streams = line == "AT+GSD"
+        if line == "AT+GSD":
+            self._streams = True
             return b""
-        if found := re.fullmatch(r"AT\+SMPR=(\d+)", line):
+        if line == "AT+GSD=STOP":
+            self._streams = False
+            answer = "GSD=STOP$OK"
+        elif line == "AT+DCKMD=SUM":
+            answer = "DCKMD=SUM$OK"
+        elif found := re.fullmatch(r"AT\+SMPR=(\d+)", line):
             self._rate_hz = float(found[1])
             answer = f"SMPR={found[1]}$OK"
         elif line == "AT+DCPM=?":

@@ -1,5 +1,6 @@
 """Twin of the gripper: a Hand-E behind Modbus RTU, its frames cut and summed here by hand."""
 
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -10,6 +11,8 @@ from typing import Final
 _COMMAND, _STATUS = 0x03E8, 0x07D0
 _READ, _WRITE = 0x03, 0x10
 _ACTIVATED, _ACTIVATING = 3, 1
+_SILENCE_S: Final = 1.0
+"""Without communication for this long it reports a fault, once."""
 _CLOSING_PER_S: Final = 1000.0
 """Position bytes a second at the greatest speed; the real one takes a third of a second for its stroke."""
 
@@ -42,6 +45,7 @@ class GripperTwin:
     _start: float = 0.0
     _began_s: float = 0.0
     _data: bytes = b""
+    _heard_s: float = -math.inf
 
     def receive(self, data: bytes) -> bytes:
         """Answer each complete request for this unit."""
@@ -83,6 +87,7 @@ class GripperTwin:
         return body + checksum(body)
 
     def _obey(self, command: tuple[int, int, int]) -> None:
+        self._heard_s = self.clock()
         self._start, self._began_s, self._command = self.position(), self.clock(), command
         if not command[0] >> 8 & 1:
             self.faults.discard(GripperFault.OVERCURRENT)
@@ -102,7 +107,8 @@ class GripperTwin:
         state = (
             is_active | goes | (_ACTIVATED if is_active else 0) << 4 | (self._met(wanted, place) if goes else 3) << 6
         )
-        fault = 0x0E if GripperFault.OVERCURRENT in self.faults else 0
+        is_unheard, self._heard_s = self.clock() - self._heard_s > _SILENCE_S, self.clock()
+        fault = 0x0E if GripperFault.OVERCURRENT in self.faults else 0x09 if is_unheard else 0
         return state << 8, fault << 8 | wanted, place << 8 | (20 if self._met(wanted, place) == 2 else 0)
 
     def _met(self, wanted: int, place: int) -> int:

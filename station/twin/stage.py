@@ -109,6 +109,7 @@ class StageTwin:
     _position: Axes = (0.0, 0.0, 0.0, 0.0)
     _motion: Motion | None = None
     _alarm: bool = False
+    _locked: bool = False  # a limit was met: GRBL takes nothing but a reset
     _line: str = ""
     _lock: Lock = field(default_factory=Lock)
 
@@ -134,6 +135,8 @@ class StageTwin:
             return self._now()[1]
 
     def _take(self, character: str) -> str:
+        if self._locked and character != "\x18":
+            return ""
         if character == "?":
             return self._report()
         if character == "!":
@@ -183,7 +186,7 @@ class StageTwin:
 
     def _reset(self) -> str:
         self._position, speed = self._now()
-        self._motion, self.held_s, self._line = None, None, ""
+        self._motion, self.held_s, self._line, self._locked = None, None, "", False
         lost = "ALARM:3\r\n" if speed else ""
         self._alarm = self._alarm or bool(speed)
         return lost + _WELCOME
@@ -205,6 +208,10 @@ class StageTwin:
             return "error:9\r\n"
         return self._start(dict(_WORD.findall(line.replace("G90", "").replace("G94", ""))))
 
+    def _lock_up(self, alarm: str) -> str:
+        self._alarm = self._locked = True
+        return f"{alarm}\r\n[MSG:Reset to continue]\r\n"
+
     def _start(self, words: dict[str, str]) -> str:
         """Begin a motion; the one before has ended, as the driver sends one at a time."""
         start = self._now()[0]
@@ -212,11 +219,9 @@ class StageTwin:
         if float(words.get("F", 0)) <= 0:
             return "error:22\r\n"
         if self.settings[20] and any(abs(value) > self.settings[130 + n] for n, value in enumerate((x, y, z, a))):
-            self._alarm = True
-            return "ALARM:2\r\n"
+            return self._lock_up("ALARM:2")
         if StageFault.ALARM in self.faults:
-            self._alarm = True
-            return "ALARM:1\r\n"
+            return self._lock_up("ALARM:1")
         self._position = start
         self._motion = Motion(start, (x, y, z, a), self.clock(), float(words["F"]) / 60, self.settings[120])
         return "ok\r\n"

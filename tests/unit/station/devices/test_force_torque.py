@@ -57,6 +57,14 @@ def test_noise_between_frames_is_skipped(sensor: ForceTorqueSensor, twin: ForceT
     assert sensor.damaged_bytes > 0
 
 
+def test_started_stream_can_be_started_again(sensor: ForceTorqueSensor, twin: ForceTorqueTwin) -> None:
+    """The box acknowledges the end of the first stream before it answers to the set-up of the second one."""
+    sensor.start(rate_hz=1000)
+    read(sensor, 2)
+    sensor.start(rate_hz=500)
+    assert read(sensor, 2)[1] == Wrench(*PRESSED)
+
+
 def test_decoupling_is_that_of_the_sensor(sensor: ForceTorqueSensor, twin: ForceTorqueTwin) -> None:
     twin.decoupling[0][3] = -116.59568
     assert sensor.decoupling() == twin.decoupling

@@ -100,3 +100,14 @@ def test_late_answer_to_a_command_is_no_status(monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setattr(line, "read_holding_registers", lambda *_, **__: late)
     with pytest.raises(DeviceFault, match="Expected 3 registers from the gripper, got 0"):
         gripper.status()
+
+
+def test_pause_between_two_questions_is_no_fault(gripper: Gripper, twin: GripperTwin) -> None:
+    """The first answer after a second of silence has fault 9, the next one does not."""
+    now_s = 0.0
+    twin.clock = lambda: now_s
+    gripper.activate()
+    now_s = 10.0
+    assert gripper.status().fault == 0
+    now_s = 20.0
+    assert twin._registers()[1] >> 8 == 0x09

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 from vitac.station.devices.device import DeviceFault, DeviceNotFound, Identity
-from vitac.station.devices.stage import Pose, Stage, StageState
+from vitac.station.devices.stage import Pose, Stage, StageState, StageStatus
 from vitac.station.twin.stage import StageFault, StageTwin
 from vitac.station.twin.terminal import Terminal
 
@@ -97,9 +97,26 @@ def test_limit_switch_is_a_fault_with_its_remedy(stage: Stage, twin: StageTwin) 
     twin.faults.add(StageFault.ALARM)
     with pytest.raises(DeviceFault, match=r"ALARM:1\. It met a limit switch"):
         stage.start_move(TARGET, feed=600.0)
-    assert stage.status().state is StageState.ALARM
-    stage.unlock()
-    assert stage.status().state is StageState.IDLE
+    stage.home()
+    assert stage.status() == StageStatus(state=StageState.IDLE, is_moving=False, pose=Pose(0, 0, 0, 0))
+
+
+def test_limit_switch_in_a_motion_is_named_and_the_locked_controller_is_opened_again(
+    stage: Stage, twin: StageTwin, line: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """GRBL says so once and then answers nothing, not even `?`, until it is reset."""
+    monkeypatch.setattr("vitac.station.devices.stage._ANSWER_S", 0.05)
+    twin.faults.add(StageFault.ALARM)
+    stage._line.write(b"G1 X1 F100\n")
+    with pytest.raises(DeviceFault, match=r"went into alarm, ALARM:1\. It met a limit switch and lost its position"):
+        stage.status()
+    with pytest.raises(DeviceFault, match="did not answer"):
+        stage.status()
+    stage.__exit__()
+    with Stage(line.port) as again:
+        assert again.status().state is StageState.ALARM
+        again.unlock()
+        assert again.status().state is StageState.IDLE
 
 
 def test_target_beyond_the_travel_is_refused_by_the_controller(stage: Stage) -> None:
