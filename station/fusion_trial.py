@@ -39,7 +39,6 @@ class FusionTrial(Trial):
         x_mm, y_mm, theta_deg, z_mm, *_ = episode.offset
         self._start_mm = z_mm + _START_GAP_MM
         self._hole_y_mm = HOLES_Y_MM[episode.shape]
-        self._segmenter = make_segmenter(self._station.procedure.sam_weights)
         return x_mm, y_mm + HEXAGON_HOLE_Y_MM / 2, theta_deg
 
     def _approach(self) -> float:
@@ -84,7 +83,8 @@ class FusionTrial(Trial):
         if "object_point_cloud" in self._reading.sent:
             if procedure.prompts is None:
                 raise PreflightRefused("The policy reads the points of objects: add `procedure.prompts` to the file.")
-            masks = [self._segmenter(seen, prompt) for prompt in (procedure.prompts.peg, procedure.prompts.base)]
+            segmenter = make_segmenter(procedure.sam_weights)
+            masks = [segmenter(seen, prompt) for prompt in (procedure.prompts.peg, procedure.prompts.base)]
             points = [object_points_m(mask, seen.depth_m, camera.intrinsics(), self._generator) for mask in masks]
             values["object_point_cloud"] = np.stack(points)
         return values

@@ -6,7 +6,9 @@ none are given.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Final
 
 import numpy as np
@@ -74,8 +76,9 @@ class SamMissing(VitacError):
 Segmenter = Callable[[ColourDepth, tuple[int, int]], Mask]
 
 
+@cache
 def make_segmenter(weights: Path | None) -> Segmenter:
-    """Return what finds the object at a prompt: `segment`, or SAM (ViT-B) where its weights are given.
+    """Return what finds the object at a prompt: `segment`, or SAM (ViT-B) where its weights are given, loaded once.
 
     Raises:
         SamMissing: the package or the file of weights.
@@ -88,10 +91,17 @@ def make_segmenter(weights: Path | None) -> Segmenter:
         from segment_anything import SamPredictor, sam_model_registry  # type: ignore[import-not-found]
     except ImportError as error:
         raise SamMissing(f"Expected the package segment-anything for `sam_weights`: {error}. Install it.") from error
-    predictor = SamPredictor(sam_model_registry["vit_b"](checkpoint=str(weights)))
+    try:
+        predictor = SamPredictor(sam_model_registry["vit_b"](checkpoint=str(weights)))
+    except (RuntimeError, EOFError, UnpicklingError) as error:
+        raise SamMissing(f"Expected the weights of SAM (ViT-B) in {weights}: {error!s:.200}") from error
+    embedded: ColourDepth | None = None
 
     def segment_by_network(seen: ColourDepth, prompt_px: tuple[int, int]) -> Mask:
-        predictor.set_image(seen.colour, "BGR")
+        nonlocal embedded
+        if seen is not embedded:  # one picture has several prompts
+            predictor.set_image(seen.colour, "BGR")
+            embedded = seen
         masks, scores, _ = predictor.predict(np.array([prompt_px]), np.ones(1, dtype=int))
         return np.asarray(masks[int(np.argmax(scores))], dtype=bool)
 

@@ -14,7 +14,7 @@ from vitac.evaluator.episodes.reading import Observation, make_reading
 from vitac.evaluator.strict_model import validate
 from vitac.evaluator.tracks import Episode, load_track
 from vitac.station.check import check_station
-from vitac.station.description import StationDescription, StationTask
+from vitac.station.description import Prompts, StationDescription, StationTask
 from vitac.station.fusion_trial import FusionTrial
 from vitac.station.opened import OpenStation, open_station
 from vitac.station.outcome import TrialOutcome
@@ -95,6 +95,17 @@ def test_peg_that_goes_to_its_own_hole_succeeds_and_the_policy_sees_it(station: 
     assert np.median(base_m[:, 2]) == pytest.approx(0.44, abs=0.03)
     red, green, blue = first["rgb_picture"][290, 346].astype(int)
     assert red > 2 * max(green, blue)  # the peg, and not blue first
+
+
+@pytest.mark.slow
+def test_prompt_beside_the_picture_refuses_the_trial(
+    station: OpenStation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prompts = Prompts(peg=(5000, 0), base=(0, 0))
+    monkeypatch.setattr(station, "procedure", station.procedure.model_copy(update={"prompts": prompts}))
+    attempt = play(station, tmp_path, Guided(WAY))
+    assert attempt.outcome is TrialOutcome.REFUSED
+    assert attempt.reason.startswith("The prompt (5000, 0) is outside of the picture")
 
 
 @pytest.mark.slow

@@ -2,6 +2,8 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -82,6 +84,37 @@ def test_points_lie_on_the_object() -> None:
     assert points_m[:, 0].max() <= 0.5 * (50 - 30) / 50
     with pytest.raises(NothingAtPrompt, match="no pixel with a depth"):
         object_points_m(np.zeros((40, 60), bool), seen.depth_m, INTRINSICS, np.random.default_rng(1))
+
+
+def test_sam_embeds_a_picture_once_and_its_best_mask_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stand-in of SAM, as its weights cannot be had here; what it is asked for is what the package takes."""
+    seen = two_squares(colours=(RED, BLUE), depths_m=(0.4, 0.5))
+    asked: list[Any] = []
+
+    class Predictor:
+        def __init__(self, model: str) -> None:
+            asked.append(model)
+
+        def set_image(self, picture: np.ndarray, image_format: str) -> None:
+            asked.append((picture is seen.colour, image_format))
+
+        def predict(self, points: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray, None]:
+            asked.append((points.tolist(), labels.tolist()))
+            return (
+                np.array([np.zeros((40, 60)), np.ones((40, 60)), np.zeros((40, 60))]),
+                np.array([0.2, 0.9, 0.4]),
+                None,
+            )
+
+    registry = {"vit_b": lambda checkpoint: Path(checkpoint).read_text()}
+    monkeypatch.setitem(
+        sys.modules, "segment_anything", SimpleNamespace(SamPredictor=Predictor, sam_model_registry=registry)
+    )
+    (tmp_path / "sam_vit_b.pth").write_text("weights")
+    find = make_segmenter(tmp_path / "sam_vit_b.pth")
+    assert find(seen, (20, 20)).all()
+    assert find(seen, (40, 20)).dtype == bool
+    assert asked == ["weights", (True, "BGR"), ([[20, 20]], [1]), ([[40, 20]], [1])]
 
 
 def test_sam_is_asked_for_by_its_weights_and_what_is_missing_is_named(
