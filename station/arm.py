@@ -17,7 +17,6 @@ Offset = tuple[float, float, float]
 
 _SETTLE_S: Final = 0.1
 _GRIP_S: Final = 5.0
-_CLOSED: Final = 255
 
 
 class NoPeg(VitacError):
@@ -113,7 +112,7 @@ class Arm:
             self._grip(self._procedure.open_position)
         self._wait(_SETTLE_S)
         self._station.eyes.start_again()
-        self._grip(_CLOSED)
+        self._grip(self._limits.gripper.position[1])
         sight = self._wait(_SETTLE_S)
         if not (self.holds_peg() and sight.left.is_contact() and sight.right.is_contact()):
             self._grip(self._procedure.open_position)
@@ -126,7 +125,7 @@ class Arm:
         return self._station.eyes.wait(math.ceil(wait_s / self._procedure.picture_s))
 
     def _grip(self, position: int) -> None:
-        self._guard.grip(position, speed=255, force=self._procedure.grip_force)
+        self._guard.grip(position, speed=self._limits.gripper.speed, force=self._procedure.grip_force)
         self._station.gripper.wait(timeout_s=_GRIP_S)
 
 

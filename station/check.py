@@ -3,15 +3,26 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import product
 from typing import Final
 
 from vitac.envs.errors import VitacError
 
-from .description import Calibration, DepthCamera, ForceTorqueSensor, Gripper, Limits, Stage, StationDescription
+from .description import (
+    Calibration,
+    DepthCamera,
+    ForceTorqueSensor,
+    Gripper,
+    Limits,
+    Procedure,
+    Stage,
+    StationDescription,
+)
 from .description import TactileCamera as TactileCameraDescription
 from .devices import depth_camera, force_torque, gripper, stage, tactile_camera
-from .devices.device import DeviceNotFound, Identity
-from .limits import CONTROL_PERIOD_S
+from .devices.device import DeviceInUse, DeviceNotFound, Identity
+from .devices.stage import Pose
+from .limits import CONTROL_PERIOD_S, LARGEST_RADIUS_MM, LARGEST_THETA_DEG, LimitPassed, check_grip, check_target
 from .perception.markers import cut_picture, find_markers
 from .perception.tracker import DROPPED_PICTURES
 
@@ -30,6 +41,8 @@ class Rule(StrEnum):
 
     FOUND = "found"
     """It answers at its address."""
+    FREE = "free"
+    """No other program uses it."""
     WORKS = "works"
     """It answers without a fault."""
     SERIAL_NUMBER = "serial number"
@@ -57,23 +70,30 @@ class DeviceCheck:
 
 
 def check_station(description: StationDescription) -> Iterator[DeviceCheck]:
-    """Check one device after the other."""
+    """Check one device after the other; ask no other one where another program has the stage, since it may move."""
     devices: dict[str, Iterator[Problem]] = {
+        "stage": _check_stage(description.stage, description.limits),
         "left tactile camera": _check_tactile_camera(description.left),
         "right tactile camera": _check_tactile_camera(description.right),
         "force/torque sensor": _check_force_torque(description.force_torque),
-        "stage": _check_stage(description.stage, description.limits),
         "gripper": _check_gripper(description.gripper),
     }
+    if description.procedure is not None:
+        devices["procedure"] = check_procedure(description.procedure, description.limits)
     if description.depth_camera is not None:
         devices["RGB-D camera"] = _check_depth_camera(description.depth_camera)
     for device, problems in devices.items():
-        yield DeviceCheck(device=device, problems=tuple(_until_failure(problems)))
+        found = DeviceCheck(device=device, problems=tuple(_until_failure(problems)))
+        yield found
+        if any(problem.rule is Rule.FREE for problem in found.problems):
+            return
 
 
 def _until_failure(problems: Iterator[Problem]) -> Iterator[Problem]:
     try:
         yield from problems
+    except DeviceInUse as error:
+        yield Problem(rule=Rule.FREE, sentence=str(error))
     except DeviceNotFound as error:
         yield Problem(rule=Rule.FOUND, sentence=str(error))
     except VitacError as error:
@@ -151,6 +171,33 @@ def _check_gripper(described: Gripper) -> Iterator[Problem]:
     with gripper.Gripper(described.port, unit=described.unit) as opened:
         opened.check_fault(opened.status())
     yield from ()  # a generator, as the other checks; a fault is raised
+
+
+def check_procedure(procedure: Procedure, limits: Limits) -> Iterator[Problem]:
+    """Check that no trial can end at a limit of the station, whatever its policy does."""
+    for place, pose in _extreme_poses(procedure):
+        try:
+            check_target(limits, pose)
+        except LimitPassed as error:
+            yield Problem(rule=Rule.LIMITS, sentence=f"At the {place}: {error}")
+    try:
+        check_grip(limits, procedure.open_position, limits.gripper.speed, procedure.grip_force)
+    except LimitPassed as error:
+        yield Problem(rule=Rule.LIMITS, sentence=str(error))
+    weights = procedure.sam_weights
+    if weights is not None and not weights.is_file():
+        yield Problem(rule=Rule.FOUND, sentence=f"Expected the weights of SAM at {weights}, got no file.")
+
+
+def _extreme_poses(procedure: Procedure) -> Iterator[tuple[str, Pose]]:
+    """Yield poses of a trial of the peg with no others outside of them, and the place that each is at."""
+    hole, garage, safe_mm = procedure.hole, procedure.garage, procedure.safe_z_mm
+    lowest_mm = hole.z_mm + procedure.start_mm - procedure.descent_mm - procedure.push_mm
+    for z_mm, sign in product((lowest_mm, hole.z_mm + procedure.lateral_mm, safe_mm), (-1.0, 1.0)):
+        far_mm, turn_deg = sign * LARGEST_RADIUS_MM, sign * LARGEST_THETA_DEG
+        yield "hole", Pose(hole.x_mm + far_mm, hole.y_mm + far_mm, z_mm, hole.rotation_deg + turn_deg)
+    for z_mm in (garage.z_mm, safe_mm):
+        yield "garage", Pose(garage.x_mm, garage.y_mm, z_mm, garage.rotation_deg)
 
 
 def _check_calibration(serial_number: str, calibration: Calibration) -> Iterator[Problem]:

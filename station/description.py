@@ -240,6 +240,10 @@ class StationDescription(StrictModel):
     def _check_devices(self) -> Self:
         if self.left.serial_number == self.right.serial_number:
             raise ValueError(f"left and right are both {self.left.serial_number}; expected two tactile sensors")
+        if self.left.stream is not None and self.left.stream == self.right.stream:
+            raise ValueError(f"left and right are both read from {self.left.stream}; expected two streams")
+        if self.stage.port == self.gripper.port:
+            raise ValueError(f"stage and gripper are both at {self.stage.port}; expected two serial ports")
         return self
 
 

@@ -15,6 +15,11 @@ CONTROL_PERIOD_S: Final = 0.02
 """The stage is at rest this long after a reading has passed a limit."""
 
 
+LARGEST_RADIUS_MM: Final = 12.0
+LARGEST_THETA_DEG: Final = 15.0
+"""An action that leads further from the hole than these two ends a trial of the peg as the policy's error."""
+
+
 class LimitPassed(VitacError):
     """A command or reading passes a limit of the station's file; nothing moves. The message says which."""
 

@@ -19,10 +19,11 @@ from .devices.device import DeviceFault
 from .devices.stage import Pose
 from .eyes import Sight
 from .guard import StationStopped
-from .limits import LimitPassed
+from .limits import LARGEST_RADIUS_MM, LARGEST_THETA_DEG, LimitPassed
 from .opened import OpenStation
 from .outcome import TrialOutcome
 from .perception.observation import NoMarkerFollowed, marker_flow
+from .perception.segmentation import NothingAtPrompt, SamMissing
 from .preflight import PreflightRefused, check_held, check_ready
 
 _STILL_PICTURES: Final = 30
@@ -35,8 +36,6 @@ _RELAXED_FACTOR: Final = 3.0
 _LARGE_MOVEMENT_PX: Final = 1.5
 _PUSH_FACTOR: Final = 5.0
 _SUCCESS_DEPTH_MM: Final = 0.35
-_LARGEST_RADIUS_MM: Final = 12.0
-_LARGEST_THETA_DEG: Final = 15.0
 _PAUSE_S: Final = 0.5
 
 Pair = tuple[float, float]
@@ -120,7 +119,7 @@ class Trial:
             attempt.outcome = self._play()
         except PolicyFailed as failed:
             attempt.outcome, attempt.reason, attempt.failure = TrialOutcome.POLICY_FAILED, failed.message, failed
-        except (NotBlocked, NoPeg, NoMarkerFollowed, PreflightRefused, StationStopped, LimitPassed, DeviceFault) as why:
+        except (*_OUTCOMES, StationStopped, LimitPassed) as why:
             attempt.outcome, attempt.reason = self._outcome_of(why), str(why)
         self._retreat()
         return attempt
@@ -165,7 +164,7 @@ class Trial:
         """Go over the start, first at the safe height where the stage is not near the hole."""
         arm, procedure = self._arm, self._station.procedure
         beside = arm.place(self._start, arm.height_mm(procedure.lateral_mm))
-        if math.dist(arm.pose()[:2], beside[:2]) > 2 * _LARGEST_RADIUS_MM:
+        if math.dist(arm.pose()[:2], beside[:2]) > 2 * LARGEST_RADIUS_MM:
             arm.lift(procedure.safe_z_mm)
             arm.go(beside._replace(z_mm=procedure.safe_z_mm))
         else:
@@ -204,7 +203,7 @@ class Trial:
             action = policy.act(self._observe(sight))
             offset = self._moved(offset, action)
             attempt.actions.append(np.array(action, dtype=np.float32))
-            if math.hypot(*offset[:2]) > _LARGEST_RADIUS_MM or abs(offset[2]) > _LARGEST_THETA_DEG:
+            if math.hypot(*offset[:2]) > LARGEST_RADIUS_MM or abs(offset[2]) > LARGEST_THETA_DEG:
                 return TrialOutcome.ERROR
             speed_mm_s = self._station.procedure.step_mm_s
             arm.go(arm.place(offset, arm.pose().z_mm), speed_mm_s)
@@ -307,6 +306,8 @@ _OUTCOMES: Final = {
     NotBlocked: TrialOutcome.NOT_BLOCKED,
     NoPeg: TrialOutcome.NO_PEG,
     PreflightRefused: TrialOutcome.REFUSED,
+    NothingAtPrompt: TrialOutcome.REFUSED,
+    SamMissing: TrialOutcome.REFUSED,
     DeviceFault: TrialOutcome.DEVICE_FAULT,
     NoMarkerFollowed: TrialOutcome.DEVICE_FAULT,
 }

@@ -11,6 +11,7 @@ from vitac.station.check import Rule, check_station
 from vitac.station.description import StationDescription
 from vitac.station.devices.depth_camera import Intrinsics
 from vitac.station.devices.device import Identity
+from vitac.station.devices.stage import Stage
 from vitac.station.twin.force_torque import ForceTorqueFault
 from vitac.station.twin.gripper import GripperFault
 from vitac.station.twin.laboratory import TwinStation
@@ -135,6 +136,38 @@ def test_depth_camera_is_compared_with_what_it_has_stored(
         "calibration": {"serial_number": "821312061234", **measured},
     }
     assert [rule for rule, _ in problems(twins).get("RGB-D camera", [])] == rules
+
+
+@pytest.mark.parametrize(
+    ("change", "rule", "sentences"),
+    [
+        ({"garage": {"x_mm": -90, "y_mm": 0, "z_mm": -30}}, Rule.LIMITS, ["At the garage: Target x_mm -90.0"] * 2),
+        ({"hole": {"x_mm": 0, "y_mm": 4, "z_mm": -40}}, Rule.LIMITS, ["At the hole: Target y_mm 16.0"] * 3),
+        ({"push_mm": 8}, Rule.LIMITS, ["At the hole: Target z_mm -49.0: expected -48.0 to 0.0"] * 2),
+        ({"grip_force": 101}, Rule.LIMITS, ["Gripper force 101: expected 0 to 100."]),
+        ({"sam_weights": "none.pth"}, Rule.FOUND, ["Expected the weights of SAM at none.pth, got no file."]),
+    ],
+)
+def test_procedure_that_leads_past_the_limits_is_named(
+    twins: TwinStation, change: dict[str, Any], rule: Rule, sentences: list[str]
+) -> None:
+    twins.description["limits"]["workspace"] |= {"x_mm": [-60, 15], "z_mm": [-48, 0]}
+    places = {"hole": {"x_mm": 0, "y_mm": 0, "z_mm": -40}, "garage": {"x_mm": -55, "y_mm": 0, "z_mm": -30}}
+    twins.description["procedure"] = {"shape": "cuboid", "safe_z_mm": -20, **places, **change}
+    found = problems(twins)
+    named = found.pop("procedure")
+    assert [each[0] for each in named] == [rule] * len(sentences)
+    assert all(each[1].startswith(expected) for each, expected in zip(named, sentences, strict=True)), named
+    assert not found
+
+
+def test_station_that_another_program_plays_on_is_left_alone(twins: TwinStation) -> None:
+    with Stage(twins.description["stage"]["port"]):
+        described = validate(StationDescription, twins.description, "station.yaml")
+        (found,) = check_station(described)
+    assert found.device == "stage"
+    assert [problem.rule for problem in found.problems] == [Rule.FREE]
+    assert problems(twins) == {}
 
 
 def test_every_problem_of_a_device_is_named(twins: TwinStation) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from vitac.evaluator.strict_model import DocumentRejected, parse_yaml
+from vitac.station.check import check_procedure
 from vitac.station.description import StationDescription, read_description
 from vitac.station.twin.laboratory import TwinStation
 
@@ -21,9 +22,14 @@ def test_reads_the_file_and_fills_in_what_has_a_default(twins: TwinStation, tmp_
     assert described.depth_camera is None
 
 
-def test_description_in_the_documentation_is_accepted(repository: Path) -> None:
-    (block,) = re.findall(r"```yaml\n(name: .*?)```", (repository / "docs" / "station.md").read_text(), re.DOTALL)
-    assert parse_yaml(StationDescription, block, "docs/station.md").stage.serial_number == "STAGE-1"
+def test_station_in_the_documentation_can_play(repository: Path) -> None:
+    text = (repository / "docs" / "station.md").read_text()
+    (devices,) = re.findall(r"```yaml\n(name: .*?)```", text, re.DOTALL)
+    (procedure,) = re.findall(r"```yaml\n(procedure:.*?)```", text, re.DOTALL)
+    described = parse_yaml(StationDescription, devices + procedure, "docs/station.md")
+    assert described.stage.serial_number == "STAGE-1"
+    assert described.procedure is not None
+    assert list(check_procedure(described.procedure, described.limits)) == []
 
 
 @pytest.mark.parametrize(
@@ -34,12 +40,15 @@ def test_description_in_the_documentation_is_accepted(repository: Path) -> None:
         (("limits", "speed_mm_s"), 0, "limits.speed_mm_s: Input should be greater than 0"),
         (("limits", "force_n"), float("nan"), "limits.force_n: Input should be a finite number"),
         (("limits", "gripper", "force"), 256, "limits.gripper.force: Input should be less than or equal to 255"),
+        (("stage", "port"), "/dev/ttyUSB0", "stage and gripper are both at /dev/ttyUSB0; expected two serial ports"),
+        (("right", "stream"), "http://localhost/", "left and right are both read from http://localhost/; expected two"),
         (("right", "serial_number"), "28F0-GX7F", "left and right are both 28F0-GX7F; expected two tactile sensors"),
     ],
 )
 def test_refuses_with_a_sentence(
     twins: TwinStation, tmp_path: Path, keys: tuple[str, ...], value: object, sentence: str
 ) -> None:
+    twins.description["gripper"]["port"], twins.description["left"]["stream"] = "/dev/ttyUSB0", "http://localhost/"
     *outer, last = keys
     place = twins.description
     for key in outer:
