@@ -100,9 +100,13 @@ def test_it_is_drawn_with_all_fixed_parts(packages: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_its_expert_gives_demonstrations(packages: Path, tmp_path: Path) -> None:
+def test_its_expert_gives_demonstrations_that_become_a_data_set_and_replay(packages: Path, tmp_path: Path) -> None:
+    """Its actions are of one number, which is what LeRobot stores otherwise than several."""
     vitac(packages, "data", "collect", "press-switch", "--successes", 1, "--out", tmp_path)
     assert '"shape":"' in (tmp_path / "press-switch" / "demonstrations.jsonl").read_text()
+    pytest.importorskip("pyarrow", reason="needs the extra `data`")
+    vitac(packages, "data", "export", tmp_path / "press-switch", "--to", tmp_path / "set")
+    assert "1 episodes replayed" in vitac(packages, "data", "check", tmp_path / "set", "--replay", 1)
 
 
 def test_it_stands_on_a_board(packages: Path) -> None:

@@ -79,6 +79,7 @@ def _rows(folder: Path) -> Iterator[dict[str, Any]]:
 
 def _demonstration(stored: StoredEpisode, rows: list[dict[str, Any]]) -> Demonstration:
     actions = np.array([row["action"] for row in rows], dtype=np.float32)
+    actions = actions.reshape(len(rows), -1)  # an action of one number is a column of numbers, as LeRobot has it
     return Demonstration(
         episode=stored.episode,
         kind=stored.kind,
