@@ -206,4 +206,4 @@ def test_agent_outlives_bad_policies_and_loses_no_trial_when_it_is_stopped_or_ki
             record = laboratory.record()
         assert record["outcome"] == "success"
         played = laboratory.shard()
-        assert [each["cause"] for each in played.repeats] == ["lost"]
+        assert [each["cause"] for each in played.repeats] == ["lost"], played.repeats
