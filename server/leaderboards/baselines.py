@@ -24,8 +24,7 @@ class _Figures:
     track: str
     task: str
     name: str
-    successes: Mapping[str, int]
-    """By shape."""
+    successes: Mapping[str, int]  # by shape
     mean_steps: float
 
 

@@ -20,8 +20,7 @@ class Axis:
     high: float
     begin: float
     end: float
-    is_whole: bool = False
-    """Whether only whole numbers are written beside it."""
+    is_whole: bool = False  # only whole numbers are written beside it
 
     def place(self, value: float) -> float:
         """Return where a value is drawn [px]; in the middle if the axis has one value only."""
