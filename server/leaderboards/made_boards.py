@@ -15,8 +15,8 @@ from vitac.evaluator.version import evaluator_version
 
 from ..views.leaderboards import LeaderboardView, LogBoardsView
 
-PAGE_ENTRIES = 100
-"""Number of entries of a page that the API sends."""
+PAGE_ENTRIES = 40
+"""Number of entries of a page that the API sends: about 100 kB."""
 
 BoardT = TypeVar("BoardT", LeaderboardView, LogBoardsView)
 

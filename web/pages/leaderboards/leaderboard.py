@@ -25,7 +25,7 @@ from .tabs import known_track, read_surroundings
 
 RowT = TypeVar("RowT", LeaderboardEntryView, BaselineView)
 
-PLOTTED = 100
+PLOTTED = 50
 """Number of teams that the plot against dates shows: each point has a row in the table behind it."""
 
 

@@ -11,7 +11,7 @@ from vitac.server.sharing.public_pages import public_among
 
 from ...site import get_principal, get_site, get_viewer, page
 from ..addresses import AskedBoard, board_address
-from .paging import PAGE_ENTRIES, board_page
+from .paging import board_page
 from .tabs import known_track, read_surroundings
 
 TEXT_LOGS = "text-logs"
@@ -43,6 +43,6 @@ async def logs(request: Request) -> Response:
         own_names=own_names,
         logs_address=board_address(asked.contest, track.name) + asked.part,
         search=values["text_logs"].search,
-        searchable=max(board.total for board in boards) > PAGE_ENTRIES,
+        searchable=any(board.total > board.size for board in boards),
         **values,
     )

@@ -1,4 +1,4 @@
-"""Boards in pages of fifty, with a search. Called by `leaderboard` and `logs`."""
+"""Boards in pages, with a search. Called by `leaderboard` and `logs`."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -10,6 +10,8 @@ from vitac.server.leaderboards.search import BoardSearch
 from vitac.server.views.leaderboards import BoardEntryView
 
 PAGE_ENTRIES = 50
+SECTION_ENTRIES = 25
+"""Of each board, where a page has several."""
 
 EntryT = TypeVar("EntryT", bound=BoardEntryView)
 
@@ -27,6 +29,7 @@ class BoardPage(Generic[EntryT]):
         total: number of entries of the whole board.
         own: the visitor's first entry on the whole board.
         own_page: number of the page of all teams that has it.
+        size: maximum number of entries of a page.
         address: of the board, with its task.
         parameter: what names the number of the page in an address.
         section: id of the board on its page; empty: it is the whole page.
@@ -40,6 +43,7 @@ class BoardPage(Generic[EntryT]):
     total: int
     own: EntryT | None
     own_page: int
+    size: int
     address: str
     parameter: str
     section: str
@@ -79,18 +83,20 @@ def board_page(
     parameter = f"page-{section}" if section else "page"
     search = BoardSearch.read(request.query_params)
     found = search.find(entries)
-    pages = max(1, -(-len(found) // PAGE_ENTRIES))
+    size = SECTION_ENTRIES if section else PAGE_ENTRIES
+    pages = max(1, -(-len(found) // size))
     number = min(pages, max(1, _whole(request.query_params.get(parameter, "1"))))
     place = next((place for place, entry in enumerate(entries) if entry.team in own_names), None)
     return BoardPage(
-        entries=found[(number - 1) * PAGE_ENTRIES : number * PAGE_ENTRIES],
+        entries=found[(number - 1) * size : number * size],
         number=number,
         pages=pages,
         search=search,
         found=len(found),
         total=len(entries),
         own=None if place is None else entries[place],
-        own_page=1 if place is None else place // PAGE_ENTRIES + 1,
+        own_page=1 if place is None else place // size + 1,
+        size=size,
         address=address,
         parameter=parameter,
         section=section,

@@ -31,15 +31,15 @@ def section(html: str, name: str) -> str:
     return found[0]
 
 
-def test_each_board_has_pages_of_fifty_of_its_own(many: FixedData, browser: AsgiBrowser) -> None:
-    html = browser.get("/tracks/track_1/logs?stage=final&page-text-logs=2").text
+def test_each_board_has_pages_of_its_own(many: FixedData, browser: AsgiBrowser) -> None:
+    html = browser.get("/tracks/track_1/logs?stage=final&page-text-logs=3").text
     peg, text_logs = section(html, f"logs-{TASK}"), section(html, "text-logs")
-    assert peg.count('<tr role="row" class') == 50
+    assert peg.count('<tr role="row" class') == 25
     assert "Team 001" in peg
     assert f'href="/tracks/track_1/logs?stage=final&amp;page-logs-{TASK}=2#logs-{TASK}"' in peg
     assert text_logs.count('<tr role="row" class') == 11
     assert "Team 051" in text_logs
-    assert 'href="/tracks/track_1/logs?stage=final&amp;page-text-logs=2#text-logs" aria-current="page"' in text_logs
+    assert 'href="/tracks/track_1/logs?stage=final&amp;page-text-logs=3#text-logs" aria-current="page"' in text_logs
     assert "No verified log of this task yet." in section(html, f"logs-{LOCK}")
     assert '<input type="hidden" name="stage" value="final">' in html
     assert many.logs.boards[0].task == TASK
@@ -61,10 +61,10 @@ def test_the_own_rows_are_marked_and_linked(many: FixedData, browser: AsgiBrowse
     assert "Your team" not in browser.get("/tracks/track_1/logs").text
     sign_in(browser, "Gelbots")
     first = browser.get("/tracks/track_1/logs").text
-    assert f'<a href="/tracks/track_1/logs?page-logs-{TASK}=2#logs-{TASK}">Your team</a>: rank 61' in first
-    assert 'href="/tracks/track_1/logs?page-text-logs=2#text-logs">Your team’s newest one</a>' in first
+    assert f'<a href="/tracks/track_1/logs?page-logs-{TASK}=3#logs-{TASK}">Your team</a>: rank 61' in first
+    assert 'href="/tracks/track_1/logs?page-text-logs=3#text-logs">Your team’s newest one</a>' in first
     assert first.count('class="own"') == 0
-    second = browser.get(f"/tracks/track_1/logs?page-logs-{TASK}=2&page-text-logs=2").text
+    second = browser.get(f"/tracks/track_1/logs?page-logs-{TASK}=3&page-text-logs=3").text
     assert section(second, f"logs-{TASK}").count('class="own"') == 1
     assert section(second, "text-logs").count('class="own"') == 1
     assert many.logs.text_logs[-1].team == "Gelbots"

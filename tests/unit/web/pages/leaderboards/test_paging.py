@@ -149,5 +149,5 @@ def test_each_of_several_boards_of_a_page_has_a_number_of_its_own() -> None:
     first, second = (board_page(request, "/logs", ENTRIES, "Gelbots", section=section) for section in "ab")
     assert (first.number, second.number) == (1, 2)
     assert second.link(3) == "/logs?q=team&page-b=3#b"
-    assert second.own_link == "/logs?page-b=3#b"
+    assert second.own_link == "/logs?page-b=5#b"
     assert (second.total, second.found) == (150, 149)
