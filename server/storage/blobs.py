@@ -14,7 +14,7 @@ import obstore
 from obstore.exceptions import BaseError, NotFoundError
 from obstore.store import LocalStore, ObjectStore, from_url
 
-from ..errors import ProblemCode, ServiceError, storage_full
+from ..errors import ProblemCode, ServiceError, SettingsError, storage_full
 from ..settings import Settings
 from .disk_space import is_disk_full
 
@@ -43,6 +43,17 @@ class StoredFileLost(ServiceError):
         super().__init__(ProblemCode.STORAGE_UNAVAILABLE, detail)
 
 
+def _open(url: str) -> ObjectStore:
+    try:
+        return from_url(url, retry_config=RETRIES)
+    except (BaseError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise SettingsError(
+            f"VITAC_STORAGE_URL is {url!r}: expected s3://bucket/prefix or file:///folder of a folder that exists, "
+            f"got {reason!r}. Correct it, or create the folder."
+        ) from error
+
+
 class BlobStore:
     """Content-addressed files. Keys are `sha256/ab/abcd...`."""
 
@@ -53,9 +64,13 @@ class BlobStore:
 
     @classmethod
     def from_settings(cls, settings: Settings) -> "BlobStore":
-        """Return the store that the settings name; by default the folder `blobs` of the state directory."""
+        """Return the store that the settings name; by default the folder `blobs` of the state directory.
+
+        Raises:
+            SettingsError: the address names no store, or a folder that does not exist.
+        """
         if settings.storage_url is not None:
-            return cls(from_url(settings.storage_url, retry_config=RETRIES))
+            return cls(_open(settings.storage_url))
         folder = settings.state_dir / "blobs"
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         return cls(LocalStore(folder))
