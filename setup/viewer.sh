@@ -5,7 +5,7 @@
 viewer_stamp=$root/.system/viewer/stamp
 
 viewer_fingerprint() {
-  cat "$root"/viewer/*.js "$root"/viewer/*.json "$root/requirements/node.lock" "$root/setup/build_viewer.sh" | cksum | tr ' ' '-'
+  cat "$root"/viewer/*.js "$root"/viewer/*.json "$root/envs/playback_files/stage.json" "$root/requirements/node.lock" "$root/setup/build_viewer.sh" | cksum | tr ' ' '-'
 }
 
 viewer_is_built() {

@@ -18,6 +18,7 @@ import {
   Vector3,
 } from "three";
 
+import look from "../envs/playback_files/stage.json";
 import { Forces } from "./forces.js";
 import { GelSurface } from "./gel_surface.js";
 import { cornersOf, Palm, sensorBody } from "./gripper.js";
@@ -29,10 +30,8 @@ import { framing, geometryOf, INK, View } from "./view.js";
 // A part is drawn a little behind its edges, which lie in its faces and would be broken lines.
 const BEHIND_EDGES = { flatShading: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 };
 const BEFORE_EDGES = { polygonOffset: true, polygonOffsetFactor: -1, polygonOffsetUnits: -4 }; // which a section hides
-const HELD = { color: 0xc4a063, roughness: 0.42, metalness: 0.35 };
-const FIXED = { color: 0xaab2ba, roughness: 0.38, metalness: 0.7 };
-const HELD_SECTION = 0xe0c592; // surface of a part that is cut open
-const FIXED_SECTION = 0x8d6f6a;
+const HELD = { color: look.held, roughness: 0.42, metalness: 0.35 };
+const FIXED = { color: look.fixed, roughness: 0.38, metalness: 0.7 };
 const SHARP_DEG = 20; // from which on an edge is drawn
 const GHOST = { color: 0x4f8fd6, transparent: true, opacity: 0.35, depthWrite: false };
 const XRAY_OPACITY = 0.22;
@@ -165,7 +164,7 @@ export class Stage extends View {
 
   #held(look = HELD) {
     const { held_vertices_mm: vertices, held_triangles: triangles } = this.episode.arrays;
-    const held = solid(geometryOf(vertices, triangles), look, HELD_SECTION);
+    const held = solid(geometryOf(vertices, triangles), look, look.held_section);
     Object.assign(held.mesh, { matrixAutoUpdate: false, renderOrder: 1 });
     if (look === HELD) held.mesh.add(...(this.names = this.#names(vertices.values)));
     this.scene.add(held.mesh);
@@ -174,7 +173,7 @@ export class Stage extends View {
 
   #fixed() {
     const { fixed_vertices_mm: vertices, fixed_triangles: triangles } = this.episode.arrays;
-    const fixed = solid(geometryOf(vertices, triangles), FIXED, FIXED_SECTION);
+    const fixed = solid(geometryOf(vertices, triangles), FIXED, look.fixed_section);
     this.scene.add(fixed.mesh);
     return fixed;
   }

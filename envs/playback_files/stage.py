@@ -1,10 +1,12 @@
 """What stands on the player's stage at the end of an episode: the parts, the gels in colours, and the gripper.
 
-Sizes and colours are those of `stage`, `gripper` and `colours` in `viewer`. Called by `still`.
+Sizes and colours are in `stage.json`, which `viewer` reads, too. Called by `still`.
 """
 
+import json
 from itertools import product
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +21,8 @@ from .scene import look_up_perspective
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
-_HELD, _FIXED, _SHELL, _METAL = 0xC4A063, 0xAAB2BA, 0x515A63, 0x9AA3AB
-_HELD_SECTION, _FIXED_SECTION = 0xE0C592, 0x8D6F6A
-_DISPLACEMENT = (0xF4FBD2, 0xB7E2B4, 0x5FC0C0, 0x2F8FC0, 0x234DA0)
-_HOUSING_MM, _RIM_MM, _FINGER_MM, _PALM_MM = (31.0, 26.0, 13.0), 1.5, (26.0, 15.0, 7.0), (12.0, 34.0)
+LOOK: Final[dict[str, Any]] = json.loads(Path(__file__).with_name("stage.json").read_text(encoding="utf-8"))
+"""Sizes of the gripper's parts [mm], as a share of the housing's depth where the finger stands, and colours."""
 
 
 class Part(NamedTuple):
@@ -36,9 +36,9 @@ class Part(NamedTuple):
 
 
 class _Box(NamedTuple):
-    """A box along the axes of a pose: its lengths and its middle in that frame [mm]."""
+    """A box along the axes of a pose, in a colour of `LOOK`: its lengths and its middle in that frame [mm]."""
 
-    colour: int
+    colour: str
     lengths_mm: FloatArray
     middle_mm: FloatArray
     pose: SensorPose
@@ -51,7 +51,8 @@ class _Box(NamedTuple):
         """Return its surface in the world."""
         x, y, z = 0.5 * self.lengths_mm
         solid = solid_from_faces(prism_faces(rectangle(-x, x, -y, y), -z, z), "box")
-        return Part(_placed(solid.vertices_m + 1e-3 * self.middle_mm, self.pose), solid.triangles, linear(self.colour))
+        placed_m = _placed(solid.vertices_m + 1e-3 * self.middle_mm, self.pose)
+        return Part(placed_m, solid.triangles, linear(LOOK[self.colour]))
 
 
 def list_framed_points(playback: Playback) -> FloatArray:
@@ -76,8 +77,8 @@ def list_parts(playback: Playback) -> list[Part]:
     """Return everything that is seen; gels are coloured by displacement, on the scale of the episode."""
     moment, gel = playback.moments[-1], playback.gel
     parts = [
-        Part(*_fixed(playback), linear(_FIXED), linear(_FIXED_SECTION), is_inked=True),
-        Part(moment.held_m, playback.held.triangles, linear(_HELD), is_inked=True),
+        Part(*_fixed(playback), linear(LOOK["fixed"]), linear(LOOK["fixed_section"]), is_inked=True),
+        Part(moment.held_m, playback.held.triangles, linear(LOOK["held"]), is_inked=True),
     ]
     moved_m = [
         [
@@ -87,7 +88,7 @@ def list_parts(playback: Playback) -> list[Part]:
         for found in playback.moments
     ]
     largest_m = max(float(np.max(moved_m)), 1e-9)
-    stops = np.array([linear(colour) for colour in _DISPLACEMENT])
+    stops = np.array([linear(colour) for colour in LOOK["displacement"]])
     for nodes_m, own_m in zip(moment.gel_nodes_m, moved_m[-1], strict=True):
         level = own_m[gel.surface_triangles].mean(axis=1) / largest_m * (len(stops) - 1)
         rgb = np.column_stack([np.interp(level, np.arange(len(stops)), stops[:, channel]) for channel in range(3)])
@@ -102,20 +103,22 @@ def _gripper(playback: Playback, moment: Moment) -> list[_Box]:
     fixed_m = 0.5 * (playback.fixed_m.min(axis=0) + playback.fixed_m.max(axis=0))
     along = -1.0 if (fixed_m - first.centre_m) @ first.rotation[:, 0] > 0.0 else 1.0
     back = 1e3 * float(playback.gel.rest_position_m[:, 2].min())
-    length, width, depth = _HOUSING_MM
-    finger_x = along * (0.5 * (length + _FINGER_MM[0]) - 6.0)
+    length, width, depth = LOOK["housing_mm"]
+    rim, inset, finger = LOOK["rim_mm"], 2.0 * LOOK["rim_inset_mm"], LOOK["finger_mm"]
+    finger_x = along * (0.5 * (length + finger[0]) - LOOK["finger_overlap_mm"])
     boxes = (
-        (_SHELL, _HOUSING_MM, (0.0, 0.0, back - 0.5 * depth - _RIM_MM)),
-        (_METAL, (length - 3.0, width - 3.0, _RIM_MM), (0.0, 0.0, back - 0.5 * _RIM_MM)),
-        (_METAL, _FINGER_MM, (finger_x, 0.0, back - _RIM_MM - 0.6 * depth)),
+        ("shell", (length, width, depth), (0.0, 0.0, back - 0.5 * depth - rim)),
+        ("metal", (length - inset, width - inset, rim), (0.0, 0.0, back - 0.5 * rim)),
+        ("metal", finger, (finger_x, 0.0, back - rim - LOOK["finger_depth"] * depth)),
     )
     apart = 1e3 * float(np.linalg.norm(left.centre_m - right.centre_m))
     middle = SensorPose(rotation=left.rotation, centre_m=0.5 * (left.centre_m + right.centre_m))
-    palm_x = along * (0.5 * length + _FINGER_MM[0] - 2.0)
+    palm_x = along * (0.5 * length + finger[0] - LOOK["palm_overlap_mm"])
+    palm_mm = np.array([*LOOK["palm_mm"], apart + 2.0 * depth])
     fingers = [
         _Box(colour, np.array(size), np.array(place), pose) for pose in (left, right) for colour, size, place in boxes
     ]
-    return [*fingers, _Box(_SHELL, np.array([*_PALM_MM, apart + 2.0 * depth]), np.array([palm_x, 0.0, 0.0]), middle)]
+    return [*fingers, _Box("shell", palm_mm, np.array([palm_x, 0.0, 0.0]), middle)]
 
 
 def _corners_of_gripper(playback: Playback, moment: Moment) -> FloatArray:
@@ -134,7 +137,7 @@ def _placed(own_m: FloatArray, pose: SensorPose) -> FloatArray:
     return np.asarray(own_m @ pose.rotation.T + pose.centre_m)
 
 
-def linear(colour: int) -> FloatArray:
-    """Return the light of a colour of screens (IEC 61966-2-1), red, green and blue in 0 to 1."""
-    shown = np.array([colour >> 16, colour >> 8 & 255, colour & 255]) / 255.0
+def linear(colour: str) -> FloatArray:
+    """Return the light of a colour of screens such as #22262b (IEC 61966-2-1), red, green and blue in 0 to 1."""
+    shown = np.frombuffer(bytes.fromhex(colour[1:]), dtype=np.uint8) / 255.0
     return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)

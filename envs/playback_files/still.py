@@ -17,7 +17,7 @@ from ..vision.pictures import unit_normals
 from ..vision.pinhole import CameraPose
 from ..vision.rasterizer import View, rasterize
 from .scene import DEFAULT_VIEW, look_up_perspective
-from .stage import Part, linear, list_framed_points, list_parts
+from .stage import LOOK, Part, linear, list_framed_points, list_parts
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -33,7 +33,7 @@ _TO_LIGHT = np.array([-0.9, -0.7, 2.2]) / np.linalg.norm([-0.9, -0.7, 2.2])
 _SHADOW_PX, _SHADOW_SLACK_M, _SHADOW_OPACITY = 1024, 5e-4, 0.16
 _GRID_M, _FADES_FROM, _TABLE_OPACITY, _INK_OPACITY = 0.01, 0.35, 0.34, 0.55
 
-_INK, _TABLE, _GRID = 0x22262B, 0x7D868E, 0x555F68
+_TABLE, _GRID = "#7d868e", "#555f68"
 
 
 class _Camera(NamedTuple):
@@ -155,7 +155,7 @@ class _Scene:
         number = view.triangle[seen]
         rgb = self._in_shade[number] + self._by_light[number] * is_lit[seen, None]
         ink = _INK_OPACITY * self._has_edge(view)[seen, None]
-        found[seen, :3] = (1.0 - ink) * rgb + ink * linear(_INK)
+        found[seen, :3] = (1.0 - ink) * rgb + ink * linear(LOOK["ink"])
         found[seen, 3] = 1.0
         return found
 
