@@ -10,7 +10,9 @@ const MARKERS = 128;
 const MAGNIFICATIONS = [20, 10, 5, 2, 1];
 const LONGEST_PX = 45;
 const HEAD_PX = 4;
+const NOWHERE_PX = -500; // what is left of it fills up a file
 const BAR_PX = 5;
+const RING = { radius: 6, colour: "#ffb000" }; // around where a lost marker is
 
 /** How many times longer than they are arrows are drawn, so that the longest of the episode has room. */
 export function magnification(episode) {
@@ -72,6 +74,14 @@ function drawFlow(canvas, episode, step, side, factor, picture) {
   if (picture) stroke(context, "rgb(0 0 0 / 0.55)", 3.4);
   const colour = picture ? "#ffffff" : getComputedStyle(canvas).color;
   stroke(context, colour, 1.4);
+  const lost = lostMarkers(episode, step, side);
+  context.beginPath();
+  for (const [u, v] of lost) {
+    context.moveTo(u + RING.radius, v);
+    context.arc(u, v, RING.radius, 0, 2 * Math.PI);
+  }
+  stroke(context, "rgb(0 0 0 / 0.55)", 3.4);
+  stroke(context, RING.colour, 1.8);
   scaleBar(context, factor * BAR_PX, `${BAR_PX} px`, colour);
 }
 
@@ -84,6 +94,14 @@ function stroke(context, colour, width) {
 function places(episode, { values }, step, side) {
   const first = 2 * MARKERS * (2 * step + side);
   return Float32Array.from(values.subarray(first, first + 2 * MARKERS), (value) => episode.header.flow_unit_px * value);
+}
+
+/** Where markers are that the observation after an env step has lost, u and v of each [pixel]; none in older playbacks. */
+function lostMarkers({ arrays: { lost_markers: lost }, header }, step, side) {
+  const most = lost?.shape[2] ?? 0;
+  return Array.from({ length: most }, (_, at) => [0, 1].map((axis) => lost.values[2 * (most * (2 * step + side) + at) + axis] * header.flow_unit_px)).filter(
+    ([u]) => u > NOWHERE_PX,
+  );
 }
 
 /** How far the nodes of a gel are from their rest after an env step [mm]. */

@@ -1,6 +1,6 @@
 """An episode recorded for drawing: positions after every env step, or after every IPC step. Made by `record`."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
@@ -43,6 +43,7 @@ class Moment:
         sensor_poses: of the left and the right sensor.
         held_m: vertices of the held part in the world [m], shape [v, 3].
         marker_flow: what the policy was given [pixel], shape [2, 2, 128, 2].
+        lost_px: where markers were that it lost, of the left and the right sensor [pixel], shapes [l, 2].
         info: of the last reset or env step that has ended.
         contact_forces_n: on the held part, the left and the right gel [N], shape [3, 3].
         pair_forces: of single contacts.
@@ -56,6 +57,7 @@ class Moment:
     sensor_poses: tuple[SensorPose, SensorPose]
     held_m: FloatArray
     marker_flow: NDArray[np.float32]
+    lost_px: Sequence[FloatArray]
     info: Mapping[str, Any]
     contact_forces_n: FloatArray
     pair_forces: PairForces
@@ -183,6 +185,7 @@ def _moment(scene: GraspedScene, env_step: int, observation: Observation, info: 
         sensor_poses=(scene.sensor_pose(0), scene.sensor_pose(1)),
         held_m=scene.held_vertices_m(np.arange(len(scene.held.mesh.vertices_m))),
         marker_flow=observation["marker_flow"],
+        lost_px=scene.lost_markers_px(),
         info=info,
         contact_forces_n=scene.contact_forces_n(),
         pair_forces=scene.pair_forces(),

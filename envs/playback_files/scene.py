@@ -4,6 +4,7 @@ Actions, rewards and poses are rounded to what a plot and a picture show: everyb
 exact actions again.
 """
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -98,6 +99,7 @@ def _packed(playback: Playback, moments: list[Moment]) -> bytes:
         "fixed_triangles": playback.fixed.triangles.astype(np.uint16),
         "flow_references": Changes(values=whole_numbers(flows[:, :, 0], FLOW_UNIT_PX, np.int16)),
         "flow_positions": Changes(values=whole_numbers(flows[:, :, 1], FLOW_UNIT_PX, np.int16)),
+        "lost_markers": whole_numbers(_same_number([moment.lost_px for moment in ends]), FLOW_UNIT_PX, np.int16),
         "action_values": _rounded(playback.actions),
         "rewards": _rounded(playback.rewards),
         "surface_motions_mm": np.array([1e3 * moment.info["surface_diff_m"] for moment in ends], dtype=np.float32),
@@ -110,6 +112,16 @@ def _packed(playback: Playback, moments: list[Moment]) -> bytes:
         heights = [perspective.progress.heights_mm(moment.info) for moment in ends]
         arrays["heights_mm"] = _rounded(np.array(heights))
     return pack(header, arrays)
+
+
+def _same_number(lost_px: Sequence[Sequence[FloatArray]]) -> FloatArray:
+    """Return lost markers after each env step, filled up to the largest number far outside, shape [n, 2, l, 2]."""
+    most = max(len(side_px) for both_px in lost_px for side_px in both_px)
+    filled = np.full((len(lost_px), 2, most, 2), -np.inf)
+    for step, both_px in enumerate(lost_px):
+        for side, side_px in enumerate(both_px):
+            filled[step, side, : len(side_px)] = side_px
+    return filled
 
 
 def look_up_perspective(env_id: str) -> Perspective | None:

@@ -207,6 +207,10 @@ class GraspedScene:
         at, flow = self._last_flow
         return flow if at == self.ipc_steps else self.marker_flow(random)
 
+    def lost_markers_px(self) -> list[FloatArray]:
+        """Return where markers are that the last marker flow lost, of the left and the right sensor, shapes [l, 2]."""
+        return [self._drifted(sensor.lost_px[None].copy())[0, 1] for sensor in self._sensors]
+
     def held_vertices_m(self, vertices: NDArray[np.int64]) -> FloatArray:
         """Return the world positions of chosen vertices of the held part [m], shape [n, 3]."""
         if self._measured.held_m is None:

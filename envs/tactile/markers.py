@@ -140,15 +140,14 @@ def _doubled_area(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
 
 
-def marker_flow(
+def draw_markers(
     surface: SensingSurface,
     reference_m: FloatArray,
     current_m: FloatArray,
-    *,
     settings: MarkerSettings,
     random: np.random.Generator,
-) -> FloatArray:
-    """Return the reference and current pixel positions of 128 markers, shape [2, 128, 2] [pixel].
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return the markers of a new grid that are seen, shape [2, m, 2] [pixel], and which of them are not lost, [m].
 
     Args:
         surface: sensing surface of the gel.
@@ -160,7 +159,7 @@ def marker_flow(
     grid = _draw_grid(settings, random)
     shifts = random.random(2 * grid.columns * grid.rows)
     flow = _seen(grid, shifts, surface.arrays, reference_m, current_m, CHALLENGE_CAMERA)
-    return tracked(flow, random.random(flow.shape[1]) >= settings.loss_probability, settings, random)
+    return flow, random.random(flow.shape[1]) >= settings.loss_probability
 
 
 def tracked(

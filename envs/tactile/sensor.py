@@ -7,7 +7,7 @@ from ..errors import VitacError
 from ..fem.model.mesh import GelMesh
 from .camera import CHALLENGE_CAMERA, CameraIntrinsics, camera_frame, mean_distance_m, project, weighted_distance_m
 from .design import SensorDesign
-from .markers import MarkerSettings, SensingSurface, attach_nodes, interpolated, marker_flow, tracked
+from .markers import MarkerSettings, SensingSurface, attach_nodes, draw_markers, interpolated, tracked
 from .thickness import eye_distance_m
 
 FloatArray = NDArray[np.float64]
@@ -35,6 +35,8 @@ class TactileSensor:
         self.camera: CameraIntrinsics = CHALLENGE_CAMERA
         self._eye_distance_m = eye_distance_m(mesh)
         self._reference_m: FloatArray | None = None
+        self.lost_px: FloatArray = np.empty((2, 0, 2))
+        """Reference and current position of the markers that the last observation lost, shape [2, l, 2]."""
 
     def view_m(self, nodes_m: FloatArray, rotation: FloatArray, centre_m: FloatArray) -> FloatArray:
         """Return the sensing nodes in the camera frame [m], shape [s, 3].
@@ -65,8 +67,12 @@ class TactileSensor:
 
     def marker_flow(self, view_m: FloatArray, random: np.random.Generator) -> FloatArray:
         """Return the reference and current marker positions, shape [2, 128, 2] [pixel]."""
-        surface = self._surface
-        return marker_flow(surface, self._reference(), view_m, settings=self.settings, random=random)
+        flow, kept = draw_markers(self._surface, self._reference(), view_m, self.settings, random)
+        return self._track(flow, kept, random)
+
+    def _track(self, flow: FloatArray, kept: NDArray[np.bool_], random: np.random.Generator) -> FloatArray:
+        self.lost_px = flow[:, ~kept]
+        return tracked(flow, kept, self.settings, random)
 
     @property
     def _surface(self) -> SensingSurface:
@@ -134,4 +140,4 @@ class DesignedSensor(TactileSensor):
         ]
         kept = random.random(len(self._corners)) >= self.settings.loss_probability
         kept[0] |= not kept.any()
-        return tracked(np.stack(seen), kept, self.settings, random)
+        return self._track(np.stack(seen), kept, random)

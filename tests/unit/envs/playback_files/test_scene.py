@@ -50,6 +50,21 @@ def test_the_fixed_part_does_not_move(peg_playback: Playback, peg_file: Unpacked
     assert peg_file.arrays["fixed_triangles"].max() < len(peg_playback.fixed_m)
 
 
+def test_lost_markers_are_beside_the_flow_and_none_of_it(peg_playback: Playback, peg_file: Unpacked) -> None:
+    lost = peg_file.arrays["lost_markers"]
+    unit_px = peg_file.header["flow_unit_px"]
+    ends = [peg_playback.moments[index] for index in peg_playback.last_moments]
+    found = 0
+    for step, moment in enumerate(ends):
+        for side in (0, 1):
+            shown_px = unit_px * lost[step, side][lost[step, side, :, 0] > np.iinfo(np.int16).min]
+            np.testing.assert_allclose(shown_px, moment.lost_px[side], atol=1 / 128)
+            apart_px = np.linalg.norm(shown_px[:, None] - moment.marker_flow[side, 1], axis=2)
+            assert (apart_px > 5).all()
+            found += len(shown_px)
+    assert found > 0
+
+
 def test_marker_flow_has_a_sixty_fourth_of_a_pixel(peg_playback: Playback, peg_file: Unpacked) -> None:
     ends = [peg_playback.moments[index] for index in peg_playback.last_moments]
     unit_px = peg_file.header["flow_unit_px"]

@@ -9,7 +9,14 @@ from vitac.envs.fem.model.mesh import GelMesh
 from vitac.envs.tactile import markers
 from vitac.envs.tactile.camera import CHALLENGE_CAMERA, camera_frame, project
 from vitac.envs.tactile.gel import gelsight_mini_mesh
-from vitac.envs.tactile.markers import MarkerSettings, NoMarkerVisible, SensingSurface, convex_hull, marker_flow
+from vitac.envs.tactile.markers import (
+    MarkerSettings,
+    NoMarkerVisible,
+    SensingSurface,
+    convex_hull,
+    draw_markers,
+    tracked,
+)
 
 # All randomness off: a plain 9 x 7 grid of 2.05 mm.
 STILL = MarkerSettings(
@@ -41,13 +48,18 @@ def rest_view() -> np.ndarray:
 def flow(current: np.ndarray | None = None, settings: MarkerSettings | None = None, seed: int = 0) -> np.ndarray:
     surface = SensingSurface.from_gel(gelsight_mini_mesh())
     view = rest_view()
-    return marker_flow(
-        surface,
-        view,
-        view if current is None else current,
-        settings=settings or MarkerSettings(),
-        random=np.random.default_rng(seed),
-    )
+    return marker_flow(surface, view, view if current is None else current, settings or MarkerSettings(), seed)
+
+
+def marker_flow(
+    surface: SensingSurface,
+    reference: np.ndarray,
+    current: np.ndarray,
+    settings: MarkerSettings,
+    random: np.random.Generator | int,
+) -> np.ndarray:
+    generator = np.random.default_rng(random)
+    return tracked(*draw_markers(surface, reference, current, settings, generator), settings, generator)
 
 
 def unique_count(pixels: np.ndarray) -> int:
@@ -103,7 +115,7 @@ def test_markers_stay_on_the_sensing_surface_and_in_the_picture() -> None:
 def test_reference_outside_the_picture_is_not_seen() -> None:
     view = rest_view() + np.array([0.006, 0.0, 0.0])
     surface = SensingSurface.from_gel(gelsight_mini_mesh())
-    pixels = marker_flow(surface, view, rest_view(), settings=STILL, random=np.random.default_rng(0))
+    pixels = marker_flow(surface, view, rest_view(), STILL, 0)
     assert pixels[0, :, 0].max() < 320.0
     assert unique_count(pixels) < 63
 
@@ -179,7 +191,7 @@ def test_fused_kernels_give_the_bits_of_numpy_line_by_line(ranges: MarkerSetting
             expected = expected[:, left.choice(count, 128, replace=False)]
         pixels = flow(current, ranges, seed)
         surface = SensingSurface.from_gel(gelsight_mini_mesh())
-        assert np.array_equal(marker_flow(surface, rest_view(), current, settings=ranges, random=right), pixels)
+        assert np.array_equal(marker_flow(surface, rest_view(), current, ranges, right), pixels)
         assert np.array_equal(pixels[:, :count], expected)
         assert (pixels[:, count:] == expected[:, -1:]).all()
         assert left.random() == right.random(), "both have drawn as many numbers"
@@ -188,7 +200,7 @@ def test_fused_kernels_give_the_bits_of_numpy_line_by_line(ranges: MarkerSetting
 def test_golden_flow_is_pinned() -> None:
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([0, 1])))
     surface, view = SensingSurface.from_gel(gelsight_mini_mesh()), rest_view()
-    pixels = marker_flow(surface, view, view, settings=MarkerSettings(), random=random)
+    pixels = marker_flow(surface, view, view, MarkerSettings(), random)
     assert pixels[:, [0, 30, 127]].tolist() == GOLDEN_FLOW
 
 

@@ -63,3 +63,16 @@ def test_image_axes_mean_the_stated_world_directions(
         expected = np.zeros(3)
         expected[axis] = 1e-3
         assert shifted - still == pytest.approx(np.tile(expected, (49, 1)))
+
+
+def test_markers_that_an_observation_loses_are_those_that_are_not_in_it() -> None:
+    mesh = gelsight_mini_mesh()
+    settings = MarkerSettings(loss_probability=0.5, noise_px=0.0)
+    sensor = TactileSensor(mesh, settings)
+    view = sensor.view_m(mesh.rest_position_m, np.eye(3), np.zeros(3))
+    sensor.capture_reference(view)
+    seen = np.unique(sensor.marker_flow(view, np.random.default_rng(0))[0], axis=0)
+    assert 10 < sensor.lost_px.shape[1] < 60
+    everything = np.concatenate([seen, sensor.lost_px[0]])
+    apart = np.linalg.norm(everything[:, None] - everything, axis=2)[~np.eye(len(everything), dtype=bool)]
+    assert apart.min() > 20  # as a grid is: none twice
