@@ -1,5 +1,6 @@
 """The rules of a track."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from starlette.requests import Request
@@ -17,34 +18,55 @@ from .leaderboards.tabs import accepts_logs, known_track, track_tabs
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """A picture of a task: a static file, its size [px] and what it shows, for whoever does not see it.
-
-    A drawn one is black on white, and a dark page shows it white on black; what a camera sees stays as it is.
-    """
+    """A picture of a task: a static file, its size [px] and what it shows, for whoever does not see it."""
 
     file: str
     width: int
     height: int
     shows: str
-    is_drawn: bool = False
 
 
-_SCENE = (
-    "The gripper's two gels, coloured by stress, hold the part over its target, which is cut open; beside it "
-    "the marker flow of both sensors, which a policy observes"
-)
-PICTURES = {
-    "peg-insertion": Picture(file="peg-insertion.png", width=1000, height=570, shows=_SCENE, is_drawn=True),
-    "lock-opening": Picture(file="lock-opening.png", width=1000, height=570, shows=_SCENE, is_drawn=True),
-    "fusion-insertion": Picture(
-        file="fusion-insertion.png",
-        width=1000,
-        height=640,
-        shows="Colour, depth with a scale in mm, the two infrared pictures that depth is measured with, and the point "
-        "cloud, at one env step",
+def _scene(task: str, shows: str) -> Picture:
+    return Picture(file=f"{task}.webp", width=896, height=560, shows=shows)
+
+
+def _sensor(task: str, side: str) -> Picture:
+    shows = f"What the {side} sensor sees of its gel: an arrow at each marker shows how it has moved since the grasp"
+    return Picture(file=f"{task}-{side}.webp", width=480, height=360, shows=shows)
+
+
+def _camera(what: str, shows: str) -> Picture:
+    return Picture(file=f"fusion-insertion-{what}.webp", width=537, height=453, shows=shows)
+
+
+_PEG = "A gripper whose two gels hold a peg in its hole, in a plate that is cut open"
+PICTURES: Mapping[str, Sequence[Picture]] = {
+    "peg-insertion": (
+        _scene("peg-insertion", _PEG),
+        _sensor("peg-insertion", "left"),
+        _sensor("peg-insertion", "right"),
+    ),
+    "lock-opening": (
+        _scene("lock-opening", "A gripper whose two gels hold a key with its teeth in the slots of a lock, cut open"),
+        _sensor("lock-opening", "left"),
+        _sensor("lock-opening", "right"),
+    ),
+    "fusion-insertion": (
+        _scene("fusion-insertion", "A gripper whose two gels hold a peg in one of two holes of a base, cut open"),
+        _sensor("fusion-insertion", "left"),
+        _camera("colour", "What the camera sees: the base blue, the peg red"),
+        _camera("depth", "Depth as the camera measures it, with gaps where it finds none"),
+    ),
+    "sensor-standard": (
+        _scene("sensor-standard", _PEG),
+        _sensor("sensor-standard", "left"),
+        _sensor("sensor-standard", "right"),
     ),
 }
-"""Drawn by `vitac show`, with `--view cameras` where there are any."""
+"""Stills as `envs/playback_files/still.py` draws them, and panels of the player, saved from its page.
+
+Each shows the end of an episode, and what its sensors saw at a step before.
+"""
 
 
 async def rules(request: Request) -> Response:
@@ -62,15 +84,15 @@ async def rules(request: Request) -> Response:
         accepts_logs=accepts_logs(track),
         log_size=size(settings.log_bytes),
         track_tabs=track_tabs(site, track, "/rules"),
-        pictures={name: found for name, task in track.tasks.items() if (found := find_picture(task))},
+        pictures={name: found for name, task in track.tasks.items() if (found := find_pictures(task))},
     )
 
 
-def find_picture(task: Task) -> Picture | None:
-    """Return the picture of a task; None where it has none."""
+def find_pictures(task: Task) -> Sequence[Picture]:
+    """Return the pictures of a task: its scene, and what a policy sees of it where that is shown."""
     if not is_maniskill(task.env_id):
-        return PICTURES.get(task.name)
+        return PICTURES.get(task.name, ())
     file = scenes.file_name(task.env_id.removeprefix(PREFIX))
     if not (STATIC / file).exists():
-        return None
-    return Picture(file=file, width=scenes.WIDTH, height=scenes.HEIGHT, shows=f"A start of {task.env_id}")
+        return ()
+    return (Picture(file=file, width=scenes.WIDTH, height=scenes.HEIGHT, shows=f"A start of {task.env_id}"),)

@@ -1,5 +1,4 @@
 import re
-import struct
 from html import unescape
 from pathlib import Path
 
@@ -8,6 +7,7 @@ from asgi_browser import AsgiBrowser
 from cubes_track import FILE
 from page_fixtures import LOCK, NOW, TASK, a_leaderboard, a_score, an_entry, an_id
 from page_service import FixedData, a_site, an_application
+from PIL import Image
 from recorded_forces import some_forces
 from visits import sign_in
 from vitac.evaluator.scoring.forces import summarize_forces
@@ -203,8 +203,14 @@ def test_rules_of_track_2_show_keys_shapes_actions_limits_and_a_picture_of_the_c
         assert f"<code>{action.name}</code></th>" in html
     assert "<code>gt_direction</code></th>" not in html
     assert "<code>observation_keys</code>" in html
-    (picture,) = re.findall(r'<img class="wide" src="(/static/fusion-insertion\.png\?v=\w+)"', html)
-    assert browser.get(picture).headers["content-type"] == "image/png"
+    shown = re.findall(r'<img class="wide" src="(/static/fusion-insertion[\w-]*\.webp\?v=\w+)"', html)
+    assert [picture.partition("insertion")[2].partition(".")[0] for picture in shown] == [
+        "",
+        "-left",
+        "-colour",
+        "-depth",
+    ]
+    assert {browser.get(picture).headers["content-type"] for picture in shown} == {"image/webp"}
 
 
 def test_rules_of_a_variant_show_what_is_drawn_from_which_range(browser: AsgiBrowser) -> None:
@@ -231,11 +237,11 @@ def test_commands_to_take_part_stand_on_lines_of_their_own(browser: AsgiBrowser)
 def test_rules_begin_with_the_scene_of_each_task(browser: AsgiBrowser) -> None:
     html = browser.get("/tracks/track_1/rules").text
     for name in load_track("track_1").tasks:
-        (picture,) = re.findall(
-            rf'<img class="wide drawn" src="(/static/{name}\.png\?v=\w+)" width="1000" height="570"', html
-        )
-        assert html.index("<h1>") < html.index(picture) < html.index('id="taking-part"')
-        assert browser.get(picture).headers["content-type"] == "image/png"
+        (scene,) = re.findall(rf'src="(/static/{name}\.webp\?v=\w+)" width="896" height="560"', html)
+        sensors = re.findall(rf'src="(/static/{name}-(?:left|right)\.webp\?v=\w+)"', html)
+        assert len(sensors) == 2
+        assert html.index("<h1>") < html.index(scene) < html.index(sensors[0]) < html.index('id="taking-part"')
+        assert browser.get(scene).headers["content-type"] == "image/webp"
 
 
 def test_rules_of_maniskills_track_come_from_its_environments(browser: AsgiBrowser) -> None:
@@ -295,8 +301,9 @@ def test_a_task_with_pictures_says_what_of_it_does_not_repeat(
 
 @pytest.mark.parametrize("name", sorted(PICTURES))
 def test_pictures_have_the_size_that_pages_reserve_for_them(name: str) -> None:
-    header = (STATIC / PICTURES[name].file).read_bytes()[16:24]
-    assert struct.unpack(">II", header) == (PICTURES[name].width, PICTURES[name].height)
+    for picture in PICTURES[name]:
+        with Image.open(STATIC / picture.file) as opened:
+            assert opened.size == (picture.width, picture.height)
 
 
 @pytest.mark.parametrize("track", ["track_1", "track_2"])
