@@ -58,6 +58,13 @@ export class Sections {
     };
   }
 
+  /** Outline of the held part just above the highest of its measured corners: all of its lower end, also where it is tilted. */
+  #lowerEnd(axes) {
+    const corners = Array.from(this.episode.arrays.measured_vertices?.values ?? [], (vertex) => this.held[3 * vertex + 2]);
+    const level = Math.max(...corners) + JUST_INSIDE_MM;
+    return level > this.#levels()[1][1] && level < greatest(this.held, 2) ? cut(this.held, this.episode.arrays.held_triangles.values, [0, 0, 1], level, axes) : [];
+  }
+
   /** What the drawing shows: all places of the held part, and the fixed part as far as that reaches. */
   #windowOf(view) {
     const ends = [0, this.episode.times.length - 1].flatMap((moment) => {
@@ -84,8 +91,10 @@ export class Sections {
     const scale = Math.min(width / size[0], height / size[1]);
     const middle = [0, 1].map((axis) => 0.5 * (shown.lowest[axis] + shown.highest[axis]));
     const toPixels = ([u, v]) => [0.5 * width + scale * (u - middle[0]), 0.5 * height - scale * (v - middle[1])];
-    for (const [name, loops] of Object.entries(this.#outlines(view))) fill(context, loops.map((loop) => loop.map(toPixels)), FILLS[name]);
+    const inPixels = (loops) => loops.map((loop) => loop.map(toPixels));
+    for (const [name, loops] of Object.entries(this.#outlines(view))) fill(context, inPixels(loops), FILLS[name]);
     const { color } = getComputedStyle(canvas);
+    if (view === this.views[0]) outline(context, inPixels(this.#lowerEnd(view.axes)), color);
     this.#drawOtherCut(context, view, toPixels, color);
     for (const [at, vertex] of (this.episode.arrays.measured_vertices?.values ?? []).entries()) {
       const place = this.held.subarray(3 * vertex, 3 * vertex + 3);
@@ -118,12 +127,24 @@ export function scaleBar(context, length, text, colour) {
   context.fillText(text, 8, 223);
 }
 
-function fill(context, loops, colour) {
+function outline(context, loops, colour) {
+  follow(context, loops);
+  context.setLineDash([3, 3]);
+  context.strokeStyle = colour;
+  context.stroke();
+  context.setLineDash([]);
+}
+
+function follow(context, loops) {
   context.beginPath();
   for (const loop of loops) {
     loop.forEach(([x, y], at) => (at ? context.lineTo(x, y) : context.moveTo(x, y)));
     context.closePath();
   }
+}
+
+function fill(context, loops, colour) {
+  follow(context, loops);
   context.fillStyle = colour;
   context.globalAlpha = 0.75;
   context.fill("evenodd");

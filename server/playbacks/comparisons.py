@@ -20,9 +20,17 @@ _LOOKED_AT = 40
 
 
 def list_choices(
-    session: Session, by: Principal, submission_id: UUID, task: str, number: int
+    session: Session, by: Principal, submission_id: UUID, task: str, number: int, *, best: UUID | None = None
 ) -> tuple[EpisodeChoiceView, ...]:
     """Return episodes to show beside one, those of other submissions first; only such as the principal may see.
+
+    Args:
+        session: of the transaction.
+        by: who asks.
+        submission_id: whose episode it is.
+        task: of the episode.
+        number: of the episode.
+        best: the submission that leads the leaderboard of the task, if any; it comes first.
 
     Raises:
         ServiceError: there is no such episode that the principal may see.
@@ -30,13 +38,15 @@ def list_choices(
     submission = readable(session, by, submission_id)
     episode = find_episode(session, by, submission_id, task, number)
     return (
-        *_same_start(session, by, submission, episode),
+        *_same_start(session, by, submission, episode, best),
         *_choose_within_submission(session, by, submission, episode),
     )
 
 
-def _same_start(session: Session, by: Principal, own: Submission, episode: EpisodeResult) -> list[EpisodeChoiceView]:
-    """Return the same start as others played it, who solved it first, then the newest."""
+def _same_start(
+    session: Session, by: Principal, own: Submission, episode: EpisodeResult, best: UUID | None
+) -> list[EpisodeChoiceView]:
+    """Return the same start as others played it: the best of the board, then who solved it, then the newest."""
     played = and_(Submission.digest == EpisodeResult.submission_digest, Submission.track == EpisodeResult.track)
     found = session.scalars(
         select(Submission)
@@ -50,7 +60,9 @@ def _same_start(session: Session, by: Principal, own: Submission, episode: Episo
             Submission.digest != own.digest,
             or_(Submission.is_public, Submission.team_id == by.team_id),
         )
-        .order_by(EpisodeResult.success.desc(), Submission.submitted_at.desc(), Submission.id)
+        .order_by(
+            (Submission.id == best).desc(), EpisodeResult.success.desc(), Submission.submitted_at.desc(), Submission.id
+        )
         .limit(_LOOKED_AT)
     )
     names = ShownNames.read(session, by)
@@ -58,7 +70,8 @@ def _same_start(session: Session, by: Principal, own: Submission, episode: Episo
     for submission in found.unique():
         shown = _visible_episode(session, by, submission.id, episode.task, episode.episode)
         if shown is not None and len(choices) < LISTED:
-            label = f"{names.show_name(submission.team)}: {submission.name}"
+            leads = ", first of the board" if submission.id == best else ""
+            label = f"{names.show_name(submission.team)}: {submission.name}{leads}"
             choices.append(_choice(submission.id, shown, label))
     return choices
 

@@ -21,7 +21,16 @@ TOUCH_MM: Final = 0.2
 """Motion of a gel's surface since the grasp from which on the held part counts as touching something."""
 STILL_MM: Final = 0.05
 """By less than this the decisive height must change in an env step for the held part to count as stuck."""
+LEAST_FORCE_N: Final = 0.05
+"""A smaller force on the held part is not worth words: it touched nothing."""
 _SIDES = ("left", "right")
+_ENDS = {
+    EpisodeOutcome.FORCE: "too much force",
+    EpisodeOutcome.TACTILE: "a gel has moved too far",
+    EpisodeOutcome.ERROR: "out of range",
+    EpisodeOutcome.STEPS: "no env steps are left",
+}
+"""What ended a failed episode, in a few words."""
 
 
 class Mark(StrEnum):
@@ -72,10 +81,9 @@ class _Course:
         missing = [(sign * (progress.heights_mm(info) - progress.goal_mm)).max() for info in self.infos]
         self.missing_mm = np.maximum(missing, 0.0)
 
-    @property
-    def position(self) -> str:
-        """Where the held part is at the end, in words."""
-        return self.perspective.position(self.infos[-1])
+    def position(self, env_step: int) -> str:
+        """Return where the held part is after an env step, in words."""
+        return self.perspective.position(self.infos[env_step - 1])
 
     @property
     def touched(self) -> int | None:
@@ -102,28 +110,30 @@ class _Course:
 
 def _sentence(record: EpisodeRecord, course: _Course) -> str:
     outcome, peak_n = record.outcome, record.forces.part.peak_n if record.forces else None
-    held, steps = course.perspective.held_name, counted_env_steps(len(course.infos))
+    held, last = course.perspective.held_name, len(course.infos)
+    steps = counted_env_steps(last)
     side = int(course.motions_mm[-1].argmax())
     if outcome is EpisodeOutcome.SUCCESS:
         largest = course.motions_mm.max()
-        touch = f"the {held} touched at env step {course.touched}; " if course.touched else ""
-        force = "" if peak_n is None else f"; the largest force on the {held} was {peak_n:.1f} N"
-        return f"Solved in {steps}: {touch}no gel’s surface moved by more than {largest:.2f} mm{force}."
+        touch = f"touched at env step {course.touched} ({course.position(course.touched)}), " if course.touched else ""
+        force = "" if not peak_n or peak_n < LEAST_FORCE_N else f"; the largest force on the {held} was {peak_n:.1f} N"
+        return (
+            f"Solved in {steps}: the {held} {touch}reached its goal at env step {last} "
+            f"({course.position(last)}); no gel’s surface moved by more than {largest:.2f} mm{force}."
+        )
     if outcome is EpisodeOutcome.FORCE and record.forces:
         return (
-            f"Failed at env step {len(course.infos)}: the force on the {held} reached {peak_n:.1f} N "
+            f"Failed at env step {last}: the force on the {held} reached {peak_n:.1f} N "
             f"(limit {record.forces.over_force_n:g} N), {_describe_position(course)}."
         )
     if outcome is EpisodeOutcome.TACTILE:
         return (
-            f"Failed at env step {len(course.infos)}: the {_SIDES[side]} gel’s surface had moved by "
+            f"Failed at env step {last}: the {_SIDES[side]} gel’s surface had moved by "
             f"{course.motions_mm[-1, side]:.2f} mm (limit {1e3 * LARGEST_SURFACE_DIFF_M:g} mm), "
             f"{_describe_position(course)}."
         )
     if outcome is EpisodeOutcome.ERROR:
-        return (
-            f"Failed at env step {len(course.infos)}: gripper or {held} left its range, {_describe_position(course)}."
-        )
+        return f"Failed at env step {last}: gripper or {held} left its range, {_describe_position(course)}."
     if outcome is EpisodeOutcome.STEPS:
         return f"Failed: all {steps} were used up, {_describe_position(course)}."
     return outcome.sentence
@@ -133,7 +143,7 @@ def _describe_position(course: _Course) -> str:
     """Return where the held part was at the end, as the end of a sentence."""
     missing = course.missing_mm[-1]
     goal = f"{missing:.1f} mm short of its goal" if missing > 0 else "its height reached"
-    return f"with the {course.perspective.held_name} {goal} ({course.position})"
+    return f"with the {course.perspective.held_name} {goal} ({course.position(len(course.infos))})"
 
 
 def _moments(outcome: EpisodeOutcome, course: _Course) -> tuple[StoryMomentView, ...]:
@@ -146,5 +156,7 @@ def _moments(outcome: EpisodeOutcome, course: _Course) -> tuple[StoryMomentView,
     else:
         if course.stuck:
             found.append(StoryMomentView(env_step=course.stuck, mark=Mark.STUCK, text=f"the {held} comes no nearer"))
-        found.append(StoryMomentView(env_step=last, mark=Mark.LIMIT, text=outcome.value.replace("_", " ")))
+        found.append(
+            StoryMomentView(env_step=last, mark=Mark.LIMIT, text=_ENDS.get(outcome, outcome.value.replace("_", " ")))
+        )
     return tuple(sorted(found, key=lambda moment: moment.env_step))

@@ -315,7 +315,7 @@ def test_values_stand_in_a_table_too(site: SiteUnderTest, page: Page) -> None:
 def test_two_episodes_play_side_by_side(site: SiteUnderTest, page: Page) -> None:
     made(site, PEG, 6)
     open_player(site, page, made(site))
-    page.get_by_label("Another episode").fill("6")
+    page.get_by_label("Episode, 1 to").fill("6")
     page.get_by_role("button", name="Show").click()
     expect(page.locator("canvas.scene")).to_have_count(2)
     expect(page.get_by_role("form", name="Playback")).to_be_visible()

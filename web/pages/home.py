@@ -33,7 +33,7 @@ EXAMPLE = "example.scene"
 """The playback of an episode of peg insertion in which the peg goes straight to its hole."""
 
 
-PICTURES = {"track_1": "lock-opening.webp", "track_2": "fusion-insertion.webp", "track_3": "example.webp"}
+PICTURES = {"track_1": "lock-opening.webp", "track_2": "fusion-insertion.webp", "track_3": "sensor-standard.webp"}
 """Stills of the challenge's tracks: the end of an episode as `envs/playback_files/still.py` draws it."""
 
 

@@ -18,9 +18,10 @@ from uuid import UUID
 
 from fastapi import FastAPI
 from made_receipts import a_receipt
-from page_fixtures import TASKS, a_leaderboard, an_operations_view, name_of, some_episodes, some_log_boards
+from page_fixtures import a_leaderboard, an_operations_view, name_of, some_episodes, some_log_boards
 from played_episodes import FixedPlaybacks
 from vitac.evaluator.agent.description import SandboxDescription
+from vitac.evaluator.tracks import load_track
 from vitac.server import quotas, tokens
 from vitac.server.api import problems
 from vitac.server.api.app import set_limiters
@@ -148,7 +149,7 @@ class FixedData(FixedPlaybacks):
         stage: str | None = None,
         contest: str | None = None,
     ) -> SimpleNamespace:
-        if task is not None and task not in TASKS:
+        if task is not None and task not in load_track(track).tasks:
             raise ServiceError(ProblemCode.UNKNOWN_TASK, f"There is no task {task!r} of {track}.")
         board = self.board if task is None else self.task_boards.get(task, a_leaderboard(task=task))
         if by.organizes(contest or "") and self.unfrozen_board is not None:
@@ -358,7 +359,7 @@ for _module, _name, _data_of in (
     (asking, "playback_view", playback_of),
     (stills, "list_stills", lambda data: lambda *_: data.stills),
     (stills, "find_stills", lambda data: lambda _, ids: dict.fromkeys(ids, data.stills[0]) if data.stills else {}),
-    (comparisons, "list_choices", lambda _: lambda *_: ()),
+    (comparisons, "list_choices", lambda _: lambda *_, **__: ()),
     (recent, "newest_public_episode", lambda data: lambda _: data.public_one),
     (announcements, "shown", lambda data: lambda: data.said),
     (files, "find_digest", lambda data: lambda place, file: (place, file)),

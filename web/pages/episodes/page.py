@@ -18,6 +18,7 @@ from vitac.server.api.attempts import get_client_address
 from vitac.server.db.models import EpisodeResult
 from vitac.server.db.states import OPEN_PLAYBACK_STATES, PlaybackState
 from vitac.server.errors import ServiceError
+from vitac.server.leaderboards.shown import shown_leaderboard
 from vitac.server.playbacks import asking, comparisons, files
 from vitac.server.playbacks.asking import NOBODY_DRAWS
 from vitac.server.playbacks.files import PlaybackFile
@@ -116,10 +117,11 @@ async def episode(request: Request) -> Response:
     viewer = await get_viewer(request)
     place = read_place(request)
     players = [await make_player(request, viewer, place)]
-    beside = request.query_params.get("beside", "").strip()
+    beside = _read_beside(request)
     if beside:
         players.append(await make_player(request, viewer, _episode_beside(place, beside)))
     task = load_track(players[0].shown.track).task(place.task)
+    choices = () if place.practice else await _choices(request, viewer, place, players[0].shown.track)
     return page(
         request,
         "episode.html",
@@ -128,7 +130,8 @@ async def episode(request: Request) -> Response:
         players=players,
         all_filmed=all(player.is_filmed for player in players),
         beside=beside,
-        choices=() if place.practice else await _choices(request, viewer, place),
+        choices=choices,
+        results={one.submission_id: one.label for one in choices if one.submission_id != place.submission_id},
         embed=EMBED + _address(place) if await _is_public(request, viewer, place) else "",
         is_practice=place.practice,
         title=f"{task.title}, episode {place.number}",
@@ -211,11 +214,18 @@ async def make_player(request: Request, viewer: Viewer | None, place: EpisodeAdd
     return Player(address=prefix + _address(place), shown=await _shown_episode(request, viewer, place))
 
 
-async def _choices(request: Request, viewer: Viewer | None, place: EpisodeAddress) -> tuple[EpisodeChoiceView, ...]:
+async def _choices(
+    request: Request, viewer: Viewer | None, place: EpisodeAddress, track: str
+) -> tuple[EpisodeChoiceView, ...]:
+    """Return what can be shown beside an episode; of others, the first of the task's leaderboard comes first."""
     by = get_principal(viewer)
-    return await get_site(request).ask(
-        lambda session: comparisons.list_choices(session, by, place.submission_id, place.task, place.number)
-    )
+
+    def read(session: Session) -> tuple[EpisodeChoiceView, ...]:
+        entries = shown_leaderboard(session, by, track, task=place.task).view.entries
+        best = entries[0].submission_id if entries else None
+        return comparisons.list_choices(session, by, place.submission_id, place.task, place.number, best=best)
+
+    return await get_site(request).ask(read)
 
 
 async def _is_public(request: Request, viewer: Viewer | None, place: EpisodeAddress) -> bool:
@@ -294,6 +304,12 @@ def _episode_beside(place: EpisodeAddress, text: str) -> EpisodeAddress:
         raise HTTPException(400, _PLACES.format(text))
     submission_id = as_id(submission) if submission else place.submission_id
     return replace(place, submission_id=submission_id, number=int(number))
+
+
+def _read_beside(request: Request) -> str:
+    """Return the episode to show beside, as NUMBER or SUBMISSION:NUMBER; the page's form names both apart."""
+    of, beside = (request.query_params.get(name, "").strip() for name in ("of", "beside"))
+    return f"{of}:{beside}" if of and beside else beside
 
 
 def _is_place(text: str) -> bool:

@@ -41,8 +41,10 @@ def moments(record: EpisodeRecord) -> list[tuple[int, str]]:
 
 def test_a_solved_episode_says_when_the_peg_touched_and_how_far_gels_moved() -> None:
     record = a_record(EpisodeOutcome.SUCCESS, (0.1, 0.1, 2.0), (0.3, 0.9, 1.0), (0.1, 0.1, -0.4))
+    record.infos[-1]["gt_offset_mm_deg"] = [0.5, 0.0, 0.0]
     assert tell_story(record, PEG).sentence == (
-        "Solved in 3 env steps: the peg touched at env step 2; no gel’s surface moved by more than 0.90 mm."
+        "Solved in 3 env steps: the peg touched at env step 2 (offset x +1.00 mm, y −2.00 mm, θ +3.00°), reached its "
+        "goal at env step 3 (offset x +0.50 mm, y +0.00 mm, θ +0.00°); no gel’s surface moved by more than 0.90 mm."
     )
     assert moments(record) == [(2, Mark.TOUCH), (3, Mark.SLIP), (3, Mark.SOLVED)]
 
@@ -54,6 +56,7 @@ def test_an_episode_that_moved_a_gel_too_far_says_which_and_where_the_peg_was() 
         "of its goal (offset x +1.00 mm, y −2.00 mm, θ +3.00°)."
     )
     assert moments(record) == [(1, Mark.TOUCH), (1, Mark.LIMIT)]
+    assert tell_story(record, PEG).moments[-1].text == "a gel has moved too far"
 
 
 @pytest.mark.parametrize(("heights", "stuck"), [((2.0, 1.0, 1.0, 1.0), 2), ((2.0, 1.5, 1.0, 0.5), None)])

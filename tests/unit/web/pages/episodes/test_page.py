@@ -162,8 +162,8 @@ def test_progress_says_what_comes_first_and_how_far_it_is() -> None:
 def test_two_episodes_stand_side_by_side(data: FixedData, visitor: AsgiBrowser) -> None:
     path = show(data, PlaybackState.MADE)
     other = show(data, PlaybackState.MADE, number=6)
-    for beside in ("6", f"{COMPLETED.id}:6"):
-        html = visitor.get(f"{path}?beside={beside}").text
+    for query in ("beside=6", f"beside={COMPLETED.id}:6", "of=&beside=6", f"of={COMPLETED.id}&beside=6"):
+        html = visitor.get(f"{path}?{query}").text
         assert f'data-playback="{path}/playback"' in html
         assert f'data-playback="{other}/playback"' in html
     assert html.count('class="player"') == 2
