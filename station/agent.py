@@ -1,4 +1,4 @@
-"""Plays the trials of a shard for the service: what a worker starts in place of a process with the simulation."""
+"""Plays the trials of a shard for the service; a worker uses it in place of a process that simulates."""
 
 import hashlib
 from collections.abc import Iterator
@@ -36,21 +36,21 @@ from .trials import Player
 
 
 class _Devices:
-    """Stands in a manifest in place of a simulation: no solver and no meshes."""
+    """Solver and meshes as a manifest names them; a station has neither."""
 
     solver_version: Final = "station"
 
     def mesh_hash(self) -> str:
-        """Return the same for all stations."""
+        """Return one value for all stations."""
         return self.solver_version
 
 
 class TrialNotPlayed(VitacError):
-    """A trial has no result, since the station stopped; the service gives it to a station again, by its own rule."""
+    """A trial has no result, since the station stopped; the service queues it again by its own rule."""
 
 
 class StationShards:
-    """Gives a worker what plays its shards: one at a time, on one station."""
+    """Plays a worker's shards on one station, one at a time."""
 
     def __init__(self, player: Player) -> None:
         """Use a player that makes one attempt at each trial: the service counts attempts."""
@@ -105,7 +105,7 @@ class StationShard:
 
     @property
     def result(self) -> ShardResult:
-        """What the shard ended with."""
+        """The result of the shard."""
         end = ShardEnd.BROKEN if is_broken(self._failures) else ShardEnd.COMPLETE
         manifest = make_manifest(self._track, self._task, _Devices())
         return ShardResult(index=self._order.shard, end=end, manifest=manifest, isolation=self._isolation)
@@ -120,7 +120,7 @@ class StationShard:
 
 
 def make_record(task: Task, episode: Episode, attempt: Attempt) -> EpisodeRecord:
-    """Return the record of a trial; its state hashes are over what encoders and markers said, and chained."""
+    """Return the record of a trial; a state hash covers what encoders and markers measured, and the hash before it."""
     measured = [_measured(attempt, number) for number in range(len(attempt.actions) + 1)]
     return EpisodeRecord(
         episode=episode.number,

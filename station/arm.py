@@ -46,7 +46,7 @@ class Arm:
         return Pose(hole.x_mm + along[0], hole.y_mm + along[1], z_mm, hole.rotation_deg + theta_deg)
 
     def start(self, target: Pose, speed_mm_s: float | None = None) -> None:
-        """Start a motion, as fast as the limits allow where nothing else is said."""
+        """Start a motion, at the limit of speed unless another speed is given."""
         speed = min(speed_mm_s or math.inf, self._limits.speed_mm_s)
         self._guard.move(target, speed_mm_s=speed, rotation_deg_s=self._limits.rotation_deg_s)
 
@@ -101,7 +101,7 @@ class Arm:
         raise NoPeg("The gripper has lost its peg. Put it back into the garage.")
 
     def fetch(self) -> None:
-        """Take the peg from its garage, and put it there before where the gripper holds it."""
+        """Take the peg from its garage; a peg that the gripper holds is put there first."""
         garage, safe_mm = self._procedure.garage, self._procedure.safe_z_mm
         self.lift(safe_mm)
         if not self.holds_peg():
@@ -120,7 +120,7 @@ class Arm:
         self.lift(safe_mm)
 
     def _wait(self, wait_s: float) -> Sight:
-        """Wait, and as long again as pictures are late."""
+        """Wait, longer by the latency of the pictures."""
         wait_s += self._procedure.latency_s
         return self._station.eyes.wait(math.ceil(wait_s / self._procedure.picture_s))
 

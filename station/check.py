@@ -70,7 +70,7 @@ class DeviceCheck:
 
 
 def check_station(description: StationDescription) -> Iterator[DeviceCheck]:
-    """Check one device after the other; ask no other one where another program has the stage, since it may move."""
+    """Check all devices; only the stage if another program uses it, because it may be moving."""
     devices: dict[str, Iterator[Problem]] = {
         "stage": _check_stage(description.stage, description.limits),
         "left tactile camera": _check_tactile_camera(description.left),
@@ -190,7 +190,7 @@ def check_procedure(procedure: Procedure, limits: Limits) -> Iterator[Problem]:
 
 
 def _extreme_poses(procedure: Procedure) -> Iterator[tuple[str, Pose]]:
-    """Yield poses of a trial of the peg with no others outside of them, and the place that each is at."""
+    """Yield the outermost poses of a trial of the peg, each with the name of its place."""
     hole, garage, safe_mm = procedure.hole, procedure.garage, procedure.safe_z_mm
     lowest_mm = hole.z_mm + procedure.start_mm - procedure.descent_mm - procedure.push_mm
     for z_mm, sign in product((lowest_mm, hole.z_mm + procedure.lateral_mm, safe_mm), (-1.0, 1.0)):

@@ -1,6 +1,6 @@
 """Looks at both gels all the time: one thread reads the cameras in turn and follows the markers.
 
-The guard hears from it, and so does whoever wants to: trials, ROS topics, recordings.
+It informs the guard and all listeners: trials, ROS topics, recordings.
 """
 
 from collections.abc import Callable, Iterator
@@ -155,7 +155,7 @@ class Eyes:
         return sight
 
     def sights(self) -> Iterator[Sight]:
-        """Return everything that is seen from now on, also what arrives while the caller is busy.
+        """Yield everything that is seen from now on, including what arrives while the caller is busy.
 
         Raises:
             DeviceFault: while it is iterated, if a camera failed.

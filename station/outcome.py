@@ -25,12 +25,12 @@ class TrialOutcome(StrEnum):
 
     @property
     def sentence(self) -> str:
-        """What the word means."""
+        """Its meaning."""
         return _SENTENCES[self]
 
 
 ATTEMPTS: Final = 3
-"""So often a trial is tried; if none of them counts, the trial has no result and the evaluation no score."""
+"""Maximum attempts at a trial. If none of them counts, the trial has no result and the evaluation has no score."""
 _COUNTED: Final = frozenset(
     {
         TrialOutcome.SUCCESS,

@@ -1,4 +1,4 @@
-"""What must be so before a trial moves anything: each with its limit, and a reason where it is not."""
+"""Conditions that are checked before a trial moves anything, each with its limit and remedy."""
 
 import math
 import shutil
@@ -28,7 +28,7 @@ class Finding:
         name: of the quantity.
         value: that was found.
         limit: what was expected, in words.
-        is_good: whether it was so.
+        is_good: whether the value is within the limit.
         remedy: what to do if not.
     """
 

@@ -1,4 +1,4 @@
-"""What a station leaves behind of a trial: all its attempts, of which at most the last one counts."""
+"""The stored record of a trial on a station: all its attempts, of which at most the last one counts."""
 
 from typing import Self
 

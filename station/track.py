@@ -1,4 +1,4 @@
-"""The track that a service needs so that its queue has trials for stations."""
+"""The track of a service whose episodes are trials on stations."""
 
 from typing import Any, Final
 

@@ -47,7 +47,7 @@ class NotBlocked(VitacError):
 
 @dataclass(kw_only=True)
 class Attempt:
-    """What one attempt at a trial left behind.
+    """What was recorded of one attempt at a trial.
 
     Attributes:
         outcome: how it ended.

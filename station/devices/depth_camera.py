@@ -96,7 +96,7 @@ class StreamedDepthCamera:
     """A camera whose pairs another program gives over HTTP, as a twin does; used as `DepthCamera`."""
 
     def __init__(self, serial_number: str, stream: str) -> None:
-        """Ask who it is; raise DeviceNotFound where nobody answers."""
+        """Ask for its identity; raise DeviceNotFound if nothing answers."""
         self._name, self._stream = f"RGB-D camera {serial_number} at {stream}", stream
         try:
             self._about: dict[str, Any] = json.loads(self._get("about"))

@@ -1,4 +1,4 @@
-"""What all drivers share: who a device says it is, and how it fails."""
+"""What all drivers share: the identity of a device, and how it fails."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ class DeviceFault(VitacError):
 
 @dataclass(frozen=True, kw_only=True)
 class Identity:
-    """Who a device says it is; None for what it does not report."""
+    """What a device reports about itself; None for what it does not report."""
 
     serial_number: str | None = None
     firmware: str | None = None

@@ -106,7 +106,7 @@ class Stage:
         """Ask for state and position; works during a motion.
 
         Raises:
-            DeviceFault: the controller went into alarm, or does not answer, as after that until it is reset.
+            DeviceFault: the controller goes into alarm, or does not answer; after an alarm it is silent until a reset.
         """
         with self._lock, self._reported():
             self._line.write(_STATUS)
@@ -216,7 +216,7 @@ class Stage:
 
 
 def _open_line(port: str) -> "Serial":
-    """Open a port for this program alone, also where what holds the stage of a killed one has not ended yet."""
+    """Open a port for this program alone; wait for the process that holds the stage of a killed one to end."""
     from serial import Serial, SerialException
 
     end = monotonic() + _ANSWER_S

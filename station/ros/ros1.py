@@ -1,4 +1,4 @@
-"""ROS 1 by Debian's `rospy`, which is no package of this Python and is looked for among the system's."""
+"""ROS 1 by Debian's `rospy`, imported from the packages of the system's Python."""
 
 import sys
 from collections.abc import Callable, Iterator

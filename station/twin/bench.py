@@ -1,4 +1,4 @@
-"""The twin's world: a clock that advances with the pictures, and meanwhile peg, gels, plate and what is broken."""
+"""The twin's world: peg, gels, plate and faults, and a clock that advances with the pictures."""
 
 import logging
 from collections import deque
@@ -282,7 +282,7 @@ class Bench:
             )
 
     def _in_world(self, at: Axes) -> Axes:
-        """Return the place of the stage from the hole: what the station's file does not know."""
+        """Return where the stage really is, relative to the hole; the station's file has other values."""
         x_mm, y_mm, turn_deg = self.hidden.origin
         x, y, z, rotation_deg = (value - hole for value, hole in zip(at, HOLE, strict=True))
         return x + x_mm, y + y_mm, z - self.hidden.plate_mm, rotation_deg + turn_deg

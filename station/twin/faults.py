@@ -1,4 +1,4 @@
-"""What a script breaks at a twin that plays, and when."""
+"""Scripts of faults: what breaks at a twin, and when."""
 
 from enum import StrEnum
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a twin is really like: drawn from a secret and read by the twin alone, not by station, service or policies."""
+"""The hidden settings of a twin, drawn from a secret; station, service and policies do not read them."""
 
 import hashlib
 from typing import Final
@@ -11,7 +11,7 @@ Pair = tuple[float, float]
 
 
 class HiddenSensor(StrictModel):
-    """One tactile sensor: how its camera is mounted and what its gel has become."""
+    """One tactile sensor: how its camera is mounted, and the state of its gel."""
 
     shift_px: Pair = (0.0, 0.0)
     """Of the whole picture, as the camera is mounted."""

@@ -1,4 +1,4 @@
-"""Runs a twin in a process of its own, as a laboratory is: what plays on it shares nothing with it but its lines."""
+"""Runs a twin in a process of its own, which shares nothing but its lines with what plays on it."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -71,7 +71,7 @@ def twin_process(
 
 
 def _run(caller: Connection, hidden: HiddenSettings, mounted: Mounted, script: FaultScript, period_s: float) -> None:
-    """Run until the caller closes its end or dies."""
+    """Run until the caller closes its end of the pipe or dies."""
     import cv2
 
     cv2.setNumThreads(1)
