@@ -1,9 +1,9 @@
 // Colour scales: from light to strong for quantities, and the usual one of depth pictures.
 
-import look from "../envs/playback_files/stage.json";
+import LOOK from "../envs/playback_files/stage.json";
 
 const SCALES = {
-  displacement: look.displacement,
+  displacement: LOOK.displacement,
   pressure: ["#fff6c9", "#fdd56f", "#fb9d43", "#ec4d2c", "#a80f26"],
   depth: ["#440154", "#3b528b", "#21918c", "#5ec962", "#fde725"],
 };

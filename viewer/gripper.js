@@ -5,24 +5,24 @@
 import { BoxGeometry, Group, Mesh, MeshStandardMaterial, Quaternion, Vector3 } from "three";
 import { RoundedBoxGeometry } from "three/addons/geometries/RoundedBoxGeometry.js";
 
-import look from "../envs/playback_files/stage.json";
+import LOOK from "../envs/playback_files/stage.json";
 
-const SHELL = { color: look.shell, roughness: 0.6, metalness: 0.1 };
-const METAL = { color: look.metal, roughness: 0.4, metalness: 0.6 };
+const SHELL = { color: LOOK.shell, roughness: 0.6, metalness: 0.1 };
+const METAL = { color: LOOK.metal, roughness: 0.4, metalness: 0.6 };
 
 /** Housing and finger in the frame of a gel, whose back face looks along its negative z axis; `along` is 1 or -1: the end of
  * the x axis at which the palm is. */
 export function sensorBody(gelNodes, along) {
   const body = new Group();
   const back = Math.min(...gelNodes.filter((_, at) => at % 3 === 2));
-  const [length, width, depth] = look.housing_mm;
-  const [rim, inset] = [look.rim_mm, 2 * look.rim_inset_mm];
+  const [length, width, depth] = LOOK.housing_mm;
+  const [rim, inset] = [LOOK.rim_mm, 2 * LOOK.rim_inset_mm];
   const housing = part(new RoundedBoxGeometry(length, width, depth, 3, 3), SHELL);
   housing.position.z = back - 0.5 * depth - rim;
   const frame = part(new BoxGeometry(length - inset, width - inset, rim), METAL);
   frame.position.z = back - 0.5 * rim;
-  const finger = part(new RoundedBoxGeometry(...look.finger_mm, 2, 2), METAL);
-  finger.position.set(along * (0.5 * (length + look.finger_mm[0]) - look.finger_overlap_mm), 0, back - rim - look.finger_depth * depth);
+  const finger = part(new RoundedBoxGeometry(...LOOK.finger_mm, 2, 2), METAL);
+  finger.position.set(along * (0.5 * (length + LOOK.finger_mm[0]) - LOOK.finger_overlap_mm), 0, back - rim - LOOK.finger_depth * depth);
   body.add(housing, frame, finger);
   body.matrixAutoUpdate = false;
   return body;
@@ -39,9 +39,9 @@ export class Palm {
     const [first, second] = [left, right].map((matrix) => new Vector3().setFromMatrixPosition(matrix));
     const middle = first.clone().add(second).multiplyScalar(0.5);
     const x = new Vector3().setFromMatrixColumn(left, 0);
-    this.mesh.position.copy(middle).addScaledVector(x, this.along * (0.5 * look.housing_mm[0] + look.finger_mm[0] - look.palm_overlap_mm));
+    this.mesh.position.copy(middle).addScaledVector(x, this.along * (0.5 * LOOK.housing_mm[0] + LOOK.finger_mm[0] - LOOK.palm_overlap_mm));
     this.mesh.quaternion.copy(new Quaternion().setFromRotationMatrix(left));
-    this.mesh.scale.set(...look.palm_mm, first.distanceTo(second) + 2 * look.housing_mm[2]);
+    this.mesh.scale.set(...LOOK.palm_mm, first.distanceTo(second) + 2 * LOOK.housing_mm[2]);
   }
 }
 

@@ -18,7 +18,7 @@ import {
   Vector3,
 } from "three";
 
-import look from "../envs/playback_files/stage.json";
+import LOOK from "../envs/playback_files/stage.json";
 import { Forces } from "./forces.js";
 import { GelSurface } from "./gel_surface.js";
 import { cornersOf, Palm, sensorBody } from "./gripper.js";
@@ -30,8 +30,8 @@ import { framing, geometryOf, INK, View } from "./view.js";
 // A part is drawn a little behind its edges, which lie in its faces and would be broken lines.
 const BEHIND_EDGES = { flatShading: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 };
 const BEFORE_EDGES = { polygonOffset: true, polygonOffsetFactor: -1, polygonOffsetUnits: -4 }; // which a section hides
-const HELD = { color: look.held, roughness: 0.42, metalness: 0.35 };
-const FIXED = { color: look.fixed, roughness: 0.38, metalness: 0.7 };
+const HELD = { color: LOOK.held, roughness: 0.42, metalness: 0.35 };
+const FIXED = { color: LOOK.fixed, roughness: 0.38, metalness: 0.7 };
 const SHARP_DEG = 20; // from which on an edge is drawn
 const GHOST = { color: 0x4f8fd6, transparent: true, opacity: 0.35, depthWrite: false };
 const XRAY_OPACITY = 0.22;
@@ -45,6 +45,7 @@ export class Stage extends View {
     this.episode = episode;
     this.renderer.localClippingEnabled = true;
     this.pose = new Float32Array(12);
+    this.isXray = this.looksAtGel = false;
     this.gels = [0, 1].map((side) => new GelSurface(episode, side));
     const along = this.#palmSide();
     this.bodies = this.gels.map(() => sensorBody(episode.arrays.gel_nodes_mm.values, along));
@@ -102,10 +103,17 @@ export class Stage extends View {
 
   /** Shows the held part like glass, so that what is behind and below it is seen. */
   xray(isOn) {
+    this.isXray = isOn;
+    this.#showGlass();
+    this.draw();
+  }
+
+  /** The held part is like glass also where a gel is looked at from its other side. */
+  #showGlass() {
     const { mesh, outside, cap } = this.held;
+    const isOn = this.isXray || this.looksAtGel;
     Object.assign(outside, { transparent: isOn, opacity: isOn ? XRAY_OPACITY : 1, depthWrite: !isOn, needsUpdate: true });
     mesh.castShadow = cap.visible = !isOn;
-    this.draw();
   }
 
   /** Looks from a named place: `task`, `above`, `section`, `left` or `right`. */
@@ -118,6 +126,8 @@ export class Stage extends View {
     });
     this.palm.mesh.visible = side === undefined && !isAbove;
     this.held.cut(name === "section" ? this.planes : []);
+    this.looksAtGel = side !== undefined;
+    this.#showGlass();
     this.flyTo(...this.#view(name, side));
   }
 
@@ -164,7 +174,7 @@ export class Stage extends View {
 
   #held(look = HELD) {
     const { held_vertices_mm: vertices, held_triangles: triangles } = this.episode.arrays;
-    const held = solid(geometryOf(vertices, triangles), look, look.held_section);
+    const held = solid(geometryOf(vertices, triangles), look, LOOK.held_section);
     Object.assign(held.mesh, { matrixAutoUpdate: false, renderOrder: 1 });
     if (look === HELD) held.mesh.add(...(this.names = this.#names(vertices.values)));
     this.scene.add(held.mesh);
@@ -173,7 +183,7 @@ export class Stage extends View {
 
   #fixed() {
     const { fixed_vertices_mm: vertices, fixed_triangles: triangles } = this.episode.arrays;
-    const fixed = solid(geometryOf(vertices, triangles), FIXED, look.fixed_section);
+    const fixed = solid(geometryOf(vertices, triangles), FIXED, LOOK.fixed_section);
     this.scene.add(fixed.mesh);
     return fixed;
   }

@@ -3,7 +3,7 @@
 import { BufferAttribute, BufferGeometry, PerspectiveCamera, Scene, Vector3, WebGLRenderer } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
-import look from "../envs/playback_files/stage.json";
+import LOOK from "../envs/playback_files/stage.json";
 import { Resolution } from "./resolution.js";
 
 const FIELD_OF_VIEW_DEG = 28;
@@ -15,7 +15,7 @@ const ZOOM = 1.1;
 const FLIGHT_MS = 300;
 const PIXELS_ACROSS = 2; // for each of the page's, which smooths edges as multisampling would, but can be lowered
 const STILL_MS = 300; // without a change, until the scene is drawn in full resolution
-export const INK = look.ink;
+export const INK = LOOK.ink;
 
 export class View {
   /** Throws where the browser has no WebGL. */

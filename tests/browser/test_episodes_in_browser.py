@@ -287,6 +287,21 @@ def test_the_scene_is_turned_by_the_pointer_cut_open_and_coloured_by_displacemen
     assert colours(scene) != before
 
 
+def test_a_section_has_the_colour_of_the_peg_and_a_gel_is_seen_through_it(site: SiteUnderTest, page: Page) -> None:
+    open_player(site, page, made(site))
+    scene = page.locator("canvas.scene")
+    page.get_by_label("View").select_option("section")
+    assert (13, 11, 8) in colours(scene)
+    page.get_by_label("View").select_option("left")
+    through = seen(scene)
+    open_layers(page)
+    page.get_by_label("X-ray").check()
+    page.keyboard.press("Escape")
+    assert seen(scene) == through
+    page.get_by_label("View").select_option("section")
+    assert (13, 11, 8) not in colours(scene)
+
+
 def test_where_the_peg_presses_on_the_plate_both_are_coloured(site: SiteUnderTest, page: Page) -> None:
     def dark_red(place: Locator) -> int:
         red, green, blue = np.asarray(Image.open(io.BytesIO(seen(place))).convert("RGB")).transpose(2, 0, 1).astype(int)
