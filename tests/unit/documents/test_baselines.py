@@ -12,11 +12,13 @@ from policies.baselines import (
     EXAMPLES,
     HEAD,
     SEEDS,
+    SHAPES,
     Row,
     line,
     load_policy,
     percent,
     seed_line,
+    shapes_line,
     training_seeds,
 )
 from policies.marker_noise import errors
@@ -106,15 +108,19 @@ def test_line_has_the_rates_with_intervals_and_the_cost() -> None:
     row = Row(task="peg-insertion", name="none", fresh=fresh, public=public, cpu_s=20.0)
     assert line(row) == f"| peg-insertion | none | {percent(fresh)} | 4.25 | {percent(public)} | - | 50 |\n"
     assert percent(fresh).startswith("50.0 [44.")
+    by_shape = {"key1": rate(3, 4).model_dump(), "key2": rate(0, 6).model_dump()}
+    shown = shapes_line(replace(row, public={**public, "by_shape": by_shape}))
+    assert shown == "| peg-insertion | none | key1 3 of 4, key2 0 of 6 |\n"
 
 
 def test_table_in_the_repository_has_every_baseline(repository: Path) -> None:
     written = (repository / "benchmarks" / "baselines.md").read_text()
     assert written.startswith(HEAD.format(stream=stream(1, Use.REPORT), starts=300))
     baselines, seeds = written.split(SEEDS)
-    rows = [row.split(" | ") for row in baselines.splitlines() if row.startswith(("| peg", "| lock"))]
-    named = [(row[0].removeprefix("| "), row[1]) for row in rows]
-    assert named == [(task, name) for task, names in BASELINES.items() for name in names]
+    for part in baselines.split(SHAPES):
+        rows = [row.split(" | ") for row in part.splitlines() if row.startswith(("| peg", "| lock"))]
+        named = [(row[0].removeprefix("| "), row[1]) for row in rows]
+        assert named == [(task, name) for task, names in BASELINES.items() for name in names]
     assert seeds == "".join(seed_line(*run) for run in training_seeds())
 
 
