@@ -67,13 +67,13 @@ def twin(
         bool, typer.Option("--fast", help="Take 10 pictures a second instead of 25, and run as fast as it can.")
     ] = False,
 ) -> None:
-    """Run twins of all devices, which behave by our physics, until Ctrl-C."""
-    from signal import pause
-
+    """Run twins of all devices, which behave by our physics, until Ctrl-C or SIGTERM."""
     from vitac.station.twin.bench import Bench
     from vitac.station.twin.faults import FaultScript, read_faults
     from vitac.station.twin.hidden import PUBLIC_SETTINGS, draw_hidden
     from vitac.station.twin.laboratory import playing_station
+
+    from .service.stop_request import SUPERVISION_PERIOD_S, StopRequest
 
     if file.exists():
         raise typer.BadParameter(f"{file} exists; name a new file.")
@@ -84,10 +84,11 @@ def twin(
         period_s=0.1 if fast else 0.04,
         speed=None if fast else 1.0,
     )
-    with playing_station(bench) as station:
+    with StopRequest().listening() as stop, playing_station(bench) as station:
         station.write(file)
         print(f"{file} describes the twins. They run until Ctrl-C; check them with: vitac station check {file}")
-        pause()
+        while not stop.wait(SUPERVISION_PERIOD_S):
+            pass
 
 
 def _find_mounted(shape: str, *, fusion: bool) -> "Mounted":

@@ -1,9 +1,12 @@
 import json
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 from vitac.cli import main as cli
+from vitac.cli.service.stop_request import StopRequest
 from vitac.station.twin.laboratory import TwinStation, twin_station
 
 Run = Callable[..., tuple[int, str, str]]
@@ -70,13 +73,16 @@ def test_twins_run_until_they_are_stopped_and_are_accepted(
 ) -> None:
     file, checked = tmp_path / "station.yaml", []
 
-    def stopped_after_a_check() -> None:
-        checked.append(run("check", file))
-        raise KeyboardInterrupt
+    def stopped_after_a_check(stop: StopRequest, _: float) -> bool:
+        if not checked:
+            checked.append(run("check", file))
+            signal.raise_signal(signal.SIGTERM)
+        return stop.received
 
-    monkeypatch.setattr("signal.pause", stopped_after_a_check)
+    monkeypatch.setattr(StopRequest, "wait", stopped_after_a_check)
     code, _, _ = run("twin", file)
-    assert code == 130
+    assert code == 0
+    assert not Path(yaml.safe_load(file.read_text())["stage"]["port"]).parent.exists()
     ((checked_code, output, _),) = checked
     assert checked_code == 0, output
     code, _, errors = run("twin", file)
