@@ -71,7 +71,7 @@ def test_file_that_describes_no_station_is_refused(tmp_path: Path, run: Run) -> 
 def test_twins_run_until_they_are_stopped_and_are_accepted(
     tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file, checked = tmp_path / "station.yaml", []
+    file, checked = tmp_path / "station.yaml", list[tuple[int, str, str]]()
 
     def stopped_after_a_check(stop: StopRequest, _: float) -> bool:
         if not checked:
