@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel
+from ..algebra.lanes import add_sum_of_two, write_sum_of_three
 from ..algebra.mat3 import Mat3
 from ..algebra.vec3 import Vec3
 from ..linear.system import GEL_STRIDE, NO_PLACE, block_place, gel_block_place
@@ -38,22 +39,25 @@ class Stencil(NamedTuple):
     point_weights: FloatArray  # [5, 4] weights of the contact's points in the modes
     nodes: IndexArray  # [8]
     weights: FloatArray  # [5, 8] weights of the nodes in the modes
+    flat_weights: FloatArray  # the same numbers
     force: FloatArray  # [5, 3] on the modes [N]
     jacobian: FloatArray  # [15, 15] of the modes [N/m]
-    rows: FloatArray  # [15, 24] of the modes by the nodes [N/m]
-    block: FloatArray  # [24, 24] of the nodes [N/m]
+    rows: FloatArray  # of the modes by the nodes [N/m]: component r by k of node j at 8 (3 r + k) + j
+    block: FloatArray  # of the nodes [N/m]: component k of node i by m of node j at 8 (3 (3 i + k) + m) + j
 
 
 def new_stencil() -> Stencil:
     """Return uninitialised scratch."""
+    flat_weights = np.zeros(ALL_MODES * _NODES)
     return Stencil(
         point_weights=np.empty((ALL_MODES, 4)),
         nodes=np.empty(_NODES, dtype=np.int64),
-        weights=np.empty((ALL_MODES, _NODES)),
+        weights=flat_weights.reshape(ALL_MODES, _NODES),
+        flat_weights=flat_weights,
         force=np.empty((ALL_MODES, 3)),
         jacobian=np.zeros((3 * ALL_MODES, 3 * ALL_MODES)),
-        rows=np.empty((3 * ALL_MODES, 3 * _NODES)),
-        block=np.empty((3 * _NODES, 3 * _NODES)),
+        rows=np.empty(3 * ALL_MODES * 3 * _NODES),
+        block=np.empty(3 * _NODES * 3 * _NODES),
     )
 
 
@@ -125,7 +129,7 @@ def add_forces(stencil: Stencil, count: int, modes: int, gradient: FloatArray) -
 @kernel
 def add_blocks(stencil: Stencil, count: int, modes: int, model: Model, system: NewtonSystem) -> None:
     """Add the blocks of all pairs of a contact's nodes to the matrix, and those of prescribed ones to the coupling."""
-    _expand(stencil.weights, stencil.jacobian, count, modes, stencil.rows, stencil.block)
+    _expand(stencil, count, modes)
     nodes, block, entries, slot, layout = (
         stencil.nodes,
         stencil.block,
@@ -146,7 +150,7 @@ def add_blocks(stencil: Stencil, count: int, modes: int, model: Model, system: N
                 j += 1
             elif b >= layout.block.nodes:
                 place, stride = block_place(layout.block, a, b)
-                _add_frame_run(block, 3 * i, 3 * j, entries, place, stride)
+                _add_frame_run(block, i, j, entries, place, stride)
                 j += _FRAME_POINTS
             else:
                 within = a < layout.block.nodes
@@ -156,48 +160,50 @@ def add_blocks(stencil: Stencil, count: int, modes: int, model: Model, system: N
                         block, i, j, entries, block_place(layout.block, a, a)[0], block_place(layout.block, b, b)[0]
                     )
                 else:
-                    _add_gel_block(block, 3 * i, 3 * j, entries, place)
+                    _add_gel_block(block, i, j, entries, place)
                 j += 1
 
 
 @kernel
-def _expand(
-    weights: FloatArray, jacobian: FloatArray, count: int, modes: int, rows: FloatArray, block: FloatArray
-) -> None:
-    """Write rows = H w, shape [3 modes, 3 count], and block = w^T rows, shape [3 count, 3 count]."""
+def _expand(stencil: Stencil, count: int, modes: int) -> None:
+    """Write rows = H w and block = w^T rows, for all eight places of nodes at once, of which `count` are used."""
+    weights, jacobian, rows, block = stencil.weights, stencil.jacobian, stencil.rows, stencil.block
+    w, n = stencil.flat_weights, _NODES
     for r in range(3 * modes):
-        for j in range(count):
-            w0, w1, w2 = weights[C, j], weights[FIRST, j], weights[SECOND, j]
-            for k in range(3):
-                rows[r, 3 * j + k] = w0 * jacobian[r, k] + w1 * jacobian[r, 3 + k] + w2 * jacobian[r, 6 + k]
-            if modes == ALL_MODES:
-                w3, w4 = weights[U, j], weights[V, j]
-                for k in range(3):
-                    rows[r, 3 * j + k] += w3 * jacobian[r, 9 + k] + w4 * jacobian[r, 12 + k]
-    for i in range(count):
-        w0, w1, w2 = weights[C, i], weights[FIRST, i], weights[SECOND, i]
         for k in range(3):
-            for j in range(3 * count):
-                block[3 * i + k, j] = w0 * rows[k, j] + w1 * rows[3 + k, j] + w2 * rows[6 + k, j]
+            H, place = jacobian, n * (3 * r + k)
+            write_sum_of_three(rows, place, (H[r, k], H[r, 3 + k], H[r, 6 + k]), w, (C * n, FIRST * n, SECOND * n))
             if modes == ALL_MODES:
-                w3, w4 = weights[U, i], weights[V, i]
-                for j in range(3 * count):
-                    block[3 * i + k, j] += w3 * rows[9 + k, j] + w4 * rows[12 + k, j]
+                add_sum_of_two(rows, place, (H[r, 9 + k], H[r, 12 + k]), w, (U * n, V * n))
+    for i in range(count):
+        w012, w34 = (weights[C, i], weights[FIRST, i], weights[SECOND, i]), (weights[U, i], weights[V, i])
+        for k in range(9):
+            place, row = n * (9 * i + k), n * k
+            write_sum_of_three(block, place, w012, rows, (row, row + 9 * n, row + 18 * n))
+            if modes == ALL_MODES:
+                add_sum_of_two(block, place, w34, rows, (row + 27 * n, row + 36 * n))
 
 
 @kernel
-def _add_gel_block(block: FloatArray, row: int, column: int, entries: FloatArray, place: int) -> None:
+def _entry(i: int, k: int, j: int, m: int) -> int:
+    """Return the place in `Stencil.block` of component k of node i by component m of node j."""
+    return _NODES * (3 * (3 * i + k) + m) + j
+
+
+@kernel
+def _add_gel_block(block: FloatArray, i: int, j: int, entries: FloatArray, place: int) -> None:
     for k in range(3):
         for m in range(3):
-            entries[place + k * GEL_STRIDE + m] += block[row + k, column + m]
+            entries[place + k * GEL_STRIDE + m] += block[_entry(i, k, j, m)]
 
 
 @kernel
-def _add_frame_run(block: FloatArray, row: int, column: int, entries: FloatArray, place: int, stride: int) -> None:
+def _add_frame_run(block: FloatArray, i: int, j: int, entries: FloatArray, place: int, stride: int) -> None:
     """Add the blocks of a body's four frame points, whose columns adjoin."""
     for k in range(3):
-        for m in range(3 * _FRAME_POINTS):
-            entries[place + k * stride + m] += block[row + k, column + m]
+        for p in range(_FRAME_POINTS):
+            for m in range(3):
+                entries[place + k * stride + 3 * p + m] += block[_entry(i, k, j + p, m)]
 
 
 @kernel
@@ -207,7 +213,7 @@ def _add_coupling(stencil: Stencil, i: int, j: int, system: NewtonSystem) -> Non
     move, other = system.prescribed_move, stencil.nodes[j]
     for k in range(3):
         for m in range(3):
-            coupling[node, k] += block[3 * i + k, 3 * j + m] * move[other, m]
+            coupling[node, k] += block[_entry(i, k, j, m)] * move[other, m]
 
 
 @kernel
@@ -215,6 +221,6 @@ def _add_bound(block: FloatArray, i: int, j: int, entries: FloatArray, of_a: int
     """Replace a coupling outside the pattern (two gels that touch) by a bound on it, which only slows convergence."""
     for k in range(3):
         for m in range(3):
-            half = 0.5 * abs(block[3 * i + k, 3 * j + m])
+            half = 0.5 * abs(block[_entry(i, k, j, m)])
             entries[of_a + k * (GEL_STRIDE + 1)] += half
             entries[of_b + m * (GEL_STRIDE + 1)] += half

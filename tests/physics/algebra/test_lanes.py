@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from vitac.envs.compilation import kernel
-from vitac.envs.fem.algebra.lanes import LANES, subtract_products
+from vitac.envs.fem.algebra.lanes import (
+    LANES,
+    add_sum_of_two,
+    subtract_products,
+    write_sum_of_three,
+)
 
 FloatArray = NDArray[np.float64]
 Three = tuple[float, float, float]
@@ -31,3 +36,16 @@ def test_products_are_subtracted_from_three_rows(skipped: int) -> None:
     f0, f1, f2 = ((float(a), float(b), float(c)) for a, b, c in f)
     subtract(front, (3 * stride + 5, 5, stride, skipped), (f0, f1, f2))
     np.testing.assert_array_equal(front, expected)
+
+
+@kernel
+def sum_up(target: FloatArray, source: FloatArray) -> None:
+    write_sum_of_three(target, 3, (0.3, 0.7, -1.1), source, (1, 9, 20))
+    add_sum_of_two(target, 3, (1.7, 0.1), source, (2, 0))
+
+
+def test_sums_are_taken_from_left_to_right() -> None:
+    target, source = np.zeros(14), np.random.default_rng(0).normal(size=30)
+    sum_up(target, source)
+    first = 0.3 * source[1:9] + 0.7 * source[9:17] + -1.1 * source[20:28]
+    np.testing.assert_array_equal(target, np.pad(first + (1.7 * source[2:10] + 0.1 * source[:8]), 3))
