@@ -18,7 +18,7 @@ from ..model.newton_system import EXACT_MATRIX, NO_MATRIX, PROJECTED_MATRIX, New
 from .barrier import barrier
 from .broad_phase import Candidates
 from .contact import Contact, ContactGeometry, Friction, NormalForce, contact_geometry, contact_terms, weighted_sum
-from .distance import EDGE_EDGE, closest_points
+from .distance import EDGE_EDGE, NO_SLIDING, closest_points
 from .friction import update_dual
 from .memory import ContactMemory, recall_slip
 from .mollifier import mollifier, squared_cross_norm, squared_cross_norm_blocks, squared_cross_norm_gradient
@@ -82,6 +82,8 @@ def add_contacts(
         c, sliding, r = closest_points(pair_type, x[0], x[1], x[2], x[3])
         if dot(r, r) >= d_hat * d_hat:
             continue
+        if matrix == NO_MATRIX:
+            sliding = NO_SLIDING
         moves = (
             subtract(x[0], load(y_start, p0)),
             subtract(x[1], load(y_start, p1)),
@@ -120,7 +122,7 @@ def _write_modes(
         c = squared_cross_norm(subtract(x[1], x[0]), subtract(x[3], x[2]))
         e, de_dc, d2e_dc2 = mollifier(c, pair.mollifier_eps_m4)
     normal = NormalForce(-kappa * e * db_dd, kappa * e * d2b_dd2)
-    contact = contact_terms(geometry, normal, pair.friction, matrix == PROJECTED_MATRIX)
+    contact = contact_terms(geometry, normal, pair.friction, matrix)
     set_point_weights(weights, C, geometry.c)
     set_point_weights(weights, FIRST, geometry.first.dc)
     set_point_weights(weights, SECOND, geometry.second.dc)
@@ -130,7 +132,7 @@ def _write_modes(
     if e == 1.0:
         return PLAIN_MODES
     rates = MollifierRates(kappa * b * de_dc, kappa * db_dd * de_dc, kappa * b * d2e_dc2)
-    _write_mollifier(contact, geometry, rates, stencil)
+    _write_mollifier(contact, geometry, rates, stencil, matrix)
     return ALL_MODES
 
 
@@ -156,7 +158,9 @@ def _write_plain_blocks(contact: Contact, geometry: ContactGeometry, jacobian: F
 
 
 @kernel
-def _write_mollifier(contact: Contact, geometry: ContactGeometry, rates: MollifierRates, stencil: Stencil) -> None:
+def _write_mollifier(
+    contact: Contact, geometry: ContactGeometry, rates: MollifierRates, stencil: Stencil, matrix: int
+) -> None:
     """Write the derivatives of the mollifier e(c) in the energy B e(c), on the edge vectors u and v.
 
     Forces: dE/dc grad c. Blocks: the barrier's and friction's change with c, df/dc (grad c)^T; d2E/dc dd grad c n^T;
@@ -166,11 +170,13 @@ def _write_mollifier(contact: Contact, geometry: ContactGeometry, rates: Mollifi
     n, x, dE_dc, d2E_dc2 = geometry.n, geometry.x, rates.dE_dc, rates.d2E_dc2
     u, v = subtract(x[1], x[0]), subtract(x[3], x[2])
     dc_du, dc_dv = squared_cross_norm_gradient(u, v)
-    uu, uv, vv = squared_cross_norm_blocks(u, v)
     set_point_weights(stencil.point_weights, U, (-1.0, 1.0, 0.0, 0.0))
     set_point_weights(stencil.point_weights, V, (0.0, 0.0, -1.0, 1.0))
     set_mode_force(stencil.force, U, scale(dE_dc, dc_du))
     set_mode_force(stencil.force, V, scale(dE_dc, dc_dv))
+    if matrix == NO_MATRIX:
+        return
+    uu, uv, vv = squared_cross_norm_blocks(u, v)
     df_dc, jacobian = scale(rates.d2E_dc_dd, subtract(n, contact.dphi_dN)), stencil.jacobian
     set_mode_block(jacobian, C, U, outer(df_dc, dc_du))
     set_mode_block(jacobian, C, V, outer(df_dc, dc_dv))

@@ -29,6 +29,7 @@ import numpy as np
 from ...compilation import kernel
 from ..algebra.mat3 import Mat3, add_matrices, apply_rows, identity_and_outer, identity_and_outers, multiply_rows
 from ..algebra.vec3 import Vec3, add, combine, dot, scale, subtract
+from ..model.newton_system import NO_MATRIX, PROJECTED_MATRIX
 from .distance import Coefficients, Sliding
 from .friction import slip_factor
 
@@ -146,10 +147,10 @@ def weighted_sum(c: Vec4, x: Quad) -> Vec3:
 
 
 @kernel
-def contact_terms(geometry: ContactGeometry, normal: NormalForce, friction: Friction, projected: bool) -> Contact:
-    """Return the force and Jacobian factors of a contact.
+def contact_terms(geometry: ContactGeometry, normal: NormalForce, friction: Friction, matrix: int) -> Contact:
+    """Return the force and, where a matrix is asked for, the Jacobian factors of a contact.
 
-    With `projected` the factors of the positive semi-definite replacement: no tangential barrier term, friction held.
+    Those of the positive semi-definite replacement have no tangential barrier term, and friction is held.
     """
     d, n, force_n = geometry.d, geometry.n, normal.force_n
     w, u = friction.whole_slip_m, friction.slip_m
@@ -158,9 +159,12 @@ def contact_terms(geometry: ContactGeometry, normal: NormalForce, friction: Fric
     coulomb = friction.coefficient * force_n
     phi = scale(coulomb * a, u)
     f = subtract(phi, scale(force_n, n))
+    if matrix == NO_MATRIX:
+        zero = (0.0, 0.0, 0.0)
+        return Contact(f, (zero, zero, zero), (zero, zero), zero, zero)
     dphi_du = identity_and_outers(coulomb * a, coulomb * slope, friction.dual_m, u, 0.0)
     T0, T1 = geometry.first.tangent, geometry.second.tangent
-    if projected:
+    if matrix == PROJECTED_MATRIX:
         P = identity_and_outer(1.0, -1.0, n)
         barrier = identity_and_outer(0.0, normal.stiffness_n_m, n)
         df_dr = add_matrices(barrier, multiply_rows(P, multiply_rows(dphi_du, P)))

@@ -24,6 +24,7 @@ EDGE_EDGE = 1
 Coefficients = tuple[float, float, float, float]
 # Sliding directions (i, j, k, l): the first moves weight from j to i, the second from l to k; -1 where there is none.
 Sliding = tuple[int, int, int, int]
+NO_SLIDING = (-1, -1, -1, -1)
 
 
 @kernel
@@ -40,11 +41,11 @@ def point_triangle(p: Vec3, t0: Vec3, t1: Vec3, t2: Vec3) -> tuple[Coefficients,
     ab, ac, ap = subtract(t1, t0), subtract(t2, t0), subtract(p, t0)
     d1, d2 = dot(ab, ap), dot(ac, ap)
     if d1 <= 0.0 and d2 <= 0.0:
-        return (1.0, -1.0, 0.0, 0.0), (-1, -1, -1, -1)
+        return (1.0, -1.0, 0.0, 0.0), NO_SLIDING
     bp = subtract(p, t1)
     d3, d4 = dot(ab, bp), dot(ac, bp)
     if d3 >= 0.0 and d4 <= d3:
-        return (1.0, 0.0, -1.0, 0.0), (-1, -1, -1, -1)
+        return (1.0, 0.0, -1.0, 0.0), NO_SLIDING
     vc = d1 * d4 - d3 * d2
     if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
         v = d1 / (d1 - d3)
@@ -52,7 +53,7 @@ def point_triangle(p: Vec3, t0: Vec3, t1: Vec3, t2: Vec3) -> tuple[Coefficients,
     cp = subtract(p, t2)
     d5, d6 = dot(ab, cp), dot(ac, cp)
     if d6 >= 0.0 and d5 <= d6:
-        return (1.0, 0.0, 0.0, -1.0), (-1, -1, -1, -1)
+        return (1.0, 0.0, 0.0, -1.0), NO_SLIDING
     vb = d5 * d2 - d1 * d6
     if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
         w = d2 / (d2 - d6)
@@ -95,4 +96,4 @@ def edge_edge(a0: Vec3, a1: Vec3, b0: Vec3, b1: Vec3) -> tuple[Coefficients, Sli
         return c, (1, 0, -1, -1)
     if t_slides:
         return c, (2, 3, -1, -1)
-    return c, (-1, -1, -1, -1)
+    return c, NO_SLIDING
