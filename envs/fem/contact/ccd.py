@@ -25,6 +25,8 @@ FloatArray = NDArray[np.float64]
 _ADVANCES = 100
 # Stop advancing once a further advance would add less than this part of the move.
 _SMALLEST_ADVANCE = 1e-4
+# What rounding may take away from a gap, by far, as a part of it.
+_CLEAR = 1e-3
 # Part of a tetrahedron's volume that a move leaves at least.
 _REMAINING_VOLUME = 0.1
 
@@ -62,6 +64,8 @@ def _pair_fraction(pair_type: int, pair: Corners, points: PointMove, gap_fractio
     v0, v1, v2, v3 = load(move, p0), load(move, p1), load(move, p2), load(move, p3)
     x0, x1, x2, x3 = load(y, p0), load(y, p1), load(y, p2), load(y, p3)
     _, _, r = closest_points(pair_type, x0, x1, x2, x3)
+    if _keeps_gap((x0, x1, x2, x3), (v0, v1, v2, v3), r, gap_fraction, allowed, pair_type):
+        return allowed
     floor = (1.0 - gap_fraction) * np.sqrt(dot(r, r))
     time = 0.0
     for _ in range(_ADVANCES):
@@ -75,6 +79,35 @@ def _pair_fraction(pair_type: int, pair: Corners, points: PointMove, gap_fractio
         x2, x3 = add(load(y, p2), scale(time, v2)), add(load(y, p3), scale(time, v3))
         _, _, r = closest_points(pair_type, x0, x1, x2, x3)
     return time
+
+
+@kernel
+def _keeps_gap(x: Quad, v: Quad, r: Vec3, gap_fraction: float, allowed: float, pair_type: int) -> bool:
+    """Return whether the first advance certainly reaches `allowed`: without its divisions, and clear of rounding."""
+    squared = dot(r, r)
+    budget = max(gap_fraction - _CLEAR, 0.0) * squared
+    if pair_type == POINT_TRIANGLE:
+        return (
+            _keeps_clear(x[0], x[1], v[0], v[1], r, squared, budget, allowed)
+            and _keeps_clear(x[0], x[2], v[0], v[2], r, squared, budget, allowed)
+            and _keeps_clear(x[0], x[3], v[0], v[3], r, squared, budget, allowed)
+        )
+    return (
+        _keeps_clear(x[0], x[2], v[0], v[2], r, squared, budget, allowed)
+        and _keeps_clear(x[0], x[3], v[0], v[3], r, squared, budget, allowed)
+        and _keeps_clear(x[1], x[2], v[1], v[2], r, squared, budget, allowed)
+        and _keeps_clear(x[1], x[3], v[1], v[3], r, squared, budget, allowed)
+    )
+
+
+@kernel
+def _keeps_clear(
+    xa: Vec3, xb: Vec3, va: Vec3, vb: Vec3, r: Vec3, squared: float, budget: float, allowed: float
+) -> bool:
+    """Return whether two vertices keep the gap along r, less the budget: all in squares of the gap."""
+    closing = -dot(subtract(va, vb), r)
+    gap = dot(subtract(xa, xb), r)
+    return gap >= (1.0 - _CLEAR) * squared and budget + (gap - squared) > allowed * closing and squared > 0.0
 
 
 @kernel

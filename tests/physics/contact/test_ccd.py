@@ -5,9 +5,15 @@ import pytest
 from block_meshes import box_gel
 from numpy.typing import NDArray
 from small_scenes import IDENTITY
-from vitac.envs.fem.algebra.vec3 import load
+from vitac.envs.fem.algebra.vec3 import dot, load
 from vitac.envs.fem.contact.broad_phase import Candidates
-from vitac.envs.fem.contact.ccd import PointMove, contact_free_fraction, inversion_free_fraction
+from vitac.envs.fem.contact.ccd import (
+    PointMove,
+    _advance,
+    _keeps_gap,
+    contact_free_fraction,
+    inversion_free_fraction,
+)
 from vitac.envs.fem.contact.distance import EDGE_EDGE, POINT_TRIANGLE, closest_points
 from vitac.envs.fem.model.bodies import GelBody
 from vitac.envs.fem.model.model import Elastic
@@ -46,6 +52,24 @@ def distance(pair_type: int, x: FloatArray) -> float:
 
 def random_pair(random: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     return random.normal(size=(4, 3)), random.normal(size=(4, 3)) * random.choice([0.3, 1.0, 3.0])
+
+
+@pair_types
+def test_a_pair_is_passed_over_only_where_its_first_advance_reaches_the_end(pair_type: int) -> None:
+    random = np.random.default_rng(pair_type)
+    passed = limited = 0
+    for _ in range(1000):
+        x, move = random_pair(random)
+        x = x * random.choice([1.0, 1e-3]) + random.normal()
+        points, moves = ((load(each, 0), load(each, 1), load(each, 2), load(each, 3)) for each in (x, move * np.ptp(x)))
+        _, _, r = closest_points(pair_type, *points)
+        advance = _advance(points, moves, r, (1 - GAP_FRACTION) * np.sqrt(dot(r, r)), pair_type)
+        if _keeps_gap(points, moves, r, GAP_FRACTION, 0.5, pair_type):
+            assert advance >= 0.5
+            passed += 1
+        limited += advance < 0.5
+    assert passed > 100
+    assert limited > 100
 
 
 @pair_types
