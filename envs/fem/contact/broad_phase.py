@@ -68,7 +68,7 @@ def find_candidates(surfaces: Surfaces, y: FloatArray, reach_m: FloatArray) -> C
         NearRows(np.empty(rows, np.int64), np.empty((rows, 6))), NearRows(np.empty(rows, np.int64), np.empty((rows, 6)))
     )
     body_boxes = find_body_boxes(surfaces, y)
-    capacity = 4096
+    capacity = 1024
     while True:
         found = Candidates(
             np.empty(capacity, np.int64),
