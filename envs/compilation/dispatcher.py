@@ -15,6 +15,7 @@ from ..kernel_cache.folders import cache_directory
 from ..kernel_cache.progress import STARTED_LOG, CompileProgress
 from ..kernel_cache.turns import CompilingTurn
 from .cache import KernelCache
+from .indexing import indices_as_written
 from .libraries import EntryLibrary, PartLibrary
 from .sources import read_source
 
@@ -103,16 +104,17 @@ def _lower(kernel: Any, args: tuple[Any, ...], library: Any, **flags: bool) -> A
     kernel.targetdescr.options.parse_as_flags(chosen, kernel.targetoptions)
     for name, value in flags.items():
         setattr(chosen, name, value)
-    lowered = compiler.compile_extra(
-        kernel.targetdescr.typing_context,
-        kernel.targetdescr.target_context,
-        kernel.py_func,
-        args=args,
-        return_type=None,
-        flags=chosen,
-        locals={},
-        library=library,
-    )
+    with indices_as_written(kernel.py_func.__module__):
+        lowered = compiler.compile_extra(
+            kernel.targetdescr.typing_context,
+            kernel.targetdescr.target_context,
+            kernel.py_func,
+            args=args,
+            return_type=None,
+            flags=chosen,
+            locals={},
+            library=library,
+        )
     if lowered.typing_error is not None:
         raise lowered.typing_error
     _COUNTS["compiled"] += 1

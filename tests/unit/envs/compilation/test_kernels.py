@@ -78,3 +78,12 @@ def test_offences_are_seen() -> None:
 def test_allocation_without_reference_counts_is_refused() -> None:
     with pytest.raises(NumbaError, match="array passed into the function"):
         allocates()
+
+
+@kernel
+def pick(x: FloatArray, i: int) -> float:
+    return float(x[i])
+
+
+def test_a_kernel_outside_of_the_physics_may_count_from_the_back() -> None:
+    assert pick(np.arange(5.0)[:3], -1) == 2.0
