@@ -16,6 +16,7 @@ import time
 import zipfile
 from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -35,6 +36,7 @@ SETTLE_S = 3.0
 PAUSE_S = 1.0
 """An honest client looks at what it got before it asks again."""
 TIMEOUT_S = 30.0
+SLOW_S = 1.0
 STREAMS_OF_TEAM = 20
 STREAMS_WATCHED_S = 30.0
 ZIP = {"content-type": "application/zip"}
@@ -59,8 +61,8 @@ def main() -> None:
                 "load_average_before": round(os.getloadavg()[0], 2),
                 "sign_ins": asyncio.run(measure_sign_ins(client.server, arguments.hostile)),
                 "streams": asyncio.run(measure_streams(client.server, process.pid, arguments.streams)),
-                "honest_alone": measure_attack(client.server, 0, arguments.honest, seconds),
-                "attack": measure_attack(client.server, arguments.hostile, arguments.honest, seconds),
+                "honest_alone": measure_attack(client.server, process.pid, 0, arguments.honest, seconds),
+                "attack": measure_attack(client.server, process.pid, arguments.hostile, arguments.honest, seconds),
             }
     print(json.dumps(figures, indent=1))
     if arguments.json:
@@ -72,26 +74,42 @@ def visitor(address: str, number: int, *, group: int) -> httpx.AsyncClient:
     local = f"127.0.{group}.{number + 1}"
     limits = httpx.Limits(max_connections=None)
     transport = httpx.AsyncHTTPTransport(local_address=local, limits=limits)
-    return httpx.AsyncClient(base_url=address, transport=transport, timeout=TIMEOUT_S)
+    hooks = {"request": [follow_phases]}
+    return httpx.AsyncClient(base_url=address, transport=transport, timeout=TIMEOUT_S, event_hooks=hooks)
 
 
 async def measure_sign_ins(address: str, n: int) -> dict[str, Any]:
-    """Ask for a board again and again while strangers guess passwords all at once."""
+    """Ask for a board again and again while strangers in another process guess passwords all at once."""
     times: list[float] = []
+    receiver, sender = get_context("spawn").Pipe(duplex=False)
+    guessing = get_context("spawn").Process(target=run_guesses, args=(address, n, sender), daemon=True)
+    guessing.start()
     async with visitor(address, 0, group=1) as board:
         await board.get(BOARD)
-        guessers = [visitor(address, number % N_ADDRESSES, group=2) for number in range(n)]
-        guess = {"team": "benchmark", "member": "captain", "password": PASSWORD}
-        guesses = [asyncio.create_task(one.post("/sign-in/password", data=guess)) for one in guessers]
-        while not all(one.done() for one in guesses):
+        await asyncio.to_thread(receiver.recv)  # all are there
+        while not receiver.poll():
             begun = time.perf_counter()
             (await board.get(BOARD)).raise_for_status()
             times.append(time.perf_counter() - begun)
             await asyncio.sleep(0.02)
-        answers = Counter(one.status_code for one in await asyncio.gather(*guesses))
-        for one in guessers:
-            await one.aclose()
+    answers = receiver.recv()
+    guessing.join()
     return {"answers": answers, "board_requests": len(times), "board_max_ms": milliseconds(max(times))}
+
+
+def run_guesses(address: str, n: int, sender: Connection) -> None:
+    """Guess a password with many clients at once; send a word before, and then the answers."""
+    asyncio.run(_guess_all(address, n, sender))
+
+
+async def _guess_all(address: str, n: int, sender: Connection) -> None:
+    guessers = [visitor(address, number % N_ADDRESSES, group=2) for number in range(n)]
+    guess = {"team": "benchmark", "member": "captain", "password": PASSWORD}
+    sender.send("ready")
+    answers = await asyncio.gather(*(one.post("/sign-in/password", data=guess) for one in guessers))
+    sender.send(Counter(one.status_code for one in answers))
+    for one in guessers:
+        await one.aclose()
 
 
 async def measure_streams(address: str, pid: int, n: int) -> dict[str, Any]:
@@ -130,12 +148,12 @@ async def measure_streams(address: str, pid: int, n: int) -> dict[str, Any]:
             "board_max_ms": milliseconds(max(times))}  # fmt: skip
 
 
-def measure_attack(address: str, n_hostile: int, n_honest: int, seconds: float) -> dict[str, Any]:
+def measure_attack(address: str, pid: int, n_hostile: int, n_honest: int, seconds: float) -> dict[str, Any]:
     """Let honest and hostile clients ask from a process of their own each, and return what the honest ones saw."""
     context = get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     attack = context.Process(target=run_hostile, args=(address, n_hostile, seconds + 2 * SETTLE_S), daemon=True)
-    honest = context.Process(target=run_honest, args=(address, n_honest, seconds, sender), daemon=True)
+    honest = context.Process(target=run_honest, args=(address, pid, n_honest, seconds, sender), daemon=True)
     honest.start()
     receiver.recv()  # all are there
     attack.start()
@@ -147,18 +165,62 @@ def measure_attack(address: str, n_hostile: int, n_honest: int, seconds: float) 
 
 
 @dataclass
-class Seen:
-    """What honest clients saw."""
+class Phases:
+    """How long each phase of a request took, as httpx reports them."""
 
+    begun_s: dict[str, float] = field(default_factory=dict)
+    took_s: dict[str, float] = field(default_factory=dict)
+
+    async def note(self, event: str, _: object) -> None:
+        """Take notice of the begin or end of a phase, such as `http11.receive_response_headers.started`."""
+        phase, _, moment = event.rpartition(".")
+        if moment == "started":
+            self.begun_s[phase] = time.perf_counter()
+        else:
+            self.took_s[phase] = time.perf_counter() - self.begun_s[phase]
+
+    def longest(self) -> str:
+        """Return the phase that took longest."""
+        return max(self.took_s, key=lambda phase: self.took_s[phase], default="none")
+
+
+_PHASES: ContextVar[Phases] = ContextVar("phases")
+
+
+async def follow_phases(request: httpx.Request) -> None:
+    """Note the phases of a request in those of its caller."""
+    if (phases := _PHASES.get(None)) is not None:
+        request.extensions["trace"] = phases.note
+
+
+@dataclass
+class Seen:
+    """What honest clients saw.
+
+    Attributes:
+        pid: of the server.
+        times: to the answers.
+        cpu_times: that the server used meanwhile, for whomever; unlike `times`, no other process lengthens them.
+        slow: requests over `SLOW_S`, by name and longest phase.
+        slowest: name of the slowest one.
+        wrong: answers that they should not have got.
+        uploaded: submissions.
+        found_again: of these, at the end.
+    """
+
+    pid: int
     times: list[float] = field(default_factory=list)
+    cpu_times: list[float] = field(default_factory=list)
+    slow: Counter[str] = field(default_factory=Counter)
     slowest: str = ""
     wrong: Counter[str] = field(default_factory=Counter)
     uploaded: int = 0
     found_again: int = 0
 
     async def ask(self, name: str, asking: Awaitable[httpx.Response], *, expected: int = 200) -> httpx.Response | None:
-        """Note the time of a request, and its answer if it is another one than expected."""
-        begun = time.perf_counter()
+        """Note the time of a request, with its longest phase if it was slow, and an answer that was not expected."""
+        begun, begun_cpu_s, phases = time.perf_counter(), cpu_s(self.pid), Phases()
+        _PHASES.set(phases)
         try:
             answer = await asking
         except httpx.HTTPError as error:
@@ -168,18 +230,21 @@ class Seen:
         if took_s > max(self.times, default=0.0):
             self.slowest = name
         self.times.append(took_s)
+        self.cpu_times.append(cpu_s(self.pid) - begun_cpu_s)
+        if took_s > SLOW_S:
+            self.slow[f"{name}: {phases.longest()}"] += 1
         if answer.status_code != expected:
             self.wrong[f"{name}: {answer.status_code}"] += 1
         return answer
 
 
-def run_honest(address: str, n: int, seconds: float, sender: Connection) -> None:
+def run_honest(address: str, pid: int, n: int, seconds: float, sender: Connection) -> None:
     """Be the honest teams; send a word when all are there, and at the end what they saw."""
-    asyncio.run(_honest(address, n, seconds, sender))
+    asyncio.run(_honest(address, pid, n, seconds, sender))
 
 
-async def _honest(address: str, n: int, seconds: float, sender: Connection) -> None:
-    seen, clients = Seen(), [visitor(address, number, group=3) for number in range(n)]
+async def _honest(address: str, pid: int, n: int, seconds: float, sender: Connection) -> None:
+    seen, clients = Seen(pid=pid), [visitor(address, number, group=3) for number in range(n)]
     names = [f"Honest {os.getpid()} x {number}" for number in range(n)]  # of each part others
     tokens = [await register(client, name) for client, name in zip(clients, names, strict=True)]
     for client, token in zip(clients, tokens, strict=True):
@@ -187,19 +252,29 @@ async def _honest(address: str, n: int, seconds: float, sender: Connection) -> N
     sender.send("ready")
     await asyncio.sleep(SETTLE_S)
     seen.times.clear()
+    seen.cpu_times.clear()
+    seen.slow.clear()
     until = time.monotonic() + seconds
     await asyncio.gather(*(be_honest(seen, *one, until) for one in zip(clients, names, tokens, strict=True)))
     for client in clients:
         await client.aclose()
-    times = sorted(seen.times)
+    times, cpu_times = sorted(seen.times), sorted(seen.cpu_times)
     sender.send(
         {
-            "requests": len(times), "median_ms": milliseconds(times[len(times) // 2]),
-            "p99_ms": milliseconds(times[int(0.99 * len(times))]), "max_ms": milliseconds(times[-1]),
-            "slowest": seen.slowest, "over_1_s": sum(one > 1.0 for one in times), "wrong": dict(seen.wrong),
-            "uploaded": seen.uploaded, "found_again": seen.found_again,
+            "requests": len(times),
+            "median_ms": milliseconds(times[len(times) // 2]),
+            "p99_ms": milliseconds(times[int(0.99 * len(times))]),
+            "max_ms": milliseconds(times[-1]),
+            "server_cpu_median_ms": milliseconds(cpu_times[len(times) // 2]),
+            "server_cpu_p99_ms": milliseconds(cpu_times[int(0.99 * len(times))]),
+            "slowest": seen.slowest,
+            "over_1_s": sum(seen.slow.values()),
+            "slow": dict(seen.slow),
+            "wrong": dict(seen.wrong),
+            "uploaded": seen.uploaded,
+            "found_again": seen.found_again,
         }
-    )  # fmt: skip
+    )
 
 
 async def register(client: httpx.AsyncClient, name: str) -> str:
