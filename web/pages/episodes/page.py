@@ -1,6 +1,7 @@
 """The page of one episode, or of two side by side, played from its playback; asking for it; its files."""
 
 import asyncio
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from http import HTTPStatus
@@ -131,7 +132,7 @@ async def episode(request: Request) -> Response:
         all_filmed=all(player.is_filmed for player in players),
         beside=beside,
         choices=choices,
-        results={one.submission_id: one.label for one in choices if one.submission_id != place.submission_id},
+        results=_list_results(place, choices, players[1:]),
         embed=EMBED + _address(place) if await _is_public(request, viewer, place) else "",
         is_practice=place.practice,
         title=f"{task.title}, episode {place.number}",
@@ -212,6 +213,17 @@ def player_script() -> str | None:
 async def make_player(request: Request, viewer: Viewer | None, place: EpisodeAddress, prefix: str = "") -> Player:
     """Return an episode as the viewer may see it; `prefix` stands before the address of its page."""
     return Player(address=prefix + _address(place), shown=await _shown_episode(request, viewer, place))
+
+
+def _list_results(
+    place: EpisodeAddress, choices: Sequence[EpisodeChoiceView], beside: Sequence[Player]
+) -> dict[str, str]:
+    """Return the names of other results whose episodes can be shown beside one, by their ids; what is shown is one."""
+    others = {str(one.submission_id): one.label for one in choices}
+    for player in beside:
+        others.setdefault(player.address.split("/")[2], f"{player.shown.team}: {player.shown.submission_name}")
+    others.pop(str(place.submission_id), None)
+    return others
 
 
 async def _choices(

@@ -169,6 +169,13 @@ def test_two_episodes_stand_side_by_side(data: FixedData, visitor: AsgiBrowser) 
     assert html.count('class="player"') == 2
 
 
+def test_the_result_beside_is_in_the_list_also_where_it_was_not_offered() -> None:
+    own, other = EpisodeAddress(submission_id=COMPLETED.id, task=TASK, number=5), an_id("other")
+    shown = a_shown_episode(a_playback(), submission_name="other", number=6)
+    beside = [page.Player(address=f"/submissions/{other}/episodes/{TASK}/6", shown=shown)]
+    assert page._list_results(own, (), beside) == {str(other): "Gelbots: other"}
+
+
 @pytest.mark.parametrize("beside", ["six", "-6", "6 7", "x:6", ":", "99999999"])
 def test_what_names_no_episode_is_refused(data: FixedData, visitor: AsgiBrowser, beside: str) -> None:
     answer = visitor.get(f"{show(data, PlaybackState.MADE)}?beside={beside}")
