@@ -139,14 +139,3 @@ def test_every_query_of_the_command_line_is_a_function_of_the_server(repository:
         if name.startswith(queries) and name != "sqlalchemy.orm"  # whose Session is a type there
     }
     assert found == {}, "give the server a function for it"
-
-
-def test_no_function_of_the_physics_takes_more_than_six_parameters(repository: Path) -> None:
-    found = {}
-    for module in (repository / "envs" / "fem").rglob("*.py"):
-        for node in ast.walk(ast.parse(module.read_text())):
-            if isinstance(node, ast.FunctionDef):
-                taken = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
-                found[f"{module.name}: {node.name}"] = len([each for each in taken if each.arg not in ("self", "cls")])
-    assert len(found) > 200
-    assert {name: count for name, count in found.items() if count > 6} == {}, "group what belongs together"

@@ -152,7 +152,8 @@ def checkout(repository: Path, tmp_path: Path) -> Checkout:
     shutil.copytree(repository / "setup", root / "setup")
     shutil.copytree(repository / "requirements", root / "requirements")
     shutil.copytree(repository / "viewer", root / "viewer")
-    for name in ("vitac", "pyproject.toml"):
+    (root / "envs" / "playback_files").mkdir(parents=True)
+    for name in ("vitac", "pyproject.toml", "envs/playback_files/stage.json"):
         shutil.copy(repository / name, root / name)
     binaries = tmp_path / "bin"
     binaries.mkdir()
@@ -559,7 +560,10 @@ def test_commands_without_pages_build_no_player(checkout: Checkout, command: str
     assert checkout.player_calls == []
 
 
-@pytest.mark.parametrize("changed", ["viewer/stage.js", "viewer/package-lock.json", "setup/build_viewer.sh"])
+@pytest.mark.parametrize(
+    "changed",
+    ["viewer/stage.js", "viewer/package-lock.json", "envs/playback_files/stage.json", "setup/build_viewer.sh"],
+)
 def test_builds_the_player_again_when_its_sources_change(checkout: Checkout, changed: str) -> None:
     checkout.run(str(checkout.root / "vitac"), "serve")
     with (checkout.root / changed).open("a") as file:

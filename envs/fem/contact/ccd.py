@@ -88,26 +88,23 @@ def _keeps_gap(x: Quad, v: Quad, r: Vec3, gap_fraction: float, allowed: float, p
     budget = max(gap_fraction - _CLEAR, 0.0) * squared
     if pair_type == POINT_TRIANGLE:
         return (
-            _keeps_clear(x[0], x[1], v[0], v[1], r, squared, budget, allowed)
-            and _keeps_clear(x[0], x[2], v[0], v[2], r, squared, budget, allowed)
-            and _keeps_clear(x[0], x[3], v[0], v[3], r, squared, budget, allowed)
+            _keeps_clear(subtract(x[0], x[1]), subtract(v[0], v[1]), r, squared, budget, allowed)
+            and _keeps_clear(subtract(x[0], x[2]), subtract(v[0], v[2]), r, squared, budget, allowed)
+            and _keeps_clear(subtract(x[0], x[3]), subtract(v[0], v[3]), r, squared, budget, allowed)
         )
     return (
-        _keeps_clear(x[0], x[2], v[0], v[2], r, squared, budget, allowed)
-        and _keeps_clear(x[0], x[3], v[0], v[3], r, squared, budget, allowed)
-        and _keeps_clear(x[1], x[2], v[1], v[2], r, squared, budget, allowed)
-        and _keeps_clear(x[1], x[3], v[1], v[3], r, squared, budget, allowed)
+        _keeps_clear(subtract(x[0], x[2]), subtract(v[0], v[2]), r, squared, budget, allowed)
+        and _keeps_clear(subtract(x[0], x[3]), subtract(v[0], v[3]), r, squared, budget, allowed)
+        and _keeps_clear(subtract(x[1], x[2]), subtract(v[1], v[2]), r, squared, budget, allowed)
+        and _keeps_clear(subtract(x[1], x[3]), subtract(v[1], v[3]), r, squared, budget, allowed)
     )
 
 
 @kernel
-def _keeps_clear(
-    xa: Vec3, xb: Vec3, va: Vec3, vb: Vec3, r: Vec3, squared: float, budget: float, allowed: float
-) -> bool:
-    """Return whether two vertices keep the gap along r, less the budget: all in squares of the gap."""
-    closing = -dot(subtract(va, vb), r)
-    gap = dot(subtract(xa, xb), r)
-    return gap >= (1.0 - _CLEAR) * squared and budget + (gap - squared) > allowed * closing and squared > 0.0
+def _keeps_clear(x: Vec3, v: Vec3, r: Vec3, squared: float, budget: float, allowed: float) -> bool:
+    """Return whether a vertex keeps the gap along r to another one, less the budget: all in squares of the gap."""
+    gap = dot(x, r)
+    return gap >= (1.0 - _CLEAR) * squared and budget + (gap - squared) > -allowed * dot(v, r) and squared > 0.0
 
 
 @kernel
