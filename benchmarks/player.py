@@ -6,6 +6,7 @@ The playback must be made and public; the front page can be measured, too. Scene
 scene comes later and frames are far slower than on a graphics card. The first picture is the still.
 """
 
+import argparse
 import shutil
 import sys
 from typing import Any
@@ -82,9 +83,12 @@ def list_missed(found: dict[str, Any]) -> list[str]:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("address", help="of the page")
+    address = parser.parse_args().address
     missed: list[str] = []
     for _ in range(RUNS):
-        load = measure(sys.argv[1])
+        load = measure(address)
         print({name: None if value is None else round(value, 3) for name, value in load.items()})
         missed += list_missed(load)
     sys.exit("\n".join(missed) or None)
