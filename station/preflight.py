@@ -8,6 +8,7 @@ from pathlib import Path
 
 from vitac.envs.errors import VitacError
 
+from .devices.gripper import Grasp
 from .devices.stage import StageState
 from .opened import OpenStation
 
@@ -84,7 +85,8 @@ def _measure(station: OpenStation, folder: Path) -> Iterator[Finding]:
         is_good=stage.state is StageState.IDLE,
         remedy="Clear its way and home it.",
     )
-    yield from _measure_gels(station)
+    if gripper.grasp is not Grasp.MET_OBJECT_CLOSING:  # else in free air, where the part does not deform the gels
+        yield from _measure_gels(station)
     free_gb, needed_gb = shutil.disk_usage(folder).free / _GB, station.procedure.free_gb
     yield Finding(
         name="Free disk",

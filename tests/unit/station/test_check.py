@@ -11,6 +11,7 @@ from vitac.station.check import Rule, check_station
 from vitac.station.description import StationDescription
 from vitac.station.devices.depth_camera import Intrinsics
 from vitac.station.devices.device import Identity
+from vitac.station.devices.gripper import Gripper
 from vitac.station.devices.stage import Stage
 from vitac.station.twin.force_torque import ForceTorqueFault
 from vitac.station.twin.gripper import GripperFault
@@ -106,6 +107,16 @@ def test_names_what_is_wrong_with_one_device_and_nothing_else(
     assert list(found) == [device]
     assert [each[0] for each in found[device]] == [rule]
     assert sentence in found[device][0][1]
+
+
+def test_a_gel_that_a_held_part_hides_is_not_taken_for_a_worn_one(twins: TwinStation) -> None:
+    """An agent that was killed in a contact leaves its part pressed between the gels; the next one must start."""
+    with Gripper(twins.description["gripper"]["port"], unit=twins.gripper.unit) as gripper:
+        gripper.activate()
+        gripper.start_move(255, speed=255, force=100)
+        gripper.wait(timeout_s=5.0)
+    worn_gel(twins)
+    assert problems(twins) == {}
 
 
 @pytest.mark.parametrize(
