@@ -89,7 +89,7 @@ class Arm:
 
     def _is_holding(self, status: GripperStatus) -> bool:
         self._station.gripper.check_fault(status)
-        return status.grasp is Grasp.MET_OBJECT_CLOSING and status.position > self._procedure.open_position
+        return status.holds_object and status.position > self._procedure.open_position
 
     def check_peg(self) -> None:
         """Raise NoPeg where the peg is gone, DeviceFault where the fingers move by themselves."""

@@ -170,7 +170,7 @@ def _check_braking(settings: dict[int, float], limits: Limits) -> Iterator[Probl
 
 def _holds_part(described: Gripper) -> bool:
     with gripper.Gripper(described.port, unit=described.unit) as opened:
-        return opened.status().grasp is gripper.Grasp.MET_OBJECT_CLOSING
+        return opened.status().holds_object
 
 
 def _check_gripper(described: Gripper) -> Iterator[Problem]:

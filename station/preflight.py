@@ -8,7 +8,6 @@ from pathlib import Path
 
 from vitac.envs.errors import VitacError
 
-from .devices.gripper import Grasp
 from .devices.stage import StageState
 from .opened import OpenStation
 
@@ -85,7 +84,7 @@ def _measure(station: OpenStation, folder: Path) -> Iterator[Finding]:
         is_good=stage.state is StageState.IDLE,
         remedy="Clear its way and home it.",
     )
-    if gripper.grasp is not Grasp.MET_OBJECT_CLOSING:  # else in free air, where the part does not deform the gels
+    if not gripper.holds_object:  # else `check_held` does it in free air, where the part is pressed onto nothing
         yield from _measure_gels(station)
     free_gb, needed_gb = shutil.disk_usage(folder).free / _GB, station.procedure.free_gb
     yield Finding(

@@ -56,6 +56,11 @@ class GripperStatus:
     position: int
     current: int
 
+    @property
+    def holds_object(self) -> bool:
+        """Whether closing fingers have met something."""
+        return self.grasp is Grasp.MET_OBJECT_CLOSING
+
 
 class Gripper:
     """A Hand-E at an open serial port; use it in `with`."""

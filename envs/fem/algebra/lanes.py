@@ -30,7 +30,7 @@ def subtract_products(typing_context, front, places, factors):  # type: ignore[n
     _check_arrays(front)
 
     def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        data = _numbers_of(context, builder, signature, arguments, 0)
+        data = _get_numbers(context, builder, signature, arguments, 0)
         row, pivot, stride, skipped = (builder.extract_value(arguments[1], k) for k in range(4))
 
         def lanes(first: Any, i: int) -> Any:
@@ -62,8 +62,8 @@ def _weighted_sum(terms: int, *, adds: bool) -> Any:
         _check_arrays(target, source)
 
         def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-            to = _lanes(builder, _numbers_of(context, builder, signature, arguments, 0), arguments[1])
-            numbers = _numbers_of(context, builder, signature, arguments, 3)
+            to = _lanes(builder, _get_numbers(context, builder, signature, arguments, 0), arguments[1])
+            numbers = _get_numbers(context, builder, signature, arguments, 3)
             total = None
             for k in range(terms):
                 weight = _in_all_lanes(builder, builder.extract_value(arguments[2], k))
@@ -93,7 +93,7 @@ def _check_arrays(*arrays: Any) -> None:
             raise numba.errors.TypingError(f"Lanes take contiguous float64 arrays, got {array}.")
 
 
-def _numbers_of(context: Any, builder: Any, signature: Any, arguments: Any, i: int) -> Any:
+def _get_numbers(context: Any, builder: Any, signature: Any, arguments: Any, i: int) -> Any:
     return context.make_array(signature.args[i])(context, builder, arguments[i]).data
 
 
