@@ -1,12 +1,14 @@
 """Counts open event streams, those of API and pages together: all of the server, of each team and of each address."""
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterable, AsyncIterator
 from contextlib import ExitStack, asynccontextmanager
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 from fastapi import Request
 from fastapi.concurrency import run_in_threadpool
+from sse_starlette import EventSourceResponse, ServerSentEvent
+from starlette.types import Receive, Scope, Send
 
 from ..db.states import Quota
 from ..limiter import ConcurrencyLimiter
@@ -58,17 +60,35 @@ class OpenStreams:
                 raise exceeded(principal.team_name or principal.account, Quota.EVENT_STREAMS, limit)
             yield
 
-    async def require_place(self, principal: Principal) -> None:
-        """Refuse one stream too many before its answer begins.
-
-        Raises:
-            ServiceError: as `one`.
-        """
-        async with self.one(principal):
-            pass
-
     def _find_limit(self, principal: Principal) -> int | None:
         if principal.team_id is None:
             return None
         with self.services.database.transaction() as session:
             return find_limit(session, self.services.settings.quotas, principal.team_id, Quota.EVENT_STREAMS)
+
+
+class CountedStream(EventSourceResponse):
+    """An event stream that counts from before its answer begins, so that one too many is refused.
+
+    Args:
+        streams: among which it counts.
+        principal: whose stream it is.
+        events: to send.
+        options: of `EventSourceResponse`.
+    """
+
+    def __init__(
+        self, streams: OpenStreams, principal: Principal, events: AsyncIterable[ServerSentEvent], **options: Any
+    ) -> None:
+        super().__init__(events, **options)
+        self._streams = streams
+        self._principal = principal
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the events.
+
+        Raises:
+            ServiceError: as `OpenStreams.one`.
+        """
+        async with self._streams.one(self._principal):
+            await super().__call__(scope, receive, send)

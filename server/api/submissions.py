@@ -41,7 +41,7 @@ from ..views.submissions import (
 from ..visibility import visible
 from .access import MAX_NUMBER, PrincipalOf, ReaderOf, ServicesOf
 from .problems import RESPONSES
-from .streams import OpenStreams
+from .streams import CountedStream, OpenStreams
 
 router = APIRouter(prefix="/submissions", tags=["submissions"], responses=RESPONSES)
 
@@ -359,8 +359,7 @@ async def follow_submission(
     # Before the stream begins, so that a foreign id is answered with 404 and not with an empty stream.
     await run_in_threadpool(_require_own, services, principal, submission_id)
     streams = OpenStreams.from_request(request, services)
-    await streams.require_place(principal)
-    return EventSourceResponse(_events(request, streams, principal, submission_id), ping=PING_S)
+    return CountedStream(streams, principal, _events(request, services, principal, submission_id), ping=PING_S)
 
 
 def _show_changed(
@@ -380,16 +379,14 @@ def _require_own(services: Services, principal: Principal, submission_id: UUID) 
 
 
 async def _events(
-    request: Request, streams: OpenStreams, principal: Principal, submission_id: UUID
+    request: Request, services: Services, principal: Principal, submission_id: UUID
 ) -> AsyncIterator[ServerSentEvent]:
-    services = streams.services
-    async with streams.one(principal):
-        changes: Changes = request.app.state.changes
-        watching = watch(services.database, services.settings, principal, submission_id, changes)
-        async with aclosing(watching) as views:
-            async for view in views:
-                yield ServerSentEvent(view.model_dump_json(), event="submission")
-        yield ServerSentEvent(json.dumps({"submission": str(submission_id)}), event="end")
+    changes: Changes = request.app.state.changes
+    watching = watch(services.database, services.settings, principal, submission_id, changes)
+    async with aclosing(watching) as views:
+        async for view in views:
+            yield ServerSentEvent(view.model_dump_json(), event="submission")
+    yield ServerSentEvent(json.dumps({"submission": str(submission_id)}), event="end")
 
 
 def _check_type(request: Request, kind: SubmissionKind) -> None:

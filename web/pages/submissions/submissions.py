@@ -8,12 +8,12 @@ from typing import Any, cast
 from uuid import UUID
 
 from sqlalchemy.orm import Session
-from sse_starlette import EventSourceResponse, ServerSentEvent
+from sse_starlette import ServerSentEvent
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import UnknownTrack, load_track
-from vitac.server.api.streams import OpenStreams
+from vitac.server.api.streams import CountedStream, OpenStreams
 from vitac.server.appeals.appeals import takes_appeals
 from vitac.server.contest.view import competition_list_view, track_stages
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
@@ -122,10 +122,8 @@ async def events(request: Request) -> Response:
     if viewer is None:
         return Response(status_code=204)  # stops EventSource from reconnecting
     await _values(request, viewer)  # refuses a submission of another team before the stream starts
-    await _open_streams(request).require_place(viewer.principal)
-    return EventSourceResponse(
-        _changes(request, viewer), headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    )
+    streams = OpenStreams.from_request(request, get_site(request).services)
+    return CountedStream(streams, viewer.principal, _views(request))
 
 
 async def cancel(request: Request) -> Response:
@@ -134,12 +132,6 @@ async def cancel(request: Request) -> Response:
     submission_id = as_id(request.path_params["submission_id"])
     await get_site(request).ask(lambda session: runs.cancel(session, viewer.principal, submission_id))
     return RedirectResponse(f"/submissions/{submission_id}", status_code=303)
-
-
-async def _changes(request: Request, viewer: Viewer) -> AsyncIterator[ServerSentEvent]:
-    async with _open_streams(request).one(viewer.principal):
-        async for event in _views(request):
-            yield event
 
 
 async def _views(request: Request) -> AsyncIterator[ServerSentEvent]:
@@ -156,10 +148,6 @@ async def _views(request: Request) -> AsyncIterator[ServerSentEvent]:
                 break
             await watched.wait(seen)
     yield ServerSentEvent(event="end", data="")
-
-
-def _open_streams(request: Request) -> OpenStreams:
-    return OpenStreams.from_request(request, get_site(request).services)
 
 
 async def _read_detail(request: Request, viewer: Viewer | None) -> SubmissionDetail:

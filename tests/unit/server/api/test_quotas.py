@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from httpx import Response
 from service_client import API, Service, bearer, make_archive, problem_of, running_service
+from vitac.server.api.streams import OpenStreams
 from vitac.server.db.engine import Database
 from vitac.server.settings import Quotas
 
@@ -80,6 +81,30 @@ def test_a_team_has_so_many_event_streams_and_other_teams_theirs(service: Servic
         problem_of(service.get(mine), 429, "quota_exceeded")
         with service.client.stream("GET", f"{API}{other}", headers=bearer(service.other_token)) as theirs:
             assert theirs.status_code == 200
+
+
+def test_of_two_streams_asked_for_at_once_the_one_too_many_is_refused(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = f"/submissions/{service.upload(archive(1)).json()['id']}/events"
+    both_look, both_asked, answers = threading.Barrier(2), threading.Barrier(2), list[int]()
+
+    def find_limit(*_: object) -> int:
+        both_look.wait(60)
+        return 1
+
+    def follow() -> None:
+        with service.client.stream("GET", f"{API}{path}", headers=bearer(service.token)) as answer:
+            answers.append(answer.status_code)
+            both_asked.wait(60)
+
+    monkeypatch.setattr(OpenStreams, "_find_limit", find_limit)
+    threads = [threading.Thread(target=follow) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(answers) == [200, 429]
 
 
 def test_a_team_reads_its_quotas_and_an_organizer_has_none(service: Service) -> None:
