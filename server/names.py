@@ -2,7 +2,9 @@
 
 import re
 import unicodedata
+from collections.abc import Iterable
 from functools import lru_cache
+from itertools import pairwise
 from typing import Final
 
 from .errors import ProblemCode, ServiceError
@@ -15,16 +17,23 @@ MARKS_IN_A_ROW: Final = 3
 """Nonspacing marks on one letter; scripts that are written with marks need no more."""
 _DIACRITICS: Final = re.compile("[\u0300-\u036f\u1ab0-\u1aff\u1dc0-\u1dff\u20d0-\u20ff\ufe20-\ufe2f]")
 """Marks that belong to no script of their own."""
+_LATIN_FORM: Final = re.compile("LATIN (CAPITAL|SMALL|LETTER SMALL CAPITAL)(?: LETTER)? ([A-Z])(?: WITH .*)?")
+"""Character names of Latin letters with a stroke, hook or tail, and of small capitals."""
 _SAME_STROKES: Final = (("vv", "w"),)
 """What Unicode's table lacks."""
-_RESERVED_WORDS: Final = frozenset(
-    f"{word}{ending}"
-    for word in ("organizer", "organiser", "admin", "administrator", "moderator")
-    for ending in ("", "s")
+_I_BESIDE_CAPITALS: Final = re.compile("(?<![a-z])I(?![a-z])")
+"""Beside small letters it may be read as an l."""
+_RESERVED_STEMS: Final = (
+    *("admin", "sysadmin", "superadmin", "moderator"),
+    *("organizer", "organiser", "organizing", "organising"),
 )
-_RESERVED_NAMES: Final = frozenset(
-    {"vitac", "vitac arena", "judge", "jury", "staff", "support", "official", "system", "root"}
-)
+"""No word of a name begins with one."""
+_SERVICE: Final = ("vitac arena",)
+"""Part of no name."""
+_RESERVED_NAMES: Final = ("system", "root")
+_TITLES: Final = ("vitac", "judge", "judges", "jury", "staff", "support", "official", "officials", "committee")
+"""A name has further words besides these, numbers and the next ones."""
+_FILLING_WORDS: Final = ("the", "of", "team", "member", "members", "arena")
 
 
 def clean(name: str, *, what: str, min_length: int, max_length: int) -> str:
@@ -66,26 +75,48 @@ def key(name: str, *, max_length: int) -> str:
 def is_reserved(name: str) -> bool:
     """Return whether readers would take a name for that of the service or of those who run it."""
     words = [word for word in re.split(r"[\W_]+", name) if word]
-    return any(look_alike(name, one) for one in _RESERVED_NAMES) or any(
-        look_alike(word, form) for word in words for one in _RESERVED_WORDS for form in (one, one.title())
-    )
+    stems = tuple(form for stem in _RESERVED_STEMS for form in _read(stem))
+    if any(form.startswith(stems) for word in (name, *words) for form in _read(word)):
+        return True
+    if any(_is_one_of(part, _SERVICE) for part in (*words, *map("".join, pairwise(words)))):
+        return True
+    if _is_one_of(name, _RESERVED_NAMES + _TITLES):
+        return True
+    named = [word for word in words if not word.isdigit() and not _is_one_of(word, _FILLING_WORDS)]
+    return bool(named) and all(_is_one_of(word, _TITLES) for word in named)
+
+
+def _is_one_of(text: str, words: Iterable[str]) -> bool:
+    return any(_read(text) & _read(word) for word in words)
+
+
+def _read(text: str) -> set[str]:
+    """Return what somebody may read who expects a certain word: case and dots of letters do not count."""
+    return {outline.removeprefix("=").casefold().replace("i", "l") for outline in _outlines(text)}
+
+
+def mixes_scripts(name: str) -> bool:
+    """Return whether a word has letters of Latin and Cyrillic; Unicode's table lacks some that look alike."""
+    words = ({unicodedata.name(one, "").partition(" ")[0] for one in word} for word in re.split(r"[\W_]+", name))
+    return any({"LATIN", "CYRILLIC"} <= scripts for scripts in words)
 
 
 def look_alike(one: str, other: str) -> bool:
     """Return whether a reader may take one name for the other.
 
     They differ at most in letters that look alike (the table of Unicode Technical Standard 39), case, diacritics,
-    spaces and punctuation.
+    spaces, punctuation, and signs such as `~` and `+`.
     """
     return bool(set(_outlines(one)) & set(_outlines(other)))
 
 
 @lru_cache(maxsize=16_384)
-def _outlines(name: str) -> tuple[str, str]:
-    """Return what is drawn: with letters of all cases as one, and with each case for itself."""
+def _outlines(name: str) -> tuple[str, str, str]:
+    """Return what is drawn: with letters of all cases as one, with each case for itself, and each drawn case as one."""
     plain = _DIACRITICS.sub("", unicodedata.normalize("NFKD", name))
     latin = "".join(one if one.isascii() else _find_original(one) for one in plain)
-    return _strokes(latin.casefold()), f"={_strokes(latin)}"
+    drawn = _strokes(_I_BESIDE_CAPITALS.sub("i", latin)).casefold()
+    return _strokes(latin.casefold()), f"={_strokes(latin)}", _strokes(drawn)
 
 
 def _strokes(name: str) -> str:
@@ -93,13 +124,20 @@ def _strokes(name: str) -> str:
     drawn = _DIACRITICS.sub("", unicodedata.normalize("NFKD", "".join(map(_find_original, name))))
     for strokes, alike in _SAME_STROKES:
         drawn = drawn.replace(strokes, alike)
-    return "".join(one for one in drawn if unicodedata.category(one)[0] not in "PZ") or drawn
+    return "".join(one for one in drawn if not _separates(unicodedata.category(one))) or drawn
+
+
+def _separates(category: str) -> bool:
+    return category[0] in "PZ" or category in {"Sk", "Sm"}
 
 
 def _find_original(character: str) -> str:
     """Return the characters that stand for one in Unicode's table, which the library gives in both directions."""
     from confusable_homoglyphs.confusables import confusables_data  # 1 MB, which only a new name needs
 
+    form = None if character.isascii() else _LATIN_FORM.fullmatch(unicodedata.name(character, ""))
+    if form is not None:
+        return form[2].lower() if form[1] == "SMALL" else form[2]
     alike: list[str] = [found["c"].strip("\u200e") for found in confusables_data.get(character, ())]
     if len(alike) != 1:  # it stands for others, or nothing looks like it
         return character

@@ -289,7 +289,8 @@ def _checked_name(session: Session, by: Principal | None, name: str, *, but: Tea
 
 def _find_name_problem(session: Session, by: Principal | None, shown: str, but: Team | None) -> str | None:
     """Return why nobody else may have a name; an organizer's own team may have a reserved one."""
-    if not (by is not None and by.is_organizer) and names.is_reserved(shown):
+    is_own = by is not None and by.is_organizer
+    if not is_own and names.is_reserved(shown):
         return f"The name {shown!r} is reserved for those who run this service"
     query = select(Team.name, Team.pseudonym)
     others = session.execute(query if but is None else query.where(Team.id != but.id)).all()
@@ -300,6 +301,8 @@ def _find_name_problem(session: Session, by: Principal | None, shown: str, but: 
         return f"The name {shown!r} looks like that of team {alike!r}"
     if any(names.look_alike(shown, row.pseudonym) for row in others):
         return f"The name {shown!r} looks like one under which another team is shown"
+    if not is_own and names.mixes_scripts(shown):
+        return f"The name {shown!r} mixes Latin and Cyrillic letters in a word"
     return None
 
 
