@@ -15,7 +15,7 @@ from ..db.engine import Database
 from ..db.models import ApiToken, Invitation, Member, Team
 from ..db.states import MemberRole, NoticeKind, Role
 from ..errors import ProblemCode, ServiceError, not_found
-from ..notices.outbox import ask_to_confirm
+from ..notices.outbox import MAX_CONFIRMATIONS, MAX_CONFIRMATIONS_OF_TEAM, ask_to_confirm
 from ..principals import Principal
 from ..teams import teams
 from ..tokens import IssuedToken
@@ -237,7 +237,7 @@ def set_email(session: Session, by: Principal, member: Member, email: str | None
     It gets a code, and nothing else before `confirm_email`. What an organizer sets is confirmed.
 
     Raises:
-        ServiceError: as `renew_token`.
+        ServiceError: as `renew_token`, or no further code may be sent.
     """
     _require_own(by, member)
     before = {"email": member.email is not None}
@@ -246,7 +246,13 @@ def set_email(session: Session, by: Principal, member: Member, email: str | None
         member.email_confirmed_at = datetime.now(UTC) if email is not None else None
     elif email != member.email or member.email_confirmed_at is None:
         member.email, member.email_confirmed_at = email, None
-        _ask_to_confirm(session, member)
+        if not _ask_to_confirm(session, member):
+            raise ServiceError(
+                ProblemCode.TOO_MANY_REQUESTS,
+                f"No code was sent to {email}, and nothing was changed: an address gets {MAX_CONFIRMATIONS} codes in "
+                f"30 days, and a team has {MAX_CONFIRMATIONS_OF_TEAM} sent in a day. Use another address, or ask the "
+                "organizers to set this one.",
+            )
     record(session, by, "member.email", f"member:{member.id}", {"email": email is not None}, before=before)
 
 
@@ -265,12 +271,11 @@ def confirm_email(session: Session, by: Principal, member: Member, code: str) ->
     record(session, by, "member.email_confirm", f"member:{member.id}", {"email": True}, before={"email": True})
 
 
-def _ask_to_confirm(session: Session, member: Member) -> None:
-    """Send a code to a member's address, or forget the one before."""
+def _ask_to_confirm(session: Session, member: Member) -> bool:
+    """Send a code to a member's address, or forget the one before; return whether no limit of codes is reached."""
     code = EMAIL_CODE_PREFIX + secrets.token_urlsafe(12)
     member.email_code_sha256 = tokens.hash_secret(code) if member.email is not None else None
-    if member.email is not None:
-        ask_to_confirm(session, member.team_id, member.email, code)
+    return member.email is None or ask_to_confirm(session, member.team_id, member.email, code)
 
 
 def mute(session: Session, by: Principal, member: Member, kinds: Collection[NoticeKind]) -> None:

@@ -1,5 +1,6 @@
 """The outbox: notices are written in the transaction of their event, and sent later by `sending`."""
 
+import re
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -24,6 +25,10 @@ MAX_MAILS_A_DAY_TO_ONE = 100
 """Maximum e-mails a day to one address, of all teams together."""
 MAX_CONFIRMATIONS = 3
 """Maximum codes to one address within 30 days, of all teams together: it may belong to somebody else."""
+MAX_CONFIRMATIONS_OF_TEAM = 60
+"""Maximum codes a day that one team has sent to any addresses; it has at most 50 members."""
+_TAG = r"\+[^@]*@"
+"""What most mail services ignore: `ann+vitac@example.org` is read by `ann@example.org`."""
 
 
 def announce(session: Session, kind: NoticeKind, team_id: UUID, subject: str, facts: Mapping[str, Any]) -> None:
@@ -41,14 +46,14 @@ def announce(session: Session, kind: NoticeKind, team_id: UUID, subject: str, fa
             Member.team_id == team_id, Member.left_at.is_(None), Member.email_confirmed_at.is_not(None)
         )
     )
-    targets = [(NoticeChannel.MAIL, member.email) for member in found if kind.value not in member.muted]
+    targets = [(NoticeChannel.MAIL, one.email) for one in found if one.email and kind.value not in one.muted]
     if targets:
         left = MAX_MAILS_A_DAY - _count_mails(session, timedelta(days=1), Notice.team_id == team_id)
         targets = targets[: max(0, left)]
     targets = [
         (channel, address)
         for channel, address in targets
-        if _count_mails(session, timedelta(days=1), Notice.target == address) < MAX_MAILS_A_DAY_TO_ONE
+        if _count_mails(session, timedelta(days=1), _is_to(address)) < MAX_MAILS_A_DAY_TO_ONE
     ]
     hooks = session.scalars(select(Webhook.id).where(Webhook.team_id == team_id))
     targets += [(NoticeChannel.WEBHOOK, str(hook)) for hook in hooks]
@@ -61,20 +66,30 @@ def announce(session: Session, kind: NoticeKind, team_id: UUID, subject: str, fa
     session.execute(insert(Notice).values(rows).on_conflict_do_nothing(constraint="uq_notices_once"))
 
 
-def ask_to_confirm(session: Session, team_id: UUID, address: str, code: str) -> None:
-    """Write the code that confirms an address to it, unless its limit of codes is reached."""
+def ask_to_confirm(session: Session, team_id: UUID, address: str, code: str) -> bool:
+    """Write the code that confirms an address to it; return whether no limit of codes is reached."""
     is_one = Notice.kind == NoticeKind.CONFIRMATION
-    if _count_mails(session, timedelta(days=30), Notice.target == address, is_one) < MAX_CONFIRMATIONS:
-        session.add(
-            Notice(
-                kind=NoticeKind.CONFIRMATION,
-                team_id=team_id,
-                subject=f"address:{uuid4()}",
-                channel=NoticeChannel.MAIL,
-                target=address,
-                facts={"code": code, "page": "/team"},
-            )
+    to_address = _count_mails(session, timedelta(days=30), is_one, _is_to(address))
+    of_team = _count_mails(session, timedelta(days=1), is_one, Notice.team_id == team_id)
+    if to_address >= MAX_CONFIRMATIONS or of_team >= MAX_CONFIRMATIONS_OF_TEAM:
+        return False
+    session.add(
+        Notice(
+            kind=NoticeKind.CONFIRMATION,
+            team_id=team_id,
+            subject=f"address:{uuid4()}",
+            channel=NoticeChannel.MAIL,
+            target=address,
+            facts={"code": code, "page": "/team"},
         )
+    )
+    return True
+
+
+def _is_to(address: str) -> ColumnElement[bool]:
+    """Select what the reader of an address gets, however it is written."""
+    written = func.regexp_replace(func.lower(Notice.target), _TAG, "@")
+    return written == re.sub(_TAG, "@", address.lower())
 
 
 def _count_mails(session: Session, within: timedelta, *conditions: ColumnElement[bool]) -> int:

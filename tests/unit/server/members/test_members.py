@@ -283,15 +283,30 @@ def test_an_address_gets_a_code_and_nothing_else_before_it_is_confirmed(database
         assert ann.email_confirmed_at is None
 
 
-def test_one_address_gets_few_mails_of_all_teams_together(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_address_gets_few_mails_of_all_teams_however_it_is_written(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(outbox, "MAX_MAILS_A_DAY_TO_ONE", 5)
+    forms = ("victim@example.org", "Victim@Example.ORG", "victim+1@example.org")
     with database.transaction() as session:
-        for name in ("Ants", "Bees", "Cats", "Dogs"):
+        for name, form in zip(("Ants", "Bees", "Cats"), forms, strict=True):
             ann, by_ann = joined(session, make_principal(session, name))
-            members.set_email(session, by_ann, ann, "victim@example.org")
-        sent = select(Notice).where(Notice.target == "victim@example.org")
-        assert len(session.scalars(sent).all()) == outbox.MAX_CONFIRMATIONS
+            members.set_email(session, by_ann, ann, form)
+        assert len(session.scalars(select(Notice)).all()) == outbox.MAX_CONFIRMATIONS
+        for form in (*forms, "VICTIM+2@example.org"):
+            with refused(ProblemCode.TOO_MANY_REQUESTS):
+                members.set_email(session, by_ann, ann, form)
         ann.email_confirmed_at = datetime.now(UTC)
         for number in range(4):
             announce(session, NoticeKind.ANNOUNCEMENT, ann.team_id, f"announcement:{number}", {})
-        assert len(session.scalars(sent).all()) == outbox.MAX_MAILS_A_DAY_TO_ONE
+        assert len(session.scalars(select(Notice)).all()) == outbox.MAX_MAILS_A_DAY_TO_ONE
+
+
+def test_a_team_has_few_codes_sent_to_strangers(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outbox, "MAX_CONFIRMATIONS_OF_TEAM", 2)
+    with database.transaction() as session:
+        ann, by_ann = joined(session, make_principal(session))
+        for number in range(2):
+            members.set_email(session, by_ann, ann, f"stranger{number}@example.org")
+        with refused(ProblemCode.TOO_MANY_REQUESTS):
+            members.set_email(session, by_ann, ann, "stranger2@example.org")
