@@ -15,7 +15,7 @@ from ..db.states import NoticeKind
 from ..errors import not_found
 from ..members import members, passwords
 from ..members.passwords import MAX_LENGTH, MIN_LENGTH
-from ..notices import webhooks
+from ..notices import addresses, webhooks
 from ..principals import CONSOLE, Principal
 from ..services import Services
 from ..teams import merging, teams
@@ -25,6 +25,7 @@ from ..views.team_data import TeamDataView
 from ..views.teams import NewInvitationView, NewTokenView, OwnTeamView, RegisteredTeamView
 from .access import PrincipalOf, ServicesOf
 from .attempts import note_password, note_registration
+from .middleware.shares import leave_place
 from .problems import RESPONSES
 from .teams import ONE_LINE
 
@@ -214,9 +215,14 @@ def list_webhooks(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -
 
 
 @router.post("/{team_id}/webhooks", status_code=HTTPStatus.CREATED)
-def add_webhook(services: ServicesOf, principal: PrincipalOf, team_id: UUID, new: NewWebhook) -> NewWebhookView:
+def add_webhook(
+    request: Request, services: ServicesOf, principal: PrincipalOf, team_id: UUID, new: NewWebhook
+) -> NewWebhookView:
     """Have the team's notices sent to an address; the secret that signs them is shown this once."""
     inside = services.settings.webhooks_may_lead_inside
+    if not inside:
+        leave_place(request)
+        addresses.require_public(new.address)
     with services.database.transaction() as session:
         team = _team(session, principal, team_id)
         return webhooks.add(session, principal, team, new.address, inside_allowed=inside)

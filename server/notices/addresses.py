@@ -1,6 +1,8 @@
 """Where a webhook may lead: to hosts of the internet, not to those that only this machine can reach."""
 
 import socket
+import threading
+from contextlib import suppress
 from ipaddress import IPv4Address, ip_address, ip_network
 from typing import Any, Final
 from urllib.parse import SplitResult, urlsplit
@@ -8,6 +10,10 @@ from urllib.parse import SplitResult, urlsplit
 from ..errors import ProblemCode, ServiceError
 
 MAX_LENGTH = 500
+LOOKED_UP_WITHIN_S = 2.0
+"""A host that is not found within this time may be named; where it leads is looked at with each notice."""
+_LOOK_UPS = threading.BoundedSemaphore(4)
+"""Hosts that are looked up at the same time; name servers of others may take long to answer."""
 _INTERNET_6 = ip_network("2000::/3")
 """What of version 6 is given out to networks; loopback, mapped (`::ffff:`), NAT64 and local addresses are outside."""
 _NOT_PUBLIC: Final = tuple(
@@ -39,7 +45,8 @@ def checked(address: str, *, inside_allowed: bool, what: str = "The webhook's ad
         what: is given, for the message.
 
     Raises:
-        ServiceError: it cannot be used; where the host leads is looked at with each notice.
+        ServiceError: it cannot be used; where the name of a host leads is looked at by `require_public`, and with each
+            notice.
     """
     try:
         parts = urlsplit(address)
@@ -53,7 +60,37 @@ def checked(address: str, *, inside_allowed: bool, what: str = "The webhook's ad
         raise _invalid(what, address, f"expected {' or '.join(schemes)}://HOST/...")
     if parts.username is not None or parts.password is not None or parts.fragment:
         raise _invalid(what, address, "expected an address without user, password and fragment")
+    if not inside_allowed and not _may_be_public(parts.hostname):
+        raise _invalid(what, address, f"{parts.hostname} is not an address of the public internet")
     return parts
+
+
+def require_public(address: str) -> None:
+    """Refuse an address whose host leads inside; a host that is not found, or not soon, may be named.
+
+    No transaction is open meanwhile.
+
+    Raises:
+        ServiceError: as `checked`, or the host leads inside.
+    """
+    parts, problems = checked(address, inside_allowed=False), list[str]()
+
+    def look_up() -> None:
+        try:
+            resolved(parts.hostname or "", parts.port or 443, inside_allowed=False)
+        except PermissionError as error:
+            problems.append(str(error))
+        except (OSError, UnicodeError):
+            pass
+        finally:
+            _LOOK_UPS.release()
+
+    if _LOOK_UPS.acquire(blocking=False):
+        thread = threading.Thread(target=look_up, name="webhook-host", daemon=True)
+        thread.start()
+        thread.join(LOOKED_UP_WITHIN_S)
+    if problems:
+        raise _invalid("The webhook's address", address, problems[0])
 
 
 def resolved(host: str, port: int, *, inside_allowed: bool) -> SocketAddress:
@@ -75,6 +112,13 @@ def is_public(address: str) -> bool:
     found = ip_address(address.partition("%")[0])
     is_given_out = isinstance(found, IPv4Address) or found in _INTERNET_6
     return is_given_out and not any(found in network for network in _NOT_PUBLIC if network.version == found.version)
+
+
+def _may_be_public(host: str) -> bool:
+    """Return whether a host is a name, or an address of the internet."""
+    with suppress(ValueError):
+        return is_public(host)
+    return True
 
 
 def _invalid(what: str, address: str, problem: str) -> ServiceError:

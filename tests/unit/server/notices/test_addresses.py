@@ -1,4 +1,5 @@
 import socket
+import threading
 
 import pytest
 from vitac.server.errors import ServiceError
@@ -51,6 +52,28 @@ def test_a_host_that_leads_inside_is_refused_also_as_one_of_several(
         with pytest.raises(PermissionError, match="not an address of the public internet"):
             addresses.resolved("hook.example.org", 443, inside_allowed=False)
     assert addresses.resolved("hook.example.org", 443, inside_allowed=True)[1][0] == "93.184.215.14"
+
+
+@pytest.mark.parametrize("inside", [*INSIDE, "localhost", "127.1", "2130706433"])
+def test_a_webhook_to_a_host_inside_is_refused_when_it_is_added(inside: str) -> None:
+    host = f"[{inside}]" if ":" in inside else inside
+    with pytest.raises(ServiceError, match="not an address of the public internet"):
+        addresses.require_public(f"https://{host}/hook")
+
+
+def test_a_webhook_may_be_added_while_its_host_is_not_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, answered = threading.Event(), threading.Event()
+
+    def look_up(*_: object, **__: object) -> list[object]:
+        asked.set()
+        answered.wait(60)
+        raise socket.gaierror
+
+    monkeypatch.setattr(addresses, "LOOKED_UP_WITHIN_S", 0.01)
+    monkeypatch.setattr(addresses.socket, "getaddrinfo", look_up)  # type: ignore[attr-defined]
+    addresses.require_public("https://hook.example.org/")
+    assert asked.wait(60)
+    answered.set()
 
 
 def test_a_host_of_the_internet_is_connected_to_by_its_address(monkeypatch: pytest.MonkeyPatch) -> None:
