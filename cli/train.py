@@ -145,13 +145,17 @@ def reference(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the training.")] = 0,
     sensor: Sensor = None,
+    fidelity: Annotated[str, typer.Option(help="Of the episodes that are learned from: full or training.")] = "full",
+    device: Annotated[str, typer.Option(help="Of torch: cpu, or cuda for a GPU; only cpu repeats to the bit.")] = "cpu",
 ) -> None:
     """Train as the challenge did, with PointNet and TD3, or continue; needs the extra `training`."""
     _one_thread()
     from vitac.training.reference.td3 import train_reference
 
     with _going_on_later(out):
-        submission = train_reference(task, out, env_steps=env_steps, seed=seed, sensor=sensor, tell=_tell)
+        submission = train_reference(
+            task, out, env_steps=env_steps, seed=seed, sensor=sensor, fidelity=fidelity, device=device, tell=_tell
+        )
     print_pairs({"submission": submission})
 
 

@@ -24,6 +24,7 @@ import vitac.envs  # noqa: F401 - registers the environments
 from vitac.envs.errors import VitacError
 from vitac.envs.extras import install_command
 from vitac.envs.tactile.design import SensorDesign
+from vitac.envs.tasks.fidelity import Fidelity, find_fidelity
 from vitac.evaluator.tracks import load_track
 
 from ..charts import Charts
@@ -60,6 +61,10 @@ class UnknownReferenceTask(VitacError):
     """The challenge's method is not known for this task; choose one that the message names."""
 
 
+class TrainingDeviceMissing(VitacError):
+    """torch finds no such device on this machine; choose another, or install torch's build for it."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Hyperparameters:
     """How a task is trained; the defaults are common to all tasks."""
@@ -84,6 +89,8 @@ class Hyperparameters:
     checkpoint_env_steps: int = 2000  # env steps between two checkpoints, each with an evaluation
     evaluation_episodes: int = 50  # starts of an evaluation; nothing is learned from them
     log_interval: int = 10  # episodes between two lines of the log
+    fidelity: Fidelity = Fidelity.FULL  # of the episodes that are learned from; evaluations are played at full fidelity
+    device: str = "cpu"  # of torch, where the networks learn
 
 
 HYPERPARAMETERS = {
@@ -120,7 +127,7 @@ class ChallengeActor(Actor):  # type: ignore[misc] # torch is not there when typ
 
     def __init__(self, task: str, **arguments: Any) -> None:
         super().__init__(**arguments)
-        self.network = ACTORS[task](encoder=CachedPointNet)
+        self.network = ACTORS[task](encoder=CachedPointNet if self.device.type == "cpu" else PointNet)
 
     def forward(self, obs: Any) -> Any:
         """Return the actions."""
@@ -176,7 +183,7 @@ def new_model(task: str, chosen: Hyperparameters, env: Any) -> Any:
             "optimizer_kwargs": {"fused": True},
         },
         seed=chosen.seed,
-        device="cpu",
+        device=chosen.device,
     )
 
 
@@ -211,8 +218,8 @@ def _target_values(model: Any, batch: Any, chosen: Hyperparameters) -> Any:
     After the last env step of an episode there is no next action, so none is computed.
     """
     with torch.no_grad():
-        noise = torch.empty_like(batch.actions).normal_(0, chosen.target_noise)
-        noise.clamp_(-chosen.target_noise_clip, chosen.target_noise_clip)
+        noise = torch.empty(batch.actions.shape).normal_(0, chosen.target_noise)  # the same draws for every device
+        noise = noise.clamp_(-chosen.target_noise_clip, chosen.target_noise_clip).to(batch.actions.device)
         continues = batch.dones[:, 0] < 1
         observations = {key: value[continues] for key, value in batch.next_observations.items()}
         actions = (model.actor_target(observations) + noise[continues]).clamp(-1, 1)
@@ -249,6 +256,8 @@ def train_reference(
     env_steps: int | None = None,
     seed: int = 0,
     sensor: Path | None = None,
+    fidelity: str = Fidelity.FULL.value,
+    device: str = "cpu",
     tell: Tell = lambda _: None,
 ) -> Path:
     """Train as the challenge did, or continue a training, and return a submission.
@@ -259,10 +268,14 @@ def train_reference(
         env_steps: in place of the published number.
         seed: of the training.
         sensor: folder of the team's own sensor, for the task of Track 3.
+        fidelity: of the episodes that are learned from, "full" or "training"; evaluations are played at full fidelity.
+        device: of torch, such as `cuda`. Only `cpu` repeats to the bit.
         tell: receives lines about the progress.
 
     Raises:
         UnknownReferenceTask: the task is unknown.
+        SettingsError: the fidelity is unknown, or is not full and there is a sensor.
+        TrainingDeviceMissing: torch finds no such device.
         SensorMismatch: the task needs a sensor, or plays with the challenge's.
         SensorRejected: the sensor breaks a rule.
         OtherRun: the folder is that of another training or version, or holds more env steps, or another process trains
@@ -274,7 +287,9 @@ def train_reference(
     """
     if task not in HYPERPARAMETERS:
         raise UnknownReferenceTask(f"The task is '{task}', expected one of {', '.join(HYPERPARAMETERS)}.")
-    chosen = replace(HYPERPARAMETERS[task], seed=seed)
+    _refuse_missing_device(device)
+    found_fidelity = find_fidelity(fidelity, has_own_gel=sensor is not None)
+    chosen = replace(HYPERPARAMETERS[task], seed=seed, fidelity=found_fidelity, device=device)
     made = make_sensor(load_track(chosen.track), task, sensor)
     design, digest = (made.design(), made.digest) if made else (None, None)
     identity = {"task": task, **asdict(chosen), "sensor": digest}
@@ -285,7 +300,19 @@ def train_reference(
         return training.write_submission(sensor)
 
 
-def make_env(task: str, chosen: Hyperparameters, design: SensorDesign | None) -> Any:
+def _refuse_missing_device(name: str) -> None:
+    try:
+        torch.empty(0, device=name)
+    except (RuntimeError, AssertionError) as error:  # what torch raises depends on its build
+        raise TrainingDeviceMissing(
+            f"torch cannot use the device '{name}' here: expected cpu, or cuda where torch {torch.__version__} finds a "
+            f"GPU. It says: {str(error).splitlines()[0]}"
+        ) from error
+
+
+def make_env(
+    task: str, chosen: Hyperparameters, design: SensorDesign | None, fidelity: Fidelity = Fidelity.FULL
+) -> Any:
     """Return an environment that shows what the actor and the critics see."""
     keys = dict.fromkeys((*ACTORS[task]().observed, *chosen.truths))
     return gymnasium.make(
@@ -294,6 +321,7 @@ def make_env(task: str, chosen: Hyperparameters, design: SensorDesign | None) ->
         privileged=True,
         observation_keys=tuple(keys),
         sensor=design,
+        fidelity=fidelity.value,
         **chosen.settings,
     )
 
@@ -350,7 +378,8 @@ class Training:
     ) -> None:
         torch.set_num_threads(1)  # the bits must not depend on the number of cores
         self.task, self.chosen, self.folder, self.charts, self.tell = task, chosen, folder, charts, tell
-        self.env, self.held_out_env = (make_env(task, chosen, design) for _ in range(2))
+        self.env = make_env(task, chosen, design, chosen.fidelity)
+        self.held_out_env = make_env(task, chosen, design)
         self.model = new_model(task, chosen, self.env)
         self.history = History()
         self._losses: dict[str, list[float]] = defaultdict(list)
@@ -517,7 +546,7 @@ class Training:
         np.random.set_state(state["random"])  # noqa: NPY002
         torch.set_rng_state(torch.from_numpy(arrays["random_of_torch"]))
         self.model.action_space.np_random.bit_generator.state = state["random_of_actions"]
-        networks = torch.load(io.BytesIO(arrays["networks"].tobytes()), weights_only=True)
+        networks = torch.load(io.BytesIO(arrays["networks"].tobytes()), map_location="cpu", weights_only=True)
         for part, stored in zip(self._learning_parts(), networks, strict=True):
             part.load_state_dict(stored)
         vars(self.model.replay_buffer).update(state["buffer"])

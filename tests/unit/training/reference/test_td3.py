@@ -9,6 +9,7 @@ from pathlib import Path
 from runpy import run_path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -19,8 +20,10 @@ stable_baselines3 = pytest.importorskip(
 
 from stable_baselines3.common.logger import configure  # noqa: E402
 from toy_touch import ToyTouch  # noqa: E402
+from vitac.envs.tasks.fidelity import Fidelity  # noqa: E402
 from vitac.evaluator.submission.manifest import load_manifest  # noqa: E402
 from vitac.evaluator.tracks import find_task  # noqa: E402
+from vitac.training.charts import Charts  # noqa: E402
 from vitac.training.files import FileDamaged, NotSaved, load, save  # noqa: E402
 from vitac.training.learning.network import TrainingDiverged  # noqa: E402
 from vitac.training.reference import td3  # noqa: E402
@@ -29,6 +32,7 @@ from vitac.training.reference.td3 import (  # noqa: E402
     CLOUDS_AT_ONCE,
     HYPERPARAMETERS,
     CachedPointNet,
+    TrainingDeviceMissing,
     UnknownReferenceTask,
     gradient_step,
     make_env,
@@ -415,6 +419,42 @@ def test_full_disk_and_a_loss_that_is_no_number_keep_the_last_state(
 def test_unknown_task_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UnknownReferenceTask, match="The task is 'chess', expected one of peg-insertion"):
         train_reference("chess", tmp_path)
+
+
+@pytest.mark.parametrize("device", ["cuda:77", "abacus"])
+def test_a_missing_device_is_refused_before_a_folder_is_made(device: str, tmp_path: Path) -> None:
+    with pytest.raises(TrainingDeviceMissing, match=f"torch cannot use the device '{device}' here: expected cpu"):
+        train_reference(TASK, tmp_path / "run", device=device)
+    assert not (tmp_path / "run").exists()
+
+
+def test_only_the_episodes_that_are_learned_from_are_played_at_the_chosen_fidelity(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[str] = []
+    monkeypatch.setattr(td3, "make_env", make_env)
+
+    def make(*_: Any, fidelity: str, **__: Any) -> ToyTouch:
+        made.append(fidelity)
+        return ToyTouch((), 3)
+
+    monkeypatch.setattr(gymnasium, "make", make)
+    monkeypatch.setattr(td3, "new_model", lambda *_: None)
+    chosen = replace(CHOSEN, fidelity=Fidelity.TRAINING)
+    td3.Training(TASK, chosen, None, tmp_path, Charts(tmp_path, print), print)
+    assert made == ["training", "full"]
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU here")
+def test_the_gradient_step_on_a_gpu_equals_that_on_the_cpu_within_rounding(tmp_path: Path) -> None:
+    losses = []
+    for device in ("cpu", "cuda"):
+        chosen = replace(CHOSEN, device=device)
+        torch.manual_seed(0)
+        training = td3.Training(TASK, chosen, None, tmp_path / device, Charts(tmp_path, print), print)
+        training.learn(CHOSEN.learning_starts)
+        losses.append([gradient_step(training.model, chosen, number) for number in (1, 2)])
+    assert losses[1] == [pytest.approx(step, rel=1e-3) for step in losses[0]]
 
 
 def test_nothing_is_written_for_a_seed_whose_stream_an_official_list_has(
