@@ -22,7 +22,9 @@ def load_known_track(name: str) -> Track:
     try:
         return load_track(name)
     except UnknownTrack as error:
-        raise ServiceError(ProblemCode.UNKNOWN_TRACK, str(error), tracks=list(list_tracks())) from error
+        tracks = list(list_tracks())
+        sentence = f"There is no track {name!r}; the tracks are {', '.join(tracks)}."
+        raise ServiceError(ProblemCode.UNKNOWN_TRACK, sentence, tracks=tracks) from error
 
 
 def is_challenge_track(track: Track) -> bool:

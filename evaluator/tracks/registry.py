@@ -36,7 +36,10 @@ def load_track(name: str) -> Track:
     """
     files = _track_files()
     if name not in files:
-        raise UnknownTrack(f"There is no track {name!r}; the tracks are {', '.join(list_tracks())}.")
+        raise UnknownTrack(
+            f"There is no track {name!r}; the tracks are {', '.join(list_tracks())}. Others are read from the folder "
+            f"that {TRACKS_FOLDER_VARIABLE} names."
+        )
     return _read(files[name])
 
 

@@ -5,9 +5,10 @@ from datetime import UTC, datetime
 
 from sqlalchemy.orm import Session
 from starlette.exceptions import HTTPException
-from vitac.evaluator.tracks import Track, UnknownTrack, load_track
+from vitac.evaluator.tracks import Track
 from vitac.server.contest.view import competition_list_view, track_stages
-from vitac.server.tracks import is_challenge_track
+from vitac.server.errors import ServiceError
+from vitac.server.tracks import is_challenge_track, load_known_track
 from vitac.server.views.contest import StageView
 
 from ...site import Site, Tab
@@ -21,9 +22,9 @@ def known_track(name: str) -> Track:
         HTTPException: 404, there is none of that name.
     """
     try:
-        return load_track(name)
-    except UnknownTrack as error:
-        raise HTTPException(404, str(error)) from error
+        return load_known_track(name)
+    except ServiceError as error:
+        raise HTTPException(404, error.detail) from error
 
 
 def accepts_logs(track: Track) -> bool:

@@ -151,8 +151,8 @@ def test_blocks_are_played_one_after_the_other_each_as_often_as_it_says(content:
     assert {episode.offset for episode in task.episodes} == {(0.0, 0.0, 0.0, 3.5)}
 
 
-def test_unknown_track_names_the_tracks() -> None:
-    with pytest.raises(UnknownTrack, match=r"'track_9'.*track_1"):
+def test_unknown_track_names_the_tracks_and_where_others_are_read_from() -> None:
+    with pytest.raises(UnknownTrack, match=r"'track_9'.*track_1.* the folder that VITAC_TRACKS_DIR names"):
         load_track("track_9")
 
 
