@@ -20,6 +20,7 @@ from .isolation.bubblewrap import UserIsolation
 from .isolation.cgroup import MemoryIsolation
 from .isolation.process_ids import ProcessIds
 from .isolation.sandbox import Sandbox
+from .isolation.shared_core import SharedCore
 from .isolation.tracing import TracedProcessGone
 from .limits import Limits
 from .loaded_copy import LoadedCopy
@@ -99,6 +100,7 @@ class PolicySession:
         self._sandbox: Sandbox | None = None
         self._loaded: LoadedCopy | None = None
         self._loaded_pid = 0
+        self._core = SharedCore()
         self._ended: EpisodeProcess | None = None
         """What played the last episode, until it is certain that nothing of it is left."""
         self._isolation: Isolation | None = None
@@ -152,6 +154,7 @@ class PolicySession:
                 process,
                 limits=self._limits,
                 shard_time=self._shard_time,
+                core=self._core,
                 action_shape=action_shape,
                 clouds=clouds,
             )
@@ -162,6 +165,7 @@ class PolicySession:
             self._end_episode(process)
 
     def _start_episode(self) -> tuple[Sandbox, EpisodeProcess]:
+        self._core.follow()
         self._clear_after_last()
         for _ in range(_ATTEMPTS):
             sandbox = self._sandbox or self._start()
@@ -175,6 +179,7 @@ class PolicySession:
             except OSError as error:
                 message = f"The loaded policy could not be copied for an episode: {error.strerror}."
                 raise PolicyFailed(VerdictCode.CRASHED, message, sandbox.output.text()) from error
+            self._core.add(process.outside_pid)
             return sandbox, process
         raise PolicyFailed(VerdictCode.CRASHED, "The loaded policy ended by itself before an episode could start.")
 
@@ -185,6 +190,7 @@ class PolicySession:
 
     def _end_episode(self, process: EpisodeProcess) -> None:
         """Kill all that the episode started; it ends while the next episode's scene is built."""
+        self._core.remove(process.outside_pid)
         if self._loaded is None or not self._loaded.kill_all_others():
             self._stop()
         else:
@@ -226,6 +232,7 @@ class PolicySession:
 
     def _stop(self) -> None:
         self._sandbox, self._loaded, self._loaded_pid, self._ended = None, None, 0, None
+        self._core = SharedCore()
         self._exits.close()
 
     def _load(self, sandbox: Sandbox) -> None:
@@ -266,6 +273,8 @@ class PolicySession:
             left = f"What the policy left in its files while loading cannot be looked through: {error.strerror}."
             raise exchange.failure(VerdictCode.SHARED_STATE, left) from None
         self._exits.callback(self._loaded.end)
+        for pid in (self._loaded_pid, sandbox.first_pid, *process_ids.pids):
+            self._core.add(pid)
         sandbox.channel.reset()
         sandbox.forget_statuses()
 
@@ -280,6 +289,7 @@ class EpisodePolicy:
         *,
         limits: Limits,
         shard_time: ShardTime,
+        core: SharedCore,
         action_shape: tuple[int, ...],
         clouds: Sequence[CloudSpec],
     ) -> None:
@@ -287,6 +297,7 @@ class EpisodePolicy:
         self._clouds = clouds
         self._limits = limits
         self._shard_time = shard_time
+        self._core = core
         self._action_shape = action_shape
         self._exchange = Exchange(sandbox, limits=limits, process=process)
         self._cpu_start_s = sandbox.cpu_s()
@@ -364,6 +375,7 @@ class EpisodePolicy:
             what=what, wall_s=self._limits.action_wall_s, cpu_s=min(self._limits.action_cpu_s, left_s)
         )
         started, cpu_before_s = time.perf_counter(), self.cpu_s
+        self._core.follow()
         try:
             return self._exchange.ask(question, expected, deadlines)
         finally:

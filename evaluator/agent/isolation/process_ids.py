@@ -46,6 +46,11 @@ class ProcessIds:
         self._shell = None
         self._exits.close()
 
+    @property
+    def pids(self) -> tuple[int, ...]:
+        """Process of the shell; none where this machine cannot set the counter."""
+        return () if self._shell is None else (self._shell.pid,)
+
     def continue_after(self, inside_pid: int) -> bool:
         """Let the next process get the first free id above this one; return whether this machine can do that."""
         if self._shell is None or self._shell.stdin is None or self._shell.stdout is None:

@@ -71,6 +71,16 @@ def test_collections_in_an_episode_leave_what_was_loaded_alone(make: Make) -> No
     assert play_one(make(act, top=top)) == [1, 0, 1]
 
 
+def test_an_episode_begins_on_one_core_and_may_use_others(make: Make) -> None:
+    act = """
+        before = len(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, range(1024))
+        return [cores, before, len(os.sched_getaffinity(0))]
+    """
+    cores = len(os.sched_getaffinity(0))
+    assert play_one(make(act, top="import os\ncores = len(os.sched_getaffinity(0))")) == [cores, 1, cores]
+
+
 def test_a_policy_says_what_it_believes_only_when_it_is_asked(make: Make) -> None:
     told = make("self.seen = observation['x']\nreturn [0, 0, 0]") / "policy.py"
     with PolicySession(told.parent) as session, session.episode(task="t", action_shape=(3,)) as policy:
