@@ -1,13 +1,11 @@
 """Divides a server among its clients, so that one who asks for much does not keep the others waiting.
 
 A client is the account that a token or session belongs to, or without one an address. Who has used more than a share
-of the processor's time is refused. Among those who wait, whoever has used least of it lately, together with all others
-at the same address, comes first. Uploads and event streams have limits of their own.
+of the processor's time is refused. Among those who wait, whoever has used least of it lately and asks for least now,
+together with all others at the same address, comes first. Uploads and event streams have limits of their own.
 """
 
 import asyncio
-import heapq
-import itertools
 import math
 import time
 from collections.abc import Callable, Collection
@@ -25,11 +23,12 @@ from ...errors import ProblemCode, ServiceError
 from ..attempts import get_client_address
 from ..problems import problem
 from .body_limit import matches_route
+from .places import Places, SharedTime
 
 logger = structlog.get_logger(__name__)
 
-AT_WORK = 8
-"""Requests that a process works at; they share one processor."""
+AT_WORK = 4
+"""Requests that a process works at; they share one processor, and each further one slows down all others."""
 WAITING = 48
 """Requests of one client that are not answered; further ones are refused."""
 BURST_S = 10.0
@@ -39,12 +38,12 @@ PLACE_TIMEOUT_S = 15.0
 BUSY = "The server is busy, or its database does not answer; try again in a moment."
 HALF_LIFE_S = 10.0
 """Time after which half of what a client has used lately is forgotten."""
-REQUEST_S = 0.02
-"""Processor time that an unanswered request is taken for, so that many at once do not come before it is known."""
+REQUEST_S = 0.05
+"""Processor time that a request is taken for before it is known, so that many at once come after a single one."""
 REFUSAL_S = 0.001
 """Processor time that a refusal is taken for."""
-UPLOAD_S = 0.05
-"""Processor time that an upload, which is not measured, is taken for."""
+UPLOAD_PLACE_S = 0.5
+"""Longest time for which an upload has a place: to check a large one takes much longer."""
 MAX_CLIENTS = 10_000
 """Clients that are remembered; then those are forgotten that have not asked for long."""
 LEAVE_PLACE = "leave_place"
@@ -58,19 +57,17 @@ class Client:
 
     Attributes:
         requests: that have not been answered.
+        expected: of these, how many wait for a place or have one.
         used_s: processor time that its share has not yet covered.
         lately_s: processor time, of which half is forgotten after `HALF_LIFE_S`.
         at_s: when both were so.
     """
 
     requests: int = 0
+    expected: int = 0
     used_s: float = 0.0
     lately_s: float = 0.0
     at_s: float = 0.0
-
-    def end_request(self) -> None:
-        """Note that a request was answered."""
-        self.requests -= 1
 
     def is_idle(self, share: float) -> bool:
         """Return whether nothing of it has to be remembered."""
@@ -84,70 +81,57 @@ class Client:
         self.at_s = now_s
 
     def expect(self, now_s: float) -> float:
-        """Return what it has used lately, with what its unanswered requests will [s]."""
-        return self._left_of_lately(now_s) + REQUEST_S * self.requests
+        """Return what it has used lately, with what its expected requests will [s]."""
+        return self._left_of_lately(now_s) + REQUEST_S * self.expected
 
     def _left_of_lately(self, now_s: float) -> float:
         return self.lately_s * math.pow(0.5, (now_s - self.at_s) / HALF_LIFE_S)
 
 
-class Places:
-    """Places for requests at work: whoever has used least comes first, and of equal ones whoever has waited longest."""
+class _Turn:
+    """The place of a request, which it may have several times; `first`: before all others."""
 
-    def __init__(self, count: int) -> None:
-        self._free = count
-        self._turns = itertools.count()
-        self._waiting: list[tuple[float, int, asyncio.Future[None]]] = []
+    def __init__(
+        self, places: Places, shared: SharedTime, clients: Collection[Client], *, share: float, first: bool
+    ) -> None:
+        self._places, self._time, self._clients, self._share, self._first = places, shared, clients, share, first
+        self._held = ExitStack()
 
-    async def take(self, used_s: float) -> None:
-        """Wait for a place."""
-        if self._free:
-            self._free -= 1
-            return
-        given = asyncio.get_running_loop().create_future()
-        heapq.heappush(self._waiting, (used_s, next(self._turns), given))
+    async def begin(self, limit_s: float | None) -> None:
+        """Wait for a place, and leave it after `limit_s` at the latest.
+
+        Raises:
+            ServiceError: there was none for long.
+        """
+        self._expect(1)
+        self._held.callback(self._expect, -1)
         try:
-            await given
-        except asyncio.CancelledError:
-            if not given.cancelled():  # it was given one, and nobody will use it
-                self.leave()
-            raise
+            async with asyncio.timeout(PLACE_TIMEOUT_S):
+                await self._places.take(self._rank)
+        except TimeoutError:
+            raise ServiceError(ProblemCode.DATABASE_UNAVAILABLE, BUSY) from None
+        self._held.callback(self._places.leave)
+        self._held.callback(self._charge, self._time.begin())
+        if limit_s is not None:
+            self._held.callback(asyncio.get_running_loop().call_later(limit_s, self.end).cancel)
 
-    def leave(self) -> None:
-        """Give a place to the next."""
-        while self._waiting:
-            _, _, given = heapq.heappop(self._waiting)
-            if not given.done():
-                given.set_result(None)
-                return
-        self._free += 1
+    def end(self) -> None:
+        """Leave the place, where there is one."""
+        self._held.close()
 
+    def _expect(self, more: int) -> None:
+        for one in self._clients:
+            one.expected += more
 
-class SharedTime:
-    """Tells what part of the process's processor time belongs to a request: at each moment all at work share it."""
+    def _rank(self) -> float:
+        """Return a number that grows by 1 when what its clients use doubles: of similar ones the first comes first."""
+        now_s = time.monotonic()
+        return -math.inf if self._first else math.frexp(sum(one.expect(now_s) for one in self._clients))[1]
 
-    def __init__(self, clock: Callable[[], float] = time.process_time) -> None:
-        self._clock = clock
-        self._at_work = 0
-        self._of_one_s, self._at_s = 0.0, clock()
-
-    def begin(self) -> float:
-        """Note that a request begins; return what `end` wants to know."""
-        self._advance()
-        self._at_work += 1
-        return self._of_one_s
-
-    def end(self, begun_s: float) -> float:
-        """Note that a request ends; return its part [s]."""
-        self._advance()
-        self._at_work -= 1
-        return self._of_one_s - begun_s
-
-    def _advance(self) -> None:
-        now_s = self._clock()
-        if self._at_work:
-            self._of_one_s += (now_s - self._at_s) / self._at_work
-        self._at_s = now_s
+    def _charge(self, begun_s: float) -> None:
+        used_s, now_s = self._time.end(begun_s), time.monotonic()
+        for one in self._clients:
+            one.use(used_s, now_s, self._share)
 
 
 class Shares:
@@ -175,71 +159,55 @@ class Shares:
             await self._app(scope, receive, send)
             return
         neighbours = self._client(f"at {get_client_address(HTTPConnection(scope))}")
-        if matches_route(self._apart, scope):
-            neighbours.use(UPLOAD_S, time.monotonic(), self._share)
-            await self._app(scope, receive, send)
-            return
         key = self._choose_key(scope)
-        client = self._client(key)
-        refusal = self._refusal(key, client)
+        client, is_upload = self._client(key), matches_route(self._apart, scope)
+        refusal = None if is_upload else self._refusal(key, client)
         if refusal is not None:
             neighbours.use(REFUSAL_S, time.monotonic(), self._share)
             await _answer(scope, refusal)(scope, receive, send)
             return
         both = client, neighbours
+        turn = _Turn(self._places, self._time, both, share=self._share, first=_is_privileged(key))
         for one in both:
             one.requests += 1
         try:
-            await self._work(key, both, scope, receive, send)
+            await self._work(turn, scope, receive, send, is_upload=is_upload)
         finally:
+            turn.end()
             for one in both:
-                one.end_request()
+                one.requests -= 1
             self._note_account(scope)
 
-    async def _work(self, key: str, clients: Collection[Client], scope: Scope, receive: Receive, send: Send) -> None:
+    async def _work(self, turn: "_Turn", scope: Scope, receive: Receive, send: Send, *, is_upload: bool) -> None:
         """Hand the request on; it has a place from when its body is there until its answer begins.
 
-        So neither a body that trickles nor an answer that nobody reads holds one.
+        So neither a body that trickles nor an answer that nobody reads holds one. An upload has one also until it asks
+        for its body, and each time for `UPLOAD_PLACE_S` at most.
         """
-        has_body = scope["method"] not in _WITHOUT_BODY
-        with ExitStack() as place:
+        has_body, limit_s = scope["method"] not in _WITHOUT_BODY, UPLOAD_PLACE_S if is_upload else None
 
-            async def take() -> None:
-                try:
-                    async with asyncio.timeout(PLACE_TIMEOUT_S):
-                        now_s = time.monotonic()
-                        used_s = sum(one.expect(now_s) for one in clients)
-                        await self._places.take(0.0 if _is_privileged(key) else used_s)
-                except TimeoutError:
-                    raise ServiceError(ProblemCode.DATABASE_UNAVAILABLE, BUSY) from None
-                place.callback(self._places.leave)
-                place.callback(self._charge, clients, self._time.begin())
+        async def received() -> Message:
+            nonlocal has_body
+            if has_body:
+                turn.end()
+            message = await receive()
+            if has_body and message["type"] == "http.request" and not message.get("more_body", False):
+                has_body = False
+                await turn.begin(limit_s)
+            return message
 
-            async def received() -> Message:
-                nonlocal has_body
-                message = await receive()
-                if has_body and message["type"] == "http.request" and not message.get("more_body", False):
-                    has_body = False
-                    await take()
-                return message
+        async def sent(message: Message) -> None:
+            turn.end()
+            await send(message)
 
-            async def sent(message: Message) -> None:
-                place.close()
-                await send(message)
-
-            scope.setdefault("state", {})[LEAVE_PLACE] = place.close
-            if not has_body:
-                try:
-                    await take()
-                except ServiceError as refusal:
-                    await _answer(scope, refusal)(scope, receive, send)
-                    return
-            await self._app(scope, received, sent)
-
-    def _charge(self, clients: Collection[Client], begun_s: float) -> None:
-        used_s, now_s = self._time.end(begun_s), time.monotonic()
-        for one in clients:
-            one.use(used_s, now_s, self._share)
+        scope.setdefault("state", {})[LEAVE_PLACE] = turn.end
+        if is_upload or not has_body:
+            try:
+                await turn.begin(limit_s)
+            except ServiceError as refusal:
+                await _answer(scope, refusal)(scope, receive, send)
+                return
+        await self._app(scope, received, sent)
 
     def _client(self, key: str) -> Client:
         if len(self._clients) >= MAX_CLIENTS:

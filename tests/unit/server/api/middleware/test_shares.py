@@ -1,4 +1,5 @@
 import asyncio
+import time
 from typing import Any
 
 import pytest
@@ -8,7 +9,8 @@ from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.types import Message
 from vitac.server.api.middleware import shares
-from vitac.server.api.middleware.shares import AT_WORK, BURST_S, WAITING, Places, SharedTime, Shares, leave_place
+from vitac.server.api.middleware.places import SharedTime
+from vitac.server.api.middleware.shares import AT_WORK, BURST_S, WAITING, Shares, leave_place
 
 
 class Server:
@@ -19,6 +21,7 @@ class Server:
         self.at_work = 0
         self.order: list[str] = []
         routes = [Route("/page", self.page), Route("/stream", self.stream), Route("/health", self.page)]
+        routes += [Route("/uploads", self.page, methods=["POST"])]
         routes += [Route("/form", self.form, methods=["POST"]), Route("/waits", self.wait)]
         self.app = Shares(Starlette(routes=routes), share=share, apart=[("POST", "/uploads")])
 
@@ -84,29 +87,6 @@ def test_a_client_has_so_many_requests_and_probes_need_no_place() -> None:
     asyncio.run(attack())
 
 
-def test_places_go_to_whoever_has_used_least() -> None:
-    async def take_all() -> list[str]:
-        places, order = Places(1), list[str]()
-        await places.take(0.0)
-
-        async def work(name: str, used_s: float) -> None:
-            await places.take(used_s)
-            order.append(name)
-            places.leave()
-
-        tasks = [
-            asyncio.create_task(work(name, used_s))
-            for name, used_s in (("flood", 5.0), ("gone", 1.0), ("flood again", 5.0), ("honest", 0.0))
-        ]
-        await settled()
-        tasks[1].cancel()
-        places.leave()
-        await asyncio.gather(*tasks, return_exceptions=True)
-        return order
-
-    assert asyncio.run(take_all()) == ["honest", "flood", "flood again"]
-
-
 def test_whoever_asks_for_little_comes_before_a_flood_that_has_used_nothing_yet() -> None:
     async def attack() -> list[str]:
         server = Server()
@@ -121,6 +101,38 @@ def test_whoever_asks_for_little_comes_before_a_flood_that_has_used_nothing_yet(
         return server.order
 
     assert asyncio.run(attack()).index("192.0.2.2") == AT_WORK
+
+
+def test_whoever_has_asked_lately_comes_before_a_flood_that_began_just_now() -> None:
+    async def attack() -> list[str]:
+        server = Server()
+        server.app._client("at 192.0.2.2").use(0.8, time.monotonic(), 0.1)
+        tasks = [asyncio.create_task(server.ask()) for _ in range(WAITING)]
+        await settled()
+        tasks.append(asyncio.create_task(server.ask(address="192.0.2.2")))
+        await settled()
+        server.may_end.set()
+        await asyncio.gather(*tasks)
+        return server.order
+
+    assert asyncio.run(attack()).index("192.0.2.2") == AT_WORK
+
+
+def test_uploads_wait_for_their_turn_and_leave_their_places_to_others_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shares, "UPLOAD_PLACE_S", 0.05)
+
+    async def ask() -> None:
+        server = Server()
+        uploads = [asyncio.create_task(server.ask("/uploads", method="POST")) for _ in range(2 * AT_WORK)]
+        await settled()
+        assert server.at_work == AT_WORK
+        page = asyncio.create_task(server.ask(address="192.0.2.2"))
+        while "192.0.2.2" not in server.order:
+            await asyncio.sleep(0.01)
+        server.may_end.set()
+        assert {await one for one in (*uploads, page)} == {200}
+
+    asyncio.run(ask())
 
 
 def test_a_body_that_trickles_and_what_only_waits_hold_no_place() -> None:
@@ -199,21 +211,9 @@ def test_an_open_stream_takes_no_place() -> None:
     asyncio.run(ask())
 
 
-def test_requests_at_work_share_the_time_that_passes() -> None:
-    now = [0.0]
-    shared = SharedTime(lambda: now[0])
-    first = shared.begin()
-    now[0] = 1.0
-    second = shared.begin()
-    now[0] = 3.0
-    assert shared.end(second) == 1.0
-    now[0] = 4.0
-    assert shared.end(first) == 3.0
-
-
 def test_clients_are_forgotten_once_their_share_covers_what_they_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shares, "MAX_CLIENTS", 3)
-    monkeypatch.setattr(shares.SharedTime, "end", lambda *_: 0.0)
+    monkeypatch.setattr(SharedTime, "end", lambda *_: 0.0)
 
     async def ask() -> int:
         server = Server()
