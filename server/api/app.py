@@ -37,6 +37,7 @@ from . import (
 from . import rejudging as rejudgements
 from .middleware.body_limit import BodyLimit
 from .middleware.correlation import RequestIds
+from .middleware.redirects import RelativeRedirects
 from .middleware.request_head import RequestHead
 from .middleware.request_times import RequestTimes
 from .middleware.shares import Shares
@@ -169,6 +170,7 @@ def _add_middleware(app: FastAPI, settings: Settings, uploads_at: Sequence[tuple
     uploads_apart = (*UNLIMITED, *uploads_at)
     app.add_middleware(BodyLimit, unlimited=uploads_apart)
     app.add_middleware(ProtocolVersion, prefix=f"{API_PREFIX}{uploads.router.prefix}")
+    app.add_middleware(RelativeRedirects)
     app.add_middleware(RequestHead)
     app.add_middleware(Shares, share=settings.client_share, apart=uploads_apart)
     app.add_middleware(Shutdown)
