@@ -1,11 +1,16 @@
 """Storing and removing files so that neither undoes the other: both wait for the turn of the file's digest."""
 
+from collections.abc import Iterable
 from datetime import timedelta
 from pathlib import Path
 
+from sqlalchemy import exists, select
 from sqlalchemy.orm import Session
 
 from ..db.advisory_locks import AdvisoryLock, wait_for_turn
+from ..db.engine import Database
+from ..db.models import Submission, SubmissionFile
+from ..errors import ProblemCode, ServiceError
 from .blobs import BlobStore
 
 
@@ -20,6 +25,32 @@ def store(session: Session, blobs: BlobStore, path: Path, digest: str) -> None:
     """
     wait_for_turn(session, AdvisoryLock.STORED_FILE, digest)
     blobs.put(path, digest)
+
+
+def require_stored(session: Session, blobs: BlobStore, digests: Iterable[str]) -> None:
+    """Refuse to name files that `remove_unnamed` has removed since they were stored, and keep it from doing so.
+
+    The transaction has their turn to its end, so nothing else that others wait for may have been locked before.
+
+    Raises:
+        ServiceError: storage_unavailable; sent again they are stored again.
+    """
+    for digest in sorted(digests):
+        wait_for_turn(session, AdvisoryLock.STORED_FILE, digest)
+        if not blobs.holds(digest):
+            raise ServiceError(
+                ProblemCode.STORAGE_UNAVAILABLE, "The same file was refused and removed at this moment; send it again."
+            )
+
+
+def remove_unnamed(database: Database, blobs: BlobStore, digests: Iterable[str]) -> None:
+    """Remove stored files that no submission names: of an upload that was refused, or that another archive made."""
+    for digest in digests:
+        with database.transaction() as session:
+            wait_for_turn(session, AdvisoryLock.STORED_FILE, digest)
+            names = (Submission.archive_sha256 == digest, SubmissionFile.sha256 == digest)
+            if not any(session.scalar(select(exists().where(name))) for name in names):
+                blobs.delete(digest)
 
 
 def remove_if_older(session: Session, blobs: BlobStore, digest: str, age: timedelta) -> None:

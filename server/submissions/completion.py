@@ -12,8 +12,9 @@ from ..db.models import PartialUpload
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
 from ..services import Services
+from ..storage.stored_files import require_stored
 from ..uploads import intake, partial
-from ..uploads.acceptance import accept
+from ..uploads.acceptance import accept, remove_unnamed, removed_if_refused
 from . import creation
 
 _TRANSIENT = frozenset(
@@ -58,7 +59,8 @@ def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUI
         intake.check_digest(received, upload.sha256)
         checked = accept(services, received, kind=upload.kind, track=upload.track, owner=upload.team.name)
     checked = replace(checked, file_name=upload.file_name)
-    with services.database.transaction() as session:
+    with removed_if_refused(services, checked), services.database.transaction() as session:
+        require_stored(session, services.blobs, checked.digests)
         locked = partial.lock(session, upload.id)
         if locked.submission_id is not None:
             return locked.submission_id, False
@@ -73,6 +75,8 @@ def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUI
             at=_find_arrival_in_time(session, locked, checked.track),
         )
         partial.finish(session, locked, submission.id)
+    if not is_new:
+        remove_unnamed(services, checked)
     with suppress(ServiceError):  # The submission is made; housekeeping removes the parts with the upload.
         services.blobs.delete_parts(str(upload.id))
     return submission.id, is_new

@@ -10,9 +10,10 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from ..principals import Principal
 from ..services import Services
 from ..storage.disk_space import require_room
+from ..storage.stored_files import require_stored
 from ..tracks import load_known_track
 from ..uploads import intake
-from ..uploads.acceptance import accept, check_kind
+from ..uploads.acceptance import accept, check_kind, remove_unnamed, removed_if_refused
 from ..uploads.checked_upload import CheckedUpload
 from ..uploads.file_names import check_file_name
 from ..uploads.kinds import SERVED_KINDS
@@ -106,7 +107,8 @@ def _owner(services: Services, by: Principal, upload: AnnouncedUpload) -> str:
 def _create(
     services: Services, by: Principal, upload: AnnouncedUpload, checked: CheckedUpload
 ) -> tuple[SubmissionView, bool]:
-    with services.database.transaction() as session:
+    with removed_if_refused(services, checked), services.database.transaction() as session:
+        require_stored(session, services.blobs, checked.digests)
         submission, is_new = creation.create(
             session,
             by,
@@ -116,5 +118,7 @@ def _create(
             again=upload.again,
             quotas=services.settings.quotas,
         )
+    if not is_new:
+        remove_unnamed(services, checked)
     with services.database.transaction() as session:
         return listing.get(session, services.settings, by, submission.id), is_new

@@ -3,6 +3,8 @@
 Nothing of an archive is imported or unpickled, nothing of a log is simulated.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -61,6 +63,22 @@ def accept(
         with services.database.transaction() as session:
             stored_files.store(session, services.blobs, path, digest)
     return upload
+
+
+@contextmanager
+def removed_if_refused(services: Services, upload: CheckedUpload) -> Iterator[None]:
+    """Remove what was stored of an upload that the block refuses: those refused again and again would fill the disk."""
+    try:
+        yield
+    except ServiceError:
+        remove_unnamed(services, upload)
+        raise
+
+
+def remove_unnamed(services: Services, upload: CheckedUpload) -> None:
+    """Remove what was stored of an upload and no submission names; what cannot be removed now, housekeeping removes."""
+    with suppress(ServiceError):
+        stored_files.remove_unnamed(services.database, services.blobs, upload.digests)
 
 
 def _other_track(upload: CheckedUpload, track: str) -> ServiceError:

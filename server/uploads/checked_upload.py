@@ -55,3 +55,8 @@ class CheckedUpload:
     archive_sketch: bytes | None = None
     contents: dict[str, Any] | None = None
     sensor_folder: Path | None = None
+
+    @property
+    def digests(self) -> frozenset[str]:
+        """Digests of all files that are stored of it."""
+        return frozenset({self.archive_sha256, *(file.sha256 for file in self.files)})

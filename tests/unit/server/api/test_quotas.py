@@ -1,3 +1,4 @@
+import hashlib
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -81,6 +82,12 @@ def test_a_team_has_so_many_event_streams_and_other_teams_theirs(service: Servic
         problem_of(service.get(mine), 429, "quota_exceeded")
         with service.client.stream("GET", f"{API}{other}", headers=bearer(service.other_token)) as theirs:
             assert theirs.status_code == 200
+
+
+def test_an_upload_that_is_refused_after_it_was_stored_leaves_nothing(database: Database, tmp_path: Path) -> None:
+    with running_service(database, tmp_path, quotas=Quotas(stored_mib=1)) as service:
+        problem_of(service.upload(archive(1)), 429, "quota_exceeded")
+        assert not service.services.blobs.holds(hashlib.sha256(archive(1)).hexdigest())
 
 
 def test_of_two_streams_asked_for_at_once_the_one_too_many_is_refused(

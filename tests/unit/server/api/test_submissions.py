@@ -54,6 +54,8 @@ def test_same_content_packed_differently_is_answered_with_the_submission_that_ex
     again = service.upload(other_zip)
     assert (again.status_code, again.json()["id"]) == (200, first.json()["id"])
     assert service.count("evaluations") == 1
+    stored = [service.services.blobs.holds(hashlib.sha256(one).hexdigest()) for one in (ARCHIVE, other_zip)]
+    assert stored == [True, False], "nobody needs the second one"
 
 
 def test_same_upload_at_the_same_time_is_one_submission(service: Service) -> None:

@@ -7,11 +7,16 @@ from pathlib import Path
 
 import pytest
 from database_work import is_waiting_for_a_lock
+from service_factories import make_principal, make_upload
+from sqlalchemy import update
 from vitac.server.db.engine import Database
+from vitac.server.db.models import Submission
+from vitac.server.errors import ServiceError
 from vitac.server.services import Services
 from vitac.server.settings import load_settings
 from vitac.server.storage import stored_files
 from vitac.server.storage.blobs import BlobStore
+from vitac.server.submissions import creation
 from worker_fakes import eventually
 
 DAY = timedelta(days=1)
@@ -79,3 +84,23 @@ def test_removing_waits_until_whoever_stores_has_committed(services: Services, t
         eventually(lambda: is_waiting_for_a_lock(services.database))
     removing.join()
     assert is_there(services)
+
+
+def test_a_file_is_not_named_once_it_was_removed_and_not_removed_once_it_is_named(
+    services: Services, tmp_path: Path
+) -> None:
+    database, blobs = services.database, services.blobs
+    store(services, written(tmp_path))
+    with database.transaction() as session:
+        stored_files.require_stored(session, blobs, [DIGEST])
+        remover = threading.Thread(target=stored_files.remove_unnamed, args=[database, blobs, [DIGEST]])
+        remover.start()
+        eventually(lambda: is_waiting_for_a_lock(database))
+        creation.create(session, make_principal(session), make_upload(archive_sha256=DIGEST))
+    remover.join()
+    assert is_there(services)
+    with database.transaction() as session:
+        session.execute(update(Submission).values(archive_sha256="0" * 64))
+    stored_files.remove_unnamed(database, blobs, [DIGEST])
+    with database.transaction() as session, pytest.raises(ServiceError, match="send it again"):
+        stored_files.require_stored(session, blobs, [DIGEST])
