@@ -127,7 +127,7 @@ class ChallengeActor(Actor):  # type: ignore[misc] # torch is not there when typ
 
     def __init__(self, task: str, **arguments: Any) -> None:
         super().__init__(**arguments)
-        self.network = ACTORS[task](encoder=CachedPointNet if self.device.type == "cpu" else PointNet)
+        self.network = ACTORS[task](encoder=CachedPointNet)
 
     def forward(self, obs: Any) -> Any:
         """Return the actions."""
@@ -597,12 +597,14 @@ CLOUDS_AT_ONCE = 32
 class CachedPointNet(PointNet):
     """The encoder of the policy with the same weights, in which a training spends nearly all its time.
 
-    Its layers go over parts of a batch that fit into a core's cache, as convolutions of width 1, which torch's build
-    for CPUs computes faster than products of matrices.
+    On a CPU its layers go over parts of a batch that fit into a core's cache, as convolutions of width 1, which torch's
+    build for CPUs computes faster than products of matrices.
     """
 
     def forward(self, points: Any) -> Any:
         """Return numbers of shape [..., outputs] from points of shape [..., n, channels]."""
+        if points.device.type != "cpu":
+            return super().forward(points)
         *sets, count, channels = points.shape
         pictures = points.reshape(-1, 1, count, channels).permute(0, 3, 1, 2)
         parts = pictures.tensor_split(max(1, -(-len(pictures) // CLOUDS_AT_ONCE)))
