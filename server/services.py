@@ -27,13 +27,18 @@ class Services:
 
 @contextmanager
 def open_services(
-    settings: Settings, *, may_run_database: bool = True, statement_timeout_s: float | None = None
+    settings: Settings,
+    *,
+    may_run_database: bool = True,
+    awaits_database: bool = True,
+    statement_timeout_s: float | None = None,
 ) -> Iterator[Services]:
     """Start or find the database, bring its schema up to date and open the file store.
 
     Args:
         settings: of this process.
         may_run_database: whether the embedded database is run by this process when no other one does.
+        awaits_database: whether to wait without limit for another process that runs the embedded database.
         statement_timeout_s: after which the database ends a statement of this process; None: without limit.
 
     Raises:
@@ -46,7 +51,12 @@ def open_services(
             address, owner = settings.database_url.get_secret_value(), settings.database_owner_url
             owner_address = owner.get_secret_value() if owner else address
         else:
-            postgres = EmbeddedPostgres(settings.state_dir, bin_dir=settings.postgres_bin_dir, may_run=may_run_database)
+            postgres = EmbeddedPostgres(
+                settings.state_dir,
+                bin_dir=settings.postgres_bin_dir,
+                may_run=may_run_database,
+                wait_s=None if awaits_database else settings.database_wait_s,
+            )
             stack.callback(postgres.stop)
             address, owner_address = postgres.start(), postgres.cluster.owner_dsn()
         database = Database(address, owner_address=owner_address, statement_timeout_s=statement_timeout_s)

@@ -50,7 +50,8 @@ def run(settings: Settings, stay: Stay = UNLIMITED, *, probe: ProbeIsolation = p
         DatabaseUnreachable: at the start, or for too long afterwards.
         VitacError: the file store cannot be used.
     """
-    with open_services(settings, may_run_database=False) as services, ShardProcesses() as processes:
+    opening = open_services(settings, may_run_database=False, awaits_database=not stay.is_limited)
+    with opening as services, ShardProcesses() as processes:
         processes.prepare()
         try:
             work(services, processes.running_shard, stay, probe=probe)

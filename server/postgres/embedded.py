@@ -19,6 +19,7 @@ from psycopg.conninfo import make_conninfo
 from psycopg.pq import PGconn, Ping
 from vitac.envs.errors import VitacError
 
+from ..db.availability import DatabaseUnreachable
 from .cluster import Cluster, DatabaseStartFailed
 from .leftovers import NOTICE_EVERY_S
 
@@ -39,7 +40,13 @@ class EmbeddedPostgres:
     """
 
     def __init__(
-        self, state_dir: Path, *, bin_dir: Path | None = None, options: Sequence[str] = (), may_run: bool = True
+        self,
+        state_dir: Path,
+        *,
+        bin_dir: Path | None = None,
+        options: Sequence[str] = (),
+        may_run: bool = True,
+        wait_s: float | None = None,
     ) -> None:
         """Prepare; nothing is started.
 
@@ -48,9 +55,11 @@ class EmbeddedPostgres:
             bin_dir: folder with PostgreSQL's programs; found by itself if None.
             options: `name=value` server settings.
             may_run: whether this process runs the server when nobody else does, or only waits for another one.
+            wait_s: how long it waits for another one that does not run [s]; None: without limit.
         """
         self.cluster = Cluster(state_dir, bin_dir=bin_dir, options=options)
         self._may_run = may_run
+        self._wait_s = wait_s
         self._stopping = threading.Event()
         self._keeper: threading.Thread | None = None
         self._failure: VitacError | None = None
@@ -66,6 +75,7 @@ class EmbeddedPostgres:
         """Make the database available and return its address; wait for as long as it recovers or another starts it.
 
         Raises:
+            DatabaseUnreachable: nobody else runs it.
             VitacError: it cannot be started here, or that of another process hangs; the message says why.
         """
         if self._may_run:
@@ -73,7 +83,7 @@ class EmbeddedPostgres:
             # A thread of its own, alive until `stop`: the server's death signal is tied to the thread that started it.
             self._keeper = threading.Thread(target=self._keep, name="embedded-postgres", daemon=True)
             self._keeper.start()
-        heard = time.monotonic()
+        began = heard = time.monotonic()
         noticed = heard - NOTICE_EVERY_S + FIRST_NOTICE_S
         while (address := self._address()) is None:
             if self._failure is not None:
@@ -86,6 +96,11 @@ class EmbeddedPostgres:
                 raise DatabaseStartFailed(
                     f"The database in {self.cluster.folder} is run by another process and has not answered for "
                     f"{NO_ANSWER_S:.0f} s. Look at that process and at its disk."
+                )
+            if not self._may_run and self._wait_s is not None and time.monotonic() - began > self._wait_s:
+                raise DatabaseUnreachable(
+                    f"Nobody has started the database in {self.cluster.folder} for {self._wait_s:.0f} s; `vitac serve` "
+                    "does, and VITAC_DATABASE_URL names another one."
                 )
             if time.monotonic() - noticed > NOTICE_EVERY_S:
                 noticed = time.monotonic()
