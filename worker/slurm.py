@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sqlalchemy.exc import DBAPIError
-from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 from vitac.server.db.availability import DatabaseUnreachable
 from vitac.server.queue.depth import count_open_work
@@ -71,12 +70,12 @@ class SlurmScaler:
         """
         try:
             with self.services.database.transaction() as session:
-                return self._scale(session)
+                work = count_open_work(session)
         except DBAPIError as error:
             raise DatabaseUnreachable.from_driver(error) from error
+        return self._scale(work)
 
-    def _scale(self, session: Session) -> Scaling:
-        work = count_open_work(session)
+    def _scale(self, work: int) -> Scaling:
         jobs = _list_jobs()
         states = Counter(jobs.values())
         pending = [job for job, state in jobs.items() if state == "PENDING"]

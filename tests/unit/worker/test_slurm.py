@@ -1,13 +1,18 @@
 """The scaler asks for as many jobs as the queue has work for, and takes back those that wait in vain."""
 
+import os
+import signal
+import threading
 from pathlib import Path
 
 import pytest
 from service_factories import make_principal, make_upload
+from sqlalchemy import text
 from vitac.server.queue.depth import count_open_work
 from vitac.server.services import Services
 from vitac.server.submissions import creation
 from vitac.worker.slurm import Scaling, SlurmError, SlurmScaler
+from worker_fakes import eventually
 
 COMMAND = (
     '#!/bin/sh\necho "$0 $*" >>"$(dirname "$0")/calls"\ncat "$(dirname "$0")/answer.$(basename "$0")" 2>/dev/null\n'
@@ -77,6 +82,23 @@ def test_without_work_waiting_jobs_are_cancelled_and_running_ones_end_by_themsel
     assert make_scaler(services).scale() == Scaling(work=0, running=1, pending=2, cancelled=2)
     assert slurm.calls("scancel") == [["--state=PENDING", "17_2", "18_1"]]
     assert slurm.calls("sbatch") == []
+
+
+def test_no_transaction_is_open_while_slurm_takes_its_time(services: Services, slurm: FakeSlurm, work: int) -> None:
+    slurm.put("squeue", f"#!/bin/sh\nsleep 600 & echo $! >{slurm.folder}/pid; wait\n")
+    scaling = threading.Thread(target=make_scaler(services).scale)
+    scaling.start()
+    eventually(lambda: (slurm.folder / "pid").exists() and (slurm.folder / "pid").read_text().endswith("\n"))
+    with services.database.transaction() as session:
+        open_ones = session.scalar(
+            text(
+                "SELECT count(*) FROM pg_stat_activity WHERE state LIKE 'idle in transaction%'"
+                " AND datname = current_database()"
+            )
+        )
+    os.kill(int((slurm.folder / "pid").read_text()), signal.SIGKILL)
+    scaling.join()
+    assert open_ones == 0
 
 
 def test_enough_jobs_are_left_alone(services: Services, slurm: FakeSlurm, work: int) -> None:
