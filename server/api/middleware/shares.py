@@ -42,6 +42,8 @@ REQUEST_S = 0.05
 """Processor time that a request is taken for before it is known, so that many at once come after a single one."""
 REFUSAL_S = 0.001
 """Processor time that a refusal is taken for."""
+LITTLE_S = 1.0
+"""Processor time up to which all clients wait in the order of their requests."""
 UPLOAD_PLACE_S = 0.5
 """Longest time for which an upload has a place: to check a large one takes much longer."""
 MAX_CLIENTS = 10_000
@@ -124,9 +126,12 @@ class _Turn:
             one.expected += more
 
     def _rank(self) -> float:
-        """Return a number that grows by 1 when what its clients use doubles: of similar ones the first comes first."""
+        """Return 0 for little, and 1 more each time that what its clients use doubles."""
+        if self._first:
+            return -1.0
         now_s = time.monotonic()
-        return -math.inf if self._first else math.frexp(sum(one.expect(now_s) for one in self._clients))[1]
+        uses_s = sum(one.expect(now_s) for one in self._clients)
+        return math.ceil(math.log2(max(1.0, uses_s / LITTLE_S)))
 
     def _charge(self, begun_s: float) -> None:
         used_s, now_s = self._time.end(begun_s), time.monotonic()

@@ -103,6 +103,21 @@ def test_whoever_asks_for_little_comes_before_a_flood_that_has_used_nothing_yet(
     assert asyncio.run(attack()).index("192.0.2.2") == AT_WORK
 
 
+def test_those_who_use_little_come_in_their_order() -> None:
+    async def ask() -> list[str]:
+        server = Server()
+        server.app._client("at 192.0.2.2").use(0.5, time.monotonic(), 0.1)
+        tasks = [asyncio.create_task(server.ask()) for _ in range(AT_WORK)]
+        await settled()
+        tasks += [asyncio.create_task(server.ask(address=f"192.0.2.{number}")) for number in (2, 3)]
+        await settled()
+        server.may_end.set()
+        await asyncio.gather(*tasks)
+        return server.order[AT_WORK:]
+
+    assert asyncio.run(ask()) == ["192.0.2.2", "192.0.2.3"]
+
+
 def test_whoever_has_asked_lately_comes_before_a_flood_that_began_just_now() -> None:
     async def attack() -> list[str]:
         server = Server()
