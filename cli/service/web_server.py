@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import resource
 import socket
+import sys
 import threading
 import time
 from contextlib import suppress
@@ -24,6 +25,9 @@ START_LIMIT_S = 30.0
 STOP_LIMIT_S = 10.0
 COLLECTIONS_OF_ALL = 1000
 """Collections of the middle generation before one of all; Python's default of 10 is reached once in sixty lists."""
+SWITCH_INTERVAL_S = 0.0005
+"""Longest time for which a thread keeps the interpreter while others wait for it. An answer waits again after each
+statement of the database and each packet, for as long as all threads at work together: 20 ms by Python's 5 ms."""
 
 
 class PortTaken(VitacError):
@@ -136,6 +140,7 @@ class WebServer:
                 raise ServerDidNotStart("The HTTP server did not start; `vitac serve` prints why.")
             time.sleep(0.01)
         collect_garbage_rarely()
+        sys.setswitchinterval(SWITCH_INTERVAL_S)
 
     def stop(self) -> None:
         """End all connections and stop serving."""

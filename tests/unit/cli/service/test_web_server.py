@@ -1,5 +1,6 @@
 import gc
 import socket
+import sys
 import threading
 import time
 from asyncio import base_events
@@ -13,6 +14,7 @@ from fastapi import FastAPI, Request
 from vitac.cli.service import http_protocol
 from vitac.cli.service.web_server import (
     COLLECTIONS_OF_ALL,
+    SWITCH_INTERVAL_S,
     PortTaken,
     ServerDidNotStart,
     WebServer,
@@ -24,11 +26,12 @@ from vitac.cli.service.web_server import (
 
 
 @pytest.fixture(autouse=True)
-def collections_as_before() -> Iterator[None]:
-    """Servers make them rare, and what other tests leave open would be found at no certain time."""
-    before = gc.get_threshold()
+def collections_and_switches_as_before() -> Iterator[None]:
+    """Servers make collections rare, and what other tests leave open would be found at no certain time."""
+    before, switch_s = gc.get_threshold(), sys.getswitchinterval()
     yield
     gc.set_threshold(*before)
+    sys.setswitchinterval(switch_s)
 
 
 def test_a_taken_port_is_refused_with_the_way_out() -> None:
@@ -59,6 +62,7 @@ def test_serves_from_start_to_stop() -> None:
     server = WebServer(app=app, listener=listener)
     server.start()
     assert httpx.get(address, timeout=60).json() == "here"
+    assert sys.getswitchinterval() == pytest.approx(SWITCH_INTERVAL_S)
     server.stop()
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", int(address.rpartition(":")[2]))) != 0
