@@ -2,15 +2,16 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
+from functools import cache
 from uuid import UUID
 
-from sqlalchemy import and_, exists, func, select
+from sqlalchemy import Select, and_, exists, func, select
 from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session, aliased, contains_eager
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks.versions import current_versions
 
-from ..db.among import among
+from ..db.among import among_parameter
 from ..db.models import EpisodeResult, Evaluation, Playback, Submission
 from ..db.states import EvaluationState
 from ..errors import ServiceError
@@ -55,6 +56,17 @@ def find_stills(session: Session, by: Principal, submissions: Collection[UUID]) 
         by: who asks; of sealed lists only organizers get stills.
         submissions: ids of some that `by` may see.
     """
+    rows = session.execute(_select_stills(), {"submissions": list(submissions)})
+    return {
+        evaluation.submission_id: _view(found, shown)
+        for evaluation, found, shown in rows
+        if shown == playback_key(found) and find_shown_key(session, by, evaluation) is not None
+    }
+
+
+@cache
+def _select_stills() -> Select[Evaluation, EpisodeResult, str]:
+    """Return the query of the stills of `submissions`, put together once: each page of submissions asks it."""
     newest = aliased(Evaluation)
     key = and_(
         EpisodeResult.submission_digest == Submission.digest,
@@ -63,13 +75,13 @@ def find_stills(session: Session, by: Principal, submissions: Collection[UUID]) 
         EpisodeResult.run == newest.run,
         EpisodeResult.commitment == func.coalesce(newest.commitment, ""),
     )
-    rows = session.execute(
+    return (
         select(newest, EpisodeResult, Playback.key)
         .join(Submission, Submission.id == newest.submission_id)
         .join(EpisodeResult, key)
         .join(Playback, Playback.episode_id == EpisodeResult.id)
         .where(
-            among(Submission.id, submissions),
+            among_parameter(Submission.id, "submissions"),
             newest.id == select_newest(Evaluation.id),
             Playback.still_sha256.is_not(None),
         )
@@ -77,11 +89,6 @@ def find_stills(session: Session, by: Principal, submissions: Collection[UUID]) 
         .order_by(Submission.id, EpisodeResult.success.desc(), EpisodeResult.task, EpisodeResult.episode)
         .ext(distinct_on(Submission.id))
     )
-    return {
-        evaluation.submission_id: _view(found, shown)
-        for evaluation, found, shown in rows
-        if shown == playback_key(found) and find_shown_key(session, by, evaluation) is not None
-    }
 
 
 def _view(found: EpisodeResult, key: str) -> StillView:
