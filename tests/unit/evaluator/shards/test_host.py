@@ -1,4 +1,6 @@
 import socket
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -20,3 +22,11 @@ def test_host_makes_the_parts_of_every_shape_so_that_no_shard_has_to(host: Simul
         surface.cache_clear()
     host._load_task("track_1", "peg-insertion")
     assert [surface.cache_info().currsize for surface in SURFACES] == [len(pegs.PegShape)] * len(SURFACES)
+
+
+def test_scipy_is_not_loaded_for_the_physics() -> None:
+    code = (
+        "from vitac.evaluator.shards.host import _load_numba; import sys; _load_numba(); print('scipy' in sys.modules)"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert ran.stdout == "False\n"
