@@ -11,7 +11,6 @@ from ..db.states import EvaluationState
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.episode_store import EpisodeKey, find_shown_key
 from ..evaluations.history import newest_evaluation
-from ..evaluations.provenance import isolation_levels
 from ..principals import Principal
 from ..sharing.public_pages import readable
 from ..views.submissions import ArchiveContents, ModelCardView
@@ -32,12 +31,11 @@ def model_card(session: Session, by: Principal, submission_id: UUID) -> ModelCar
             ProblemCode.UNSUPPORTED_SUBMISSION_KIND,
             f"Expected a model, got a {submission.kind}: only models have a card.",
         )
-    evaluation = newest_evaluation(session, submission)
-    return make_card(session, by, evaluation, isolation_levels(session, [evaluation])[evaluation.id])
+    return make_card(session, by, newest_evaluation(session, submission))
 
 
-def make_card(session: Session, by: Principal, evaluation: Evaluation, isolation: list[str]) -> ModelCardView:
-    """Return the card of an evaluated model; `isolation` says how it ran."""
+def make_card(session: Session, by: Principal, evaluation: Evaluation) -> ModelCardView:
+    """Return the card of an evaluated model."""
     submission = evaluation.submission
     contents = submission.contents
     return ModelCardView(
@@ -48,7 +46,6 @@ def make_card(session: Session, by: Principal, evaluation: Evaluation, isolation
         control_modes=submission.manifest.get("control_modes") or {},
         archive_bytes=submission.archive_bytes,
         contents=None if contents is None else ArchiveContents.model_validate(contents),
-        isolation=isolation,
         policy_ms=_find_policy_ms(session, by, evaluation),
     )
 

@@ -47,7 +47,6 @@ class ModelCardView(View):
     control_modes: dict[str, str] = Field(description="By task, where it names one.")
     archive_bytes: int
     contents: ArchiveContents | None = Field(description="Null where it was uploaded before this was read.")
-    isolation: list[str] = Field(description="How it was isolated, on each kind of worker machine.")
     policy_ms: float | None = Field(
         description="Mean time in the policy per env step; null before a result, and where episodes are not shown."
     )

@@ -181,7 +181,7 @@ def test_the_card_of_a_sensor_without_code_names_no_policy() -> None:
     contents = ArchiveContents(frameworks=[], code_bytes=0, weights_bytes=0)
     card = ModelCardView(
         name="dome", track="track_3", tasks=["sensor-standard"], observation_keys=None, control_modes={},
-        archive_bytes=3700, contents=contents, isolation=[], policy_ms=None,
+        archive_bytes=3700, contents=contents, policy_ms=None,
     )  # fmt: skip
     about = environment().get_template("about.html").make_module({"submission": {"description": None}})
     sensor = about.model_card(card)  # type: ignore[attr-defined]
