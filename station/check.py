@@ -31,8 +31,8 @@ _BRAKING_S: Final = CONTROL_PERIOD_S / 2
 _READING_S: Final = 1.0
 _SAME: Final = 0.02
 """Relative difference up to which two calibrations are of the same sensor."""
-_VISIBLE_MARKERS: Final = 0.95
-"""Part of the calibrated markers that must be seen."""
+_FOUND_MARKERS: Final = 0.95
+"""Part of the calibrated markers that must be found in a picture of a free gel."""
 _AXES: Final = ("x", "y", "z", "the rotary axis")
 
 
@@ -107,7 +107,7 @@ def _check_tactile_camera(camera: TactileCameraDescription, between: Gripper) ->
         for _ in range(DROPPED_PICTURES):
             opened.read()
         found, expected = len(find_markers(cut_picture(opened.read()))), camera.calibration.markers
-    if found < _VISIBLE_MARKERS * expected and not _holds_part(between):
+    if found < _FOUND_MARKERS * expected and not _holds_part(between):
         yield _calibration(
             f"Expected {expected} markers on the gel, got {found}. Clean it, or replace and calibrate it."
         )

@@ -11,8 +11,8 @@ from vitac.envs.errors import VitacError
 from .devices.stage import StageState
 from .opened import OpenStation
 
-_VISIBLE_MARKERS = 0.9
-"""Part of the calibrated markers that must be followed."""
+_FOLLOWED_MARKERS = 0.9
+"""Part of the calibrated markers that must be followed; less than `check` asks to find, for a moving gel loses some."""
 _GB = 1e9
 
 
@@ -104,8 +104,8 @@ def _measure_gels(station: OpenStation) -> Iterator[Finding]:
         yield Finding(
             name=f"{side} gel",
             value=f"{found} markers",
-            limit=f"at least {_VISIBLE_MARKERS:.0%} of {markers} markers",
-            is_good=found >= _VISIBLE_MARKERS * markers,
+            limit=f"at least {_FOLLOWED_MARKERS:.0%} of {markers} markers",
+            is_good=found >= _FOLLOWED_MARKERS * markers,
             remedy="Clean it, or replace and calibrate it.",
         )
 
