@@ -132,7 +132,7 @@ async def episode(request: Request) -> Response:
         all_filmed=all(player.is_filmed for player in players),
         beside=beside,
         choices=choices,
-        results=_list_results(place, choices, players[1:]),
+        results=list_results(place, choices, players[1:]),
         embed=EMBED + _address(place) if await _is_public(request, viewer, place) else "",
         is_practice=place.practice,
         title=f"{task.title}, episode {place.number}",
@@ -215,7 +215,7 @@ async def make_player(request: Request, viewer: Viewer | None, place: EpisodeAdd
     return Player(address=prefix + _address(place), shown=await _shown_episode(request, viewer, place))
 
 
-def _list_results(
+def list_results(
     place: EpisodeAddress, choices: Sequence[EpisodeChoiceView], beside: Sequence[Player]
 ) -> dict[str, str]:
     """Return the names of other results whose episodes can be shown beside one, by their ids; what is shown is one."""

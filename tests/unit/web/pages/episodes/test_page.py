@@ -173,7 +173,7 @@ def test_the_result_beside_is_in_the_list_also_where_it_was_not_offered() -> Non
     own, other = EpisodeAddress(submission_id=COMPLETED.id, task=TASK, number=5), an_id("other")
     shown = a_shown_episode(a_playback(), submission_name="other", number=6)
     beside = [page.Player(address=f"/submissions/{other}/episodes/{TASK}/6", shown=shown)]
-    assert page._list_results(own, (), beside) == {str(other): "Gelbots: other"}
+    assert page.list_results(own, (), beside) == {str(other): "Gelbots: other"}
 
 
 @pytest.mark.parametrize("beside", ["six", "-6", "6 7", "x:6", ":", "99999999"])
