@@ -4,6 +4,7 @@ That a second clone finds all of it is in `tests/contract/test_same_bits_elsewhe
 """
 
 import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from cloned_sources import clone, run_with
+from llvmlite import binding  # type: ignore[import-untyped]
 
 SMALL_KERNELS = """
 from vitac.envs.fem.algebra import mat3, vec3
@@ -67,6 +69,14 @@ path.write_text(path.read_text() + "# changed")
 v ="""
     run_with(sources, imports + change + calls, VITAC_CACHE_DIR=cache)
     assert small_compiled_by(sources, cache) == ["part vec3.scale", "entry mat3.scale_matrix"]
+
+
+def test_machine_code_is_stored_with_the_names_of_its_functions_and_not_their_ir(filled: Path) -> None:
+    for file in filled.rglob("*.nbc"):
+        (_, _, (machine_code, bitcode)), *_ = pickle.loads(file.read_bytes())  # noqa: S301 - our own
+        functions = list(binding.parse_bitcode(bitcode).functions)
+        assert any(function.name.encode() in machine_code for function in functions)
+        assert {len(list(block.instructions)) for function in functions for block in function.blocks} == {1}
 
 
 def test_files_that_were_cut_off_are_compiled_anew(tmp_path: Path, filled: Path) -> None:
