@@ -4,7 +4,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import version
 from typing import Annotated
 
 import typer
@@ -138,6 +137,8 @@ def _requested(arguments: Sequence[str]) -> str | None:
 
 def _show_version(wanted: bool) -> None:
     if wanted:
+        from importlib.metadata import version  # not above: `--help` would take a fifth longer
+
         from vitac.evaluator.version import evaluator_version
 
         print(f"vitac-arena {version('vitac-arena')}, evaluator {evaluator_version()}")
