@@ -102,7 +102,8 @@ class StepReport:
     @property
     def part_force_n(self) -> float:
         """Force of what does not hold the part, as all gels together hold it [N]."""
-        return float(np.sqrt((np.sum(self.gel_forces_n, axis=0) ** 2).sum()))
+        total = map(sum, zip(*self.gel_forces_n, strict=True))
+        return sqrt(sum(along * along for along in total))
 
 
 @dataclass(kw_only=True, eq=False)
