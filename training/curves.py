@@ -9,6 +9,7 @@ from typing import Any
 
 from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt, TypeAdapter, ValidationError
 from vitac.envs.errors import VitacError
+from vitac.envs.tasks.fidelity import FIDELITY, Fidelity
 from vitac.evaluator.scoring.score import interval_of_mean, rate
 from vitac.evaluator.strict_model import StrictModel
 
@@ -38,8 +39,8 @@ class Point(StrictModel):
 class Curve(StrictModel):
     """A training.
 
-    `wanted` are the env steps after which it is finished, where these are known before, and `cpu_s` the CPU time so
-    far, where it is measured.
+    `wanted` are the env steps after which it is finished, where these are known before, `cpu_s` the CPU time so far,
+    where it is measured, and `options` those of the command that continues it.
     """
 
     task: str
@@ -48,6 +49,7 @@ class Curve(StrictModel):
     points: tuple[Point, ...]
     wanted: PositiveInt | None = None
     cpu_s: NonNegativeFloat | None = None
+    options: str = ""
 
     @property
     def group(self) -> tuple[str, str]:
@@ -97,10 +99,11 @@ def _of_reference(path: Path, recipe: Mapping[str, Any]) -> Curve:
     episodes = recipe["evaluation_episodes"]
     return Curve(
         task=recipe["task"],
-        method="train reference",
+        method=_method("train reference", recipe),
         seed=recipe["seed"],
         wanted=recipe["env_steps"],
         cpu_s=float(rows[-1]["time/cpu_s"]),
+        options="".join(_options(recipe)),
         points=tuple(
             Point(
                 env_steps=int(row["time/total_timesteps"]),
@@ -120,10 +123,25 @@ def _of_rounds(path: Path, recipe: Mapping[str, Any]) -> Iterator[Curve]:
             is_clone = "solved" in rows[0]
             yield Curve(
                 task=recipe["task"],
-                method=("train clone" if is_clone else "train") + ending,
+                method=_method("train clone" if is_clone else "train", recipe) + ending,
                 seed=recipe["seed"],
                 points=tuple(_point(row["env_steps"], row["solved" if is_clone else "student"]) for row in rows),
             )
+
+
+def _options(recipe: Mapping[str, Any]) -> Iterator[str]:
+    if recipe["seed"]:
+        yield f" --seed {recipe['seed']}"
+    if recipe.get("sensor"):
+        yield " --sensor FOLDER"
+    for name, default in (("fidelity", "full"), ("device", "cpu")):
+        if recipe.get(name, default) != default:
+            yield f" --{name} {recipe[name]}"
+
+
+def _method(name: str, recipe: Mapping[str, Any]) -> str:
+    fidelity = recipe.get(FIDELITY, Fidelity.FULL)
+    return name if fidelity == Fidelity.FULL else f"{name}, fidelity {fidelity}"
 
 
 def _point(env_steps: int, found: Mapping[str, Any]) -> Point:
@@ -178,5 +196,5 @@ def _say_unfinished(curve: Curve) -> str:
     if curve.cpu_s is not None:
         said += f" in {curve.cpu_s / 60:.0f} minutes of CPU time, so the rest takes about "
         said += f"{curve.cpu_s / done * (wanted - done) / 3600:.1f} hours of one core"
-    seed = f" --seed {curve.seed}" if curve.seed else ""
-    return f"{said}. `./vitac --torch train reference {curve.task} --out RUN{seed}` continues it from its folder RUN."
+    command = f"./vitac --torch train reference {curve.task} --out RUN{curve.options}"
+    return f"{said}. `{command}` continues it from its folder RUN."

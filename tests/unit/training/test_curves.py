@@ -14,7 +14,13 @@ def curve(seed: int, *successes: int, method: str = "train clone", wanted: int |
         Point(env_steps=1000 * number, successes=solved, episodes=50) for number, solved in enumerate(successes, 1)
     )
     return Curve(
-        task="lock-opening", method=method, seed=seed, points=tuple(points), wanted=wanted, cpu_s=wanted and 600.0
+        task="lock-opening",
+        method=method,
+        seed=seed,
+        points=tuple(points),
+        wanted=wanted,
+        cpu_s=wanted and 600.0,
+        options=f" --seed {seed}",
     )
 
 
@@ -31,6 +37,17 @@ def test_curve_of_the_challenges_method_is_that_of_its_evaluations(tmp_path: Pat
     (found,) = read_curves([run])
     assert (found.method, found.seed, found.wanted, found.cpu_s) == ("train reference", 4, 80_000, 40.0)
     assert [(point.env_steps, point.successes) for point in found.points] == [(2000, 5), (4000, 29)]
+
+
+def test_a_fidelity_is_a_method_of_its_own_and_the_command_that_continues_names_how_it_began(tmp_path: Path) -> None:
+    log = "time/total_timesteps,time/cpu_s,eval/success_rate\n2000,20.0,0.1\n"
+    chosen: dict[str, object] = {"env_steps": 80_000, "evaluation_episodes": 50, "sensor": "ab12"}
+    run = write_run(tmp_path / "run", "progress.csv", log, fidelity="training", device="cuda", **chosen)
+    (found,) = read_curves([run])
+    assert found.method == "train reference, fidelity training"
+    assert "--out RUN --seed 4 --sensor FOLDER --fidelity training --device cuda`" in make_page(
+        [found], {"lock-opening": "lock.svg"}
+    )
 
 
 def test_curves_of_rounds_are_those_of_their_students_and_the_blind(tmp_path: Path) -> None:
