@@ -111,9 +111,11 @@ class ShardProcesses:
         timer.start()
 
     def _close_idle(self, processes: "list[ShardProcess]") -> None:
-        for process in processes:
-            if self._is_taken(process):
-                self._end(process)
+        taken = [process for process in processes if self._is_taken(process)]
+        for process in taken:
+            process.let_end()
+        for process in taken:
+            self._end(process)
 
     def _is_taken(self, process: "ShardProcess") -> bool:
         """Take a process out of the idle ones; False if somebody else has."""
@@ -236,6 +238,11 @@ class ShardProcess:
         """Give the process another order; what runs it is returned, and this object has nothing more to do with it."""
         return ShardProcess(self.host, order, self._connection, self._exit_pipe, self._fork)
 
+    def let_end(self) -> None:
+        """Let the process end if it waits for another order, without waiting for that: many end at the same time."""
+        with suppress(OSError):
+            self._connection.shutdown(socket.SHUT_RDWR)
+
     def close(self) -> bool:
         """End the process and wait for it; return whether its host ever answered.
 
@@ -247,8 +254,7 @@ class ShardProcess:
         except ShardProcessFailed:
             return self._is_taken
         else:
-            with suppress(OSError):
-                self._connection.shutdown(socket.SHUT_RDWR)
+            self.let_end()
             if not fork.wait(CLOSING_LIMIT_S):
                 fork.kill()
                 fork.wait()
