@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 Key = Annotated[
-    str | None, typer.Option(help="Public key of the service, as its page /receipts shows it; store a copy.")
+    str | None,
+    typer.Option(help="Public key of the service, as its page /receipts or /log/key shows it; store a copy."),
 ]
 
 
@@ -55,7 +56,8 @@ def verify(
     from vitac.server.receipts.export import read_receipt
     from vitac.server.transparency.notes import VerifierKey
 
-    if Path(receipt).is_file():
+    key = _read_key(key)
+    if Path(receipt).is_file() or Path(receipt).suffix == ".json":
         found, witnesses = read_receipt(Path(receipt)), witness or []
     else:
         found, shown_key, named = _read_from_service(receipt, server, token_file)
@@ -192,6 +194,7 @@ def _audit_export(
 
     from ..terminal.compiling import compiling_shown
 
+    key = _read_key(key)
     for each in held:
         each.require_valid(key)
     seed = secrets.randbits(63) if seed is None else seed
@@ -224,6 +227,17 @@ def _audit_log(named: str, key: str | None, held: list[AnyReceipt], noted: Seque
         _print_log(found)
     if found.findings:
         raise typer.Exit(1)
+
+
+def _read_key(key: str | None) -> str | None:
+    """Return the hexadecimal digits of a key, which `/log/key` shows as NAME+ID+KEY.
+
+    Raises:
+        NoteRejected: it is none.
+    """
+    from .published_log import parse_log_key
+
+    return None if key is None else parse_log_key(key).public_key.hex()
 
 
 def _shown(content: Content) -> dict[str, object]:

@@ -49,7 +49,9 @@ def test_a_receipt_is_verified_at_the_service_and_as_a_file(played: tuple[CliSer
     assert "Compare the key" in service.run("receipt", "verify", str(file)).stdout
     key = json.loads(service.run("admin", "receipt", "key", "--json").stdout)
     assert key["receipts"] == 2
-    assert service.run("receipt", "verify", str(file), "--key", key["public_key"]).exit_code == 0
+    for form in (key["public_key"], key["verifier_key"]):
+        assert service.run("receipt", "verify", str(file), "--key", form).exit_code == 0, form
+    assert "cannot be read" in refusal(service.run("receipt", "verify", str(tmp_path / "none.json")))
     assert "of another service" in refusal(service.run("receipt", "verify", str(file), "--key", "0" * 64))
     told["receipt"]["result"]["tasks"][0]["successes"] = 1
     file.write_text(json.dumps(told["receipt"]))
