@@ -39,5 +39,7 @@ class SharedCore:
             self._place(pid)
 
     def _place(self, pid: int) -> None:
+        if self._core < 0:  # this kernel does not say where a process runs
+            return
         with suppress(OSError):  # it has ended, or this process has no right over it
             os.sched_setaffinity(pid, {self._core})

@@ -3,6 +3,7 @@ import subprocess
 from collections.abc import Iterator
 
 import pytest
+from vitac.evaluator.agent.isolation import shared_core
 from vitac.evaluator.agent.isolation.shared_core import SharedCore
 
 
@@ -45,6 +46,15 @@ def test_leaves_a_removed_process_where_it_is(cores: list[int], process: "subpro
     shared.follow()
 
     assert os.sched_getaffinity(process.pid) == {cores[0]}
+
+
+def test_leaves_processes_alone_where_the_kernel_does_not_name_the_core(
+    process: "subprocess.Popen[bytes]", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = os.sched_getaffinity(process.pid)
+    monkeypatch.setattr(shared_core, "_current_core", lambda: -1)
+    SharedCore().add(process.pid)
+    assert os.sched_getaffinity(process.pid) == before
 
 
 def test_passes_over_a_process_that_has_ended(process: "subprocess.Popen[bytes]") -> None:
