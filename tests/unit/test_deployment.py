@@ -5,6 +5,8 @@ key checked against those that this project uses on purpose.
 """
 
 import re
+import shutil
+import subprocess
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -94,6 +96,39 @@ def test_pins_every_image_by_name_and_version(services: dict[str, dict[str, Any]
     assert images
     named = r"[a-z]+:\d[\w.]*-\w[\w-]*(@sha256:[0-9a-f]{64})?"
     assert all(re.fullmatch(named, image) for image in images), images
+
+
+def test_base_images_are_named_by_digest_all_or_none(repository: Path, tmp_path: Path) -> None:
+    for name in ("docker/Dockerfile", "docker/pin.sh", "docker-compose.yml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        shutil.copy(repository / name, tmp_path / name)
+    engine = tmp_path / "docker" / "docker"  # stands for the program, which asks a registry
+
+    def pin(*arguments: str, digest: str) -> tuple[int, str]:
+        engine.write_text(
+            f"#!/bin/sh\n[ $4 != postgres:17-bookworm ] || exit {int(not digest)}\necho sha256:{digest}\n"
+        )
+        engine.chmod(0o755)
+        path = f"{engine.parent}:/usr/bin:/bin"
+        command = [tmp_path / "docker" / "pin.sh", *arguments]
+        done = subprocess.run(command, env={"PATH": path}, capture_output=True, text=True)
+        return done.returncode, done.stderr
+
+    before = (tmp_path / "docker" / "Dockerfile").read_text()
+    assert pin(digest="")[0] != 0
+    assert (tmp_path / "docker" / "Dockerfile").read_text() == before
+    code, said = pin("--check", digest="")
+    assert (code, said.count("by version only")) == (1, 2)
+    for digest in ("1" * 64, "2" * 64):
+        assert pin(digest=digest) == (0, "")
+        assert pin("--check", digest="") == (0, "")
+        pinned = (tmp_path / "docker" / "Dockerfile").read_text()
+        assert pinned.count(f"FROM python:3.11-slim-bookworm@sha256:{digest} AS") == 2
+    assert f"postgres:17-bookworm@sha256:{digest}\n" in (tmp_path / "docker-compose.yml").read_text()
+
+
+def test_a_build_for_others_may_demand_digests(dockerfile: str) -> None:
+    assert 'ARG PINNED=\nRUN docker/pin.sh --check || test -z "$PINNED"\n' in dockerfile
 
 
 def test_a_player_that_cannot_be_bundled_fails_the_build(dockerfile: str) -> None:
@@ -218,4 +253,13 @@ def test_image_context_holds_what_the_wheel_is_built_from(repository: Path) -> N
     folders = set(project["tool"]["setuptools"]["package-dir"].values())
     assert "server" in folders
     kept = {line[1:] for line in lines if line.startswith("!")}
-    assert kept == folders | {"setup", "viewer", "LICENSE", "NOTICE", "README.md", "pyproject.toml", "requirements"}
+    pinning = {"docker/Dockerfile", "docker/pin.sh"}
+    assert kept == folders | pinning | {
+        "setup",
+        "viewer",
+        "LICENSE",
+        "NOTICE",
+        "README.md",
+        "pyproject.toml",
+        "requirements",
+    }
