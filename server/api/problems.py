@@ -155,7 +155,7 @@ def refusal_of_failure(request: Request, error: Exception) -> ServiceError | Non
     if settings.database_url is None and not has_space(settings.state_dir):
         return storage_full()
     reason = "is starting or unavailable"
-    if isinstance(error, DBAPIError) and has_no_free_connection(error):
+    if isinstance(error, DBAPIError) and has_no_free_connection(error.orig):
         reason = "has no free connection"
     detail = f"The database {reason}; try again in a moment."
     return ServiceError(ProblemCode.DATABASE_UNAVAILABLE, detail)

@@ -28,7 +28,7 @@ class DatabaseUnreachable(VitacError):
     @classmethod
     def from_driver(cls, error: DBAPIError) -> "DatabaseUnreachable":
         """Return the error that says in one line what the driver said."""
-        if has_no_free_connection(error):
+        if has_no_free_connection(error.orig):
             return cls("The database has no free connection: run fewer processes, or raise its max_connections.")
         return cls(f"The database cannot be used: {' '.join(str(error.orig).split())}.")
 

@@ -169,12 +169,12 @@ def is_cancelled(error: DBAPIError) -> bool:
     return getattr(error.orig, "sqlstate", None) == QUERY_CANCELED
 
 
-def has_no_free_connection(error: DBAPIError) -> bool:
-    """Return whether the database runs, and all connections that it takes are in use.
+def has_no_free_connection(error: BaseException | None) -> bool:
+    """Return whether the driver says that the database runs, and all connections that it takes are in use.
 
-    The driver gives an error of connecting no state, so that the text has to tell.
+    It gives an error of connecting no state, so that the text has to tell.
     """
-    return any(text in str(error.orig) for text in ("too many clients", "too many connections", "connection slots"))
+    return any(text in str(error) for text in ("too many clients", "too many connections", "connection slots"))
 
 
 def is_connection_loss(error: DBAPIError) -> bool:

@@ -20,6 +20,7 @@ from psycopg.pq import PGconn, Ping
 from vitac.envs.errors import VitacError
 
 from ..db.availability import DatabaseUnreachable
+from ..db.engine import has_no_free_connection
 from .cluster import Cluster, DatabaseStartFailed
 from .leftovers import NOTICE_EVERY_S
 
@@ -122,12 +123,15 @@ class EmbeddedPostgres:
         self.stop()
 
     def _address(self) -> str | None:
-        """Return the address if somebody answers there."""
+        """Return the address if somebody answers there, also that no connection is free."""
         try:
             address = self.cluster.dsn_file.read_text()
-            psycopg.connect(address, connect_timeout=ANSWER_S).close()
-        except (FileNotFoundError, psycopg.OperationalError):
+        except FileNotFoundError:
             return None
+        try:
+            psycopg.connect(address, connect_timeout=ANSWER_S).close()
+        except psycopg.OperationalError as error:
+            return address if has_no_free_connection(error) else None
         return address
 
     def _hangs(self) -> bool:

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import psycopg
@@ -46,6 +47,17 @@ def test_data_survives_a_kill_of_the_server_which_is_started_again(folder: Path)
         eventually(lambda: postgres.server_pid not in (None, killed) and answers(address))
         with psycopg.connect(address) as connection:
             assert connection.execute("SELECT value FROM kept").fetchone() == (7,)
+
+
+def test_a_database_without_a_free_connection_is_there(folder: Path) -> None:
+    options = ("max_connections=5", "superuser_reserved_connections=1", "max_wal_senders=0")
+    with EmbeddedPostgres(folder, options=options) as postgres, ExitStack() as held:
+        address = postgres.cluster.dsn_file.read_text()
+        for _ in range(4):
+            held.enter_context(psycopg.connect(address))
+        with pytest.raises(psycopg.OperationalError, match="connection slots"):
+            psycopg.connect(address)
+        assert EmbeddedPostgres(folder, may_run=False, wait_s=0.0).start() == address
 
 
 def test_another_process_attaches_and_takes_over_when_the_owner_ends(folder: Path) -> None:
