@@ -21,9 +21,9 @@ class Server:
         self.at_work = 0
         self.order: list[str] = []
         routes = [Route("/page", self.page), Route("/stream", self.stream), Route("/health", self.page)]
-        routes += [Route("/uploads", self.page, methods=["POST"])]
+        routes += [Route("/uploads", self.page, methods=["POST"]), Route("/uploads/", self.form, methods=["POST"])]
         routes += [Route("/form", self.form, methods=["POST"]), Route("/waits", self.wait)]
-        self.app = Shares(Starlette(routes=routes), share=share, apart=[("POST", "/uploads")])
+        self.app = Shares(Starlette(routes=routes), share=share, apart=[("POST", "/uploads"), ("POST", "/uploads/")])
 
     async def page(self, request: Request) -> Response:
         request.state.account = request.headers.get("authorization", "").removeprefix("Bearer ")
@@ -150,10 +150,13 @@ def test_uploads_wait_for_their_turn_and_leave_their_places_to_others_in_time(mo
     asyncio.run(ask())
 
 
-def test_a_body_that_trickles_and_what_only_waits_hold_no_place() -> None:
+@pytest.mark.parametrize("path", ["/form", "/uploads/"])
+def test_a_body_that_trickles_and_what_only_waits_hold_no_place(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shares, "PLACE_TIMEOUT_S", 0.05)
+
     async def ask() -> None:
         server = Server()
-        trickling = [asyncio.create_task(server.ask("/form", method="POST")) for _ in range(2 * AT_WORK)]
+        trickling = [asyncio.create_task(server.ask(path, method="POST")) for _ in range(2 * AT_WORK)]
         waiting = [asyncio.create_task(server.ask("/waits")) for _ in range(2 * AT_WORK)]
         await settled()
         server.may_end.set()
