@@ -17,7 +17,9 @@ from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks.sealed import write_secret
+from vitac.server.contest.contest import find_stage
 from vitac.server.contest.sealing import find_secret
+from vitac.server.db.models import Submission
 from vitac.server.errors import ServiceError
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episodes, stored_episodes
 from vitac.server.evaluations.lifecycle import finish_shard, report_broken_machine
@@ -205,6 +207,7 @@ class ShardRun(LeasedRun[RunningShard]):
             sensor=sensor,
             figures=figures,
             coefficients=self._coefficients(),
+            episode_period_s=self._database(self._find_episode_period),
             track=self._lease.track,
             task=self._lease.task,
             evaluator_version=self._lease.evaluator_version,
@@ -215,6 +218,10 @@ class ShardRun(LeasedRun[RunningShard]):
             skip=tuple(sorted(stored.numbers)),
             earlier_failures=stored.failures,
         )
+
+    def _find_episode_period(self, session: Session) -> float | None:
+        submission = session.get_one(Submission, self._lease.submission_id)
+        return find_stage(session, submission).rules.episode_period_s
 
     def _coefficients(self) -> Coefficients | None:
         """Return what the standard estimator has learned in an earlier shard; None where it is to learn it now."""

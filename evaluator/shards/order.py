@@ -54,8 +54,9 @@ class ShardOrder(StrictModel):
     `submission` is the folder of an unpacked archive, or the file of a log; `secret` the file with the secret of a
     sealed list, without which the public one is played; `sensor` a folder with a sensor of a team's own, or the
     file of a made one. `figures` says of which of the sensor's figures the shard measures a part. `coefficients`
-    are what the standard estimator has learned of the sensor; without them it is calibrated first. A process of another
-    `evaluator_version` than the given one refuses the order.
+    are what the standard estimator has learned of the sensor; without them it is calibrated first. `episode_period_s`
+    is the time from the start of an episode to that of the next [s]; without it what the machine is set to. A process
+    of another `evaluator_version` than the given one refuses the order.
     """
 
     kind: SubmissionKind
@@ -71,6 +72,7 @@ class ShardOrder(StrictModel):
     sensor: Path | None = None
     figures: FigureChoice = FigureChoice.NONE
     coefficients: Coefficients | None = None
+    episode_period_s: float | None = None
     skip: tuple[int, ...] = ()
     earlier_failures: tuple[PolicyFailure, ...] = ()
 

@@ -22,7 +22,10 @@ LoadPolicy = Callable[[Path, Limits], AbstractContextManager[Session]]
 
 
 def load_in_sandbox(
-    submission_dir: Path, limits: Limits, packages: tuple[PackageSet, ...] = ()
+    submission_dir: Path,
+    limits: Limits,
+    packages: tuple[PackageSet, ...] = (),
+    episode_period_s: float | None = None,
 ) -> AbstractContextManager[Session]:
     """Load the policy of a submission in its sandbox, with the sets of packages that its track declares.
 
@@ -31,7 +34,13 @@ def load_in_sandbox(
         SandboxFailed: the isolation could not be set up.
     """
     entry_point = load_manifest(submission_dir).entry_point
-    return PolicySession(submission_dir, entry_point=entry_point, limits=limits, packages=packages)
+    return PolicySession(
+        submission_dir,
+        entry_point=entry_point,
+        limits=limits,
+        packages=packages,
+        episode_period_s=episode_period_s,
+    )
 
 
 def run_shard(

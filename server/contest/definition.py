@@ -95,6 +95,13 @@ class StageRules(StrictModel):
         description="How many of the competition's witnesses must have signed all entries of the stage in the log "
         "of receipts before the competition can be made final.",
     )
+    episode_period_s: float | None = Field(
+        default=None,
+        gt=0,
+        le=10,
+        description="Time from the start of an episode to that of the next [s], so that the instant at which one ends "
+        "tells the next one nothing; null: as a worker is set.",
+    )
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:

@@ -104,10 +104,13 @@ def test_hash_is_the_same_for_workers_order_and_resume(submission: Path, drifted
         shard=0,
         episodes=(1, 2),
         skip=(1,),
+        episode_period_s=0.125,
     )
     with ShardProcesses() as processes, processes.running_shard(order) as process:
         resumed = [one.records[0], *process.records(), one.records[2]]
         assert result_hash(process.result.manifest, resumed) == one.result_hash
+        assert process.result.isolation is not None
+        assert process.result.isolation.episode_period_s == 0.125
     of_another = order.model_copy(update={"evaluator_version": "1+another"})
     with (
         ShardProcesses() as processes,

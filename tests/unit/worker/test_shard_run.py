@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import pytest
 from psycopg.errors import DiskFull
 from service_factories import (
+    TRACK,
     claim,
     make_failed_record,
     make_principal,
@@ -54,7 +55,7 @@ from vitac.worker.slot import Slot
 from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShard, FakeShards, eventually
 
-from competitions import stored_stage
+from competitions import make_competition, open_now, put_in_place, stored_stage
 
 
 @pytest.fixture
@@ -247,6 +248,22 @@ def test_a_shard_of_a_sealed_list_gets_the_secret_in_a_file_that_goes_with_it(
     assert (mode, text) == (0o600, f"{made.secret}\n")
     assert path.is_relative_to(stage.folder)
     assert not path.exists()
+
+
+@pytest.mark.parametrize("period_s", [None, 0.5])
+def test_a_stage_says_when_episodes_start(
+    services: Services, stage: SubmissionStage, archive_sha256: str, period_s: float | None
+) -> None:
+    content = open_now(make_competition())
+    content["tracks"][TRACK]["stages"][0]["episode_period_s"] = period_s
+    with services.database.transaction() as session:
+        put_in_place(session, content)
+        upload = make_upload(archive_sha256=archive_sha256)
+        submission, _ = creation.create(session, make_principal(session), upload)
+    lease = claim(services.database, first_shard(services, submission), lease_s=services.settings.lease_s)
+    shards = FakeShards()
+    ShardRun(services, stage, lease, shards).run()
+    assert shards.started[0].order.episode_period_s == period_s
 
 
 def test_half_done_shard_is_resumed_from_its_stored_episodes(

@@ -33,6 +33,7 @@ SHARED = {
     "evaluator_version": "1+another",
     "limits": Limits(open_files=7),
     "assets_dir": Path("/assets"),
+    "episode_period_s": 0.5,
     "sensor": Path("/sensor"),
     "figures": next(choice for choice in FigureChoice if choice is not FigureChoice.NONE),
 }
