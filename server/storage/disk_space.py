@@ -4,10 +4,12 @@ import errno
 import os
 import re
 from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
 from sqlalchemy.exc import DBAPIError
 
 from ..errors import storage_full
+from ..settings import Settings
 
 NEEDED_BYTES = 1 << 20
 """Free space below which a disk counts as full."""
@@ -33,16 +35,18 @@ def is_disk_full(error: BaseException) -> bool:
     return error.__cause__ is not None and is_disk_full(error.__cause__)
 
 
-def require_room(folder: Path, n_bytes: int) -> None:
+def require_room(settings: Settings, n_bytes: int) -> None:
     """Refuse an upload that would leave the others without disk space: database, workers, organizers.
 
     Raises:
-        ServiceError: the disk of the folder has too little.
+        ServiceError: the disk of the state directory, or of the folder where uploads are stored, has too little.
     """
-    disk = os.statvfs(folder)
-    reserve_bytes = min(RESERVED_BYTES, RESERVED_SHARE * disk.f_blocks * disk.f_frsize)
-    if disk.f_bavail * disk.f_frsize < n_bytes + reserve_bytes:
-        raise storage_full()
+    storage = urlsplit(settings.storage_url or "")
+    folders = [settings.state_dir, *([Path(unquote(storage.path))] if storage.scheme == "file" else [])]
+    for disk in map(os.statvfs, folders):
+        reserve_bytes = min(RESERVED_BYTES, RESERVED_SHARE * disk.f_blocks * disk.f_frsize)
+        if disk.f_bavail * disk.f_frsize < n_bytes + reserve_bytes:
+            raise storage_full()
 
 
 def has_space(folder: Path) -> bool:

@@ -53,7 +53,7 @@ def check(services: Services, upload: AnnouncedUpload) -> None:
         ServiceError: it is too large, the disk is almost full, or the track does not exist or does not take its kind.
     """
     intake.check_announced_size(upload.n_bytes, SERVED_KINDS[upload.kind].max_bytes(services.settings))
-    require_room(services.settings.state_dir, upload.n_bytes or 0)
+    require_room(services.settings, upload.n_bytes or 0)
     if upload.track is not None:
         check_kind(upload.kind, load_known_track(upload.track))
 

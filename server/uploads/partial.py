@@ -69,7 +69,7 @@ def begin(session: Session, settings: Settings, owner: Team, plan: UploadPlan) -
         ServiceError: too large, the disk is almost full, or the team has too many unfinished uploads.
     """
     check_announced_size(plan.total_bytes, SERVED_KINDS[plan.kind].max_bytes(settings))
-    require_room(settings.state_dir, plan.total_bytes)
+    require_room(settings, plan.total_bytes)
     teams.lock(session, owner)
     unfinished = select(PartialUpload).where(
         PartialUpload.team_id == owner.id,

@@ -128,7 +128,7 @@ async def patch_upload(
     upload = await run_in_threadpool(_find, services, principal, upload_id)
     if offset != upload.received_bytes:
         raise await run_in_threadpool(_conflict, services, upload_id, offset)
-    require_room(services.settings.state_dir, upload.total_bytes - offset)
+    require_room(services.settings, upload.total_bytes - offset)
     receiver = PieceReceiver(
         services=services,
         upload_id=upload_id,

@@ -38,12 +38,21 @@ def test_full_disk_is_told_from_other_failures(error: Exception, is_full: bool) 
 
 
 def test_uploads_leave_disk_space_to_the_others(tmp_path: Path) -> None:
-    disk = os.statvfs(tmp_path)
+    disk, settings = os.statvfs(tmp_path), load_settings(state_dir=tmp_path)
     free_bytes, all_bytes = disk.f_bavail * disk.f_frsize, disk.f_blocks * disk.f_frsize
-    require_room(tmp_path, 0)
+    require_room(settings, 0)
     with pytest.raises(ServiceError) as refusal:
-        require_room(tmp_path, free_bytes - min(RESERVED_BYTES, int(RESERVED_SHARE * all_bytes)) // 2)
+        require_room(settings, free_bytes - min(RESERVED_BYTES, int(RESERVED_SHARE * all_bytes)) // 2)
     assert refusal.value.code is ProblemCode.STORAGE_FULL
+
+
+def test_uploads_leave_room_where_they_are_stored_too(tmp_path: Path) -> None:
+    (tmp_path / "my files").mkdir()
+    with small_disk(tmp_path / "my files", 4 << 20) as disk:
+        settings = load_settings(state_dir=tmp_path, storage_url=disk.as_uri())
+        require_room(settings, 0)
+        with pytest.raises(ServiceError, match="disk of the service is full"):
+            require_room(settings, 4 << 20)
 
 
 def test_a_file_that_does_not_fit_is_refused_and_leaves_nothing_until_there_is_room(tmp_path: Path) -> None:
