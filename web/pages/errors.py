@@ -39,7 +39,6 @@ TITLES = {
 CRASHED = (
     "The error is on our side and has been recorded. Try again; if it persists, tell the organizers when it happened."
 )
-DATABASE_DOWN = "The database is restarting. Nothing is lost; reload this page in a few seconds."
 MISSING = "This page does not exist or belongs to another team. Check the address, or sign in with the right token."
 
 
@@ -95,7 +94,6 @@ def _explain(request: Request, error: Exception) -> tuple[int, str, dict[str, st
         ours = error.detail != HTTPStatus(error.status_code).phrase
         return error.status_code, error.detail if ours else MISSING, dict(error.headers or {})
     if (refusal := refusal_of_failure(request, error)) is not None:
-        if refusal.code is ProblemCode.DATABASE_UNAVAILABLE:
-            return 503, DATABASE_DOWN, {"Retry-After": "2"}
-        return refusal.status.value, refusal.detail, {}
+        is_away = refusal.code is ProblemCode.DATABASE_UNAVAILABLE
+        return refusal.status.value, refusal.detail, {"Retry-After": "2"} if is_away else {}
     return 500, CRASHED, {}

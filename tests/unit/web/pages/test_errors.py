@@ -120,15 +120,25 @@ def test_a_crash_is_a_page_that_tells_nothing_of_the_inside(data: FixedData, bro
     assert answer.headers["content-security-policy"] == HEADERS["Content-Security-Policy"]
 
 
-def test_database_that_is_away_is_a_page_that_says_when_to_come_back(data: FixedData, browser: AsgiBrowser) -> None:
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (psycopg.OperationalError("connection refused"), "The database is starting or unavailable"),
+        (psycopg.OperationalError("sorry, too many clients already"), "The database has no free connection"),
+        (psycopg.errors.QueryCanceled(), "The database took too long"),
+    ],
+)
+def test_database_that_is_away_is_a_page_that_says_why_and_when_to_come_back(
+    data: FixedData, browser: AsgiBrowser, error: Exception, sentence: str
+) -> None:
     def away(by: Principal, track: str) -> LeaderboardView:
-        raise OperationalError("SELECT 1", {}, psycopg.OperationalError("connection refused"))
+        raise OperationalError("SELECT 1", {}, error)
 
     data.leaderboard = away  # type: ignore[assignment]
     answer = browser.get("/")
     assert answer.status_code == 503
     assert answer.headers["retry-after"] == "2"
-    assert "Nothing is lost" in answer.text
+    assert f"{sentence}; try again in a moment." in answer.text
     program = browser.get("/", headers={"accept": "*/*"})
     assert (program.status_code, program.json()["code"]) == (503, "database_unavailable")
 
