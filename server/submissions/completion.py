@@ -75,7 +75,7 @@ def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUI
             at=_find_arrival_in_time(session, locked, checked.track),
         )
         partial.finish(session, locked, submission.id)
-    if not is_new:
+    if not is_new or submission.archive_sha256 != checked.archive_sha256:
         remove_unnamed(services, checked)
     with suppress(ServiceError):  # The submission is made; housekeeping removes the parts with the upload.
         services.blobs.delete_parts(str(upload.id))

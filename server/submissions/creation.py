@@ -11,6 +11,7 @@ from ..contest.contest import Contest, choose_contest
 from ..contest.stages import Stage
 from ..db.models import Submission, Team
 from ..db.states import NoticeKind, Quota
+from ..db.stored_uploads import WAS_CANCELLED
 from ..errors import ProblemCode, ServiceError
 from ..evaluations import lifecycle
 from ..notices.outbox import announce_evaluation
@@ -74,6 +75,9 @@ def create(
     run = next_run(session, submission, again=again)
     if run is None:
         return submission, False
+    if session.scalar(select(WAS_CANCELLED).where(Submission.id == submission.id)):
+        # Its archive is gone or goes soon; this one holds the same content, however it is packed.
+        submission.archive_sha256, submission.archive_bytes = upload.archive_sha256, upload.archive_bytes
     add_files(session, submission.id, upload.files)
     require_machines_hold(session, by, submission)
     charged_at = charge(session, quotas, by, team_row, *EVALUATION_QUOTAS)

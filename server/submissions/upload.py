@@ -118,7 +118,7 @@ def _create(
             again=upload.again,
             quotas=services.settings.quotas,
         )
-    if not is_new:
+    if not is_new or submission.archive_sha256 != checked.archive_sha256:
         remove_unnamed(services, checked)
     with services.database.transaction() as session:
         return listing.get(session, services.settings, by, submission.id), is_new

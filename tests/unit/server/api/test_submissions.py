@@ -3,19 +3,20 @@ import hashlib
 import json
 import socket
 import threading
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from uuid import uuid4
 
 import pytest
 from service_client import MANIFEST, POLICY, Service, bearer, make_archive, problem_of, running_service
 from service_factories import TASK, TRACK, make_record, play_all
-from sqlalchemy import text
+from sqlalchemy import text, update
 from structlog.testing import capture_logs
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Submission
+from vitac.server.db.models import Evaluation, Submission
 from vitac.server.submissions import listing
 from worker_fakes import eventually
 
@@ -56,6 +57,21 @@ def test_same_content_packed_differently_is_answered_with_the_submission_that_ex
     assert service.count("evaluations") == 1
     stored = [service.services.blobs.holds(hashlib.sha256(one).hexdigest()) for one in (ARCHIVE, other_zip)]
     assert stored == [True, False], "nobody needs the second one"
+
+
+@pytest.mark.parametrize("days", [0, 2])
+def test_a_cancelled_submission_is_taken_up_by_its_content_packed_differently(service: Service, days: int) -> None:
+    packed = ARCHIVE, make_archive({"Track_1/policy.py": POLICY, "Track_1/submission.yaml": MANIFEST})
+    first, other = (hashlib.sha256(one).hexdigest() for one in packed)
+    identity = service.upload(ARCHIVE).json()["id"]
+    service.post(f"/submissions/{identity}/cancel")
+    with service.database.transaction() as session:
+        session.execute(update(Evaluation).values(finished_at=datetime.now(UTC) - timedelta(days=days)))
+    answer = service.upload(packed[1])
+    assert (answer.status_code, answer.json()["id"]) == (202, identity)
+    gone = days > 1  # the first archive is, or will be soon
+    assert submission_of(service, identity).archive_sha256 == (other if gone else first)
+    assert service.services.blobs.holds(other) is gone
 
 
 def test_same_upload_at_the_same_time_is_one_submission(service: Service) -> None:
