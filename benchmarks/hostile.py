@@ -363,7 +363,7 @@ def archive(note: str) -> bytes:
     """Return a small submission that no other team has."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as target:
-        for path in sorted(EXAMPLE.iterdir()):
+        for path in sorted(EXAMPLE.glob("*.*")):
             target.writestr(f"Track_1/{path.name}", path.read_bytes())
         target.writestr("Track_1/notes.txt", note)
     return content.getvalue()
