@@ -18,6 +18,8 @@ _STATUS_REGISTER: Final = 0x07D0
 _STATUS_REGISTERS: Final = 3
 _ACTIVATE, _GO = 0x01, 0x08
 _ANSWER_S: Final = 0.4
+_WRITE_S: Final = 5.0
+"""A request of 8 bytes waits for nothing of the line, but this process may wait for a core."""
 _RETRIES: Final = 3
 _ACTIVATION_S: Final = 10.0
 _POLL_S: Final = 0.01
@@ -73,8 +75,10 @@ class Gripper:
         self._unit = unit
         self._request: int | None = None
         self._line = ModbusSerialClient(port, baudrate=_BAUD, timeout=_ANSWER_S, retries=_RETRIES)
-        if not self._line.connect():
+        self._line.connect()
+        if self._line.socket is None:
             raise DeviceNotFound(f"No gripper at {port}: expected a serial port. Check its cable and `port`.")
+        self._line.socket.write_timeout = _WRITE_S
 
     def __enter__(self) -> Self:
         return self

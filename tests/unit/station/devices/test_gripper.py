@@ -1,6 +1,9 @@
 """The driver of the gripper against its twin, over a real pseudo-terminal."""
 
+import os
+import time
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from vitac.station.devices.device import DeviceFault, DeviceNotFound
@@ -87,6 +90,21 @@ def test_unplugged_line_is_a_fault(gripper: Gripper, line: Terminal) -> None:
     line.unplug()
     with pytest.raises(DeviceFault, match="does not answer"):
         gripper.status()
+
+
+def test_a_process_that_waits_for_a_core_while_it_writes_has_not_lost_the_line(
+    gripper: Gripper, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = os.write
+    line: Any = gripper._line.socket
+
+    def write_late(descriptor: int, data: bytes) -> int:
+        if descriptor == line.fd:
+            time.sleep(0.5)
+        return write(descriptor, data)
+
+    monkeypatch.setattr(os, "write", write_late)
+    assert not gripper.status().is_activated
 
 
 def test_missing_port_is_named() -> None:
