@@ -1,13 +1,18 @@
-"""A small policy whose actions depend on what it sees, so that a difference anywhere shows in the result hash."""
+"""A small policy whose actions depend on what it sees, so that a difference anywhere shows in the result hash.
+
+It waits before each episode, so that tests which kill something in the middle of an evaluation are not too late.
+"""
 
 from service_client import make_archive
 
 POLICY = """
+import time
 import numpy as np
 
 class Policy:
     def reset(self, task):
         self.steps = 0
+        time.sleep(0.15)
 
     def act(self, observation):
         self.steps += 1
