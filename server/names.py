@@ -75,22 +75,22 @@ def key(name: str, *, max_length: int) -> str:
 def is_reserved(name: str) -> bool:
     """Return whether readers would take a name for that of the service or of those who run it."""
     words = [word for word in re.split(r"[\W_]+", name) if word]
-    stems = tuple(form for stem in _RESERVED_STEMS for form in _read(stem))
-    if any(form.startswith(stems) for word in (name, *words) for form in _read(word)):
+    stems = tuple(form for stem in _RESERVED_STEMS for form in _find_readings(stem))
+    if any(form.startswith(stems) for word in (name, *words) for form in _find_readings(word)):
         return True
-    if any(_is_one_of(part, _SERVICE) for part in (*words, *map("".join, pairwise(words)))):
+    if any(_matches_any(part, _SERVICE) for part in (*words, *map("".join, pairwise(words)))):
         return True
-    if _is_one_of(name, _RESERVED_NAMES + _TITLES):
+    if _matches_any(name, _RESERVED_NAMES + _TITLES):
         return True
-    named = [word for word in words if not word.isdigit() and not _is_one_of(word, _FILLING_WORDS)]
-    return bool(named) and all(_is_one_of(word, _TITLES) for word in named)
+    named = [word for word in words if not word.isdigit() and not _matches_any(word, _FILLING_WORDS)]
+    return bool(named) and all(_matches_any(word, _TITLES) for word in named)
 
 
-def _is_one_of(text: str, words: Iterable[str]) -> bool:
-    return any(_read(text) & _read(word) for word in words)
+def _matches_any(text: str, words: Iterable[str]) -> bool:
+    return any(_find_readings(text) & _find_readings(word) for word in words)
 
 
-def _read(text: str) -> set[str]:
+def _find_readings(text: str) -> set[str]:
     """Return what somebody may read who expects a certain word: case and dots of letters do not count."""
     return {outline.removeprefix("=").casefold().replace("i", "l") for outline in _outlines(text)}
 

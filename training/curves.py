@@ -134,7 +134,7 @@ def _options(recipe: Mapping[str, Any]) -> Iterator[str]:
         yield f" --seed {recipe['seed']}"
     if recipe.get("sensor"):
         yield " --sensor FOLDER"
-    for name, default in (("fidelity", "full"), ("device", "cpu")):
+    for name, default in ((FIDELITY, Fidelity.FULL), ("device", "cpu")):
         if recipe.get(name, default) != default:
             yield f" --{name} {recipe[name]}"
 

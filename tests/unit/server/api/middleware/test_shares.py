@@ -1,5 +1,6 @@
 import asyncio
 import time
+from collections.abc import Coroutine
 from typing import Any
 
 import pytest
@@ -87,50 +88,41 @@ def test_a_client_has_so_many_requests_and_probes_need_no_place() -> None:
     asyncio.run(attack())
 
 
-def test_whoever_asks_for_little_comes_before_a_flood_that_has_used_nothing_yet() -> None:
-    async def attack() -> list[str]:
-        server = Server()
-        tokens = ["", *(f"team:self made {number}" for number in range(5))]
-        flood = [server.ask(token=token, address="192.0.2.1") for token in tokens for _ in range(WAITING // 6)]
-        tasks = [asyncio.create_task(one) for one in flood]
-        await settled()
-        tasks.append(asyncio.create_task(server.ask(address="192.0.2.2")))
-        await settled()
-        server.may_end.set()
-        await asyncio.gather(*tasks)
-        return server.order
+async def order_of(
+    server: Server, first: list[Coroutine[Any, Any, int]], *later: Coroutine[Any, Any, int]
+) -> list[str]:
+    """Return the addresses of requests in the order in which they are worked at; the first ones wait already."""
+    tasks = [asyncio.create_task(one) for one in first]
+    await settled()
+    tasks += [asyncio.create_task(one) for one in later]
+    await settled()
+    server.may_end.set()
+    await asyncio.gather(*tasks)
+    return server.order
 
-    assert asyncio.run(attack()).index("192.0.2.2") == AT_WORK
+
+def test_whoever_asks_for_little_comes_before_a_flood_that_has_used_nothing_yet() -> None:
+    server = Server()
+    tokens = ["", *(f"team:self made {number}" for number in range(5))]
+    flood = [server.ask(token=token, address="192.0.2.1") for token in tokens for _ in range(WAITING // 6)]
+    order = asyncio.run(order_of(server, flood, server.ask(address="192.0.2.2")))
+    assert order.index("192.0.2.2") == AT_WORK
 
 
 def test_those_who_use_little_come_in_their_order() -> None:
-    async def ask() -> list[str]:
-        server = Server()
-        server.app._client("at 192.0.2.2").use(0.5, time.monotonic(), 0.1)
-        tasks = [asyncio.create_task(server.ask()) for _ in range(AT_WORK)]
-        await settled()
-        tasks += [asyncio.create_task(server.ask(address=f"192.0.2.{number}")) for number in (2, 3)]
-        await settled()
-        server.may_end.set()
-        await asyncio.gather(*tasks)
-        return server.order[AT_WORK:]
-
-    assert asyncio.run(ask()) == ["192.0.2.2", "192.0.2.3"]
+    server = Server()
+    server.app._client("at 192.0.2.2").use(0.5, time.monotonic(), 0.1)
+    later = [server.ask(address=f"192.0.2.{number}") for number in (2, 3)]
+    order = asyncio.run(order_of(server, [server.ask() for _ in range(AT_WORK)], *later))
+    assert order[AT_WORK:] == ["192.0.2.2", "192.0.2.3"]
 
 
 def test_whoever_has_asked_lately_comes_before_a_flood_that_began_just_now() -> None:
-    async def attack() -> list[str]:
-        server = Server()
-        server.app._client("at 192.0.2.2").use(0.8, time.monotonic(), 0.1)
-        tasks = [asyncio.create_task(server.ask()) for _ in range(WAITING)]
-        await settled()
-        tasks.append(asyncio.create_task(server.ask(address="192.0.2.2")))
-        await settled()
-        server.may_end.set()
-        await asyncio.gather(*tasks)
-        return server.order
-
-    assert asyncio.run(attack()).index("192.0.2.2") == AT_WORK
+    server = Server()
+    server.app._client("at 192.0.2.2").use(0.8, time.monotonic(), 0.1)
+    flood = [server.ask() for _ in range(WAITING)]
+    order = asyncio.run(order_of(server, flood, server.ask(address="192.0.2.2")))
+    assert order.index("192.0.2.2") == AT_WORK
 
 
 def test_uploads_wait_for_their_turn_and_leave_their_places_to_others_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
