@@ -116,7 +116,7 @@ def fill(database: Database, n_entries: int) -> None:
 
 def a_board(at: datetime) -> FinalBoard:
     """Return the content of an entry that depends on no other row."""
-    return FinalBoard(issued_at=at, contest="cup", track="track_1", stage="one", entries=9, board_sha256="0" * 64)
+    return FinalBoard(issued_at=at, competition="cup", track="track_1", stage="one", entries=9, board_sha256="0" * 64)
 
 
 def measure_time(name: str, work: Callable[[], None], n_requests: int) -> dict[str, float]:

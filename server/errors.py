@@ -21,7 +21,7 @@ class ProblemCode(StrEnum):
     CHECKSUM_MISMATCH = "checksum_mismatch"
     COMPETITION_FINAL = "competition_final"
     CONFIRMATION_NEEDED = "confirmation_needed"
-    CONTEST_REQUIRED = "contest_required"
+    COMPETITION_REQUIRED = "competition_required"
     DATABASE_UNAVAILABLE = "database_unavailable"
     DIGEST_MISMATCH = "digest_mismatch"
     FILE_NAME_MISMATCH = "file_name_mismatch"
@@ -90,7 +90,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.CHECKSUM_MISMATCH: HTTPStatus.BAD_REQUEST,
         ProblemCode.COMPETITION_FINAL: HTTPStatus.CONFLICT,
         ProblemCode.CONFIRMATION_NEEDED: HTTPStatus.CONFLICT,
-        ProblemCode.CONTEST_REQUIRED: HTTPStatus.UNPROCESSABLE_ENTITY,
+        ProblemCode.COMPETITION_REQUIRED: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.DATABASE_UNAVAILABLE: HTTPStatus.SERVICE_UNAVAILABLE,
         ProblemCode.DIGEST_MISMATCH: HTTPStatus.BAD_REQUEST,
         ProblemCode.FILE_NAME_MISMATCH: HTTPStatus.UNPROCESSABLE_ENTITY,

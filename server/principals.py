@@ -22,7 +22,7 @@ class Principal:
         member_name: name of that member.
         leads_team: whether members may be invited and removed.
         judge_name: of a judge's token: under which marks and conflicts of interest are stored.
-        contest: of an organizer of one competition: its name; None: of the whole service.
+        competition: of an organizer of one competition: its name; None: of the whole service.
         signed_in_at: in a browser, when its session began; None: elsewhere.
     """
 
@@ -35,13 +35,13 @@ class Principal:
     member_name: str | None = None
     leads_team: bool = False
     judge_name: str | None = None
-    contest: str | None = None
+    competition: str | None = None
     signed_in_at: datetime | None = None
 
     @property
     def is_organizer(self) -> bool:
         """Whether all things of the whole service may be seen and changed."""
-        return self.role is Role.ORGANIZER and self.contest is None
+        return self.role is Role.ORGANIZER and self.competition is None
 
     @property
     def organizes_something(self) -> bool:
@@ -63,18 +63,18 @@ class Principal:
         """For whom uploads and event streams are counted: the members of a team share its limits."""
         return f"{self.role}:{self.team_name or self.judge_name or self.token_id or 'console'}"
 
-    def organizes(self, contest: str) -> bool:
+    def organizes(self, competition: str) -> bool:
         """Return whether all things of a competition may be seen and changed; of practice where it has no name."""
-        return self.role is Role.ORGANIZER and self.contest in {None, contest}
+        return self.role is Role.ORGANIZER and self.competition in {None, competition}
 
-    def may_see(self, team_id: UUID, contest: str | None = None) -> bool:
-        """Return whether a thing of that team exists for this principal; `contest`: to which the thing belongs."""
-        organizes = contest is not None and self.organizes(contest)
+    def may_see(self, team_id: UUID, competition: str | None = None) -> bool:
+        """Return whether a thing of that team exists for this principal; `competition`: to which the thing belongs."""
+        organizes = competition is not None and self.organizes(competition)
         return self.reads_all_teams or self.team_id == team_id or organizes
 
-    def may_change(self, team_id: UUID, contest: str | None = None) -> bool:
-        """Return whether this principal may change a thing of that team; `contest`: to which the thing belongs."""
-        organizes = contest is not None and self.organizes(contest)
+    def may_change(self, team_id: UUID, competition: str | None = None) -> bool:
+        """Return whether this principal may change a thing of that team; `competition`: to which the thing belongs."""
+        organizes = competition is not None and self.organizes(competition)
         return self.is_organizer or self.team_id == team_id or organizes
 
     def require_leader(self, team_id: UUID) -> None:
@@ -88,20 +88,20 @@ class Principal:
         if not (self.is_organizer or self.leads_team):
             raise ServiceError(ProblemCode.FORBIDDEN, "Only the team's captain and organizers may do this.")
 
-    def require_organizer(self, contest: str | None = None) -> None:
-        """Refuse everybody else; `contest`: to which the thing belongs, None: to the whole service.
+    def require_organizer(self, competition: str | None = None) -> None:
+        """Refuse everybody else; `competition`: to which the thing belongs, None: to the whole service.
 
         Raises:
             ServiceError: forbidden.
         """
-        if self.is_organizer or (contest is not None and self.organizes(contest)):
+        if self.is_organizer or (competition is not None and self.organizes(competition)):
             return
         if not self.organizes_something:
             raise ServiceError(ProblemCode.FORBIDDEN, "Only organizers may do this; use an organizer's token.")
         raise ServiceError(
             ProblemCode.FORBIDDEN,
-            f"Your token organizes the competition {self.contest}, and this concerns "
-            f"{contest or 'the whole service'}; ask an organizer of the whole service.",
+            f"Your token organizes the competition {self.competition}, and this concerns "
+            f"{competition or 'the whole service'}; ask an organizer of the whole service.",
         )
 
 

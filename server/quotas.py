@@ -14,8 +14,8 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
 from .audit import record
-from .contest.contest import Contest
-from .contest.stages import Stage
+from .competition.competition import Competition
+from .competition.stages import Stage
 from .db.models import ApiToken, Evaluation, PartialUpload, Submission, SubmissionFile, Team, TeamQuota
 from .db.states import ACTIVE_EVALUATION_STATES, EvaluationState, Quota
 from .db.stored_episodes import OF_EVALUATION
@@ -144,7 +144,7 @@ def stage_uses(session: Session, team: Team, at: datetime | None = None) -> list
     now = at or datetime.now(UTC)
     return [
         StageQuotaView(
-            contest=contest.name,
+            competition=competition.name,
             track=stage.track,
             stage=stage.name,
             closes=stage.rules.closes,
@@ -152,8 +152,8 @@ def stage_uses(session: Session, team: Team, at: datetime | None = None) -> list
             limit=limit,
             used=_used_in_stage(session, team, stage, quota),
         )
-        for contest in Contest.read_all(session)
-        for stage in contest.stages
+        for competition in Competition.read_all(session)
+        for stage in competition.stages
         if stage.is_open(now) and stage.may_submit(team)
         for quota, limit in stage.rules.quotas
     ]

@@ -12,12 +12,12 @@ from vitac.evaluator.episodes.records import EpisodeRecord
 from . import tokens
 from .appeals.appeals import appeal_view
 from .audit import entry_view, record
-from .contest.contest import Contest
+from .competition.competition import Competition
 from .db.models import (
     ApiToken,
     Appeal,
     AuditEntry,
-    Competition,
+    CompetitionRow,
     EpisodeResult,
     Evaluation,
     Invitation,
@@ -116,11 +116,11 @@ def erase(session: Session, by: Principal, team: Team) -> None:
 def _rename_in_final_results(session: Session, team: Team) -> None:
     """Write a team's present name into winners and boards that were stored at the end of the competition."""
     own = {str(found) for found in session.scalars(select(Submission.id).where(Submission.team_id == team.id))}
-    for name in sorted(contest.name for contest in Contest.read_all(session)):
-        _rename_in_results(Contest.lock(session, name).row, team.name, own)
+    for name in sorted(competition.name for competition in Competition.read_all(session)):
+        _rename_in_results(Competition.lock(session, name).row, team.name, own)
 
 
-def _rename_in_results(row: Competition, name: str, own: Collection[str]) -> None:
+def _rename_in_results(row: CompetitionRow, name: str, own: Collection[str]) -> None:
     """Write a name into what was stored of the submissions of a team, by their ids."""
     if not row.boards:
         return

@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session, aliased, joinedload
 
 from . import names
 from .audit import record
-from .contest.contest import Contest
+from .competition.competition import Competition
 from .db.models import ApiToken, Member, Team
 from .db.states import MemberRole, Role
 from .errors import ProblemCode, ServiceError, not_found
@@ -44,13 +44,13 @@ def issue(
     role: Role,
     label: str,
     team: Team | None = None,
-    contest: str | None = None,
+    competition: str | None = None,
     lifetime: timedelta | None,
 ) -> IssuedToken:
     """Make a token that a team shares, or for an organizer or judge (no team).
 
     The label of a judge's token is the judge's name: a new token after the old one has ended is the same judge's.
-    `contest` is the only competition that an organizer's token is for.
+    `competition` is the only competition that an organizer's token is for.
 
     Raises:
         ServiceError: the principal may not give such a token, the label cannot be shown, there is a good token of that
@@ -64,9 +64,9 @@ def issue(
     if role is Role.JUDGE:
         label = judge_named(session, label)
         _refuse_second_judge(session, label)
-    if contest is not None:
-        Contest.find(session, contest)
-    return _add(session, by, ApiToken(role=role, team=team, label=label, contest=contest), lifetime)
+    if competition is not None:
+        Competition.find(session, competition)
+    return _add(session, by, ApiToken(role=role, team=team, label=label, competition=competition), lifetime)
 
 
 def judge_named(session: Session, name: str) -> str:
@@ -146,7 +146,9 @@ def _add(session: Session, by: Principal, token: ApiToken, lifetime: timedelta |
     token.expires_at = token.created_at + lifetime if lifetime is not None else None
     session.add(token)
     session.flush()
-    after = {"role": token.role.value, "label": token.label} | ({"contest": token.contest} if token.contest else {})
+    after = {"role": token.role.value, "label": token.label} | (
+        {"competition": token.competition} if token.competition else {}
+    )
     record(session, by, "token.issue", f"token:{token.id}", after)
     return IssuedToken(token=token, secret=secret)
 
@@ -221,7 +223,7 @@ def token_view(token: ApiToken) -> TokenView:
         role=token.role,
         team=token.team.name if token.team is not None else None,
         member=token.member.name if token.member is not None else None,
-        contest=token.contest,
+        competition=token.competition,
         is_session=token.is_session,
         created_at=token.created_at,
         expires_at=token.expires_at,
@@ -260,7 +262,7 @@ def _holders() -> Select[*tuple[Any, ...]]:
             ApiToken.id,
             ApiToken.role,
             ApiToken.label,
-            ApiToken.contest,
+            ApiToken.competition,
             ApiToken.revoked_at,
             ApiToken.expires_at,
             ApiToken.last_used_at,
@@ -303,5 +305,5 @@ def _principal(session: Session, token: Row[*tuple[Any, ...]] | None) -> Princip
         member_name=token.member_name,
         leads_team=token.leads_team,
         judge_name=token.label if token.role is Role.JUDGE else None,
-        contest=token.contest,
+        competition=token.competition,
     )

@@ -22,7 +22,7 @@ def visible(session: Session, by: Principal, submission_id: UUID) -> Submission:
         ServiceError: there is none that the principal may see.
     """
     submission = session.get(Submission, submission_id, options=[joinedload(Submission.team)])
-    if submission is None or not by.may_see(submission.team_id, submission.contest):
+    if submission is None or not by.may_see(submission.team_id, submission.competition):
         raise not_found("submission", submission_id)
     return submission
 
@@ -49,9 +49,9 @@ def decide_sight(by: Principal, evaluation: Evaluation) -> Sight:
     what it observes. A log ran no policy here: the output that it names could be anything.
     """
     submission = evaluation.submission
-    is_own = by.may_see(submission.team_id, submission.contest)
-    practice = by.organizes(submission.contest) or is_own or submission.is_public
-    episodes = by.organizes(submission.contest) or (practice and not is_sealed(evaluation))
+    is_own = by.may_see(submission.team_id, submission.competition)
+    practice = by.organizes(submission.competition) or is_own or submission.is_public
+    episodes = by.organizes(submission.competition) or (practice and not is_sealed(evaluation))
     output = episodes and is_own and submission.kind.form.runs_policy
     return Sight(episodes=episodes, output=output, practice=practice)
 
@@ -101,6 +101,6 @@ def changeable(session: Session, by: Principal, submission_id: UUID) -> Submissi
         ServiceError: there is none that the principal may see, or it may only be read.
     """
     submission = visible(session, by, submission_id)
-    if not by.may_change(submission.team_id, submission.contest):
+    if not by.may_change(submission.team_id, submission.competition):
         raise ServiceError(ProblemCode.FORBIDDEN, "A judge reads submissions only; ask an organizer.")
     return submission

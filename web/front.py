@@ -6,7 +6,7 @@ from datetime import datetime
 from uuid import UUID
 
 from vitac.evaluator.tracks import Track
-from vitac.server.views.contest import CompetitionView
+from vitac.server.views.competition import CompetitionView
 from vitac.server.views.leaderboards import LeaderboardEntryView
 from vitac.server.views.messages import AnnouncementView
 from vitac.server.views.playbacks import PublicEpisodeView, StillView

@@ -20,12 +20,12 @@ from vitac.envs.errors import VitacError
 from vitac.server import tokens
 from vitac.server.api.conditional import answer
 from vitac.server.cache import Cache
-from vitac.server.contest.view import list_public_rankings
+from vitac.server.competition.view import list_public_rankings
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.limiter import WindowLimiter
 from vitac.server.principals import VISITOR, Principal
 from vitac.server.services import Services
-from vitac.server.views.contest import PublicRankingView
+from vitac.server.views.competition import PublicRankingView
 
 from .front import Front
 from .plots.map import EpisodeMap
@@ -160,9 +160,9 @@ class Viewer:
         """Whether all teams' submissions to one competition, or to all, are shown."""
         return self.principal.organizes_something
 
-    def may_see(self, team: str, contest: str | None = None) -> bool:
-        """Return whether the submissions of a team are shown; `contest`: those to a competition."""
-        reads_all = self.principal.reads_all_teams or self.principal.organizes(contest or "")
+    def may_see(self, team: str, competition: str | None = None) -> bool:
+        """Return whether the submissions of a team are shown; `competition`: those to a competition."""
+        reads_all = self.principal.reads_all_teams or self.principal.organizes(competition or "")
         return reads_all or team in self.own_names
 
     def may_change(self, team: str) -> bool:
@@ -287,9 +287,9 @@ def name_public_rankings(show: Page) -> Page:
 
     @wraps(show)
     async def shown(request: Request) -> Response:
-        site, contest = get_site(request), request.path_params.get("contest")
+        site, competition = get_site(request), request.path_params.get("competition")
         found = await site.public_rankings.get(lambda: site.read(list_public_rankings))
-        request.state.public_rankings = [each for name, each in found.items() if contest in {None, name}]
+        request.state.public_rankings = [each for name, each in found.items() if competition in {None, name}]
         return await show(request)
 
     return shown

@@ -17,8 +17,8 @@ from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks.sealed import write_secret
-from vitac.server.contest.contest import find_stage
-from vitac.server.contest.sealing import find_secret
+from vitac.server.competition.competition import find_stage
+from vitac.server.competition.sealing import find_secret
 from vitac.server.db.models import Submission
 from vitac.server.errors import ServiceError
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episodes, stored_episodes

@@ -21,9 +21,8 @@ from . import (
     worker,
 )
 from . import rejudging as rejudge
-from .contest import advancement as advance
-from .contest import contest as competition
-from .contest import results, track
+from .competition import advancement as advance
+from .competition import competition, results, track
 from .messages import announcement, question
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)

@@ -4,7 +4,7 @@ from typing import Annotated
 from uuid import UUID
 
 import typer
-from vitac.server.contest.contest import Contest
+from vitac.server.competition.competition import Competition
 from vitac.server.judging.judging import declare_conflict, find_rubric, give_marks, judged
 from vitac.server.principals import CONSOLE
 from vitac.server.tokens import is_judge
@@ -12,8 +12,8 @@ from vitac.server.views.judging import JudgedTeamView
 
 from ..service.database import transaction
 from ..terminal.output import AsJson, percent, print_done, print_json, print_table, warn
+from .competition.competition import CompetitionName
 from .consent import DryRun, change_transaction
-from .contest.contest import ContestName
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -23,12 +23,12 @@ Judge = Annotated[str, typer.Option(help="Name of the judge.")]
 @app.command()
 def rubric(
     track: Annotated[str, typer.Argument(help="Name of the track.")],
-    contest: ContestName = None,
+    competition: CompetitionName = None,
     as_json: AsJson = False,
 ) -> None:
     """Show the criteria and weights of a track."""
     with transaction() as session:
-        found = find_rubric(Contest.find(session, contest, track=track), track)
+        found = find_rubric(Competition.find(session, competition, track=track), track)
     if as_json:
         print_json(found.model_dump(mode="json"))
         return
@@ -75,12 +75,12 @@ def conflict(
 def show(
     track: Annotated[str, typer.Argument(help="Name of the track.")],
     stage: Annotated[str | None, typer.Option(help="Name of the stage; by default the one that opened last.")] = None,
-    contest: ContestName = None,
+    competition: CompetitionName = None,
     as_json: AsJson = False,
 ) -> None:
     """Show each team's marks with their spread, its figures and its total."""
     with transaction() as session:
-        found = judged(session, CONSOLE, Contest.find(session, contest, track=track).shown_stage(track, stage))
+        found = judged(session, CONSOLE, Competition.find(session, competition, track=track).shown_stage(track, stage))
     if as_json:
         print_json([team.model_dump() for team in found])
         return

@@ -6,14 +6,14 @@ from typing import Annotated, Literal
 
 import typer
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.contest.contest import Contest
+from vitac.server.competition.competition import Competition
 from vitac.server.publishing.exporting import export_receipts
 from vitac.server.receipts.witnesses import list_witness_views
 from vitac.server.transparency.log import read_log_state
 
 from ..service.database import load_settings, open_service, transaction
 from ..terminal.output import AsJson, moment, print_json, print_record, print_table
-from .contest.contest import ContestName
+from .competition.competition import CompetitionName
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -57,7 +57,7 @@ def export(
     kind: Annotated[
         Literal["model", "log"], typer.Option(help="Kind of submission on the board; log only with --task.")
     ] = "model",
-    contest: ContestName = None,
+    competition: CompetitionName = None,
     as_json: AsJson = False,
 ) -> None:
     """Write a board with receipts, records and teams' sensors for `vitac receipt audit`.
@@ -66,7 +66,7 @@ def export(
     """
     ranked = SubmissionKind(kind)
     with open_service(load_settings()) as services, services.database.snapshot() as session:
-        board = Contest.find(session, contest, track=track).shown_stage(track, stage)
+        board = Competition.find(session, competition, track=track).shown_stage(track, stage)
         made = export_receipts(session, services.blobs, file, board, task=task, kind=ranked)
     content = {"file": str(file), "entries": len(made.board.entries), "public_key": made.public_key}
     print_record(content, as_json=as_json)

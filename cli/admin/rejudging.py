@@ -5,7 +5,7 @@ from uuid import UUID
 
 import typer
 from sqlalchemy.orm import Session
-from vitac.server.contest.contest import Contest
+from vitac.server.competition.competition import Competition
 from vitac.server.principals import CONSOLE
 from vitac.server.rejudging import rejudging
 from vitac.server.rejudging.comparison import comparison
@@ -14,8 +14,8 @@ from vitac.server.views.rejudging import RejudgedSubmissionView
 
 from ..service.database import transaction
 from ..terminal.output import AsJson, percent, print_done, print_json, print_table
+from .competition.competition import CompetitionName
 from .consent import DryRun, Yes, change_as_shown, change_transaction
-from .contest.contest import ContestName
 from .verbs import change, list_records
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -32,13 +32,13 @@ def start(
     submission: Annotated[
         list[UUID] | None, typer.Option(help="Only this submission; may be repeated. Default: all models of the stage.")
     ] = None,
-    contest: ContestName = None,
+    competition: CompetitionName = None,
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
     """Evaluate submissions again with the present evaluator. Only organizers see it, and no result changes."""
     with change_transaction(dry_run=dry_run) as session:
-        found = Contest.find(session, contest, track=track).shown_stage(track, stage)
+        found = Competition.find(session, competition, track=track).shown_stage(track, stage)
         made = rejudging.start(session, CONSOLE, found, submissions=submission or (), reason=reason)
         count = len(comparison(session, made))
     if dry_run:

@@ -4,8 +4,8 @@ from typing import Annotated
 
 import typer
 from sqlalchemy.orm import Session
-from vitac.server.contest.contest import Contest
-from vitac.server.contest.view import disqualified_since_the_end
+from vitac.server.competition.competition import Competition
+from vitac.server.competition.view import disqualified_since_the_end
 from vitac.server.members import members
 from vitac.server.members.registration import NewTeam, register
 from vitac.server.principals import CONSOLE
@@ -171,7 +171,9 @@ def disqualify(
         found = teams.find(session, team)
         teams.disqualify(session, CONSOLE, found, reason)
         session.flush()
-        final = [out for contest in Contest.read_all(session) for out in disqualified_since_the_end(contest)]
+        final = [
+            out for competition in Competition.read_all(session) for out in disqualified_since_the_end(competition)
+        ]
         is_in_results = any(out.team == found.name for out in final)
         shown = teams.organizer_team_view(session, found).model_dump()
     print_record(shown, as_json=as_json)

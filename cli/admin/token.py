@@ -28,14 +28,14 @@ def add(
     organizer: Annotated[
         bool,
         typer.Option(
-            "--organizer", help="A token that may do everything, or with --contest everything in one competition."
+            "--organizer", help="A token that may do everything, or with --competition everything in one competition."
         ),
     ] = False,
     judge: Annotated[
         bool, typer.Option("--judge", help="A token that reads all teams' submissions and gives marks.")
     ] = False,
-    contest: Annotated[
-        str | None, typer.Option("--contest", help="With --organizer: the only competition that the token is for.")
+    competition: Annotated[
+        str | None, typer.Option("--competition", help="With --organizer: the only competition that the token is for.")
     ] = None,
     label: Annotated[str | None, typer.Option(help="What the token is for; for a judge, the judge's name.")] = None,
     days: Annotated[
@@ -46,14 +46,14 @@ def add(
 ) -> None:
     """Add a token and print it; it is shown only once.
 
-    `--organizer --contest NAME` is for somebody who organizes one of several competitions and sees no other.
+    `--organizer --competition NAME` is for somebody who organizes one of several competitions and sees no other.
     """
     if (team is not None) + organizer + judge != 1:
         raise typer.BadParameter("give one of TEAM, --organizer and --judge")
     if judge and label is None:
         raise typer.BadParameter("name the judge with --label: marks and conflicts of interest are stored under it")
-    if contest is not None and not organizer:
-        raise typer.BadParameter("--contest is for --organizer: only an organizer's token is for one competition")
+    if competition is not None and not organizer:
+        raise typer.BadParameter("--competition is for --organizer: only an organizer's token is for one competition")
     role = Role.ORGANIZER if organizer else Role.JUDGE if judge else Role.TEAM
     with change_transaction(dry_run=dry_run) as session:
         issued = tokens.issue(
@@ -62,7 +62,7 @@ def add(
             role=role,
             label=label or "added by an organizer",
             team=None if team is None else teams.find(session, team),
-            contest=contest,
+            competition=competition,
             lifetime=timedelta(days=days or load_settings().token_lifetime_days),
         )
         shown = tokens.new_token_view(issued).model_dump() | ({"id": None, "secret": None} if dry_run else {})
@@ -75,7 +75,7 @@ def add(
 
 
 @list_records(
-    app, "id", "role", "team", "contest", "label", "expires_at", "revoked_at", "last_used_at", none="No token yet."
+    app, "id", "role", "team", "competition", "label", "expires_at", "revoked_at", "last_used_at", none="No token yet."
 )
 def list_tokens(session: Session) -> list[TokenView]:
     """List all tokens, without their secrets."""

@@ -104,7 +104,7 @@ class Client:
         archive: Path,
         *,
         track: str | None,
-        contest: str | None = None,
+        competition: str | None = None,
         kind: SubmissionKind = SubmissionKind.MODEL,
         team: str | None = None,
         again: bool = False,
@@ -117,7 +117,7 @@ class Client:
         Args:
             archive: the file.
             track: name of the track; None: the one that the file is of.
-            contest: name of the competition; None: the one that takes submissions to the track.
+            competition: name of the competition; None: the one that takes submissions to the track.
             kind: what the file is.
             team: for an organizer's token: the team that submits.
             again: run all episodes, also those that were evaluated before.
@@ -130,7 +130,7 @@ class Client:
         metadata = (
             {"kind": kind.value, "sha256": digest}
             | ({"track": track} if track else {})
-            | ({"contest": contest} if contest else {})
+            | ({"competition": competition} if competition else {})
             | ({"team": team} if team else {})
             | ({"again": "true"} if again else {})
             | ({"filename": file_name} if file_name else {})

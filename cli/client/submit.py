@@ -30,7 +30,7 @@ def command(
     track: Annotated[
         str | None, typer.Option(help="Track to submit to; by default the one named in the submission.")
     ] = None,
-    contest: Annotated[
+    competition: Annotated[
         str | None, typer.Option(help="Name of the competition; needed where several take submissions to the track.")
     ] = None,
     server: Server = None,
@@ -60,7 +60,7 @@ def command(
         answer = client.upload(
             archive,
             track=track,
-            contest=contest,
+            competition=competition,
             kind=kind,
             team=team,
             again=again,

@@ -31,9 +31,9 @@ def command(
         print_records(me["quotas"], ("quota", "limit", "used", "opens_at"), none="", as_json=False)
     if me.get("stage_quotas"):
         print()
-        has_several = len({use["contest"] for use in me["stage_quotas"]}) > 1
+        has_several = len({use["competition"] for use in me["stage_quotas"]}) > 1
         columns = ("track", "stage", "quota", "limit", "used", "closes")
-        shown = ("contest", *columns) if has_several else columns
+        shown = ("competition", *columns) if has_several else columns
         print_records(me["stage_quotas"], shown, none="", as_json=False)
 
 
@@ -41,5 +41,5 @@ def format_owner(me: Json) -> str:
     """Return the team's name, or that it is an organizer."""
     if me["team"] is not None:
         return str(me["team"]["name"])
-    contest = (me["token"] or {}).get("contest")
-    return f"organizer of {contest}" if contest else "organizer"
+    competition = (me["token"] or {}).get("competition")
+    return f"organizer of {competition}" if competition else "organizer"

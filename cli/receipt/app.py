@@ -256,7 +256,7 @@ def _shown(content: Content) -> dict[str, object]:
         shown["evaluator"] = content.evaluator_version
         shown["list"] = content.commitment or "public"
     if isinstance(content, End):
-        shown["competition"] = content.contest
+        shown["competition"] = content.competition
         for winner in content.winners:
             shown[f"{winner.track}, {winner.place}"] = f"submission {winner.submission}"
     return shown

@@ -347,7 +347,7 @@ def make_tables() -> None:
     op.create_table(
         "rejudgements",
         sa.Column("id", sa.Uuid(), primary_key=True),
-        sa.Column("contest", sa.Text(), server_default="", nullable=False),
+        sa.Column("competition", sa.Text(), server_default="", nullable=False),
         sa.Column("track", sa.Text(), nullable=False),
         sa.Column("stage", sa.Text(), nullable=False),
         sa.Column("reason", sa.Text(), nullable=False),
@@ -360,7 +360,7 @@ def make_tables() -> None:
     op.create_table(
         "sealed_lists",
         sa.Column("commitment", sa.String(length=64), primary_key=True),
-        sa.Column("contest", sa.Text(), nullable=False),
+        sa.Column("competition", sa.Text(), nullable=False),
         sa.Column("track", sa.Text(), nullable=False),
         sa.Column("stage", sa.Text(), nullable=False),
         sa.Column("secret", sa.String(length=64), nullable=False),
@@ -369,7 +369,7 @@ def make_tables() -> None:
         sa.Column("withdrawn_at", TIME),
         sa.CheckConstraint("commitment ~ '^[0-9a-f]{64}$'", name="commitment_is_sha256"),
         sa.CheckConstraint("secret ~ '^[0-9a-f]{64}$'", name="secret_is_hexadecimal"),
-        sa.UniqueConstraint("contest", "track", "stage", name=op.f("uq_sealed_lists_contest_track_stage")),
+        sa.UniqueConstraint("competition", "track", "stage", name=op.f("uq_sealed_lists_competition_track_stage")),
     )
     op.create_table(
         "stations",
@@ -517,7 +517,7 @@ def make_tables() -> None:
     op.create_index("ix_notices_of_team", "notices", ["team_id", "created_at"])
     op.create_table(
         "qualifications",
-        sa.Column("contest", sa.Text(), primary_key=True),
+        sa.Column("competition", sa.Text(), primary_key=True),
         sa.Column("track", sa.Text(), primary_key=True),
         sa.Column("stage", sa.Text(), primary_key=True),
         sa.Column("team_id", sa.Uuid(), sa.ForeignKey("teams.id", ondelete="CASCADE"), primary_key=True),
@@ -540,7 +540,7 @@ def make_tables() -> None:
         sa.Column("id", sa.Uuid(), primary_key=True),
         sa.Column("team_id", sa.Uuid(), sa.ForeignKey("teams.id", ondelete="RESTRICT"), nullable=False),
         sa.Column("kind", sa.String(length=16), nullable=False),
-        sa.Column("contest", sa.Text(), server_default="", nullable=False),
+        sa.Column("competition", sa.Text(), server_default="", nullable=False),
         sa.Column("track", sa.Text(), nullable=False),
         sa.Column("stage", sa.Text(), server_default="", nullable=False),
         sa.Column("tasks", postgresql.ARRAY(sa.Text()), nullable=False),
@@ -580,7 +580,7 @@ def make_tables() -> None:
     op.create_index(
         "uq_submissions_content",
         "submissions",
-        ["team_id", "contest", "track", "stage", "kind", "digest"],
+        ["team_id", "competition", "track", "stage", "kind", "digest"],
         unique=True,
         postgresql_where=sa.text("merged_from IS NULL"),
     )
@@ -609,7 +609,7 @@ def make_tables() -> None:
         "api_tokens",
         sa.Column("id", sa.Uuid(), primary_key=True),
         sa.Column("role", sa.String(length=16), nullable=False),
-        sa.Column("contest", sa.Text()),
+        sa.Column("competition", sa.Text()),
         sa.Column("team_id", sa.Uuid(), sa.ForeignKey("teams.id", ondelete="CASCADE"), index=True),
         sa.Column("member_id", sa.Uuid(), sa.ForeignKey("members.id", ondelete="CASCADE"), index=True),
         sa.Column("is_session", sa.Boolean(), server_default=sa.false(), nullable=False),
@@ -619,7 +619,7 @@ def make_tables() -> None:
         sa.Column("expires_at", TIME),
         sa.Column("revoked_at", TIME),
         sa.Column("last_used_at", TIME),
-        sa.CheckConstraint("contest IS NULL OR role = 'organizer'", name="a_contest_has_organizers"),
+        sa.CheckConstraint("competition IS NULL OR role = 'organizer'", name="a_competition_has_organizers"),
         sa.CheckConstraint("(role = 'team') = (team_id IS NOT NULL)", name="team_tokens_have_a_team"),
         sa.CheckConstraint("NOT is_session OR member_id IS NOT NULL", name="sessions_have_a_member"),
         sa.CheckConstraint("length(secret_sha256) = 64", name="secret_is_hashed"),
@@ -720,7 +720,7 @@ def make_tables() -> None:
         sa.Column("team_id", sa.Uuid(), sa.ForeignKey("teams.id", ondelete="CASCADE"), nullable=False, index=True),
         sa.Column("kind", sa.String(length=16), nullable=False),
         sa.Column("track", sa.Text()),
-        sa.Column("contest", sa.Text()),
+        sa.Column("competition", sa.Text()),
         sa.Column("again", sa.Boolean(), nullable=False),
         sa.Column("file_name", sa.Text()),
         sa.Column("total_bytes", sa.BigInteger(), nullable=False),
@@ -771,7 +771,7 @@ def make_tables() -> None:
         "board_results",
         sa.Column("evaluation_id", sa.Uuid(), sa.ForeignKey("evaluations.id", ondelete="CASCADE"), primary_key=True),
         sa.Column("board", sa.Text(), primary_key=True),
-        sa.Column("contest", sa.Text(), server_default="", nullable=False),
+        sa.Column("competition", sa.Text(), server_default="", nullable=False),
         sa.Column("track", sa.Text(), nullable=False),
         sa.Column("stage", sa.Text(), server_default="", nullable=False),
         sa.Column("kind", sa.String(length=16), nullable=False),
@@ -792,7 +792,7 @@ def make_tables() -> None:
         "ix_board_results_of_team",
         "board_results",
         [
-            "contest",
+            "competition",
             "track",
             "stage",
             "kind",
@@ -808,7 +808,7 @@ def make_tables() -> None:
         "ix_board_results_of_version",
         "board_results",
         [
-            "contest",
+            "competition",
             "track",
             "stage",
             "kind",

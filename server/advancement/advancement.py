@@ -10,10 +10,10 @@ from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from ..audit import record
+from ..competition.competition import Competition
+from ..competition.definition import Advancement
+from ..competition.stages import Stage
 from ..confirmations import compute_revision, require_base
-from ..contest.contest import Contest
-from ..contest.definition import Advancement
-from ..contest.stages import Stage
 from ..db.models import Qualification, Submission, Team
 from ..db.states import NoticeKind
 from ..errors import ProblemCode, ServiceError
@@ -24,7 +24,7 @@ from ..principals import Principal
 from ..teams import teams
 from ..transparency.entries import TeamsAdvanced
 from ..transparency.log import append
-from ..views.contest import AdvancementView, ProposedTeamView
+from ..views.competition import AdvancementView, ProposedTeamView
 from ..views.leaderboards import LeaderboardEntryView
 
 
@@ -34,7 +34,7 @@ def propose(session: Session, by: Principal, stage: Stage) -> AdvancementView:
     Raises:
         ServiceError: not an organizer, or the stage is for all teams.
     """
-    by.require_organizer(stage.contest)
+    by.require_organizer(stage.competition)
     before, rule = _rule(stage)
     entries = leaderboard(session, before, live=True).view.entries
     ranked = [entry for entry in entries if entry.rank is not None]
@@ -82,8 +82,8 @@ def confirm(
             today's evaluator, a team is unknown or not proposed, or one that would lose its place has submitted
             already.
     """
-    by.require_organizer(stage.contest)
-    Contest.lock(session, stage.contest)  # of two at once the second sees whom the first has confirmed
+    by.require_organizer(stage.competition)
+    Competition.lock(session, stage.competition)  # of two at once the second sees whom the first has confirmed
     proposal, (before, _) = propose(session, by, stage), _rule(stage)
     before.require_over()
     require_scored(session, before)
@@ -105,7 +105,8 @@ def confirm(
         facts = stage_facts(stage) | {"team": chosen[team_id]}
         announce(session, NoticeKind.PROMOTED, team_id, f"{stage.subject}/{team_id}/{now.isoformat()}", facts)
     session.add_all(
-        Qualification(contest=stage.contest, track=stage.track, stage=stage.name, team_id=team_id) for team_id in chosen
+        Qualification(competition=stage.competition, track=stage.track, stage=stage.name, team_id=team_id)
+        for team_id in chosen
     )
     session.flush()
     after = {
@@ -128,7 +129,7 @@ def _log(session: Session, stage: Stage, before: Stage, chosen: Collection[str])
         session,
         lambda at: TeamsAdvanced(
             issued_at=at,
-            contest=stage.contest,
+            competition=stage.competition,
             track=stage.track,
             stage=stage.name,
             teams=len(chosen),

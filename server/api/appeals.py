@@ -34,12 +34,12 @@ class Ruling(BaseModel):
     text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Why, as plain text.")
 
 
-@router.get("/competitions/{contest}/appeals")
+@router.get("/competitions/{competition}/appeals")
 @router.get("/appeals")
-def list_appeals(services: ServicesOf, principal: PrincipalOf, contest: str | None = None) -> AppealListView:
+def list_appeals(services: ServicesOf, principal: PrincipalOf, competition: str | None = None) -> AppealListView:
     """Return the own team's appeals, all for organizers and judges, newest first."""
     with services.database.transaction() as session:
-        return AppealListView(items=appeals.visible(session, principal, contest))
+        return AppealListView(items=appeals.visible(session, principal, competition))
 
 
 @router.post("/appeals", status_code=HTTPStatus.CREATED)

@@ -6,13 +6,13 @@ from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..advancement import advancement
-from ..contest import freezing
-from ..contest.contest import Contest
-from ..contest.view import competition_list_view, competition_view
+from ..competition import freezing
+from ..competition.competition import Competition
+from ..competition.view import competition_list_view, competition_view
 from ..prizes import finishing
 from ..publishing.archive import archive_view
 from ..teams.teams import REASON_LENGTH
-from ..views.contest import AdvancementView, ArchiveView, CompetitionListView, CompetitionView
+from ..views.competition import AdvancementView, ArchiveView, CompetitionListView, CompetitionView
 from .access import PrincipalOf, ServicesOf
 from .problems import RESPONSES
 
@@ -58,72 +58,74 @@ def list_competitions(services: ServicesOf) -> CompetitionListView:
         return competition_list_view(session)
 
 
-@router.get("/competitions/{contest}")
+@router.get("/competitions/{competition}")
 @router.get("/competition")
-def get_competition(services: ServicesOf, contest: str | None = None) -> CompetitionView:
+def get_competition(services: ServicesOf, competition: str | None = None) -> CompetitionView:
     """Return a competition: schedule, rules, prizes, commitments, at the end winners; without a name the last one."""
     with services.database.reading() as session:
-        return competition_view(session, contest)
+        return competition_view(session, competition)
 
 
-@router.get("/competitions/{contest}/archive")
+@router.get("/competitions/{competition}/archive")
 @router.get("/competition/archive")
-def get_archive(services: ServicesOf, contest: str | None = None) -> ArchiveView:
+def get_archive(services: ServicesOf, competition: str | None = None) -> ArchiveView:
     """Return winners and boards as they were when a competition was finalized, and how to cite; before that 404."""
     with services.database.reading() as session:
-        return archive_view(session, contest)
+        return archive_view(session, competition)
 
 
-@router.get("/competitions/{contest}/tracks/{track}/stages/{stage}/advancement")
+@router.get("/competitions/{competition}/tracks/{track}/stages/{stage}/advancement")
 def get_advancement(
-    services: ServicesOf, principal: PrincipalOf, contest: str, track: str, stage: str
+    services: ServicesOf, principal: PrincipalOf, competition: str, track: str, stage: str
 ) -> AdvancementView:
     """Return who would advance to a stage by its rule, and who was confirmed."""
     with services.database.transaction() as session:
-        return advancement.propose(session, principal, Contest.find(session, contest, track=track).stage(track, stage))
+        return advancement.propose(
+            session, principal, Competition.find(session, competition, track=track).stage(track, stage)
+        )
 
 
-@router.put("/competitions/{contest}/tracks/{track}/stages/{stage}/advancement")
+@router.put("/competitions/{competition}/tracks/{track}/stages/{stage}/advancement")
 def confirm_advancement(
-    services: ServicesOf, principal: PrincipalOf, contest: str, track: str, stage: str, decision: Decision
+    services: ServicesOf, principal: PrincipalOf, competition: str, track: str, stage: str, decision: Decision
 ) -> AdvancementView:
     """Let the proposed teams, more of them or fewer, take part in a stage."""
     with services.database.transaction() as session:
-        found = Contest.find(session, contest, track=track).stage(track, stage)
+        found = Competition.find(session, competition, track=track).stage(track, stage)
         advancement.confirm(
             session, principal, found, add=decision.add, without=decision.without, base=decision.revision
         )
         return advancement.propose(session, principal, found)
 
 
-@router.post("/competitions/{contest}/freeze", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
-def freeze(services: ServicesOf, principal: PrincipalOf, contest: str) -> None:
+@router.post("/competitions/{competition}/freeze", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
+def freeze(services: ServicesOf, principal: PrincipalOf, competition: str) -> None:
     """Freeze the boards of a competition for everybody but its organizers."""
     with services.database.transaction() as session:
-        freezing.freeze(session, principal, contest)
+        freezing.freeze(session, principal, competition)
 
 
-@router.post("/competitions/{contest}/unfreeze", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
-def unfreeze(services: ServicesOf, principal: PrincipalOf, contest: str) -> None:
+@router.post("/competitions/{competition}/unfreeze", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
+def unfreeze(services: ServicesOf, principal: PrincipalOf, competition: str) -> None:
     """Show all results on the boards of a competition again."""
     with services.database.transaction() as session:
-        freezing.unfreeze(session, principal, contest)
+        freezing.unfreeze(session, principal, competition)
 
 
-@router.post("/competitions/{contest}/finalize")
-def finalize(services: ServicesOf, principal: PrincipalOf, contest: str, end: FinalEnd) -> CompetitionView:
+@router.post("/competitions/{competition}/finalize")
+def finalize(services: ServicesOf, principal: PrincipalOf, competition: str, end: FinalEnd) -> CompetitionView:
     """End a competition with the winners as they are now, or decide the winners of a final one again."""
     with services.database.transaction() as session:
         if end.again:
-            finishing.finalize_again(session, principal, contest)
+            finishing.finalize_again(session, principal, competition)
         else:
-            finishing.finalize(session, principal, contest, confirmed=end.confirm)
-        return competition_view(session, contest)
+            finishing.finalize(session, principal, competition, confirmed=end.confirm)
+        return competition_view(session, competition)
 
 
-@router.post("/competitions/{contest}/reopen")
-def reopen(services: ServicesOf, principal: PrincipalOf, contest: str, reopening: Reopening) -> CompetitionView:
+@router.post("/competitions/{competition}/reopen")
+def reopen(services: ServicesOf, principal: PrincipalOf, competition: str, reopening: Reopening) -> CompetitionView:
     """Reopen a final competition; everybody reads the reason."""
     with services.database.transaction() as session:
-        finishing.reopen(session, principal, reopening.reason, contest)
-        return competition_view(session, contest)
+        finishing.reopen(session, principal, reopening.reason, competition)
+        return competition_view(session, competition)

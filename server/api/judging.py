@@ -7,7 +7,7 @@ from uuid import UUID
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..contest.contest import Contest
+from ..competition.competition import Competition
 from ..judging import judging
 from ..views.judging import JudgedTeamView
 from .access import PrincipalOf, ServicesOf
@@ -58,12 +58,14 @@ def get_judged(
     principal: PrincipalOf,
     track: str,
     *,
-    contest: Annotated[
+    competition: Annotated[
         str | None, Query(description="Name of the competition; by default the one that opened last.")
     ] = None,
     stage: Annotated[str | None, Query(description="Name of the stage; by default the one that opened last.")] = None,
 ) -> list[JudgedTeamView]:
     """Return each team's marks with their spread, its figures and its total, best first (organizers only)."""
     with services.database.transaction() as session:
-        wanted = Contest.find_by_track(session, track, contest or principal.contest).shown_stage(track, stage)
+        wanted = Competition.find_by_track(session, track, competition or principal.competition).shown_stage(
+            track, stage
+        )
         return judging.judged(session, principal, wanted)

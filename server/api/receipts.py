@@ -16,18 +16,18 @@ router = APIRouter(tags=["receipts"], responses=RESPONSES)
 PAGE_ENTRIES = 1000
 
 
-@router.get("/competitions/{contest}/receipts")
+@router.get("/competitions/{competition}/receipts")
 @router.get("/receipts")
 def get_log(
     services: ServicesOf,
     *,
-    contest: str | None = None,
+    competition: str | None = None,
     after: Annotated[int, Query(ge=0, le=2**53, description="`next_after` from the previous page.")] = 0,
     limit: Annotated[int, Query(ge=1, le=PAGE_ENTRIES)] = PAGE_ENTRIES,
 ) -> LogView:
     """Return the public key that signs the log of receipts, and its entries, or those of a competition."""
     with services.database.transaction() as session:
-        return receipts.log_view(session, after=after, limit=limit, contest=contest)
+        return receipts.log_view(session, after=after, limit=limit, competition=competition)
 
 
 @router.get("/submissions/{submission_id}/receipts")

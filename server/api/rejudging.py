@@ -6,7 +6,7 @@ from uuid import UUID
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..contest.contest import Contest
+from ..competition.competition import Competition
 from ..rejudging import rejudging
 from ..rejudging.view import rejudgement_detail_view, rejudgement_view
 from ..views.rejudging import RejudgementDetailView, RejudgementView
@@ -21,7 +21,7 @@ class NewRejudgement(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     track: str = Field(max_length=100)
-    contest: str | None = Field(
+    competition: str | None = Field(
         default=None, max_length=100, description="Name of the competition; the one that opened last without it."
     )
     stage: str | None = Field(default=None, max_length=100, description="The one that opened last without it.")
@@ -47,8 +47,8 @@ def get_rejudgements(services: ServicesOf, principal: PrincipalOf) -> list[Rejud
 def post_rejudgement(services: ServicesOf, principal: PrincipalOf, new: NewRejudgement) -> RejudgementDetailView:
     """Evaluate submissions again with the present evaluator; nobody but organizers sees it, no result changes."""
     with services.database.transaction() as session:
-        contest = Contest.find_by_track(session, new.track, new.contest or principal.contest)
-        stage = contest.shown_stage(new.track, new.stage)
+        competition = Competition.find_by_track(session, new.track, new.competition or principal.competition)
+        stage = competition.shown_stage(new.track, new.stage)
         made = rejudging.start(session, principal, stage, submissions=new.submissions, reason=new.reason)
         return rejudgement_detail_view(session, made)
 

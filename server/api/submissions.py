@@ -107,7 +107,7 @@ async def post_submission(
     principal: PrincipalOf,
     *,
     track: Annotated[str | None, Query(description="Must agree with submission.yaml or the log's header.")] = None,
-    contest: Annotated[
+    competition: Annotated[
         str | None, Query(description="Name of the competition; needed where several take submissions to the track.")
     ] = None,
     kind: Annotated[SubmissionKind, Query(description="Kind of submission in the body.")] = SubmissionKind.MODEL,
@@ -135,7 +135,7 @@ async def post_submission(
     announced = upload.AnnouncedUpload(
         kind=kind,
         track=track,
-        contest=contest,
+        competition=competition,
         team=team,
         again=again,
         n_bytes=_announced_bytes(request),
@@ -155,7 +155,7 @@ def list_submissions(
     services: ServicesOf,
     principal: PrincipalOf,
     *,
-    contest: Annotated[str | None, Query(description="Only submissions to the competition of this name.")] = None,
+    competition: Annotated[str | None, Query(description="Only submissions to the competition of this name.")] = None,
     track: str | None = None,
     state: EvaluationState | None = None,
     team: Annotated[str | None, Query(description="For organizers.")] = None,
@@ -168,7 +168,7 @@ def list_submissions(
             session,
             services.settings,
             principal,
-            contest=contest,
+            competition=competition,
             track=track,
             state=state,
             team=team,

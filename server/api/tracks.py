@@ -58,7 +58,7 @@ def get_track_file(track: str) -> Response:
     return Response(track_file(track), media_type="application/yaml")
 
 
-@router.get("/competitions/{contest}/leaderboards/{track}", response_model=LeaderboardView, responses=UNCHANGED)
+@router.get("/competitions/{competition}/leaderboards/{track}", response_model=LeaderboardView, responses=UNCHANGED)
 @router.get("/leaderboards/{track}", response_model=LeaderboardView, responses=UNCHANGED)
 def get_leaderboard(
     request: Request,
@@ -66,7 +66,7 @@ def get_leaderboard(
     principal: ReaderOf,
     track: str,
     *,
-    contest: str | None = None,
+    competition: str | None = None,
     task: Annotated[str | None, Query(description="Rank by this task alone; by default by all tasks together.")] = None,
     stage: Stage = None,
     searched: EntrySearch,
@@ -77,27 +77,27 @@ def get_leaderboard(
     """Return a page of the standings of a track or of one of its tasks: the best completed evaluation of each team."""
     search = replace(searched, rows=rows)
     with services.database.reading() as session:
-        board = shown_leaderboard(session, principal, track, task=task, stage=stage, contest=contest)
+        board = shown_leaderboard(session, principal, track, task=task, stage=stage, competition=competition)
     return _answer(request, board if search.is_empty else MadeBoard(view=search.apply(board.view)), after, limit)
 
 
-@router.get("/competitions/{contest}/leaderboards/{track}/ranks")
+@router.get("/competitions/{competition}/leaderboards/{track}/ranks")
 @router.get("/leaderboards/{track}/ranks")
 def get_rank_history(
     services: ServicesOf,
     principal: ReaderOf,
     track: str,
     *,
-    contest: str | None = None,
+    competition: str | None = None,
     task: Annotated[str | None, Query(description="Of this task alone; of all tasks together without it.")] = None,
     stage: Stage = None,
 ) -> list[TeamRanksView]:
     """Return the ranks of a leaderboard's first teams over time."""
     with services.database.reading() as session:
-        return shown_rank_history(session, principal, track, task=task, stage=stage, contest=contest)
+        return shown_rank_history(session, principal, track, task=task, stage=stage, competition=competition)
 
 
-@router.get("/competitions/{contest}/leaderboards/{track}/logs", response_model=LogBoardsView, responses=UNCHANGED)
+@router.get("/competitions/{competition}/leaderboards/{track}/logs", response_model=LogBoardsView, responses=UNCHANGED)
 @router.get("/leaderboards/{track}/logs", response_model=LogBoardsView, responses=UNCHANGED)
 def get_log_boards(
     request: Request,
@@ -105,7 +105,7 @@ def get_log_boards(
     principal: ReaderOf,
     track: str,
     *,
-    contest: str | None = None,
+    competition: str | None = None,
     stage: Stage = None,
     search: EntrySearch,
     after: After = 0,
@@ -113,7 +113,7 @@ def get_log_boards(
 ) -> Response:
     """Return a page of the verified logs of a track, ranked by task, and the 2025 text logs, which are not ranked."""
     with services.database.reading() as session:
-        board = shown_log_boards(session, principal, track, stage=stage, contest=contest)
+        board = shown_log_boards(session, principal, track, stage=stage, competition=competition)
     return _answer(
         request, board if search.is_empty else MadeBoard(view=search.apply_to_logs(board.view)), after, limit
     )

@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session, joinedload, selectinload
 from vitac.evaluator.episodes.records import EpisodeRecord
 
 from ..audit import record
-from ..contest.contest import Contest, find_stage
+from ..competition.competition import Competition, find_stage
 from ..db.models import Appeal, AppealReplay, EpisodeResult, Evaluation, Rejudgement, Submission
 from ..db.states import TERMINAL_EVALUATION_STATES, AppealState
 from ..errors import ProblemCode, ServiceError, not_found
@@ -28,9 +28,9 @@ _NO_RULING = "The competition became final before anybody ruled on this appeal."
 _MAX_EPISODE = 1_000_000
 
 
-def takes_appeals(session: Session, contest: str | None = None) -> bool:
+def takes_appeals(session: Session, competition: str | None = None) -> bool:
     """Return whether a competition takes appeals; None: whether any of this service does."""
-    asked = Contest.read_all(session) if contest is None else [Contest.read(session, contest)]
+    asked = Competition.read_all(session) if competition is None else [Competition.read(session, competition)]
     return any(one.definition.appeal_days is not None and one.row.finalized_at is None for one in asked)
 
 
@@ -100,7 +100,7 @@ def withdraw(session: Session, by: Principal, appeal_id: int) -> None:
         ServiceError: there is no such appeal, or it is ruled on.
     """
     found = find(session, by, appeal_id)
-    if not by.may_change(found.team_id, found.evaluation.submission.contest):
+    if not by.may_change(found.team_id, found.evaluation.submission.competition):
         raise ServiceError(ProblemCode.FORBIDDEN, "A judge reads appeals only; ask an organizer.")
     _end(session, by, found, AppealState.WITHDRAWN, None)
 
@@ -111,28 +111,28 @@ def rule(session: Session, by: Principal, appeal_id: int, ruling: str, *, upheld
     Raises:
         ServiceError: not an organizer, there is no such appeal, it is decided already, or the text cannot be shown.
     """
-    by.require_organizer(by.contest)
+    by.require_organizer(by.competition)
     found = find(session, by, appeal_id)
     kept = clean_text(ruling, what="A ruling")
     _end(session, by, found, AppealState.UPHELD if upheld else AppealState.REJECTED, kept)
     return found
 
 
-def open_in_competition(session: Session, contest: Contest) -> list[Appeal]:
-    """Return the appeals against results of a contest on which nobody has ruled, the first one first."""
+def open_in_competition(session: Session, competition: Competition) -> list[Appeal]:
+    """Return the appeals against results of a competition on which nobody has ruled, the first one first."""
     query = select(Appeal).join(Appeal.evaluation).join(Evaluation.submission).options(joinedload(Appeal.team))
-    is_open = Appeal.state == AppealState.OPEN, contest.submissions
+    is_open = Appeal.state == AppealState.OPEN, competition.submissions
     return list(session.scalars(query.where(*is_open).order_by(Appeal.id)))
 
 
-def end_with_competition(session: Session, by: Principal, contest: Contest) -> None:
+def end_with_competition(session: Session, by: Principal, competition: Competition) -> None:
     """Reject the appeals on which nobody has ruled when the competition becomes final.
 
     Raises:
         ServiceError: not an organizer.
     """
-    by.require_organizer(contest.name)
-    for found in open_in_competition(session, contest):
+    by.require_organizer(competition.name)
+    for found in open_in_competition(session, competition):
         _end(session, by, found, AppealState.REJECTED, _NO_RULING)
 
 
@@ -152,7 +152,7 @@ def note_replay(
     Raises:
         ServiceError: not an organizer, there is no such appeal, or its evaluation has no such episode.
     """
-    by.require_organizer(by.contest)
+    by.require_organizer(by.competition)
     found = find(session, by, appeal_id)
     old = require_episode(session, found.evaluation, played.task, played.episode)
     stored = EpisodeRecord.model_validate(old.record)
@@ -209,20 +209,20 @@ def find(session: Session, by: Principal, appeal_id: int) -> Appeal:
         ServiceError: there is none that the principal may see.
     """
     found = session.get(Appeal, appeal_id, with_for_update={"of": Appeal}, populate_existing=True)
-    if found is None or not by.may_see(found.team_id, found.evaluation.submission.contest):
+    if found is None or not by.may_see(found.team_id, found.evaluation.submission.competition):
         raise not_found("appeal", appeal_id)
     return found
 
 
 def visible(
-    session: Session, by: Principal, contest: str | None = None, *, open_only: bool = False
+    session: Session, by: Principal, competition: str | None = None, *, open_only: bool = False
 ) -> list[AppealView]:
     """Return the newest appeals that somebody may see, newest first: those of the own team, or of all.
 
     Args:
         session: of the transaction.
         by: who asks.
-        contest: name of the competition against whose results they are; None: all.
+        competition: name of the competition against whose results they are; None: all.
         open_only: leave out those that are decided or withdrawn.
 
     Raises:
@@ -236,10 +236,10 @@ def visible(
         selectinload(Appeal.replays),
     )
     query = select(Appeal).options(*needed).order_by(Appeal.id.desc()).limit(SHOWN)
-    asked = None if contest is None else Contest.find(session, contest).name
-    for wanted in {by.contest, asked} - {None}:
-        query = query.where(Appeal.evaluation.has(Evaluation.submission.has(Submission.contest == wanted)))
-    if by.contest is None and not by.reads_all_teams:
+    asked = None if competition is None else Competition.find(session, competition).name
+    for wanted in {by.competition, asked} - {None}:
+        query = query.where(Appeal.evaluation.has(Evaluation.submission.has(Submission.competition == wanted)))
+    if by.competition is None and not by.reads_all_teams:
         query = query.where(Appeal.team_id == by.team_id)
     if open_only:
         query = query.where(Appeal.state == AppealState.OPEN)
@@ -281,7 +281,7 @@ def _require_time(session: Session, evaluation: Evaluation) -> None:
     if evaluation.state not in TERMINAL_EVALUATION_STATES or evaluation.finished_at is None:
         raise ServiceError(ProblemCode.APPEAL_TOO_LATE, "This evaluation has not ended; wait for its result.")
     submission = evaluation.submission
-    days = Contest.read(session, submission.contest or None).definition.appeal_days
+    days = Competition.read(session, submission.competition or None).definition.appeal_days
     final = find_stage(session, submission).final_since
     if final is not None:
         raise ServiceError(

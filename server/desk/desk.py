@@ -47,7 +47,7 @@ def read_desk(session: Session, by: Principal) -> Desk:
     Raises:
         ServiceError: not an organizer.
     """
-    by.require_organizer(by.contest)
+    by.require_organizer(by.competition)
     of_own = Desk(
         troubles=troubles(session, by),
         appealed=appeals.visible(session, by, open_only=True),

@@ -8,9 +8,9 @@ from uuid import UUID
 from sqlalchemy import ColumnElement, and_, exists, func, or_, select
 from sqlalchemy.orm import Session, selectinload
 
-from ..contest.contest import Contest
-from ..contest.definition import StageRules
-from ..contest.stages import Stage
+from ..competition.competition import Competition
+from ..competition.definition import StageRules
+from ..competition.stages import Stage
 from ..db.models import ArchiveCopy, EpisodeDifference, Evaluation, LogCopy, NearCopy, Qualification, Submission
 from ..evaluations.readiness import count_running
 from ..evaluations.verdicts import ServiceVerdict
@@ -41,16 +41,16 @@ class StageState:
     """How far a stage is.
 
     Attributes:
-        contest: name of the competition; None where there is a single one.
-        contest_title: of the competition.
+        competition: name of the competition; None where there is a single one.
+        competition_title: of the competition.
         qualified: number of teams that were confirmed; None: it is for all.
         submissions: made to it.
         running: evaluations that wait or run.
         over: whether it has closed.
     """
 
-    contest: str | None
-    contest_title: str
+    competition: str | None
+    competition_title: str
     track: str
     track_title: str
     stage: StageRules
@@ -66,7 +66,7 @@ def troubles(session: Session, by: Principal) -> list[Trouble]:
     Raises:
         ServiceError: forbidden.
     """
-    by.require_organizer(by.contest)
+    by.require_organizer(by.competition)
     differs = exists().where(EpisodeDifference.evaluation_id == Evaluation.id)
     copied = and_(
         Submission.copy_cleared_at.is_(None),
@@ -90,7 +90,7 @@ def troubles(session: Session, by: Principal) -> list[Trouble]:
             submission_id=evaluation.submission_id,
             submission=evaluation.submission.name,
             team=evaluation.submission.team.name,
-            track_title=Contest.read(session, evaluation.submission.contest or None).track_title(
+            track_title=Competition.read(session, evaluation.submission.competition or None).track_title(
                 evaluation.submission.track
             ),
             problem=_words(by_machines=by_machines, differing=differing, copy=copy),
@@ -106,12 +106,12 @@ def stages(session: Session, by: Principal, at: datetime | None = None) -> Seque
     Raises:
         ServiceError: forbidden.
     """
-    by.require_organizer(by.contest)
-    now, contests = at or datetime.now(UTC), Contest.read_all(session)
+    by.require_organizer(by.competition)
+    now, competitions = at or datetime.now(UTC), Competition.read_all(session)
     return [
         StageState(
-            contest=contest.name if len(contests) > 1 else None,
-            contest_title=contest.definition.title,
+            competition=competition.name if len(competitions) > 1 else None,
+            competition_title=competition.definition.title,
             track=stage.track,
             track_title=stage.track_rules.title,
             stage=stage.rules,
@@ -120,15 +120,15 @@ def stages(session: Session, by: Principal, at: datetime | None = None) -> Seque
             running=count_running(session, stage),
             over=stage.is_over(now),
         )
-        for contest in contests
-        if by.organizes(contest.name)
-        for stage in contest.stages_held_here
+        for competition in competitions
+        if by.organizes(competition.name)
+        for stage in competition.stages_held_here
     ]
 
 
 def _own(by: Principal) -> tuple[ColumnElement[bool], ...]:
     """Return the condition that a submission belongs to the organizer's competition; none for the whole service."""
-    return () if by.is_organizer else (Submission.contest == by.contest,)
+    return () if by.is_organizer else (Submission.competition == by.competition,)
 
 
 def _words(*, by_machines: bool, differing: bool, copy: bool) -> str:

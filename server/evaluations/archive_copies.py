@@ -40,7 +40,7 @@ def list_archive_copies(session: Session, by: Principal, *, limit: int = 1000) -
     Raises:
         ServiceError: not an organizer.
     """
-    by.require_organizer(by.contest)
+    by.require_organizer(by.competition)
     query = (
         select(ArchiveCopy)
         .join(Submission, Submission.id == ArchiveCopy.submission_id)
@@ -51,8 +51,8 @@ def list_archive_copies(session: Session, by: Principal, *, limit: int = 1000) -
         .order_by(ArchiveCopy.found_at.desc(), ArchiveCopy.submission_id, ArchiveCopy.earlier_submission_id)
         .limit(limit)
     )
-    if by.contest is not None:
-        query = query.where(Submission.contest == by.contest)
+    if by.competition is not None:
+        query = query.where(Submission.competition == by.competition)
     return [
         ArchiveCopyView(
             submission_id=found.submission_id,
@@ -76,7 +76,7 @@ def compare_archives(session: Session, by: Principal, found: Collection[NearCopy
     Raises:
         ServiceError: not an organizer.
     """
-    by.require_organizer(by.contest)
+    by.require_organizer(by.competition)
     asked = {id_ for one in found for id_ in (one.submission_id, one.earlier_submission_id)}
     rows = session.execute(
         select(Submission.id, Submission.archive_sketch).where(

@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure, digest_of_stored
 from vitac.evaluator.tracks import ListKind
 
-from ..contest.contest import find_stage
+from ..competition.competition import find_stage
 from ..db.models import EpisodeResult, Evaluation, Submission
 from ..principals import Principal
 from ..queue.leases import Lease, lock_held, note_progress
@@ -116,7 +116,7 @@ def find_shown_key(
 
 
 def _is_closed_to(session: Session, by: Principal, submission: Submission) -> bool:
-    if by.may_see(submission.team_id, submission.contest) or by.organizes(submission.contest):
+    if by.may_see(submission.team_id, submission.competition) or by.organizes(submission.competition):
         return False
     stage = find_stage(session, submission)
     return stage.ranks_on_public_list and not stage.is_over(datetime.now(UTC))

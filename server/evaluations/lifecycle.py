@@ -17,7 +17,7 @@ from vitac.evaluator.tracks import ListKind, load_track
 from vitac.evaluator.tracks.cut import cut
 from vitac.evaluator.tracks.versions import compute_hash, find_version
 
-from ..contest.contest import find_stage
+from ..competition.competition import find_stage
 from ..db.models import Evaluation, Shard, Submission
 from ..db.row_locks import lock_evaluation
 from ..db.states import OPEN_SHARD_STATES, EvaluationState, NoticeKind, ShardState

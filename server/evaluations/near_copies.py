@@ -86,7 +86,7 @@ def list_near_copies(session: Session, by: Principal, *, limit: int = 1000) -> l
     Raises:
         ServiceError: not an organizer.
     """
-    by.require_organizer(by.contest)
+    by.require_organizer(by.competition)
     query = (
         select(NearCopy)
         .join(NearCopy.evaluation)
@@ -98,8 +98,8 @@ def list_near_copies(session: Session, by: Principal, *, limit: int = 1000) -> l
         .order_by(NearCopy.found_at.desc(), NearCopy.evaluation_id, NearCopy.task, NearCopy.commitment)
         .limit(limit)
     )
-    if by.contest is not None:
-        query = query.where(Submission.contest == by.contest)
+    if by.competition is not None:
+        query = query.where(Submission.competition == by.competition)
     return [_view(found) for found in session.scalars(query)]
 
 

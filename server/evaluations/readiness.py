@@ -5,7 +5,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks.versions import find_version
 
-from ..contest.stages import Stage
+from ..competition.stages import Stage
 from ..db.models import BoardResult, Evaluation, Submission, Team
 from ..db.states import ACTIVE_EVALUATION_STATES
 from ..errors import ProblemCode, ServiceError

@@ -167,7 +167,7 @@ def _board_result(
     submission = evaluation.submission
     return BoardResult(
         board=board,
-        contest=submission.contest,
+        competition=submission.competition,
         track=submission.track,
         stage=submission.stage,
         kind=submission.kind,

@@ -68,7 +68,7 @@ def restart(session: Session, by: Principal, evaluation_id: UUID) -> None:
     Raises:
         ServiceError: not an organizer, it has ended, it has this evaluator already, or its task is gone.
     """
-    by.require_organizer(by.contest)
+    by.require_organizer(by.competition)
     evaluation = session.get_one(Evaluation, evaluation_id)
     if evaluation_id not in _outdated(session, Evaluation.id == evaluation_id):
         raise ServiceError(

@@ -99,7 +99,7 @@ class EvaluationRows:
             with_output: with what the policies printed and could import, which `histories` then reads with the rest.
         """
         sights = {found.id: decide_sight(by, found) for found in evaluations}
-        organized = [found for found in evaluations if by.organizes(found.submission.contest)]
+        organized = [found for found in evaluations if by.organizes(found.submission.competition)]
         hidden = frozenset(found.id for found in evaluations if find_shown_key(session, by, found) is None)
         kept = {
             found.id: view

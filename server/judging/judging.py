@@ -15,9 +15,9 @@ from vitac.evaluator.tracks import load_track
 
 from .. import tokens
 from ..audit import record
-from ..contest.contest import Contest
-from ..contest.definition import Judging
-from ..contest.stages import Stage
+from ..competition.competition import Competition
+from ..competition.definition import Judging
+from ..competition.stages import Stage
 from ..db.models import Evaluation, JudgingConflict, JudgingMark, Submission
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.history import newest_evaluation
@@ -51,12 +51,12 @@ def give_marks(
             has a conflict of interest with the team.
     """
     submission = visible(session, by, submission_id)
-    name = _judge(session, by, judge, submission.contest)
+    name = _judge(session, by, judge, submission.competition)
     teams.lock(session, submission.team)  # no conflict and no other marks of the team meanwhile
     # The end, and the same judge's marks from elsewhere, wait for these.
-    contest = Contest.lock(session, submission.contest)
-    contest.require_not_final()
-    rubric = find_rubric(contest, submission.track)
+    competition = Competition.lock(session, submission.competition)
+    competition.require_not_final()
+    rubric = find_rubric(competition, submission.track)
     _require_ranked_task(session, submission)
     _require_whole(rubric, marks)
     conflict = session.get(JudgingConflict, (submission.team_id, name))
@@ -93,11 +93,11 @@ def declare_conflict(session: Session, by: Principal, team: str, reason: str, *,
     found = teams.find(session, team)
     teams.lock(session, found)  # before the competition, as for marks
     # The end, and the same judge's marks from elsewhere, wait for these.
-    contests = [Contest.lock(session, one) for one in sorted(one.name for one in Contest.read_all(session))]
-    final = [one for one in contests if one.row.finalized_at is not None]
-    if len(final) == len(contests):
+    competitions = [Competition.lock(session, one) for one in sorted(one.name for one in Competition.read_all(session))]
+    final = [one for one in competitions if one.row.finalized_at is not None]
+    if len(final) == len(competitions):
         final[0].require_not_final()
-    of_team = Submission.team_id == found.id, Submission.contest.not_in([one.name for one in final])
+    of_team = Submission.team_id == found.id, Submission.competition.not_in([one.name for one in final])
     mine = JudgingMark.submission_id.in_(select(Submission.id).where(*of_team))
     before = _take_away(session, name, mine)
     row = session.get(JudgingConflict, (found.id, name))
@@ -115,8 +115,8 @@ def judged(session: Session, by: Principal, stage: Stage) -> list[JudgedTeamView
     Raises:
         ServiceError: not an organizer, or the track is not judged.
     """
-    by.require_organizer(stage.contest)
-    rubric = find_rubric(Contest.read(session, stage.contest), stage.track)
+    by.require_organizer(stage.competition)
+    rubric = find_rubric(Competition.read(session, stage.competition), stage.track)
     return _sort_by_total(session, rubric, leaderboard(session, stage, live=True).view.entries)
 
 
@@ -128,7 +128,7 @@ def ranked_by_total(session: Session, stage: Stage) -> list[tuple[LeaderboardEnt
     """
     board = leaderboard(session, stage, live=True).view.entries
     entries = {entry.submission_id: entry for entry in board if entry.rank is not None}
-    rubric = find_rubric(Contest.read(session, stage.contest), stage.track)
+    rubric = find_rubric(Competition.read(session, stage.competition), stage.track)
     found = _sort_by_total(session, rubric, list(entries.values()))
     if missing := [f"{team.team} ({_missing(rubric, team)})" for team in found if team.total is None]:
         raise ServiceError(
@@ -139,13 +139,13 @@ def ranked_by_total(session: Session, stage: Stage) -> list[tuple[LeaderboardEnt
     return [(entries[team.submission], team.total) for team in found if team.total is not None]
 
 
-def find_rubric(contest: Contest, track: str) -> Judging:
-    """Return how a track of a contest is judged.
+def find_rubric(competition: Competition, track: str) -> Judging:
+    """Return how a track of a competition is judged.
 
     Raises:
         ServiceError: it is not.
     """
-    rules = contest.definition.tracks.get(track)
+    rules = competition.definition.tracks.get(track)
     if rules is None or rules.judging is None:
         raise ServiceError(
             ProblemCode.INVALID_REQUEST, f"{track} is not judged; give it `judging` in the competition's file."
@@ -251,11 +251,11 @@ def _total(rubric: Judging, success_rate: float, mark: float | None, figures: fl
     return round(measured + weights.judges * (mark or 0.0) / BEST_MARK, 9)
 
 
-def _judge(session: Session, by: Principal, named: str | None, contest: str | None = None) -> str:
+def _judge(session: Session, by: Principal, named: str | None, competition: str | None = None) -> str:
     """Return the name under which marks are stored: that of the judge's token, or whom the organizer names."""
     if by.judge_name is not None:
         return by.judge_name
-    by.require_organizer(contest)
+    by.require_organizer(competition)
     if not named:
         raise ServiceError(ProblemCode.INVALID_REQUEST, "Name the judge who gave the marks.")
     return tokens.judge_named(session, named)

@@ -8,9 +8,9 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.tracks import load_track
 
-from ..contest.contest import Contest
-from ..contest.definition import Judging
-from ..contest.stages import Stage
+from ..competition.competition import Competition
+from ..competition.definition import Judging
+from ..competition.stages import Stage
 from ..db.models import JudgingConflict, JudgingMark, Submission
 from ..errors import ProblemCode, ServiceError
 from ..leaderboards.standings import leaderboard
@@ -65,9 +65,9 @@ def sheets(session: Session, by: Principal) -> list[Sheet]:
         raise ServiceError(ProblemCode.FORBIDDEN, "Only judges and organizers may do this; sign in with their token.")
     return [
         _sheet(session, by, stage, stage.track_rules.judging)
-        for contest in Contest.read_all(session)
-        for stage in contest.last_stages
-        if stage.track_rules.judging is not None and (by.reads_all_teams or by.organizes(contest.name))
+        for competition in Competition.read_all(session)
+        for stage in competition.last_stages
+        if stage.track_rules.judging is not None and (by.reads_all_teams or by.organizes(competition.name))
     ]
 
 
@@ -79,7 +79,7 @@ def _sheet(session: Session, by: Principal, stage: Stage, rubric: Judging) -> Sh
         rubric=rubric,
         has_sensors=load_track(stage.track).has_sensor,
         entries=[_entry(session, by, entry) for entry in board],
-        judged=judged(session, by, stage) if by.organizes(stage.contest) else (),
+        judged=judged(session, by, stage) if by.organizes(stage.competition) else (),
     )
 
 

@@ -15,8 +15,8 @@ from sqlalchemy.orm import Session, aliased
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
 
-from ..contest.definition import DEFAULT_RANKING, RankingKey
-from ..contest.stages import CountedResults, Stage
+from ..competition.definition import DEFAULT_RANKING, RankingKey
+from ..competition.stages import CountedResults, Stage
 from ..db.models import ALL_TASKS, BoardResult, Team
 from ..tracks import is_reference, known_track
 from ..views.submissions import RankView
@@ -33,7 +33,7 @@ class Board:
     """What is ranked together: results of one kind in one task of a track, or with `task` None in all of them.
 
     Attributes:
-        contest: name of the competition; empty for results outside of one.
+        competition: name of the competition; empty for results outside of one.
         stage: of the competition; empty for results outside of one.
         ranking: what entries are compared by.
         evaluator_version: whose results are ranked.
@@ -43,7 +43,7 @@ class Board:
     track: str
     kind: SubmissionKind = SubmissionKind.MODEL
     task: str | None = None
-    contest: str = ""
+    competition: str = ""
     stage: str = ""
     ranking: tuple[RankingKey, ...] = DEFAULT_RANKING
     evaluator_version: str = field(default_factory=evaluator_version)
@@ -63,7 +63,7 @@ class Board:
             track=stage.track,
             kind=kind,
             task=task,
-            contest=stage.contest,
+            competition=stage.competition,
             stage=stage.name,
             ranking=stage.ranking,
             evaluator_version=counted.evaluator_version,
@@ -126,7 +126,7 @@ def _places(ranked: Sequence[BestEntry]) -> dict[UUID, RankView]:
 def _parameters(board: Board) -> dict[str, object]:
     return {
         "track": board.track,
-        "contest": board.contest,
+        "competition": board.competition,
         "stage": board.stage,
         "kind": board.kind,
         "board": board.task or ALL_TASKS,
@@ -193,7 +193,7 @@ def _best_result(
 
 def _board_conditions(result: type[BoardResult], board: ColumnElement[str]) -> tuple[ColumnElement[bool], ...]:
     return (
-        result.contest == bindparam("contest"),
+        result.competition == bindparam("competition"),
         result.track == bindparam("track"),
         result.stage == bindparam("stage"),
         result.kind == bindparam("kind"),

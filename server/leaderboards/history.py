@@ -40,7 +40,7 @@ def past_results(session: Session, by: Principal, shown: Evaluation) -> list[Pas
 def _results() -> Select[*tuple[Any, ...]]:
     """Return the query of past results, put together once: each page of a submission asks it of its team."""
     own = BoardResult.evaluation_id == bindparam("evaluation")
-    stage = select(BoardResult.contest, BoardResult.stage).where(own).limit(1)
+    stage = select(BoardResult.competition, BoardResult.stage).where(own).limit(1)
     return (
         select(
             BoardResult.board.label("task"),
@@ -56,7 +56,7 @@ def _results() -> Select[*tuple[Any, ...]]:
             BoardResult.kind == bindparam("kind"),
             BoardResult.board == func.any(bindparam("tasks", type_=ARRAY(Text))),
             BoardResult.evaluator_version == bindparam("evaluator_version"),
-            tuple_(BoardResult.contest, BoardResult.stage) == stage.scalar_subquery(),
+            tuple_(BoardResult.competition, BoardResult.stage) == stage.scalar_subquery(),
         )
         .order_by(BoardResult.submitted_at.desc(), BoardResult.submission_id)
         .limit(bindparam("at_most"))

@@ -16,7 +16,7 @@ from vitac.evaluator.logs.text_2025 import WHY_RATES_DIFFER
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Track
 
-from ..contest.stages import CountedResults, Stage
+from ..competition.stages import CountedResults, Stage
 from ..db.models import BoardResult, Evaluation, Team
 from ..evaluations.copies import find_copies
 from ..evaluations.scores import score_views
@@ -65,11 +65,11 @@ def log_boards(session: Session, stage: Stage, *, unfrozen: bool = False) -> Mad
     shown_names = ShownNames.read(session, VISITOR)
     found = kept_until_change(
         session,
-        ("logs", stage.contest, stage.track, stage.name, stage.ranking, rule, counted, shown_names),
+        ("logs", stage.competition, stage.track, stage.name, stage.ranking, rule, counted, shown_names),
         lambda: _found(session, track, stage, counted, shown_names, rule),
     )
     made = partial(_view, session, track, found)
-    key = (stage.contest, stage.track, stage.name, unfrozen)
+    key = (stage.competition, stage.track, stage.name, unfrozen)
     return _made_boards.get(key, found.revision, made, names=found.names)
 
 

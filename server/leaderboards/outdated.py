@@ -4,7 +4,7 @@ from collections.abc import Collection
 
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..contest.stages import CountedResults
+from ..competition.stages import CountedResults
 
 
 def explain_unranked(

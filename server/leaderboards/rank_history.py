@@ -10,7 +10,7 @@ from uuid import UUID
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from ..contest.definition import RankingKey
+from ..competition.definition import RankingKey
 from ..db.models import ALL_TASKS, BoardResult, Team
 from ..views.leaderboards import DatedRankView, LeaderboardEntryView, TeamRanksView
 from .best_entries import Board, takes_part
@@ -45,7 +45,7 @@ def _read(session: Session, board: Board) -> Sequence[BoardResult]:
         select(BoardResult)
         .join(Team, Team.id == BoardResult.team_id)
         .where(
-            BoardResult.contest == board.contest,
+            BoardResult.competition == board.competition,
             BoardResult.track == board.track,
             BoardResult.stage == board.stage,
             BoardResult.kind == board.kind,

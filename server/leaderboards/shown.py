@@ -2,7 +2,7 @@
 
 from sqlalchemy.orm import Session
 
-from ..contest.contest import Contest
+from ..competition.competition import Competition
 from ..principals import Principal
 from ..views.leaderboards import LeaderboardView, LogBoardsView, TeamRanksView
 from .best_entries import Board
@@ -19,7 +19,7 @@ def shown_leaderboard(
     *,
     task: str | None = None,
     stage: str | None = None,
-    contest: str | None = None,
+    competition: str | None = None,
 ) -> MadeBoard[LeaderboardView]:
     """Return the leaderboard of a track, or of one of its tasks; organizers see all results while it is frozen.
 
@@ -29,13 +29,13 @@ def shown_leaderboard(
         track: name.
         task: name; None: all tasks together.
         stage: name; None: the stage that opened last.
-        contest: name of the competition; None: the one that opened last.
+        competition: name of the competition; None: the one that opened last.
 
     Raises:
         ServiceError: one of the names is unknown.
     """
-    shown = Contest.find_by_track(session, track, contest).shown_stage(track, stage)
-    return leaderboard(session, shown, task=task, unfrozen=by.organizes(shown.contest))
+    shown = Competition.find_by_track(session, track, competition).shown_stage(track, stage)
+    return leaderboard(session, shown, task=task, unfrozen=by.organizes(shown.competition))
 
 
 def shown_rank_history(
@@ -45,15 +45,15 @@ def shown_rank_history(
     *,
     task: str | None = None,
     stage: str | None = None,
-    contest: str | None = None,
+    competition: str | None = None,
 ) -> list[TeamRanksView]:
     """Return the ranks of a leaderboard's first teams over time; the arguments are those of `shown_leaderboard`.
 
     Raises:
         ServiceError: one of the names is unknown.
     """
-    shown = Contest.find_by_track(session, track, contest).shown_stage(track, stage)
-    unfrozen = by.organizes(shown.contest)
+    shown = Competition.find_by_track(session, track, competition).shown_stage(track, stage)
+    unfrozen = by.organizes(shown.competition)
     made = leaderboard(session, shown, task=task, unfrozen=unfrozen).view
     if made.is_reference:
         return []
@@ -62,12 +62,12 @@ def shown_rank_history(
 
 
 def shown_log_boards(
-    session: Session, by: Principal, track: str, *, stage: str | None = None, contest: str | None = None
+    session: Session, by: Principal, track: str, *, stage: str | None = None, competition: str | None = None
 ) -> MadeBoard[LogBoardsView]:
     """Return the logs of a track; the arguments are those of `shown_leaderboard`.
 
     Raises:
         ServiceError: one of the names is unknown.
     """
-    shown = Contest.find_by_track(session, track, contest).shown_stage(track, stage)
-    return log_boards(session, shown, unfrozen=by.organizes(shown.contest))
+    shown = Competition.find_by_track(session, track, competition).shown_stage(track, stage)
+    return log_boards(session, shown, unfrozen=by.organizes(shown.competition))

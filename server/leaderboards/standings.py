@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session, defer, selectinload
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, Track
 
-from ..contest.stages import CountedResults, Stage
+from ..competition.stages import CountedResults, Stage
 from ..db.models import Evaluation, Submission
 from ..evaluations.copies import find_copies
 from ..evaluations.scores import (

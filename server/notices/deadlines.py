@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from ..contest.contest import Contest
+from ..competition.competition import Competition
 from ..db.models import Team
 from ..db.states import NoticeKind
 from .outbox import announce, stage_facts
@@ -19,7 +19,7 @@ def announce_near(session: Session, at: datetime | None = None) -> None:
     A stage whose closing instant is moved gets another one. `at` is the moment, None: now.
     """
     now = at or datetime.now(UTC)
-    open_stages = (stage for one in Contest.read_all(session) for stage in one.stages if stage.is_open(now))
+    open_stages = (stage for one in Competition.read_all(session) for stage in one.stages if stage.is_open(now))
     near = [stage for stage in open_stages if stage.rules.closes - now <= NEAR]
     if not near:
         return

@@ -11,8 +11,8 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
 from ..audit import record
-from ..contest.contest import Contest
-from ..contest.stages import Stage
+from ..competition.competition import Competition
+from ..competition.stages import Stage
 from ..db.models import Evaluation, Member, Notice, Webhook
 from ..db.states import NoticeChannel, NoticeKind
 from ..errors import ProblemCode, ServiceError, not_found
@@ -115,7 +115,7 @@ def announce_evaluation(session: Session, kind: NoticeKind, evaluation: Evaluati
         "submission": str(submission.id),
         "name": submission.name,
         "track": submission.track,
-        "track_title": Contest.read(session, submission.contest or None).track_title(submission.track),
+        "track_title": Competition.read(session, submission.competition or None).track_title(submission.track),
         "stage": submission.stage or None,
         "evaluation": str(evaluation.id),
         "state": evaluation.state.value,

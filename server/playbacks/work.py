@@ -13,7 +13,7 @@ from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord
 
-from ..contest.sealing import derive_list_seed
+from ..competition.sealing import derive_list_seed
 from ..db.models import EpisodeResult, Playback, Submission, SubmissionFile, Worker
 from ..db.states import OPEN_PLAYBACK_STATES, FileRole, PlaybackState, WorkerState
 from ..queue.jobs import enqueue_playback, forget_jobs_of_ended_playbacks, has_waiting_playback_job

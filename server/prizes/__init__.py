@@ -1,1 +1,1 @@
-"""Who wins what, and the end of a contest."""
+"""Who wins what, and the end of a competition."""

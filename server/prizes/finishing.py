@@ -11,10 +11,10 @@ from sqlalchemy.orm import Session
 from .. import names
 from ..appeals.appeals import end_with_competition
 from ..audit import newest_entries, record
+from ..competition.competition import Competition
+from ..competition.definition import Prize, TrackRules
+from ..competition.stages import Stage
 from ..confirmations import Concern, require_confirmed
-from ..contest.contest import Contest
-from ..contest.definition import Prize, TrackRules
-from ..contest.stages import Stage
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.readiness import require_current, require_scored
 from ..judging.judging import judged, ranked_by_total
@@ -83,24 +83,24 @@ def finalize(
             over, a stage lacks witnesses, a board has results of another evaluator version, a judged track has an entry
             without a total, or something is neither settled nor confirmed.
     """
-    contest, now = Contest.lock_to_change(session, by, name), at or datetime.now(UTC)
-    _require_over(session, contest, now)
-    require_witnessed(session, contest)
-    found = _winners_now(session, contest)
-    require_confirmed(unsettled(contest, now), confirmed)
-    end_with_competition(session, by, contest)
-    contest.row.finalized_at, contest.row.frozen_at = now, None
-    _store(session, contest, found)
-    record(session, by, "competition.finalize", contest.subject, {"winners": contest.row.winners})
-    _issue_receipt(session, contest)
+    competition, now = Competition.lock_to_change(session, by, name), at or datetime.now(UTC)
+    _require_over(session, competition, now)
+    require_witnessed(session, competition)
+    found = _winners_now(session, competition)
+    require_confirmed(unsettled(competition, now), confirmed)
+    end_with_competition(session, by, competition)
+    competition.row.finalized_at, competition.row.frozen_at = now, None
+    _store(session, competition, found)
+    record(session, by, "competition.finalize", competition.subject, {"winners": competition.row.winners})
+    _issue_receipt(session, competition)
     return found
 
 
 def concerns_at_end(session: Session, name: str | None = None) -> list[Concern]:
     """Return what is not settled, and would be by the end alone."""
-    contest = Contest.find(session, name)
-    contest.require_held()
-    return unsettled(contest, datetime.now(UTC))
+    competition = Competition.find(session, name)
+    competition.require_held()
+    return unsettled(competition, datetime.now(UTC))
 
 
 def reopen(session: Session, by: Principal, reason: str, name: str | None = None) -> None:
@@ -111,14 +111,14 @@ def reopen(session: Session, by: Principal, reason: str, name: str | None = None
     Raises:
         ServiceError: not an organizer, there is no competition, it is not final, or the reason cannot be shown.
     """
-    contest = Contest.lock_held(session, by, name)
-    _require_final(contest)
-    shown, row = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH), contest.row
+    competition = Competition.lock_held(session, by, name)
+    _require_final(competition)
+    shown, row = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH), competition.row
     before = {"finalized_at": str(row.finalized_at), "winners": row.winners, "boards": row.boards}
     row.reopened = [*row.reopened, {"at": datetime.now(UTC).isoformat(), "reason": shown}]
     row.finalized_at = row.winners = row.boards = None
-    record(session, by, "competition.reopen", contest.subject, {"reason": shown}, before=before)
-    _issue_receipt(session, contest, reason=shown)
+    record(session, by, "competition.reopen", competition.subject, {"reason": shown}, before=before)
+    _issue_receipt(session, competition, reason=shown)
 
 
 def finalize_again(session: Session, by: Principal, name: str | None = None) -> list[Winner]:
@@ -132,20 +132,20 @@ def finalize_again(session: Session, by: Principal, name: str | None = None) -> 
             final before boards were stored and a board has results of another evaluator version, or a judged track has
             an entry without a total.
     """
-    contest = Contest.lock_held(session, by, name)
-    _require_final(contest)
-    _require_track_files(contest)
-    before = {"winners": contest.row.winners, "boards": contest.row.boards}
-    found = _winners_now(session, contest)
-    _store(session, contest, found)
-    record(session, by, FINALIZE_AGAIN, contest.subject, {"winners": contest.row.winners}, before=before)
-    _issue_receipt(session, contest)
+    competition = Competition.lock_held(session, by, name)
+    _require_final(competition)
+    _require_track_files(competition)
+    before = {"winners": competition.row.winners, "boards": competition.row.boards}
+    found = _winners_now(session, competition)
+    _store(session, competition, found)
+    record(session, by, FINALIZE_AGAIN, competition.subject, {"winners": competition.row.winners}, before=before)
+    _issue_receipt(session, competition)
     return found
 
 
-def find_last_decision(session: Session, contest: Contest) -> datetime | None:
+def find_last_decision(session: Session, competition: Competition) -> datetime | None:
     """Return when winners and boards of a final competition were last decided again; None: never."""
-    lines = newest_entries(session, 1, action=FINALIZE_AGAIN, subject=contest.subject)
+    lines = newest_entries(session, 1, action=FINALIZE_AGAIN, subject=competition.subject)
     return lines[0].at if lines else None
 
 
@@ -156,16 +156,16 @@ def winners(session: Session, name: str | None = None) -> list[Winner]:
         ServiceError: there is no competition, a board has results of another evaluator version, or a judged track has
             an entry without a total.
     """
-    contest = Contest.find(session, name)
-    contest.require_held()
-    if contest.row.winners is not None:
-        return [Winner(**winner) for winner in contest.row.winners]
-    return _winners_now(session, contest)
+    competition = Competition.find(session, name)
+    competition.require_held()
+    if competition.row.winners is not None:
+        return [Winner(**winner) for winner in competition.row.winners]
+    return _winners_now(session, competition)
 
 
 def prizes_without_winner(session: Session, found: Sequence[Winner], name: str | None = None) -> list[str]:
     """Return for each track with prizes that nobody wins a sentence that names them, with how many of each."""
-    tracks = Contest.find(session, name).definition.tracks
+    tracks = Competition.find(session, name).definition.tracks
     left = {name: _count_unawarded(name, track, found) for name, track in tracks.items()}
     return [
         f"{name}: nobody wins {', '.join(f'{count} x {place}' for place, count in prizes.items())}"
@@ -175,17 +175,17 @@ def prizes_without_winner(session: Session, found: Sequence[Winner], name: str |
     ]
 
 
-def winning_entries(contest: Contest) -> tuple[WinningEntry, ...]:
+def winning_entries(competition: Competition) -> tuple[WinningEntry, ...]:
     """Return the winners of a final competition as receipts and exports name them; none before its end."""
     names = WinningEntry.model_fields
     return tuple(
-        WinningEntry.model_validate({name: winner[name] for name in names}) for winner in contest.row.winners or ()
+        WinningEntry.model_validate({name: winner[name] for name in names}) for winner in competition.row.winners or ()
     )
 
 
-def judged_entries(session: Session, contest: Contest) -> tuple[JudgedEntry, ...]:
+def judged_entries(session: Session, competition: Competition) -> tuple[JudgedEntry, ...]:
     """Return what the judges think of the entries of the last stages as receipts and exports name it; once final."""
-    if contest.row.finalized_at is None:
+    if competition.row.finalized_at is None:
         return ()
     return tuple(
         JudgedEntry(
@@ -194,47 +194,47 @@ def judged_entries(session: Session, contest: Contest) -> tuple[JudgedEntry, ...
             criteria={each.criterion: each.mean for each in team.criteria},
             total=team.total,
         )
-        for stage in contest.last_stages
+        for stage in competition.last_stages
         if stage.track_rules.judging is not None
         for team in judged(session, CONSOLE, stage)
     )
 
 
-def make_boards(session: Session, contest: Contest) -> list[LeaderboardView]:
+def make_boards(session: Session, competition: Competition) -> list[LeaderboardView]:
     """Return the board of every stage that is held here, as organizers see it now."""
-    return [leaderboard(session, stage, live=True).view for stage in contest.stages_held_here]
+    return [leaderboard(session, stage, live=True).view for stage in competition.stages_held_here]
 
 
-def _winners_now(session: Session, contest: Contest) -> list[Winner]:
+def _winners_now(session: Session, competition: Competition) -> list[Winner]:
     """Return who wins by the boards of the last stages; stored boards rank by the evaluator version of the end."""
     found = []
-    for stage in contest.last_stages:
-        if contest.row.boards is None:
+    for stage in competition.last_stages:
+        if competition.row.boards is None:
             require_current(session, stage)
-        found += _find_winners(session, stage, contest.definition.currency)
+        found += _find_winners(session, stage, competition.definition.currency)
     return found
 
 
-def _store(session: Session, contest: Contest, found: Sequence[Winner]) -> None:
+def _store(session: Session, competition: Competition, found: Sequence[Winner]) -> None:
     """Write winners, and the boards as they are for organizers."""
-    contest.row.winners = [asdict(winner) for winner in found]
-    contest.row.boards = [board.model_dump(mode="json") for board in make_boards(session, contest)]
+    competition.row.winners = [asdict(winner) for winner in found]
+    competition.row.boards = [board.model_dump(mode="json") for board in make_boards(session, competition)]
 
 
-def _issue_receipt(session: Session, contest: Contest, *, reason: str | None = None) -> None:
+def _issue_receipt(session: Session, competition: Competition, *, reason: str | None = None) -> None:
     """Sign winners and marks, so that nobody changes them later, or the reopening with its reason."""
-    finalized_at, judged_now = contest.row.finalized_at, judged_entries(session, contest)
-    for board in map(LeaderboardView.model_validate, contest.row.boards or ()):
-        append(session, partial(make_final_board, contest.definition.name, board))
+    finalized_at, judged_now = competition.row.finalized_at, judged_entries(session, competition)
+    for board in map(LeaderboardView.model_validate, competition.row.boards or ()):
+        append(session, partial(make_final_board, competition.definition.name, board))
 
     def make(issued_at: datetime) -> End:
         return End(
             salt=new_salt(),
             issued_at=issued_at,
-            contest=contest.definition.name,
+            competition=competition.definition.name,
             finalized_at=finalized_at and finalized_at.astimezone(UTC),
             reason=reason,
-            winners=winning_entries(contest),
+            winners=winning_entries(competition),
             judged=judged_now,
         )
 
@@ -282,25 +282,25 @@ def _single_prizes(prizes: Sequence[Prize]) -> list[Prize]:
     return [prize for prize in prizes for _ in range(prize.winners)]
 
 
-def _require_final(contest: Contest) -> None:
-    if contest.row.finalized_at is None:
+def _require_final(competition: Competition) -> None:
+    if competition.row.finalized_at is None:
         raise ServiceError(
             ProblemCode.INVALID_REQUEST, "The competition is not final yet; `vitac admin results finalize` ends it."
         )
 
 
-def _require_over(session: Session, contest: Contest, now: datetime) -> None:
+def _require_over(session: Session, competition: Competition, now: datetime) -> None:
     """Refuse while a stage takes submissions, or one of them is not scored."""
-    last = max(stage.rules.closes for stage in contest.stages)
+    last = max(stage.rules.closes for stage in competition.stages)
     if now < last:
         raise ServiceError(ProblemCode.STAGE_NOT_OVER, f"The last stage closes at {last:%F %T} UTC; wait until then.")
-    for stage in contest.stages:
+    for stage in competition.stages:
         require_scored(session, stage)
 
 
-def _require_track_files(contest: Contest) -> None:
+def _require_track_files(competition: Competition) -> None:
     """Refuse to make boards again while a track that is held here has no file."""
-    missing = [stage.track for stage in contest.last_stages if known_track(stage.track) is None]
+    missing = [stage.track for stage in competition.last_stages if known_track(stage.track) is None]
     if missing:
         raise ServiceError(
             ProblemCode.UNKNOWN_TRACK,

@@ -6,49 +6,49 @@ from datetime import datetime, timedelta
 from sqlalchemy import func, select
 
 from ..appeals.appeals import open_in_competition
+from ..competition.competition import Competition
 from ..confirmations import Concern
-from ..contest.contest import Contest
 from ..db.models import Evaluation, Rejudgement
 from ..leaderboards.standings import leaderboard
 
 
-def unsettled(contest: Contest, now: datetime) -> list[Concern]:
+def unsettled(competition: Competition, now: datetime) -> list[Concern]:
     """Return what would be settled by the end alone: appeals, their time, rejudgements, boards without a rank."""
-    return [*_appeals(contest), *_appeal_time(contest, now), *_rejudgements(contest), *_boards(contest)]
+    return [*_appeals(competition), *_appeal_time(competition, now), *_rejudgements(competition), *_boards(competition)]
 
 
-def _appeals(contest: Contest) -> Iterator[Concern]:
-    if found := open_in_competition(contest.session, contest):
+def _appeals(competition: Competition) -> Iterator[Concern]:
+    if found := open_in_competition(competition.session, competition):
         listed = ", ".join(f"{one.id} of {one.team.name}" for one in found)
         yield Concern(
             name="open_appeals", sentence=f"No ruling was made on appeals {listed}; they are rejected with the end."
         )
 
 
-def _appeal_time(contest: Contest, now: datetime) -> Iterator[Concern]:
-    days = contest.definition.appeal_days
-    in_contest = contest.submissions, Evaluation.is_proposed.is_(False)
-    query = select(func.max(Evaluation.finished_at)).join(Evaluation.submission).where(*in_contest)
-    last = contest.session.scalar(query)
+def _appeal_time(competition: Competition, now: datetime) -> Iterator[Concern]:
+    days = competition.definition.appeal_days
+    in_competition = competition.submissions, Evaluation.is_proposed.is_(False)
+    query = select(func.max(Evaluation.finished_at)).join(Evaluation.submission).where(*in_competition)
+    last = competition.session.scalar(query)
     if days is not None and last is not None and (until := last + timedelta(days=days)) > now:
         yield Concern(
             name="appeal_time", sentence=f"Teams may appeal until {until:%F %T} UTC; with the end they no longer can."
         )
 
 
-def _rejudgements(contest: Contest) -> Iterator[Concern]:
+def _rejudgements(competition: Competition) -> Iterator[Concern]:
     waiting = Rejudgement.applied_at.is_(None), Rejudgement.discarded_at.is_(None)
-    in_contest = Rejudgement.contest == contest.name, Rejudgement.stage != ""
-    found = contest.session.scalars(
-        select(Rejudgement).where(*in_contest, *waiting).order_by(Rejudgement.started_at)
+    in_competition = Rejudgement.competition == competition.name, Rejudgement.stage != ""
+    found = competition.session.scalars(
+        select(Rejudgement).where(*in_competition, *waiting).order_by(Rejudgement.started_at)
     ).all()
     if found:
         listed = ", ".join(f"{one.id} of stage {one.stage} of {one.track}" for one in found)
         yield Concern(name="rejudgements", sentence=f"Rejudgements {listed} are neither applied nor discarded.")
 
 
-def _boards(contest: Contest) -> Iterator[Concern]:
-    boards = [leaderboard(contest.session, stage, live=True).view for stage in contest.stages_held_here]
+def _boards(competition: Competition) -> Iterator[Concern]:
+    boards = [leaderboard(competition.session, stage, live=True).view for stage in competition.stages_held_here]
     unranked = [board for board in boards if board.entries and all(entry.rank is None for entry in board.entries)]
     if unranked:
         listed = ", ".join(f"stage {board.stage} of {board.track}" for board in unranked)

@@ -1,1 +1,1 @@
-"""What of a final contest is published: files, archive, export of receipts."""
+"""What of a final competition is published: files, archive, export of receipts."""

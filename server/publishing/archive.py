@@ -2,12 +2,12 @@
 
 from sqlalchemy.orm import Session
 
-from ..contest.contest import Contest
-from ..contest.view import competition_view
+from ..competition.competition import Competition
+from ..competition.view import competition_view
 from ..errors import ProblemCode, ServiceError
 from ..prizes.finishing import find_last_decision
 from ..transparency.log import ensure_key
-from ..views.contest import ArchiveView
+from ..views.competition import ArchiveView
 from ..views.leaderboards import LeaderboardView
 
 
@@ -17,7 +17,7 @@ def archive_view(session: Session, name: str | None = None) -> ArchiveView:
     Raises:
         ServiceError: this service runs none, or it is not final.
     """
-    found, contest = competition_view(session, name), Contest.read(session, name)
+    found, competition = competition_view(session, name), Competition.read(session, name)
     if found.finalized_at is None:
         raise ServiceError(
             ProblemCode.NOT_FOUND,
@@ -25,9 +25,9 @@ def archive_view(session: Session, name: str | None = None) -> ArchiveView:
         )
     return ArchiveView(
         competition=found,
-        boards=[LeaderboardView.model_validate(board) for board in contest.row.boards or []],
+        boards=[LeaderboardView.model_validate(board) for board in competition.row.boards or []],
         public_key=ensure_key(session).public_key,
-        decided_again_at=find_last_decision(session, contest),
+        decided_again_at=find_last_decision(session, competition),
         citation=_citation(found.name, found.title, found.finalized_at.year, found.website),
     )
 

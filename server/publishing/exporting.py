@@ -14,8 +14,8 @@ from vitac.evaluator.strict_model import StrictModel
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks.registry import further_track_files
 
-from ..contest.contest import Contest
-from ..contest.stages import Stage
+from ..competition.competition import Competition
+from ..competition.stages import Stage
 from ..db.among import among
 from ..db.models import BoardResult, Evaluation
 from ..db.states import FileRole
@@ -79,7 +79,7 @@ def export_receipts(
     _require_board(stage.track, task, kind)
     board = leaderboard(session, stage, task=task, kind=kind, live=True).view
     sealed, state = stage.sealed_list, read_log_state(session)
-    of_board, contest = receipts_of_board(session, stage, kind), Contest.read(session, stage.contest)
+    of_board, competition = receipts_of_board(session, stage, kind), Competition.read(session, stage.competition)
     receipts = [receipt for receipt in of_board if isinstance(receipt, Receipt)]
     results = [receipt.result.evaluation for receipt in receipts]
     description = ExportDescription(
@@ -88,15 +88,15 @@ def export_receipts(
         ranking=tuple(key.value for key in stage.ranking),
         secret=sealed.secret if sealed and sealed.revealed_at else None,
         commitment=stage.commitment,
-        contest=stage.contest,
+        competition=stage.competition,
         board=board,
         kind=kind,
         checkpoint=state.checkpoint,
         teams=read_teams(session, results),
         set_aside=set_aside(session, results),
         copies=_copies(session, results),
-        winners=winning_entries(contest),
-        judged=judged_entries(session, contest),
+        winners=winning_entries(competition),
+        judged=judged_entries(session, competition),
     )
     evaluations = [entry.evaluation_id for entry in board.entries]
     try:

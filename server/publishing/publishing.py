@@ -12,9 +12,9 @@ from jinja2 import Environment
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 
-from ..contest.contest import Contest
-from ..contest.definition import CompetitionDefinition
-from ..contest.view import disqualified_since_the_end
+from ..competition.competition import Competition
+from ..competition.definition import CompetitionDefinition
+from ..competition.view import disqualified_since_the_end
 from ..errors import ProblemCode, ServiceError
 from ..prizes.finishing import Winner, make_boards, winners
 from ..views.leaderboards import LeaderboardView
@@ -99,16 +99,16 @@ class ResultsNotWritten(VitacError):
     """The results cannot be written where they were asked for."""
 
 
-def publish(session: Session, folder: Path, contest: str | None = None) -> list[Path]:
+def publish(session: Session, folder: Path, competition: str | None = None) -> list[Path]:
     """Write results.json, results.csv, results.html and certificates.html to a new folder, and return them.
 
-    `contest` is the name of the competition; None: the only one.
+    `competition` is the name of the competition; None: the only one.
 
     Raises:
         ResultsNotWritten: the folder exists or cannot be made.
         ServiceError: there is no competition, or a board has results of another evaluator version.
     """
-    files = result_files(session, contest)
+    files = result_files(session, competition)
     try:
         folder.mkdir()
         for name, content in files.items():
@@ -125,21 +125,21 @@ def result_files(session: Session, name: str | None = None) -> Mapping[str, str]
         ServiceError: there is no competition, a board has results of another evaluator version, or a winner was
             disqualified after the end.
     """
-    contest, found = Contest.find(session, name), winners(session, name)
-    boards, final_since = make_boards(session, contest), contest.row.finalized_at
-    _require_qualified(contest, found)
+    competition, found = Competition.find(session, name), winners(session, name)
+    boards, final_since = make_boards(session, competition), competition.row.finalized_at
+    _require_qualified(competition, found)
     final_on = None if final_since is None else f"{final_since.astimezone(UTC):%F}"
     return {
-        "results.json": _json(contest.definition, boards, found, is_final=final_on is not None),
+        "results.json": _json(competition.definition, boards, found, is_final=final_on is not None),
         "results.csv": _csv(boards),
-        "results.html": _page(contest, boards, found, final_on=final_on, certificates=False),
-        "certificates.html": _page(contest, boards, found, final_on=final_on, certificates=True),
+        "results.html": _page(competition, boards, found, final_on=final_on, certificates=False),
+        "certificates.html": _page(competition, boards, found, final_on=final_on, certificates=True),
     }
 
 
-def _require_qualified(contest: Contest, found: Sequence[Winner]) -> None:
+def _require_qualified(competition: Competition, found: Sequence[Winner]) -> None:
     """Refuse to give a certificate to a team that was disqualified after the end."""
-    out = {team.team for team in disqualified_since_the_end(contest)} & {winner.team for winner in found}
+    out = {team.team for team in disqualified_since_the_end(competition)} & {winner.team for winner in found}
     if out:
         raise ServiceError(
             ProblemCode.TEAM_DISQUALIFIED,
@@ -179,7 +179,7 @@ def _plain(text: str) -> str:
 
 
 def _page(
-    contest: Contest,
+    competition: Competition,
     boards: Sequence[LeaderboardView],
     found: Sequence[Winner],
     *,
@@ -188,11 +188,11 @@ def _page(
 ) -> str:
     page = Environment(autoescape=True).from_string(_PAGE)
     return page.render(
-        title=contest.definition.title,
-        names={name: track.title for name, track in contest.definition.tracks.items()},
+        title=competition.definition.title,
+        names={name: track.title for name, track in competition.definition.tracks.items()},
         winners=found,
         boards=boards,
         final_on=final_on,
-        stages=contest.stage_titles,
+        stages=competition.stage_titles,
         certificates=certificates,
     )

@@ -156,7 +156,7 @@ def audit(
         arrivals = {one.submission.submission: one for one in _signed(reader.submissions(), logged, found)}
         receipts = {receipt.result.evaluation: receipt for receipt in _signed(reader.receipts(), logged, found)}
         all_ends = _signed(reader.ends(), logged, found)
-        ends = [receipt for receipt in all_ends if receipt.end.contest == described.contest]
+        ends = [receipt for receipt in all_ends if receipt.end.competition == described.competition]
         _check_board(described, receipts, found)
         found.findings += check_opened(described, logged, [*arrivals.values(), *receipts.values(), *all_ends])
         found.findings += check_secret(described, [receipt.result for receipt in receipts.values()])
@@ -257,7 +257,7 @@ def _differences(described: ExportDescription, entry: LeaderboardEntryView, resu
     tasks = {task.task: task for task in result.tasks}
     ranked_by = reached(board.task, result)
     pairs: list[tuple[str, object, object]] = [
-        ("competition", described.contest, result.contest),
+        ("competition", described.competition, result.competition),
         ("track", board.track, result.track),
         ("stage", board.stage or "", result.stage),
         ("kind", described.kind, result.kind),

@@ -17,11 +17,11 @@ def hash_board(board: LeaderboardView) -> str:
     return hashlib.sha256(canonical_json({"entries": entries})).hexdigest()
 
 
-def make_final_board(contest: str, board: LeaderboardView, at: datetime) -> FinalBoard:
+def make_final_board(competition: str, board: LeaderboardView, at: datetime) -> FinalBoard:
     """Return what the log says of a board."""
     return FinalBoard(
         issued_at=at,
-        contest=contest,
+        competition=competition,
         track=board.track,
         stage=board.stage or "",
         entries=len(board.entries),

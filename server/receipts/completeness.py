@@ -67,7 +67,7 @@ def check_opened(
     described: ExportDescription, entries: Mapping[int, LogEntry], receipts: Iterable[SignedContent[Any]]
 ) -> Iterator[str]:
     """Yield a finding for each entry of the board's stage, and of an end, without its receipt in the export."""
-    stage = board_name(described.contest, described.board.track, described.board.stage or "", described.kind)
+    stage = board_name(described.competition, described.board.track, described.board.stage or "", described.kind)
     opened = {receipt.entry.number for receipt in receipts}
     for number, entry in entries.items():
         if (entry.board == stage or entry.content is EntryKind.END) and number not in opened:
@@ -112,7 +112,7 @@ def check_submissions(
             continue
         if arrival.entry.number > number:
             yield True, f"Receipt {number} is of a submission that arrived later, with receipt {arrival.entry.number}."
-        for name in ("submission_digest", "contest", "track", "stage", "kind", "submitted_at"):
+        for name in ("submission_digest", "competition", "track", "stage", "kind", "submitted_at"):
             expected, got = getattr(arrival.submission, name), getattr(result, name)
             if got != expected:
                 what = name.replace("_", " ")
@@ -149,7 +149,7 @@ def check_repeated_end(ends: Sequence[EndReceipt]) -> Iterator[str]:
     """Yield each time that an end was signed again: only the last one counts, and the holder of the key can sign it."""
     for receipt in ends[1:]:
         reason = f": {receipt.end.reason}" if receipt.end.reason else ""
-        yield f"Receipt {receipt.entry.number}: the end of {receipt.end.contest} was signed again{reason}; ask why."
+        yield f"Receipt {receipt.entry.number}: the end of {receipt.end.competition} was signed again{reason}; ask why."
 
 
 def check_winners(described: ExportDescription, receipts: Iterable[Receipt]) -> Iterator[tuple[bool, str]]:

@@ -77,7 +77,7 @@ class ExportDescription(StrictModel):
     """Secret of the stage's sealed list, once published; null for a public list, and before."""
     commitment: Sha256 | None
     """Commitment of the stage's sealed list; null for a public list."""
-    contest: str
+    competition: str
     """Name of the board's competition; empty outside of one."""
     board: LeaderboardView
     kind: SubmissionKind

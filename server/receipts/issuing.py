@@ -11,7 +11,7 @@ from sqlalchemy import Select, and_, func, or_, select
 from sqlalchemy.orm import Session, defer
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..contest.stages import Stage
+from ..competition.stages import Stage
 from ..db.models import Cosignature, Evaluation, ReceiptRow, Submission
 from ..transparency.entries import EntryKind, LogEntry
 from ..transparency.log import append, make_checkpoint, parse_entry, read_log_key, read_tree
@@ -55,20 +55,23 @@ def issue_for_result(session: Session, evaluation: Evaluation, combined: Combine
 
 
 def list_entries(
-    session: Session, *, after: int = 0, limit: int | None = None, contest: str | None = None
+    session: Session, *, after: int = 0, limit: int | None = None, competition: str | None = None
 ) -> list[LogEntry]:
-    """Return the entries of the log that come after a number, as they are stored; `contest` None: of all."""
+    """Return the entries of the log that come after a number, as they are stored; `competition` None: of all."""
     query = select(ReceiptRow).where(ReceiptRow.number > after).options(defer(ReceiptRow.content))
-    if contest is not None:
+    if competition is not None:
         query = query.where(
-            or_(ReceiptRow.board.startswith(f"{contest}/", autoescape=True), ReceiptRow.board == end_name(contest))
+            or_(
+                ReceiptRow.board.startswith(f"{competition}/", autoescape=True),
+                ReceiptRow.board == end_name(competition),
+            )
         )
     return [parse_entry(row) for row in session.scalars(query.order_by(ReceiptRow.number).limit(limit))]
 
 
 def receipts_of_board(session: Session, stage: Stage, kind: SubmissionKind) -> Sequence[Receipt | SubmissionReceipt]:
     """Return the receipts of a stage's submissions and of all their results, on its boards or not."""
-    board = board_name(stage.contest, stage.track, stage.name, kind)
+    board = board_name(stage.competition, stage.track, stage.name, kind)
     submission_id = func.coalesce(ReceiptRow.submission_id, Evaluation.submission_id)
     found = _receipts(
         session,
@@ -144,7 +147,7 @@ def _describe_submission(submission: Submission, issued_at: datetime) -> dict[st
         "issued_at": issued_at,
         "submission": submission.id,
         "submission_digest": submission.digest,
-        "contest": submission.contest,
+        "competition": submission.competition,
         "track": submission.track,
         "stage": submission.stage,
         "kind": submission.kind,

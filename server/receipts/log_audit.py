@@ -126,9 +126,9 @@ def list_unusual(entries: Sequence[LogEntry]) -> Iterator[str]:
     first: dict[str, LogEntry] = {}
     ended: set[str] = set()
     for entry in entries:
-        contest, _, rest = entry.board.partition("/")
+        competition, _, rest = entry.board.partition("/")
         if entry.content is EntryKind.SUBMISSION:
-            for place in (f"{contest}/", f"{contest}/{rest.rpartition('/')[0]}/"):
+            for place in (f"{competition}/", f"{competition}/{rest.rpartition('/')[0]}/"):
                 first.setdefault(place, entry)
         elif entry.content in {EntryKind.COMPETITION, EntryKind.SEALED_LIST} and entry.board in first:
             statement = entry.statement or {}

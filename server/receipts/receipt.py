@@ -63,7 +63,7 @@ class OfSubmission(SaltedContent):
 
     submission: UUID
     submission_digest: Sha256
-    contest: str
+    competition: str
     """Name of the competition; empty outside of one."""
     track: Word
     stage: str
@@ -76,7 +76,7 @@ class OfSubmission(SaltedContent):
     @property
     def board(self) -> str:
         """The board on which the result may be, as the log names it."""
-        return board_name(self.contest, self.track, self.stage, self.kind)
+        return board_name(self.competition, self.track, self.stage, self.kind)
 
     def is_of_team(self, name: str) -> bool:
         """Return whether the team had that name when the receipt was issued."""
@@ -135,7 +135,7 @@ class End(SaltedContent):
 
     stands_for = EntryKind.END
 
-    contest: str
+    competition: str
     """Name of the competition."""
     finalized_at: datetime | None
     """Null: the competition was reopened, and there are no winners."""
@@ -147,7 +147,7 @@ class End(SaltedContent):
     @property
     def board(self) -> str:
         """Which competition it ends, as the log names it."""
-        return end_name(self.contest)
+        return end_name(self.competition)
 
 
 def team_commitment(salt: str, name: str) -> str:
@@ -155,14 +155,14 @@ def team_commitment(salt: str, name: str) -> str:
     return hashlib.sha256(canonical_json({"salt": salt, "team": name})).hexdigest()
 
 
-def end_name(contest: str) -> str:
+def end_name(competition: str) -> str:
     """Return how the log names the end of a competition."""
-    return f"end of {contest}"
+    return f"end of {competition}"
 
 
-def board_name(contest: str, track: str, stage: str, kind: SubmissionKind) -> str:
+def board_name(competition: str, track: str, stage: str, kind: SubmissionKind) -> str:
     """Return how the log names the boards of a stage: those of all tasks together and of each one."""
-    return f"{contest}/{track}/{stage}/{kind}"
+    return f"{competition}/{track}/{stage}/{kind}"
 
 
 class SignedContent(StrictModel, Generic[ContentT]):

@@ -8,9 +8,9 @@ from sqlalchemy import func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
-from ..contest.contest import Contest
-from ..contest.stages import Stage
-from ..db.models import Competition, Cosignature, ReceiptRow
+from ..competition.competition import Competition
+from ..competition.stages import Stage
+from ..db.models import CompetitionRow, Cosignature, ReceiptRow
 from ..errors import ProblemCode, ServiceError
 from ..transparency.log import count_entries, make_checkpoint, parse_entry, read_log_key, read_tree
 from ..transparency.notes import Checkpoint, NoteRejected, Signature, VerifierKey
@@ -21,7 +21,7 @@ _CLOCK_DIFFERENCE = timedelta(minutes=5)
 
 def list_witnesses(session: Session) -> list[VerifierKey]:
     """Return the witnesses that the competition files name, each once."""
-    named = session.scalars(select(Competition.definition["witnesses"]))
+    named = session.scalars(select(CompetitionRow.definition["witnesses"]))
     return [VerifierKey.parse(key) for key in dict.fromkeys(key for keys in named for key in keys or ())]
 
 
@@ -99,15 +99,15 @@ def list_witnessed_checkpoints(session: Session) -> list[Checkpoint]:
     return [make_checkpoint(session, tree, size) for size in sorted(sizes, reverse=True)]
 
 
-def require_witnessed(session: Session, contest: Contest) -> None:
+def require_witnessed(session: Session, competition: Competition) -> None:
     """Refuse where fewer witnesses than a stage demands have signed a log with all that it has of the stage.
 
     Raises:
         ServiceError: not_witnessed.
     """
-    for stage in contest.stages_held_here:
+    for stage in competition.stages_held_here:
         needed, last = stage.rules.witnesses, _last_entry(session, stage)
-        signed = [size for size in _read_sizes(session, contest.definition.witnesses) if size >= last]
+        signed = [size for size in _read_sizes(session, competition.definition.witnesses) if size >= last]
         if len(signed) < needed:
             raise ServiceError(
                 ProblemCode.NOT_WITNESSED,
@@ -129,7 +129,7 @@ def _signed_sizes(session: Session) -> dict[str, tuple[int, datetime]]:
 
 
 def _last_entry(session: Session, stage: Stage) -> int:
-    of_stage = ReceiptRow.board.startswith(f"{stage.contest}/{stage.track}/{stage.name}/", autoescape=True)
+    of_stage = ReceiptRow.board.startswith(f"{stage.competition}/{stage.track}/{stage.name}/", autoescape=True)
     return session.scalar(select(func.max(ReceiptRow.number)).where(of_stage)) or 0
 
 

@@ -11,9 +11,9 @@ from vitac.evaluator.episodes.records import canonical_json
 from vitac.evaluator.scoring.ranking import CombinedScore
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..contest.contest import find_stage
-from ..contest.definition import RankingKey
-from ..contest.stages import Stage
+from ..competition.competition import find_stage
+from ..competition.definition import RankingKey
+from ..competition.stages import Stage
 from ..db.models import Evaluation, Rejudgement, Submission, Team
 from ..db.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from ..evaluations.scores import combined_score

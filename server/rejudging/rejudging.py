@@ -11,8 +11,8 @@ from vitac.evaluator.tracks.versions import find_version
 
 from .. import names
 from ..audit import record
-from ..contest.contest import Contest, find_stage
-from ..contest.stages import Stage
+from ..competition.competition import Competition, find_stage
+from ..competition.stages import Stage
 from ..db.among import among
 from ..db.models import BoardResult, Evaluation, Rejudgement, Submission, Team
 from ..db.row_locks import lock_evaluation
@@ -53,11 +53,11 @@ def start(
         ServiceError: not an organizer, the reason cannot be shown, the competition is final, nothing is to be
             evaluated, a submission is none of the stage's models, or is being evaluated.
     """
-    by.require_organizer(stage.contest)
+    by.require_organizer(stage.competition)
     shown_reason = names.clean(reason, what="A reason", min_length=1, max_length=REASON_LENGTH)
-    _lock_contest(session, stage.contest)
+    _lock_competition(session, stage.competition)
     chosen = _chosen(session, stage, submissions)
-    made = Rejudgement(contest=stage.contest, track=stage.track, stage=stage.name, reason=shown_reason)
+    made = Rejudgement(competition=stage.competition, track=stage.track, stage=stage.name, reason=shown_reason)
     session.add(made)
     session.flush()
     for submission in chosen:
@@ -86,9 +86,9 @@ def find(session: Session, by: Principal, rejudgement_id: UUID) -> Rejudgement:
     Raises:
         ServiceError: not an organizer, or there is none of that id that the principal may see.
     """
-    by.require_organizer(by.contest)
+    by.require_organizer(by.competition)
     found = session.get(Rejudgement, rejudgement_id)
-    if found is None or not by.organizes(found.contest):
+    if found is None or not by.organizes(found.competition):
         raise not_found("rejudgement", rejudgement_id)
     return found
 
@@ -99,9 +99,11 @@ def rejudgements(session: Session, by: Principal) -> Sequence[Rejudgement]:
     Raises:
         ServiceError: not an organizer.
     """
-    by.require_organizer(by.contest)
+    by.require_organizer(by.competition)
     query = select(Rejudgement).order_by(Rejudgement.started_at.desc(), Rejudgement.id)
-    return session.scalars(query if by.contest is None else query.where(Rejudgement.contest == by.contest)).all()
+    return session.scalars(
+        query if by.competition is None else query.where(Rejudgement.competition == by.competition)
+    ).all()
 
 
 def set_aside(session: Session, evaluations: Collection[UUID]) -> tuple[UUID, ...]:
@@ -136,7 +138,7 @@ def apply(
             are frozen, an evaluation waits or runs, or something has changed since it was shown.
     """
     found = _lock_open(session, by, rejudgement_id)
-    _lock_contest(session, found.contest)
+    _lock_competition(session, found.competition)
     stage = find_stage(session, found)
     if stage.frozen_at is not None:
         raise ServiceError(
@@ -178,7 +180,7 @@ def apply(
         session,
         lambda at: RejudgementApplied(
             issued_at=at,
-            contest=stage.contest,
+            competition=stage.competition,
             track=stage.track,
             stage=stage.name,
             rejudgement=found.id,
@@ -233,9 +235,9 @@ def _chosen(session: Session, stage: Stage, ids: Collection[UUID]) -> Sequence[S
 
 
 def _lock_open(session: Session, by: Principal, rejudgement_id: UUID) -> Rejudgement:
-    by.require_organizer(by.contest)
+    by.require_organizer(by.competition)
     found = session.get(Rejudgement, rejudgement_id, with_for_update=True, populate_existing=True)
-    if found is None or not by.organizes(found.contest):
+    if found is None or not by.organizes(found.competition):
         raise not_found("rejudgement", rejudgement_id)
     if found.applied_at or found.discarded_at:
         how = "applied" if found.applied_at else "discarded"
@@ -243,9 +245,9 @@ def _lock_open(session: Session, by: Principal, rejudgement_id: UUID) -> Rejudge
     return found
 
 
-def _lock_contest(session: Session, name: str) -> None:
-    """Refuse after the end; from here on the contest is neither ended nor frozen meanwhile."""
-    Contest.lock(session, name, shared=True).require_not_final()
+def _lock_competition(session: Session, name: str) -> None:
+    """Refuse after the end; from here on the competition is neither ended nor frozen meanwhile."""
+    Competition.lock(session, name, shared=True).require_not_final()
 
 
 def _audited(rows: Sequence[RejudgedSubmissionView], side: str) -> dict[str, object]:

@@ -13,7 +13,7 @@ def rejudgement_view(rejudgement: Rejudgement) -> RejudgementView:
     """Return a rejudgement without its submissions."""
     return RejudgementView(
         id=rejudgement.id,
-        contest=rejudgement.contest or None,
+        competition=rejudgement.competition or None,
         track=rejudgement.track,
         stage=rejudgement.stage or None,
         reason=rejudgement.reason,

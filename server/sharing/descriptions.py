@@ -47,7 +47,7 @@ def find_description(session: Session, by: Principal, submission_id: UUID) -> De
 def show_description(submission: Submission, by: Principal, shown: ShownNames) -> DescriptionView | None:
     """Return what somebody who may read a submission sees of its description; None where that is nothing."""
     content, removed_for = submission.description, submission.description_removed_for
-    is_own = by.may_see(submission.team_id, submission.contest)
+    is_own = by.may_see(submission.team_id, submission.competition)
     if not is_own and (removed_for is not None or shown.hides(submission.team)):
         return None
     if content is None and removed_for is None:
@@ -121,7 +121,7 @@ def restore(session: Session, by: Principal, submission_id: UUID) -> None:
 
 
 def _set_removed(session: Session, by: Principal, submission_id: UUID, reason: str | None) -> None:
-    by.require_organizer(by.contest)
+    by.require_organizer(by.competition)
     submission = visible(session, by, submission_id)
     _refresh(session, submission)
     before, submission.description_removed_for = submission.description_removed_for, reason
@@ -132,12 +132,12 @@ def _set_removed(session: Session, by: Principal, submission_id: UUID, reason: s
 
 def _lock(session: Session, by: Principal, submission_id: UUID) -> Submission:
     submission = readable(session, by, submission_id)
-    if not by.may_change(submission.team_id, submission.contest):
+    if not by.may_change(submission.team_id, submission.competition):
         raise ServiceError(
             ProblemCode.FORBIDDEN, "Expected a result of your team, got another one: only its team describes it."
         )
     _refresh(session, submission)
-    if submission.description_removed_for is not None and not by.organizes(submission.contest):
+    if submission.description_removed_for is not None and not by.organizes(submission.competition):
         raise ServiceError(
             ProblemCode.FORBIDDEN,
             f"An organizer removed this description: {submission.description_removed_for} Ask the organizers.",

@@ -10,7 +10,7 @@ from sqlalchemy import or_, select
 from sqlalchemy.orm import Session, joinedload
 
 from ..audit import record
-from ..contest.contest import Contest
+from ..competition.competition import Competition
 from ..db.among import among
 from ..db.models import Evaluation, Submission, Team
 from ..db.states import EvaluationState
@@ -28,7 +28,7 @@ def readable(session: Session, by: Principal, submission_id: UUID) -> Submission
     """
     submission = session.get(Submission, submission_id, options=[joinedload(Submission.team)])
     if submission is not None:
-        may_see = by.may_see(submission.team_id, submission.contest)
+        may_see = by.may_see(submission.team_id, submission.competition)
         if may_see or public_among(session, [submission.id]):
             return submission
     raise token_missing() if by == VISITOR else not_found("submission", submission_id)
@@ -51,10 +51,10 @@ def public_among(session: Session, submissions: Collection[UUID]) -> frozenset[U
             newest_state() == EvaluationState.COMPLETED,
         )
     )
-    for contest in Contest.read_all(session):
-        if contest.frozen_at is not None:
-            is_shown = select_newest(Evaluation.finished_at) <= contest.frozen_at
-            query = query.where(or_(~contest.submissions, is_shown))
+    for competition in Competition.read_all(session):
+        if competition.frozen_at is not None:
+            is_shown = select_newest(Evaluation.finished_at) <= competition.frozen_at
+            query = query.where(or_(~competition.submissions, is_shown))
     return frozenset(session.scalars(query))
 
 

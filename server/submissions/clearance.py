@@ -52,7 +52,7 @@ def withdraw(session: Session, by: Principal, submission_id: UUID) -> None:
 
 
 def _lock(session: Session, by: Principal, submission_id: UUID) -> Submission:
-    by.require_organizer(by.contest)
+    by.require_organizer(by.competition)
     submission = visible(session, by, submission_id)
     session.execute(select(Submission.id).where(Submission.id == submission.id).with_for_update(key_share=True))
     session.refresh(submission, ["copy_cleared_at", "copy_cleared_for"])

@@ -122,7 +122,7 @@ def _find_entry(session: Session, by: Principal, submission: Submission) -> Lead
                 submission.track,
                 task=task,
                 stage=submission.stage or None,
-                contest=submission.contest or None,
+                competition=submission.competition or None,
             ).view
             found = next((entry for entry in board.entries if entry.submission_id == submission.id), None)
             if found is not None:

@@ -7,7 +7,7 @@ from uuid import UUID
 
 from sqlalchemy.orm import Session
 
-from ..contest.contest import Contest
+from ..competition.competition import Competition
 from ..db.models import PartialUpload
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
@@ -69,7 +69,7 @@ def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUI
             by,
             checked,
             team=str(upload.team_id),
-            contest=upload.contest,
+            competition=upload.competition,
             again=upload.again,
             quotas=services.settings.quotas,
             at=_find_arrival_in_time(session, locked, checked.track),
@@ -85,9 +85,9 @@ def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUI
 def _find_arrival_in_time(session: Session, upload: PartialUpload, track: str) -> datetime | None:
     """Return when an upload was complete if its track took submissions then: its bytes count, not the last request."""
     at = upload.completed_at
-    named = upload.contest
-    contests = Contest.read_by_track(session, track) if named is None else [Contest.find(session, named)]
-    stages = [stage for contest in contests for stage in contest.list_stages(track)]
+    named = upload.competition
+    competitions = Competition.read_by_track(session, track) if named is None else [Competition.find(session, named)]
+    stages = [stage for competition in competitions for stage in competition.list_stages(track)]
     was_open = at is not None and any(stage.is_open(at) for stage in stages)
     return at if was_open else None
 

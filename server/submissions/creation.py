@@ -7,8 +7,8 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
 from ..audit import record
-from ..contest.contest import Contest, choose_contest
-from ..contest.stages import Stage
+from ..competition.competition import Competition, choose_competition
+from ..competition.stages import Stage
 from ..db.models import Submission, Team
 from ..db.states import NoticeKind, Quota
 from ..db.stored_uploads import WAS_CANCELLED
@@ -37,7 +37,7 @@ def create(
     *,
     team: str | None = None,
     again: bool = False,
-    contest: str | None = None,
+    competition: str | None = None,
     quotas: Quotas = DEFAULT_QUOTAS,
     at: datetime | None = None,
 ) -> tuple[Submission, bool]:
@@ -54,7 +54,7 @@ def create(
         upload: the checked body.
         team: for an organizer: whose submission it becomes.
         again: run all episodes again.
-        contest: name of the competition; None: the one that takes submissions to the track.
+        competition: name of the competition; None: the one that takes submissions to the track.
         quotas: of teams without limits of their own.
         at: when it is complete; None: now.
 
@@ -67,7 +67,7 @@ def create(
     teams.lock(session, team_row)
     teams.require_taking_part(team_row)
     now = at or datetime.now(UTC)
-    stage = choose_contest(session, upload.track, now, contest).open_stage(upload.track, by, now)
+    stage = choose_competition(session, upload.track, now, competition).open_stage(upload.track, by, now)
     stage.require_accepts(team_row, upload.kind)
     check_file_name(upload.file_name, team=team_row.name, stage=stage)
     submission, is_new = _find_or_add(session, team_row, upload, stage)
@@ -98,7 +98,7 @@ def expect_upload(
     team: str | None,
     sha256: str | None,
     track: str | None = None,
-    contest: str | None = None,
+    competition: str | None = None,
 ) -> Team:
     """Return the team whose submission an upload becomes, before any of it is sent.
 
@@ -109,7 +109,7 @@ def expect_upload(
         team: for an organizer: whose submission it becomes.
         sha256: digest of the body, hex, where the client says it: what the team has submitted before may cost nothing.
         track: that the body must name; None: whatever it names.
-        contest: name of the competition, where the client says it.
+        competition: name of the competition, where the client says it.
 
     Raises:
         ServiceError: an organizer named no team, or none that exists, several competitions take submissions to the
@@ -117,9 +117,9 @@ def expect_upload(
     """
     found = owner(session, by, team)
     if track is not None:
-        choose_contest(session, track, datetime.now(UTC), contest)
-    elif contest is not None:
-        Contest.find(session, contest)
+        choose_competition(session, track, datetime.now(UTC), competition)
+    elif competition is not None:
+        Competition.find(session, competition)
     known = select(Submission.id).where(Submission.team_id == found.id, Submission.archive_sha256 == sha256).limit(1)
     if sha256 is None or session.scalar(known) is None:
         check(session, quotas, by, found, *EVALUATION_QUOTAS)
@@ -148,7 +148,7 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: St
         .values(
             team_id=owner.id,
             kind=upload.kind,
-            contest=stage.contest,
+            competition=stage.competition,
             track=upload.track,
             stage=stage.name,
             tasks=list(upload.tasks),
@@ -164,7 +164,7 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: St
         .on_conflict_do_nothing(
             index_elements=[
                 Submission.team_id,
-                Submission.contest,
+                Submission.competition,
                 Submission.track,
                 Submission.stage,
                 Submission.kind,

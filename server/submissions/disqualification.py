@@ -59,7 +59,7 @@ def require_qualified(submission: Submission) -> None:
 
 
 def _lock(session: Session, by: Principal, submission_id: UUID) -> Submission:
-    by.require_organizer(by.contest)
+    by.require_organizer(by.competition)
     submission = visible(session, by, submission_id)
     session.execute(select(Submission.id).where(Submission.id == submission.id).with_for_update(key_share=True))
     session.refresh(submission, ["disqualified_at", "disqualified_for"])

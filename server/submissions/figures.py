@@ -12,7 +12,7 @@ from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FiguresPart, SensorFigures, merged
 from vitac.evaluator.tracks import Player, load_track
 
-from ..contest.sealing import played_track
+from ..competition.sealing import played_track
 from ..db.models import Evaluation, Submission, SubmissionFile
 from ..db.states import FileRole
 from ..queue.leases import Lease

@@ -8,7 +8,7 @@ from sqlalchemy import ColumnElement, null, select, tuple_
 from sqlalchemy.orm import Session, joinedload
 
 from ..cache import Cache
-from ..contest.contest import Contest
+from ..competition.competition import Competition
 from ..db.models import EpisodeResult, Evaluation, Submission
 from ..db.states import EvaluationState
 from ..evaluations.episode_store import EpisodeKey, find_shown_key
@@ -41,7 +41,7 @@ def list_submissions(
     settings: Settings,
     by: Principal,
     *,
-    contest: str | None = None,
+    competition: str | None = None,
     track: str | None = None,
     state: EvaluationState | None = None,
     team: str | None = None,
@@ -51,17 +51,17 @@ def list_submissions(
     """Return a page of the team's submissions, or of all teams' for organizers and judges; newest first.
 
     Raises:
-        ServiceError: `contest`, `before` or `team` names nothing that the principal may see.
+        ServiceError: `competition`, `before` or `team` names nothing that the principal may see.
     """
     query = select(Submission).options(joinedload(Submission.team))
-    if by.contest is not None:
-        query = query.where(Submission.contest == by.contest)
+    if by.competition is not None:
+        query = query.where(Submission.competition == by.competition)
     elif not by.reads_all_teams:
         query = query.where(Submission.team_id == by.team_id)
-    if (by.reads_all_teams or by.contest is not None) and team is not None:
+    if (by.reads_all_teams or by.competition is not None) and team is not None:
         query = query.where(Submission.team_id == teams.find(session, team).id)
-    if contest is not None:
-        query = query.where(Submission.contest == Contest.find(session, contest).name)
+    if competition is not None:
+        query = query.where(Submission.competition == Competition.find(session, competition).name)
     if track is not None:
         query = query.where(Submission.track == track)
     if state is not None:

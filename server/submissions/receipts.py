@@ -5,7 +5,7 @@ from uuid import UUID
 
 from sqlalchemy.orm import Session
 
-from ..contest.contest import Contest
+from ..competition.competition import Competition
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
 from ..receipts import issuing
@@ -49,20 +49,20 @@ def newest_receipt(session: Session, by: Principal, submission_id: UUID) -> Rece
     return found[-1]
 
 
-def log_view(session: Session, *, after: int, limit: int, contest: str | None = None) -> LogView:
+def log_view(session: Session, *, after: int, limit: int, competition: str | None = None) -> LogView:
     """Return a page of the log, which anybody may read: its entries show no result.
 
     Args:
         session: of the transaction.
         after: number of the last entry of the page before.
         limit: maximum number of entries.
-        contest: name of the competition whose entries are listed; None: all entries.
+        competition: name of the competition whose entries are listed; None: all entries.
 
     Raises:
         ServiceError: there is no such competition.
     """
-    name = None if contest is None else Contest.find(session, contest).name
-    found = issuing.list_entries(session, after=after, limit=limit + 1, contest=name)
+    name = None if competition is None else Competition.find(session, competition).name
+    found = issuing.list_entries(session, after=after, limit=limit + 1, competition=name)
     items = [LogEntryView(**entry.model_dump(), leaf_hash=entry.leaf_hash.hex()) for entry in found[:limit]]
     is_end = not items or len(found) <= limit
     return LogView(

@@ -39,7 +39,7 @@ def cancel_evaluation(session: Session, by: Principal, evaluation: Evaluation) -
         ServiceError: it has ended, or who asks may not change it.
     """
     if evaluation.is_proposed:
-        by.require_organizer(evaluation.submission.contest)
+        by.require_organizer(evaluation.submission.competition)
         _cancel(session, by, evaluation.id)
         return
     if newest_evaluation(session, evaluation.submission).id != evaluation.id:
@@ -55,7 +55,7 @@ def run_again(session: Session, by: Principal, submission_id: UUID) -> Submissio
     Raises:
         ServiceError: not an organizer, no such submission, or its evaluation is still active.
     """
-    by.require_organizer(by.contest)
+    by.require_organizer(by.competition)
     submission = visible(session, by, submission_id)
     session.execute(select(Submission.id).where(Submission.id == submission.id).with_for_update(key_share=True))
     if submission.team.erased_at is not None:

@@ -28,7 +28,7 @@ class AnnouncedUpload:
     Attributes:
         kind: what the body is.
         track: that the body must name; None: whatever it names.
-        contest: name of the competition; None: the one that takes submissions to the track.
+        competition: name of the competition; None: the one that takes submissions to the track.
         team: for an organizer: whose submission it becomes.
         again: run all episodes again, including stored ones.
         n_bytes: length of the body; None if the client did not send it.
@@ -38,7 +38,7 @@ class AnnouncedUpload:
 
     kind: SubmissionKind
     track: str | None = None
-    contest: str | None = None
+    competition: str | None = None
     team: str | None = None
     again: bool = False
     n_bytes: int | None = None
@@ -98,7 +98,7 @@ def _owner(services: Services, by: Principal, upload: AnnouncedUpload) -> str:
             team=upload.team,
             sha256=upload.sha256,
             track=upload.track,
-            contest=upload.contest,
+            competition=upload.competition,
         )
         check_file_name(upload.file_name, team=owner.name)
         return owner.name
@@ -114,7 +114,7 @@ def _create(
             by,
             checked,
             team=upload.team,
-            contest=upload.contest,
+            competition=upload.competition,
             again=upload.again,
             quotas=services.settings.quotas,
         )

@@ -9,8 +9,8 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..contest.contest import find_stage
-from ..contest.stages import Stage
+from ..competition.competition import find_stage
+from ..competition.stages import Stage
 from ..db.models import Evaluation, Submission
 from ..db.states import EvaluationState
 from ..evaluations.copies import find_copies
@@ -79,7 +79,7 @@ def submission_views(
 
 def _places(session: Session, by: Principal, stage: Stage) -> PlacesOfBoards:
     """Return all places as the boards show them, which may be frozen for all but organizers."""
-    return places(session, Board.from_results(stage, stage.counted_results(live=by.organizes(stage.contest))))
+    return places(session, Board.from_results(stage, stage.counted_results(live=by.organizes(stage.competition))))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,12 +116,12 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
     log = log_view(submission, newest, shown.findings.get(newest.id)) if log_view else None
     if log is not None and shown.names.hides(submission.team):
         log = log.model_copy(update={"team_named": None})
-    shown_runs = runs if shown.by.may_see(submission.team_id, submission.contest) else runs[:1]
+    shown_runs = runs if shown.by.may_see(submission.team_id, submission.competition) else runs[:1]
     return SubmissionView(
         id=submission.id,
         team=team_view(submission.team, shown.names),
         kind=submission.kind,
-        contest=submission.contest or None,
+        competition=submission.competition or None,
         track=submission.track,
         stage=submission.stage or None,
         tasks=submission.tasks,

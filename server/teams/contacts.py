@@ -6,7 +6,7 @@ from sqlalchemy import delete, update
 from sqlalchemy.orm import Session
 
 from ..audit import record
-from ..contest.contest import Contest
+from ..competition.competition import Competition
 from ..db.models import Member, Notice, Team
 from ..db.states import NoticeChannel
 from ..principals import CONSOLE
@@ -15,7 +15,7 @@ from ..settings import Settings
 
 def forget_contacts(session: Session, settings: Settings, at: datetime | None = None) -> int:
     """Remove people's addresses when all competitions ended long enough ago; return how many. `at`: None is now."""
-    days, ends = settings.contacts_kept_days, [one.row.finalized_at for one in Contest.read_all(session)]
+    days, ends = settings.contacts_kept_days, [one.row.finalized_at for one in Competition.read_all(session)]
     over = [end for end in ends if end is not None]
     if days is None or len(over) < len(ends) or (at or datetime.now(UTC)) < max(over) + timedelta(days=days):
         return 0

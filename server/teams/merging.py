@@ -72,7 +72,7 @@ def _move_submissions(session: Session, team: Team, into: Team) -> int:
     has_it_too = exists().where(
         theirs.team_id == into.id,
         theirs.merged_from.is_(None),
-        theirs.contest == Submission.contest,
+        theirs.competition == Submission.competition,
         theirs.track == Submission.track,
         theirs.stage == Submission.stage,
         theirs.kind == Submission.kind,
@@ -127,7 +127,7 @@ def _move_conflicts(session: Session, team: Team, into: Team) -> None:
 def _move_qualifications(session: Session, team: Team, into: Team) -> None:
     for found in session.scalars(select(Qualification).where(Qualification.team_id == team.id)).all():
         kept = insert(Qualification).values(
-            contest=found.contest,
+            competition=found.competition,
             track=found.track,
             stage=found.stage,
             team_id=into.id,

@@ -6,7 +6,7 @@ from uuid import NAMESPACE_OID, UUID, uuid5
 
 from sqlalchemy.orm import Session
 
-from ..contest.contest import Contest
+from ..competition.competition import Competition
 from ..db.models import Team
 from ..principals import VISITOR, Principal
 
@@ -17,7 +17,7 @@ class ShownNames:
 
     Attributes:
         by: who sees them.
-        hidden: whether others' names are hidden now: by one competition (`Contest.hides_names`), so by the service,
+        hidden: whether others' names are hidden now: by one competition (`Competition.hides_names`), so by the service,
             because teams and their pages belong to all competitions.
         to_organizer: whether who sees them organizes all competitions that hide names.
     """
@@ -29,7 +29,7 @@ class ShownNames:
     @classmethod
     def read(cls, session: Session, by: Principal = VISITOR) -> Self:
         """Return those of now."""
-        hiding = [one.name for one in Contest.read_all(session) if one.hides_names]
+        hiding = [one.name for one in Competition.read_all(session) if one.hides_names]
         return cls(by=by, hidden=bool(hiding), to_organizer=all(by.organizes(name) for name in hiding))
 
     def hides(self, team: Team) -> bool:

@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 
 from .. import names
 from ..audit import record
-from ..contest.contest import Contest
+from ..competition.competition import Competition
 from ..db.models import Member, Team
 from ..db.states import MemberRole, Role
 from ..errors import ProblemCode, ServiceError, not_found
@@ -138,8 +138,8 @@ def require_unlocked(session: Session, by: Principal | None) -> None:
 
 def find_lock_date(session: Session) -> datetime | None:
     """Return the last lock date of the competitions that are not final, if all are over; with none, of all."""
-    contests = Contest.read_all(session)
-    running = [one for one in contests if one.row.finalized_at is None] or contests
+    competitions = Competition.read_all(session)
+    running = [one for one in competitions if one.row.finalized_at is None] or competitions
     dates = [one.definition.teams_locked for one in running]
     over = [at for at in dates if at is not None and at <= datetime.now(UTC)]
     return max(over) if len(over) == len(dates) else None

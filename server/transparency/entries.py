@@ -96,12 +96,12 @@ class Content(StrictModel):
 class OfCompetition(Content):
     """What is said of a competition."""
 
-    contest: str
+    competition: str
 
     @property
     def board(self) -> str:
         """The boards of all its tracks and stages."""
-        return f"{self.contest}/"
+        return f"{self.competition}/"
 
 
 class OfStage(OfCompetition):
@@ -113,7 +113,7 @@ class OfStage(OfCompetition):
     @property
     def board(self) -> str:
         """The boards of the stage, of models and of logs."""
-        return f"{self.contest}/{self.track}/{self.stage}/"
+        return f"{self.competition}/{self.track}/{self.stage}/"
 
 
 class CompetitionApplied(OfCompetition):

@@ -37,7 +37,7 @@ class UploadPlan:
     Attributes:
         kind: what the body is.
         track: that the body must name; None: whatever it names.
-        contest: name of the competition; None: the one that takes submissions to the track.
+        competition: name of the competition; None: the one that takes submissions to the track.
         again: whether to run all episodes again.
         file_name: as the client names it; None if the client did not send it.
         total_bytes: length of the body.
@@ -46,7 +46,7 @@ class UploadPlan:
 
     kind: SubmissionKind
     track: str | None
-    contest: str | None
+    competition: str | None
     again: bool
     file_name: str | None
     total_bytes: int

@@ -13,7 +13,7 @@ class RejudgementView(View):
     """A rejudgement; it is open as long as it is neither applied nor discarded."""
 
     id: UUID
-    contest: str | None = Field(default=None, description="Name of its competition; null outside of one.")
+    competition: str | None = Field(default=None, description="Name of its competition; null outside of one.")
     track: str
     stage: str | None = Field(description="Of the competition; null outside of one.")
     reason: str

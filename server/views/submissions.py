@@ -65,7 +65,7 @@ class SubmissionView(View):
     id: UUID
     team: TeamView
     kind: SubmissionKind
-    contest: str | None = Field(default=None, description="Name of its competition; null outside of one.")
+    competition: str | None = Field(default=None, description="Name of its competition; null outside of one.")
     track: str
     stage: str | None = Field(description="Of the competition; null outside of one.")
     tasks: list[str]

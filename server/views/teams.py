@@ -73,7 +73,9 @@ class TokenView(View):
     role: Role
     team: str | None
     member: str | None = Field(description="Whose token it is; null: shared by the team, or of an organizer or judge.")
-    contest: str | None = Field(default=None, description="The only competition of an organizer's token; else null.")
+    competition: str | None = Field(
+        default=None, description="The only competition of an organizer's token; else null."
+    )
     is_session: bool = Field(description="A browser that signed in with a password; nobody has a secret.")
     created_at: datetime
     expires_at: datetime | None
@@ -107,7 +109,7 @@ class QuotaView(View):
 class StageQuotaView(View):
     """How much of a quota of an open stage a team has used."""
 
-    contest: str = Field(description="Name of the competition.")
+    competition: str = Field(description="Name of the competition.")
     track: str
     stage: str
     closes: datetime

@@ -24,25 +24,25 @@ def as_id(text: str) -> UUID:
     return found
 
 
-def read_contest_name(request: Request) -> str | None:
+def read_competition_name(request: Request) -> str | None:
     """Return the name of the competition in an address below `/competitions`; None in others."""
-    name: str | None = request.path_params.get("contest")
+    name: str | None = request.path_params.get("competition")
     return name
 
 
-def competition_address(contest: str | None) -> str:
-    """Return the address of a competition's page; `contest` None: of the one that opened last."""
-    return "/competition" if contest is None else f"/competitions/{contest}"
+def competition_address(competition: str | None) -> str:
+    """Return the address of a competition's page; `competition` None: of the one that opened last."""
+    return "/competition" if competition is None else f"/competitions/{competition}"
 
 
-def board_address(contest: str | None, track: str) -> str:
-    """Return the address of a track's boards; `contest` None: in the competition that opened last."""
-    return f"/tracks/{track}" if contest is None else f"/competitions/{contest}/tracks/{track}"
+def board_address(competition: str | None, track: str) -> str:
+    """Return the address of a track's boards; `competition` None: in the competition that opened last."""
+    return f"/tracks/{track}" if competition is None else f"/competitions/{competition}/tracks/{track}"
 
 
-def board_data_address(contest: str | None, track: str) -> str:
-    """Return where the API answers with a track's board; `contest` None: in the competition that opened last."""
-    return f"/api/v1{'' if contest is None else competition_address(contest)}/leaderboards/{track}"
+def board_data_address(competition: str | None, track: str) -> str:
+    """Return where the API answers with a track's board; `competition` None: in the competition that opened last."""
+    return f"/api/v1{'' if competition is None else competition_address(competition)}/leaderboards/{track}"
 
 
 def board_query(task: str | None, stage: str | None) -> str:
@@ -56,14 +56,14 @@ class AskedBoard:
     """The boards that a request asks for.
 
     Attributes:
-        contest: name of the competition; None: the one that opened last.
+        competition: name of the competition; None: the one that opened last.
         track: name of the track.
         task: name of the task; None: all together.
         stage: name of the stage; None: the one that opened last.
         part: what follows the address of the track's boards: `/logs`, or nothing.
     """
 
-    contest: str | None
+    competition: str | None
     track: str
     task: str | None
     stage: str | None
@@ -74,7 +74,7 @@ class AskedBoard:
         """Return what a request asks for; boards of logs are those of all tasks."""
         query = request.query_params
         return cls(
-            contest=read_contest_name(request),
+            competition=read_competition_name(request),
             track=request.path_params["track"],
             task=None if logs else query.get("task"),
             stage=query.get("stage"),
@@ -87,4 +87,4 @@ class AskedBoard:
 
     def address(self, stage: str | None = None) -> str:
         """Return the address of these boards, or of the same ones in another stage."""
-        return f"{board_address(self.contest, self.track)}{self.part}{board_query(self.task, stage or self.stage)}"
+        return f"{board_address(self.competition, self.track)}{self.part}{board_query(self.task, stage or self.stage)}"

@@ -9,7 +9,7 @@ from vitac.server.appeals import appeals
 from vitac.server.principals import Principal
 
 from ..site import get_site, page, require_viewer
-from .addresses import competition_address, read_contest_name
+from .addresses import competition_address, read_competition_name
 from .forms import act, read_id, read_number
 
 ADDRESS = "/appeals"
@@ -18,9 +18,9 @@ ADDRESS = "/appeals"
 async def list_appeals(request: Request) -> Response:
     """Show the appeals of the team, all to organizers and judges."""
     viewer = await require_viewer(request)
-    by, contest = viewer.principal, read_contest_name(request)
-    found = await get_site(request).ask(lambda session: appeals.visible(session, by, contest))
-    is_taken = await get_site(request).read(lambda session: appeals.takes_appeals(session, contest))
+    by, competition = viewer.principal, read_competition_name(request)
+    found = await get_site(request).ask(lambda session: appeals.visible(session, by, competition))
+    is_taken = await get_site(request).read(lambda session: appeals.takes_appeals(session, competition))
     given = request.query_params.get("submission", "")
     return page(
         request,
@@ -56,5 +56,5 @@ async def withdraw(request: Request) -> Response:
 
 
 def _address(request: Request) -> str:
-    contest = read_contest_name(request)
-    return ADDRESS if contest is None else f"{competition_address(contest)}{ADDRESS}"
+    competition = read_competition_name(request)
+    return ADDRESS if competition is None else f"{competition_address(competition)}{ADDRESS}"

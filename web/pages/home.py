@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
 from vitac.evaluator.tracks import Track, load_track
-from vitac.server.contest.view import competition_view
+from vitac.server.competition.view import competition_view
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.progress import count_open
@@ -19,7 +19,7 @@ from vitac.server.playbacks.stills import find_stills
 from vitac.server.principals import VISITOR
 from vitac.server.sharing.public_pages import public_among
 from vitac.server.tracks import is_challenge_track
-from vitac.server.views.contest import CompetitionView
+from vitac.server.views.competition import CompetitionView
 from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
 
 from ..front import Front, TrackCard

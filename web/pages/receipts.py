@@ -5,20 +5,20 @@ from starlette.responses import Response
 from vitac.server.submissions import receipts as of_submissions
 
 from ..site import get_site, get_viewer, page, require_viewer
-from .addresses import as_id, read_contest_name
+from .addresses import as_id, read_competition_name
 
 
 async def receipts(request: Request) -> Response:
     """Show the public key, how long the log is, who witnesses it, and how to check a receipt."""
-    contest = read_contest_name(request)
+    competition = read_competition_name(request)
     return page(
         request,
         "receipts.html",
         viewer=await get_viewer(request),
         section="/receipts",
-        contest=contest,
+        competition=competition,
         log=await get_site(request).ask(
-            lambda session: of_submissions.log_view(session, after=0, limit=0, contest=contest)
+            lambda session: of_submissions.log_view(session, after=0, limit=0, competition=competition)
         ),
     )
 

@@ -6,7 +6,7 @@ from typing import Any
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
-from vitac.server.contest.contest import Contest
+from vitac.server.competition.competition import Competition
 from vitac.server.db.models import Rejudgement
 from vitac.server.principals import Principal
 from vitac.server.rejudging import rejudging
@@ -28,15 +28,15 @@ async def rejudgements(request: Request) -> Response:
 
     def read(session: Session) -> dict[str, Any]:
         found = rejudging.rejudgements(session, viewer.principal)
-        contests = [one for one in Contest.read_all(session) if viewer.principal.organizes(one.name)]
+        competitions = [one for one in Competition.read_all(session) if viewer.principal.organizes(one.name)]
         ended = [one for one in found if one.applied_at or one.discarded_at]
         open_ones = [rejudgement_detail_view(session, one) for one in found if one not in ended]
         return {
             "open_ones": open_ones,
             "ended": [rejudgement_view(one) for one in ended],
             "places": {one.id: _place(session, one) for one in found},
-            "titles": {name: Contest.find_by_track(session, name).track_title(name) for name in site.tracks},
-            "contests": contests if len(contests) > 1 else [],
+            "titles": {name: Competition.find_by_track(session, name).track_title(name) for name in site.tracks},
+            "competitions": competitions if len(competitions) > 1 else [],
         }
 
     shown = await site.ask(read)
@@ -52,12 +52,12 @@ async def rejudgements(request: Request) -> Response:
 
 def _place(session: Session, found: Rejudgement) -> str:
     """Return in words which stage is evaluated again, with its competition where there are several."""
-    contests = Contest.read_all(session)
-    contest = next((one for one in contests if one.name == found.contest), None)
-    titled = contest or Contest.find_by_track(session, found.track)
+    competitions = Competition.read_all(session)
+    competition = next((one for one in competitions if one.name == found.competition), None)
+    titled = competition or Competition.find_by_track(session, found.track)
     words = [titled.track_title(found.track)]
-    if contest is not None and len(contests) > 1:
-        words.insert(0, contest.definition.title)
+    if competition is not None and len(competitions) > 1:
+        words.insert(0, competition.definition.title)
     if found.stage:
         words.append(titled.stage_titles.get((found.track, found.stage), found.stage))
     return ", ".join(words)
@@ -69,8 +69,8 @@ async def start(request: Request) -> Response:
     def started(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
         named = fields.get("stage", "").strip() or None
         track = fields.get("track", "")
-        contest = fields.get("contest") or by.contest
-        stage = Contest.find_by_track(session, track, contest).shown_stage(track, named)
+        competition = fields.get("competition") or by.competition
+        stage = Competition.find_by_track(session, track, competition).shown_stage(track, named)
         rejudging.start(session, by, stage, reason=fields.get("reason", ""))
 
     return await act(request, started, back=ADDRESS)

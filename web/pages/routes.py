@@ -28,8 +28,7 @@ from . import (
     sandbox,
     tracks,
 )
-from .contest import archive
-from .contest import contest as competition
+from .competition import archive, competition
 from .episodes import embedded
 from .episodes import page as episodes
 from .files import boards
@@ -88,19 +87,19 @@ def pages() -> APIRouter:
         ("/tracks/{track}/text-logs.csv", boards.text_logs, "GET"),
         ("/tracks/{track}/rules", tracks.rules, "GET"),
         ("/competitions", competition.competitions, "GET"),
-        ("/competitions/{contest}", competition.competition, "GET"),
-        ("/competitions/{contest}/archive", archive.archive, "GET"),
-        ("/competitions/{contest}/freeze", competition.freeze, "POST"),
-        ("/competitions/{contest}/unfreeze", competition.unfreeze, "POST"),
-        ("/competitions/{contest}/receipts", receipts.receipts, "GET"),
-        ("/competitions/{contest}/appeals", appeals.list_appeals, "GET"),
-        ("/competitions/{contest}/appeals/open", appeals.open_appeal, "POST"),
-        ("/competitions/{contest}/appeals/withdraw", appeals.withdraw, "POST"),
-        ("/competitions/{contest}/tracks/{track}", leaderboard.leaderboard, "GET"),
-        ("/competitions/{contest}/tracks/{track}/leaderboard.csv", boards.leaderboard, "GET"),
-        ("/competitions/{contest}/tracks/{track}/logs", logs.logs, "GET"),
-        ("/competitions/{contest}/tracks/{track}/logs.csv", boards.logs, "GET"),
-        ("/competitions/{contest}/tracks/{track}/text-logs.csv", boards.text_logs, "GET"),
+        ("/competitions/{competition}", competition.competition, "GET"),
+        ("/competitions/{competition}/archive", archive.archive, "GET"),
+        ("/competitions/{competition}/freeze", competition.freeze, "POST"),
+        ("/competitions/{competition}/unfreeze", competition.unfreeze, "POST"),
+        ("/competitions/{competition}/receipts", receipts.receipts, "GET"),
+        ("/competitions/{competition}/appeals", appeals.list_appeals, "GET"),
+        ("/competitions/{competition}/appeals/open", appeals.open_appeal, "POST"),
+        ("/competitions/{competition}/appeals/withdraw", appeals.withdraw, "POST"),
+        ("/competitions/{competition}/tracks/{track}", leaderboard.leaderboard, "GET"),
+        ("/competitions/{competition}/tracks/{track}/leaderboard.csv", boards.leaderboard, "GET"),
+        ("/competitions/{competition}/tracks/{track}/logs", logs.logs, "GET"),
+        ("/competitions/{competition}/tracks/{track}/logs.csv", boards.logs, "GET"),
+        ("/competitions/{competition}/tracks/{track}/text-logs.csv", boards.text_logs, "GET"),
         ("/submissions", submissions.submissions, "GET"),
         ("/submissions.csv", tables.submission_list, "GET"),
         (upload.ADDRESS, upload.upload_form, "GET"),

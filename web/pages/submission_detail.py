@@ -50,7 +50,7 @@ def read_detail(session: Session, settings: Settings, by: Principal, submission_
     """
     found = readable(session, by, submission_id)
     evaluations = histories(session, [found], with_output=True)
-    shown, is_own = evaluations[submission_id][0], by.may_see(found.team_id, found.contest)
+    shown, is_own = evaluations[submission_id][0], by.may_see(found.team_id, found.competition)
     view = submission_views(session, settings, evaluations, by, with_output=True)[0]
     return SubmissionDetail(
         submission=view,

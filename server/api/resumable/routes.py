@@ -39,7 +39,7 @@ Offset = Annotated[str | None, Header(description="First byte of the piece; how 
 Metadata = Annotated[
     str | None,
     Header(
-        description="`kind`, `track`, `contest`, `team`, `again` as for a submission; `sha256`, `filename`; in base64."
+        description="`kind`, `track`, `competition`, `team`, `again` as for a submission, `sha256`, `filename`; base64."
     ),
 ]
 PieceChecksum = Annotated[str | None, Header(description="`sha256` or `sha1` and the piece's digest in base64.")]
@@ -83,7 +83,7 @@ def post_upload(
             team=metadata.get("team"),
             sha256=plan.sha256,
             track=plan.track,
-            contest=plan.contest,
+            competition=plan.competition,
         )
         check_file_name(plan.file_name, team=owner.name)
         upload = partial.begin(session, services.settings, owner, plan)
@@ -198,7 +198,7 @@ def _plan(metadata: dict[str, str], total_bytes: int) -> UploadPlan:
     return UploadPlan(
         kind=kind,
         track=track,
-        contest=metadata.get("contest"),
+        competition=metadata.get("competition"),
         again=again,
         file_name=metadata.get("filename"),
         total_bytes=total_bytes,

@@ -5,7 +5,7 @@ Ids that people see are random UUIDs, times are UTC with zone, states are text u
 
 from .accounts import ApiToken, AuditEntry, Invitation, Member, Team, TeamQuota
 from .base import Base
-from .competition import Competition, Qualification, Rejudgement, SealedList
+from .competition import CompetitionRow, Qualification, Rejudgement, SealedList
 from .evaluations import (
     ALL_TASKS,
     ActionTrace,
@@ -39,7 +39,7 @@ __all__ = [
     "Base",
     "BoardChange",
     "BoardResult",
-    "Competition",
+    "CompetitionRow",
     "Cosignature",
     "DeclaredEvaluator",
     "EpisodeDifference",

@@ -117,7 +117,7 @@ class TeamQuota(Base):
 class ApiToken(Base):
     """A secret by which a client proves who it is; only its SHA-256 is stored.
 
-    One without a member is shared by the team. An organizer's with a `contest` is for that competition only. One that
+    One without a member is shared by the team. An organizer's token with a `competition` is for that one only. One that
     `is_session` stands for a browser that signed in with a password; nobody has its secret.
     """
 
@@ -125,7 +125,7 @@ class ApiToken(Base):
     __table_args__ = (
         CheckConstraint("(role = 'team') = (team_id IS NOT NULL)", name="team_tokens_have_a_team"),
         CheckConstraint("length(secret_sha256) = 64", name="secret_is_hashed"),
-        CheckConstraint("contest IS NULL OR role = 'organizer'", name="a_contest_has_organizers"),
+        CheckConstraint("competition IS NULL OR role = 'organizer'", name="a_competition_has_organizers"),
         CheckConstraint("member_id IS NULL OR team_id IS NOT NULL", name="members_have_a_team"),
         CheckConstraint("NOT is_session OR member_id IS NOT NULL", name="sessions_have_a_member"),
         Index(
@@ -137,7 +137,7 @@ class ApiToken(Base):
     )
     id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
     role: Mapped[Role] = mapped_column(closed_set(Role, "role"))
-    contest: Mapped[str | None]
+    competition: Mapped[str | None]
     team_id: Mapped[UUID | None] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), index=True)
     member_id: Mapped[UUID | None] = mapped_column(ForeignKey("members.id", ondelete="CASCADE"), index=True)
     is_session: Mapped[bool] = mapped_column(default=False, server_default=false())

@@ -11,12 +11,12 @@ from sqlalchemy.orm import Mapped, mapped_column
 from .base import Base, sha256_check
 
 
-class Competition(Base):
+class CompetitionRow(Base):
     """A competition of this service.
 
     Attributes:
-        name: of its file; rows that belong to it say so by this name in `contest`.
-        definition: what `server.contest.definition` reads.
+        name: of its file; rows that belong to it say so by this name in `competition`.
+        definition: what `server.competition.definition` reads.
         frozen_at: from then on boards show no new results to anybody but organizers; NULL: they do. May lie ahead.
         finalized_at: since then winners and boards change only by `finalize_again`, and where a team is erased.
         winners: as they were finalized, or finalized again.
@@ -48,12 +48,12 @@ class SealedList(Base):
 
     __tablename__ = "sealed_lists"
     __table_args__ = (
-        UniqueConstraint("contest", "track", "stage"),
+        UniqueConstraint("competition", "track", "stage"),
         sha256_check("commitment"),
         CheckConstraint("secret ~ '^[0-9a-f]{64}$'", name="secret_is_hexadecimal"),
     )
     commitment: Mapped[str] = mapped_column(String(64), primary_key=True)
-    contest: Mapped[str]
+    competition: Mapped[str]
     track: Mapped[str]
     stage: Mapped[str]
     secret: Mapped[str] = mapped_column(String(64))
@@ -66,7 +66,7 @@ class Rejudgement(Base):
     """Submissions that are evaluated again beside their present results, until this is applied or discarded.
 
     Attributes:
-        contest: name of the competition; empty outside of one.
+        competition: name of the competition; empty outside of one.
         stage: of the competition; empty outside of one.
         reason: why, as the organizer says it.
     """
@@ -74,7 +74,7 @@ class Rejudgement(Base):
     __tablename__ = "rejudgements"
     __table_args__ = (CheckConstraint("applied_at IS NULL OR discarded_at IS NULL", name="ends_in_one_way"),)
     id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
-    contest: Mapped[str] = mapped_column(default="", server_default="")
+    competition: Mapped[str] = mapped_column(default="", server_default="")
     track: Mapped[str]
     stage: Mapped[str]
     reason: Mapped[str]
@@ -87,7 +87,7 @@ class Qualification(Base):
     """A team that may take part in a stage for qualified teams."""
 
     __tablename__ = "qualifications"
-    contest: Mapped[str] = mapped_column(primary_key=True)
+    competition: Mapped[str] = mapped_column(primary_key=True)
     track: Mapped[str] = mapped_column(primary_key=True)
     stage: Mapped[str] = mapped_column(primary_key=True)
     team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), primary_key=True)

@@ -32,7 +32,7 @@ from .submissions import Submission
 ALL_TASKS = "*"
 """Name of the board that ranks all tasks of a track together; those of single tasks have the tasks' names."""
 
-_BOARD = ("contest", "track", "stage", "kind", "board")
+_BOARD = ("competition", "track", "stage", "kind", "board")
 _RANKING = (text("success_rate DESC"), text("mean_steps"), text("submitted_at"), text("evaluation_id"))
 """The order of `evaluator.scoring.ranking`; a missing mean comes last, as NULL does."""
 
@@ -136,7 +136,7 @@ class BoardResult(Base):
     )
     evaluation_id: Mapped[UUID] = mapped_column(ForeignKey("evaluations.id", ondelete="CASCADE"), primary_key=True)
     board: Mapped[str] = mapped_column(primary_key=True)
-    contest: Mapped[str] = mapped_column(default="", server_default="")
+    competition: Mapped[str] = mapped_column(default="", server_default="")
     track: Mapped[str]
     stage: Mapped[str] = mapped_column(default="", server_default="")
     kind: Mapped[SubmissionKind] = mapped_column(closed_set(SubmissionKind, "kind"))

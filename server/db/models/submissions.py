@@ -17,8 +17,8 @@ from .base import Base, closed_set, sha256_check
 class Submission(Base):
     """One upload. The same content from the same team for the same stage of a track is the same submission.
 
-    `contest` and `stage` are empty outside a competition. `merged_from` is the team that had made it, where its present
-    team had the same content already when the two were merged. `is_public` says whether everybody may see its result.
+    `competition` and `stage` are empty outside a competition. `merged_from` is the team that made it, where its
+    present team had the same content already. `is_public` says whether everybody may see its result.
     Results of a disqualified one are on no board; `disqualified_for` says why. `copy_cleared_for` says why one that was
     found to be a copy is ranked. `archive_sketch` is what a model's archive is compared by, `contents` says what is in
     it. `description` is what the team wrote about its result; `description_removed_for` says why others do not see it.
@@ -29,7 +29,7 @@ class Submission(Base):
         Index(
             "uq_submissions_content",
             "team_id",
-            "contest",
+            "competition",
             "track",
             "stage",
             "kind",
@@ -48,7 +48,7 @@ class Submission(Base):
     id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
     team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="RESTRICT"))
     kind: Mapped[SubmissionKind] = mapped_column(closed_set(SubmissionKind, "kind"))
-    contest: Mapped[str] = mapped_column(default="", server_default="")
+    competition: Mapped[str] = mapped_column(default="", server_default="")
     track: Mapped[str]
     stage: Mapped[str] = mapped_column(default="", server_default="")
     tasks: Mapped[list[str]]
@@ -101,7 +101,7 @@ class PartialUpload(Base):
     team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), index=True)
     kind: Mapped[SubmissionKind] = mapped_column(closed_set(SubmissionKind, "kind"))
     track: Mapped[str | None]
-    contest: Mapped[str | None]
+    competition: Mapped[str | None]
     again: Mapped[bool]
     file_name: Mapped[str | None]
     total_bytes: Mapped[int] = mapped_column(BigInteger)

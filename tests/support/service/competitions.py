@@ -7,10 +7,10 @@ from typing import Any
 import yaml
 from service_factories import TRACK
 from sqlalchemy.orm import Session
-from vitac.server.contest.contest import Contest
-from vitac.server.contest.definition import CompetitionDefinition
-from vitac.server.contest.stages import Stage
-from vitac.server.db.models import Competition
+from vitac.server.competition.competition import Competition
+from vitac.server.competition.definition import CompetitionDefinition
+from vitac.server.competition.stages import Stage
+from vitac.server.db.models import CompetitionRow
 from vitac.server.leaderboards.standings import leaderboard
 
 FIRST, SECOND = "stage1", "stage2"
@@ -68,9 +68,9 @@ def moved(content: dict[str, Any], days: float) -> dict[str, Any]:
 def put_in_place(session: Session, content: dict[str, Any]) -> CompetitionDefinition:
     """Makes it the competition of the service, without the checks of `apply`."""
     definition = CompetitionDefinition.model_validate(content)
-    row = session.get(Competition, definition.name)
+    row = session.get(CompetitionRow, definition.name)
     if row is None:
-        session.add(Competition(name=definition.name, definition=definition.model_dump(mode="json")))
+        session.add(CompetitionRow(name=definition.name, definition=definition.model_dump(mode="json")))
     else:
         row.definition = definition.model_dump(mode="json")
     session.flush()
@@ -94,12 +94,12 @@ def write_competition(folder: Path, content: dict[str, Any]) -> Path:
 
 def stored_stage(session: Session, track: str, name: str) -> Stage:
     """The stage that a row names, also where no competition has it."""
-    return Contest.read(session).stored_stage(track, name)
+    return Competition.read(session).stored_stage(track, name)
 
 
 def shown_stage(session: Session, track: str, name: str | None = None) -> Stage:
     """The stage whose board a track shows now."""
-    return Contest.find_by_track(session, track).shown_stage(track, name)
+    return Competition.find_by_track(session, track).shown_stage(track, name)
 
 
 def teams_on_board(session: Session, name: str | None = None, *, task: str | None = None) -> list[str]:
@@ -108,7 +108,7 @@ def teams_on_board(session: Session, name: str | None = None, *, task: str | Non
     return [entry.team for entry in board.view.entries]
 
 
-def contest_of(content: dict[str, Any]) -> Contest:
-    """A contest without a database."""
+def competition_of(content: dict[str, Any]) -> Competition:
+    """A competition without a database."""
     definition = CompetitionDefinition.model_validate(content)
-    return Contest(session=Session(), row=Competition(name=definition.name), definition=definition, is_held=True)
+    return Competition(session=Session(), row=CompetitionRow(name=definition.name), definition=definition, is_held=True)

@@ -5,7 +5,7 @@ from uuid import uuid4
 
 from sqlalchemy import select, text
 from sqlalchemy.orm import Session
-from vitac.server.contest.sealing import seal
+from vitac.server.competition.sealing import seal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import (
     ActionTrace,
@@ -98,7 +98,7 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
                 key="4" * 64, episode_id=episode.id, evaluator_version="1", state=PlaybackState.FAILED,
                 asked_by="visitor", problem=TEXT,
             ),
-            Qualification(contest="cup", track=track, stage=stage, team_id=team_id),
+            Qualification(competition="cup", track=track, stage=stage, team_id=team_id),
             Question(team_id=team_id, text=TEXT, public=True),
             Rejudgement(track=track, stage=stage, reason=TEXT),
             SubmissionFile(

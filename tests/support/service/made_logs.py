@@ -31,13 +31,13 @@ def apply_file(number: int, *witnesses: str, demanded: int = 0) -> CompetitionAp
     """A competition file with witnesses."""
     stage = {"name": "only", "witnesses": demanded}
     definition = {"witnesses": list(witnesses), "tracks": {"track_1": {"stages": [stage]}}}
-    return CompetitionApplied(issued_at=at(number), contest="cup", definition=definition)
+    return CompetitionApplied(issued_at=at(number), competition="cup", definition=definition)
 
 
 def change_list(number: int, change: Any, commitment: str, secret: str | None = None) -> SealedListChanged:
     """Something that happened to a sealed list."""
     return SealedListChanged(
-        issued_at=at(number), contest="cup", track="track_1", stage="only", change=change, commitment=commitment,
+        issued_at=at(number), competition="cup", track="track_1", stage="only", change=change, commitment=commitment,
         secret=secret,
     )  # fmt: skip
 
@@ -45,7 +45,7 @@ def change_list(number: int, change: Any, commitment: str, secret: str | None = 
 def final_board(number: int) -> FinalBoard:
     """A board without entries."""
     return FinalBoard(
-        issued_at=at(number), contest="cup", track="track_1", stage="only", entries=0, board_sha256="0" * 64
+        issued_at=at(number), competition="cup", track="track_1", stage="only", entries=0, board_sha256="0" * 64
     )
 
 

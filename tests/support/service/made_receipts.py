@@ -39,7 +39,7 @@ def a_result(number: int = 1, **changes: Any) -> Result:
         "evaluation": UUID(int=number),
         "submission": UUID(int=1000 + number),
         "submission_digest": "ab" * 32,
-        "contest": "",
+        "competition": "",
         "track": "track_1",
         "stage": "",
         "kind": SubmissionKind.MODEL,

@@ -17,7 +17,7 @@ from vitac.evaluator.tracks import ListKind, load_track
 from vitac.server.db.states import EvaluationState, Role, WorkerOrder, WorkerState
 from vitac.server.evaluations.scores import played_score
 from vitac.server.principals import Principal
-from vitac.server.views.contest import (
+from vitac.server.views.competition import (
     CompetitionTrackView,
     CompetitionView,
     PrizeView,

@@ -26,7 +26,7 @@ from vitac.server import quotas, tokens
 from vitac.server.api import problems
 from vitac.server.api.app import set_limiters
 from vitac.server.appeals import appeals
-from vitac.server.contest import view as contest
+from vitac.server.competition import view as competition
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode, ServiceError, not_found, token_missing
 from vitac.server.evaluations import progress
@@ -50,7 +50,13 @@ from vitac.server.submissions.watch import Changes
 from vitac.server.teams import teams
 from vitac.server.transparency.notes import make_log_key
 from vitac.server.views.comparisons import ComparisonView
-from vitac.server.views.contest import ArchiveView, CompetitionListView, CompetitionView, PublicRankingView, StageView
+from vitac.server.views.competition import (
+    ArchiveView,
+    CompetitionListView,
+    CompetitionView,
+    PublicRankingView,
+    StageView,
+)
 from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView, TeamRanksView
 from vitac.server.views.logs import ActionMatchView
 from vitac.server.views.messages import AnnouncementView
@@ -147,12 +153,12 @@ class FixedData(FixedPlaybacks):
         *,
         task: str | None = None,
         stage: str | None = None,
-        contest: str | None = None,
+        competition: str | None = None,
     ) -> SimpleNamespace:
         if task is not None and task not in load_track(track).tasks:
             raise ServiceError(ProblemCode.UNKNOWN_TASK, f"There is no task {task!r} of {track}.")
         board = self.board if task is None else self.task_boards.get(task, a_leaderboard(task=task))
-        if by.organizes(contest or "") and self.unfrozen_board is not None:
+        if by.organizes(competition or "") and self.unfrozen_board is not None:
             board = self.unfrozen_board
         return SimpleNamespace(view=board.model_copy(update={"stage": stage}))
 
@@ -175,9 +181,9 @@ class FixedData(FixedPlaybacks):
         )
 
     def log_boards(
-        self, _: Principal, track: str, *, stage: str | None = None, contest: str | None = None
+        self, _: Principal, track: str, *, stage: str | None = None, competition: str | None = None
     ) -> SimpleNamespace:
-        del contest
+        del competition
         return SimpleNamespace(view=self.logs.model_copy(update={"stage": stage, "track": track}))
 
     def public_among(self, submissions: Collection[UUID]) -> frozenset[UUID]:
@@ -334,11 +340,11 @@ for _module, _name, _data_of in (
     (teams, "find_lock_date", lambda data: lambda: data.locked_since),
     (shown, "shown_leaderboard", lambda data: data.leaderboard),
     (shown, "shown_log_boards", lambda data: data.log_boards),
-    (contest, "competition_view", lambda data: data.competition),
-    (contest, "competition_list_view", lambda _: lambda: CompetitionListView(items=[])),
-    (contest, "list_choices", lambda _: list),
-    (contest, "list_public_rankings", lambda data: lambda: data.public_rankings),
-    (contest, "track_stages", lambda data: data.stages),
+    (competition, "competition_view", lambda data: data.competition),
+    (competition, "competition_list_view", lambda _: lambda: CompetitionListView(items=[])),
+    (competition, "list_choices", lambda _: list),
+    (competition, "list_public_rankings", lambda data: lambda: data.public_rankings),
+    (competition, "track_stages", lambda data: data.stages),
     (archive, "archive_view", lambda data: data.archive),
     (public_pages, "public_among", lambda data: data.public_among),
     (public_pages, "set_public", lambda data: data.set_public),

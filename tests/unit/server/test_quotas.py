@@ -63,7 +63,7 @@ def test_stored_uploads_count_each_file_once_until_a_day_after_a_cancel(
         session.execute(update(Submission).values(archive_bytes=5 << 20))
         team = teams.own(session, principal)
         plan = UploadPlan(
-            kind=SubmissionKind.MODEL, track=None, contest=None, again=False, file_name=None, total_bytes=3 << 20,
+            kind=SubmissionKind.MODEL, track=None, competition=None, again=False, file_name=None, total_bytes=3 << 20,
             sha256=None,
         )  # fmt: skip
         monkeypatch.setattr(partial, "require_room", lambda *_: None)

@@ -18,7 +18,7 @@ from submission_steps import refused
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.server import team_data, tokens
 from vitac.server.audit import newest_entries, record
-from vitac.server.contest.sealing import seal
+from vitac.server.competition.sealing import seal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult, Evaluation, Question, Submission
 from vitac.server.db.states import Role

@@ -56,7 +56,9 @@ def evaluation(
     sealed_list = None if listed == OPEN else SimpleNamespace(revealed_at=None if listed == SEALED else "a moment")
     if sealed_list is not None:
         commitment = "c" * 64  # the row of the list is found by it
-    submission = SimpleNamespace(team_id=OURS, contest="", is_public=public, kind=kind, track=TRACK, tasks=list(tasks))
+    submission = SimpleNamespace(
+        team_id=OURS, competition="", is_public=public, kind=kind, track=TRACK, tasks=list(tasks)
+    )
     return cast(
         Evaluation,
         SimpleNamespace(submission=submission, sealed_list=sealed_list, commitment=commitment, list_kind=list_kind),

@@ -27,10 +27,12 @@ from vitac.web.site import (
 SITE = cast(Site, SimpleNamespace(tracks=("track_1", "track_2")))
 
 
-def viewer(name: str = "Team A", *, organizer: bool = False, judge: bool = False, contest: str | None = None) -> Viewer:
+def viewer(
+    name: str = "Team A", *, organizer: bool = False, judge: bool = False, competition: str | None = None
+) -> Viewer:
     role = Role.ORGANIZER if organizer else Role.JUDGE if judge else Role.TEAM
     team = {"team_id": UUID(int=1), "team_name": name, "team_pseudonym": name} if role is Role.TEAM else {}
-    principal = Principal(role=role, contest=contest, token_id=UUID(int=2), **cast(Any, team))
+    principal = Principal(role=role, competition=competition, token_id=UUID(int=2), **cast(Any, team))
     return Viewer(principal=principal, form_token="token", expires_at=datetime.now(UTC))  # noqa: S106
 
 
@@ -50,7 +52,7 @@ def test_navigation_has_what_a_visitor_can_open() -> None:
     assert targets(viewer("Desk", organizer=True)) == [
         *everybody, "/submissions", "/judging", "/desk", "/operations",
     ]  # fmt: skip
-    assert targets(viewer("School", organizer=True, contest="class")) == [
+    assert targets(viewer("School", organizer=True, competition="class")) == [
         *everybody, "/submissions", "/judging", "/desk",
     ]  # fmt: skip
     labels = [label for _, label in navigation(SITE, viewer("Desk", organizer=True))]
@@ -61,8 +63,8 @@ def test_a_team_changes_its_own_an_organizer_everything_a_judge_nothing() -> Non
     assert viewer().may_change("Team A")
     assert not viewer().may_change("Team B")
     assert viewer("Desk", organizer=True).may_change("Team B")
-    school = viewer("School", organizer=True, contest="class")
-    assert [school.may_see("Team B", contest) for contest in ("class", "cup", None)] == [True, False, False]
+    school = viewer("School", organizer=True, competition="class")
+    assert [school.may_see("Team B", competition) for competition in ("class", "cup", None)] == [True, False, False]
     judge = viewer("Judge", judge=True)
     assert judge.may_see("Team B")
     assert not judge.may_change("Team B")

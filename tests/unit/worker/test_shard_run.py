@@ -36,7 +36,7 @@ from vitac.evaluator.shards.host_process import ShardProcessFailed
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.contest import sealing
+from vitac.server.competition import sealing
 from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission, SubmissionFile
 from vitac.server.db.states import EvaluationState, Role, ShardState
 from vitac.server.errors import ProblemCode, ServiceError

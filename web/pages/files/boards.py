@@ -25,7 +25,9 @@ async def leaderboard(request: Request) -> Response:
     asked, by = AskedBoard.read(request), get_principal(await get_viewer(request))
     board = await get_site(request).read(
         lambda session: (
-            shown_leaderboard(session, by, asked.track, task=asked.task, stage=asked.stage, contest=asked.contest).view
+            shown_leaderboard(
+                session, by, asked.track, task=asked.task, stage=asked.stage, competition=asked.competition
+            ).view
         )
     )
     return csv_file(_name(asked, asked.task or "all"), BOARD_COLUMNS, map(_ranked, board.entries))
@@ -74,7 +76,9 @@ async def text_logs(request: Request) -> Response:
 async def _log_boards(request: Request, asked: AskedBoard) -> LogBoardsView:
     by = get_principal(await get_viewer(request))
     return await get_site(request).read(
-        lambda session: shown_log_boards(session, by, asked.track, stage=asked.stage, contest=asked.contest).view
+        lambda session: (
+            shown_log_boards(session, by, asked.track, stage=asked.stage, competition=asked.competition).view
+        )
     )
 
 
@@ -103,4 +107,4 @@ def _peak_force_n(entry: LeaderboardEntryView | LogEntryView) -> float | None:
 
 
 def _name(asked: AskedBoard, what: str) -> str:
-    return "-".join(filter(None, (asked.contest, asked.track, asked.stage, what)))
+    return "-".join(filter(None, (asked.competition, asked.track, asked.stage, what)))

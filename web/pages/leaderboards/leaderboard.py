@@ -55,11 +55,13 @@ async def leaderboard(request: Request) -> Response:
     by, own_names = get_principal(viewer), viewer.own_names if viewer else frozenset()
 
     def read(session: Session) -> dict[str, Any]:
-        board = shown_leaderboard(session, by, track.name, task=task, stage=asked.stage, contest=asked.contest).view
+        board = shown_leaderboard(
+            session, by, track.name, task=task, stage=asked.stage, competition=asked.competition
+        ).view
         shown = board_page(request, asked.address(), board.entries, own_names)
         public: Collection[UUID] = public_among(session, [entry.submission_id for entry in shown.entries])
         around = read_surroundings(session, site, track, asked, shown_stage=board.stage)
-        ranks = shown_rank_history(session, by, track.name, task=task, stage=asked.stage, contest=asked.contest)
+        ranks = shown_rank_history(session, by, track.name, task=task, stage=asked.stage, competition=asked.competition)
         described = descriptions_among(session, by, public)
         return {"board": board, "shown": shown, "public": public, "described": described, "ranks": ranks, **around}
 

@@ -25,7 +25,7 @@ async def logs(request: Request) -> Response:
     paged = partial(board_page, request, asked.address(), own_names=own_names)
 
     def read(session: Session) -> dict[str, Any]:
-        found = shown_log_boards(session, by, track.name, stage=asked.stage, contest=asked.contest).view
+        found = shown_log_boards(session, by, track.name, stage=asked.stage, competition=asked.competition).view
         shown = {board.task: paged(board.entries, section=f"logs-{board.task}") for board in found.boards}
         text_logs = paged(found.text_logs, section=TEXT_LOGS)
         listed = [entry.submission_id for board in shown.values() for entry in board.entries]
@@ -41,7 +41,7 @@ async def logs(request: Request) -> Response:
         "logs.html",
         viewer=viewer,
         own_names=own_names,
-        logs_address=board_address(asked.contest, track.name) + asked.part,
+        logs_address=board_address(asked.competition, track.name) + asked.part,
         search=values["text_logs"].search,
         searchable=any(board.total > board.size for board in boards),
         **values,

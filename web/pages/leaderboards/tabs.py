@@ -6,10 +6,10 @@ from datetime import UTC, datetime
 from sqlalchemy.orm import Session
 from starlette.exceptions import HTTPException
 from vitac.evaluator.tracks import Track
-from vitac.server.contest.view import competition_list_view, track_stages
+from vitac.server.competition.view import competition_list_view, track_stages
 from vitac.server.errors import ServiceError
 from vitac.server.tracks import is_challenge_track, load_known_track
-from vitac.server.views.contest import StageView
+from vitac.server.views.competition import StageView
 
 from ...site import Site, Tab
 from ..addresses import AskedBoard, board_address, board_data_address, board_query, competition_address
@@ -44,7 +44,7 @@ def read_surroundings(
         asked: which ones.
         shown_stage: the stage that they are of.
     """
-    contest, part, stages = asked.contest, asked.part, track_stages(session, track.name, asked.contest)
+    competition, part, stages = asked.competition, asked.part, track_stages(session, track.name, asked.competition)
     has_page = accepts_logs if part else lambda _: True
     return {
         "section": f"/tracks/{track.name}",
@@ -52,13 +52,13 @@ def read_surroundings(
         "stage": asked.stage,
         "stage_title": find_stage_title(stages, shown_stage),
         "query": asked.query(),
-        "board_address": board_address(contest, track.name),
-        "board_data": board_data_address(contest, track.name),
-        "competition": competition_address(contest),
-        "track_tabs": () if contest else track_tabs(site, track, part, has_page=has_page),
-        "contest_tabs": contest_tabs(session, contest, track.name, part),
+        "board_address": board_address(competition, track.name),
+        "board_data": board_data_address(competition, track.name),
+        "competition_url": competition_address(competition),
+        "track_tabs": () if competition else track_tabs(site, track, part, has_page=has_page),
+        "competition_tabs": competition_tabs(session, competition, track.name, part),
         "stage_tabs": stage_tabs(stages, shown_stage, asked.address),
-        "tabs": task_tabs(track, asked.task, logs=bool(part), stage=asked.stage, contest=contest),
+        "tabs": task_tabs(track, asked.task, logs=bool(part), stage=asked.stage, competition=competition),
     }
 
 
@@ -83,7 +83,7 @@ def track_tabs(
     )
 
 
-def contest_tabs(session: Session, shown: str | None, track: str, page_of_track: str = "") -> tuple[Tab, ...]:
+def competition_tabs(session: Session, shown: str | None, track: str, page_of_track: str = "") -> tuple[Tab, ...]:
     """Return the same boards of every competition that holds a track; empty if there is only one."""
     found = [one for one in competition_list_view(session).items if track in one.tracks]
     current = shown or (found[0].name if found else None)
@@ -110,10 +110,10 @@ def stage_tabs(stages: Sequence[StageView], shown: str | None, find_address: Cal
 
 
 def task_tabs(
-    track: Track, task: str | None, *, logs: bool = False, stage: str | None = None, contest: str | None = None
+    track: Track, task: str | None, *, logs: bool = False, stage: str | None = None, competition: str | None = None
 ) -> tuple[Tab, ...]:
     """Return the leaderboards of a track: all tasks, each task, and the logs; empty if there is only one."""
-    address = board_address(contest, track.name)
+    address = board_address(competition, track.name)
     shown = [Tab(title="All tasks", target=address + board_query(None, stage), current=task is None and not logs)]
     if len(track.tasks) > 1:
         shown += [

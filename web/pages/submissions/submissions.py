@@ -15,7 +15,7 @@ from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import UnknownTrack, load_track
 from vitac.server.api.streams import CountedStream, OpenStreams
 from vitac.server.appeals.appeals import takes_appeals
-from vitac.server.contest.view import competition_list_view, track_stages
+from vitac.server.competition.view import competition_list_view, track_stages
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from vitac.server.errors import TRACK_REMOVED
 from vitac.server.playbacks.stills import find_stills, list_stills
@@ -109,7 +109,7 @@ def _choose_stills(stills: Sequence[StillView]) -> list[StillView]:
 async def _page_of_removed_track(request: Request, viewer: Viewer | None) -> Response:
     """Show what is known of a submission whose track was removed."""
     found = (await _read_detail(request, viewer)).submission
-    is_own = viewer is not None and viewer.may_see(found.team.name, found.contest)
+    is_own = viewer is not None and viewer.may_see(found.team.name, found.competition)
     section = "/submissions" if is_own else ""
     active = found.evaluation.state not in TERMINAL_EVALUATION_STATES
     shown: dict[str, Any] = {"submission": found, "is_own": is_own, "active": active, "sentence": TRACK_REMOVED}
@@ -163,16 +163,16 @@ async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
     listed = (await get_site(request).read(competition_list_view)).items
     titles = {name: title_of_task(track, name) for name in (*found.tasks, *found.evaluation.counted_tasks)}
     return {
-        "is_own": viewer is not None and viewer.may_see(found.team.name, found.contest),
-        "organizes": viewer is not None and viewer.principal.organizes(found.contest or ""),
+        "is_own": viewer is not None and viewer.may_see(found.team.name, found.competition),
+        "organizes": viewer is not None and viewer.principal.organizes(found.competition or ""),
         "card": detail.card,
         "shared": await shared(request, viewer, found, track.title),
         "submission": found,
         "track": track,
-        "board": board_address(found.contest if len(listed) > 1 else None, found.track),
+        "board": board_address(found.competition if len(listed) > 1 else None, found.track),
         "board_query": board_query,
-        "competition": next((one for one in listed if one.name == found.contest and len(listed) > 1), None),
-        "takes_appeals": await get_site(request).read(lambda session: takes_appeals(session, found.contest)),
+        "competition": next((one for one in listed if one.name == found.competition and len(listed) > 1), None),
+        "takes_appeals": await get_site(request).read(lambda session: takes_appeals(session, found.competition)),
         "episodes": detail.episodes,
         "past": detail.past,
         "active": found.evaluation.state not in TERMINAL_EVALUATION_STATES,

@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.submission_kinds import kind_of_file
-from vitac.server.contest.view import list_choices
+from vitac.server.competition.view import list_choices
 from vitac.server.errors import ServiceError
 from vitac.server.limiter import UPLOADS
 from vitac.server.principals import Principal
@@ -34,7 +34,7 @@ async def upload(request: Request) -> Response:
         return await _form(request, viewer, wrong=NO_FILE, status=422)
     announced = AnnouncedUpload(
         kind=kind_of_file(form.file_name),
-        contest=form.fields.get("contest") or None,
+        competition=form.fields.get("competition") or None,
         team=form.fields.get("team", "").strip() or None,
         again="again" in form.fields,
         file_name=form.file_name,
@@ -68,7 +68,7 @@ async def _form(request: Request, viewer: Viewer, *, wrong: str | None = None, s
         section="/submissions",
         status=status,
         wrong=wrong,
-        contests=await site.read(list_choices),
+        competitions=await site.read(list_choices),
         archive_size=size(settings.limits.archive_packed_bytes),
         log_size=size(settings.log_bytes),
     )

@@ -236,13 +236,13 @@ def test_an_organizer_of_one_competition_signs_in_and_sees_only_that(service: Cl
     with service.database.transaction() as session:
         for name in ("cup", "class"):
             put_in_place(session, open_now(make_competition(name=name, title=f"The {name}")))
-    for contest in ("cup", "class"):
-        made = service.run("submit", str(submission_folder(tmp_path / contest)), "--contest", contest)
+    for competition in ("cup", "class"):
+        made = service.run("submit", str(submission_folder(tmp_path / competition)), "--competition", competition)
         assert made.exit_code == 0, made.output
-    added = service.run("admin", "token", "add", "--organizer", "--contest", "class", "--json")
+    added = service.run("admin", "token", "add", "--organizer", "--competition", "class", "--json")
     token = tmp_path / "token"
     token.write_text(json.loads(added.stdout)["secret"])
     assert "organizer of class" in service.run("whoami", "--token-file", str(token)).stdout
     listed = json.loads(service.run("status", "--json", "--token-file", str(token)).stdout)
-    assert [one["contest"] for one in listed] == ["class"]
-    assert service.run("admin", "token", "add", "Team A", "--contest", "class").exit_code == 2
+    assert [one["competition"] for one in listed] == ["class"]
+    assert service.run("admin", "token", "add", "Team A", "--competition", "class").exit_code == 2

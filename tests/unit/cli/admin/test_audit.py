@@ -21,8 +21,8 @@ from vitac.cli.admin.app import app
 from vitac.cli.admin.consent import NOTHING_CHANGED, ConsentMissing
 from vitac.server.appeals import appeals
 from vitac.server.audit import newest_entries
-from vitac.server.contest.freezing import freeze
-from vitac.server.contest.sealing import seal
+from vitac.server.competition.freezing import freeze
+from vitac.server.competition.sealing import seal
 from vitac.server.db.models import Evaluation, Notice, Team, Worker
 from vitac.server.db.states import NoticeKind, Role, WorkerState
 from vitac.server.members import members
@@ -140,7 +140,7 @@ TRIED_ELSEWHERE = {
     "submission withdraw-clearance",
 }
 """They need an empty service (tests/unit/server/backup/test_backup.py), results of another evaluator version
-(tests/unit/cli/admin/contest/test_rejudge.py), a judged track (tests/unit/server/judging/test_judging.py), or a copy
+(tests/unit/cli/admin/test_rejudge.py), a judged track (tests/unit/server/judging/test_judging.py), or a copy
 (tests/unit/server/evaluations/test_near_copies.py)."""
 
 

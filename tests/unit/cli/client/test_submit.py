@@ -152,11 +152,13 @@ def test_a_submission_says_its_competition_where_two_take_it(service: CliService
             put_in_place(session, open_now(make_competition(name=name, title=f"The {name}")))
     folder = str(submission_folder(tmp_path / "mine"))
     refused = service.run("submit", folder)
-    assert "contest_required" in str(refused.exception)
+    assert "competition_required" in str(refused.exception)
     assert "Several competitions take submissions to track_1 now: class, cup." in str(refused.exception)
     with service.database.transaction() as session:
         assert session.scalar(select(func.count()).select_from(PartialUpload)) == 0
-    assert "expected one of class, cup" in str(service.run("submit", folder, "--contest", "cap").exception)
-    made = [json.loads(service.run("submit", folder, "--contest", name, "--json").stdout) for name in ("cup", "class")]
-    assert [answer["contest"] for answer in made] == ["cup", "class"]
+    assert "expected one of class, cup" in str(service.run("submit", folder, "--competition", "cap").exception)
+    made = [
+        json.loads(service.run("submit", folder, "--competition", name, "--json").stdout) for name in ("cup", "class")
+    ]
+    assert [answer["competition"] for answer in made] == ["cup", "class"]
     assert re.search(r"class +track_1 +stage1 +attempts", service.run("whoami").stdout)

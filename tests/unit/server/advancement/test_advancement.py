@@ -17,7 +17,7 @@ from vitac.server.receipts.issuing import list_entries
 from vitac.server.submissions import creation
 from vitac.server.teams import teams
 from vitac.server.transparency.entries import EntryKind
-from vitac.server.views.contest import AdvancementView
+from vitac.server.views.competition import AdvancementView
 
 from competitions import FIRST, SECOND, make_competition, open_now, put_in_place, stored_stage
 

@@ -20,7 +20,7 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import (
     ApiToken,
     Appeal,
-    Competition,
+    CompetitionRow,
     Invitation,
     Question,
     Rejudgement,
@@ -56,7 +56,7 @@ JUDGES = frozenset({Who.JUDGE, Who.ORGANIZER})
 ORGANIZERS = frozenset({Who.ORGANIZER, Who.OUTSIDER})  # each of the own competition
 TEAMS = frozenset({Who.OWNER, Who.MEMBER, Who.OTHER})
 
-COMPETITION = "/api/v1/competitions/{contest}"
+COMPETITION = "/api/v1/competitions/{competition}"
 SUBMISSION = "/api/v1/submissions/{submission_id}"
 UPLOAD = "/api/v1/uploads/{upload_id}"
 TEAM = "/api/v1/teams/{team_id}"
@@ -205,7 +205,7 @@ class Setting:
             "upload_id": "",
             "token_id": "",
             "track": "track_1",
-            "contest": "cup",
+            "competition": "cup",
             "stage": "stage2",
             "level": "0",
             "name": "000.p/1",
@@ -413,12 +413,12 @@ def fill(service: Service) -> Setting:
         content = make_competition(appeal_days=7)
         content["tracks"] = {"track_2": content["tracks"][TRACK] | {"taken_here": False}}
         put_in_place(session, content)
-        row = session.get_one(Competition, "cup")
+        row = session.get_one(CompetitionRow, "cup")
         row.finalized_at, row.winners, row.boards = row.applied_at, [], []
         submission = session.get_one(Submission, UUID(submission_id))
         judge = tokens.issue(session, CONSOLE, role=Role.JUDGE, label="judge", lifetime=None).secret
         outsider = tokens.issue(
-            session, CONSOLE, role=Role.ORGANIZER, label="outsider", contest="cup", lifetime=None
+            session, CONSOLE, role=Role.ORGANIZER, label="outsider", competition="cup", lifetime=None
         ).secret
     play_all(service.services.database, submission)
     with service.services.database.transaction() as session:

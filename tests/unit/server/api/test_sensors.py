@@ -21,7 +21,7 @@ from vitac.evaluator.sensors.made import read_design, read_made_sensor
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.submission.sensor import SensorNotMade
 from vitac.server import housekeeping
-from vitac.server.contest import sealing
+from vitac.server.competition import sealing
 from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission, SubmissionFile
 from vitac.server.db.states import FileRole
 from vitac.server.evaluations import lifecycle

@@ -4,8 +4,8 @@ from datetime import datetime
 from made_receipts import KEY, PUBLIC_KEY
 from service_client import Service, problem_of
 from service_factories import TRACK
-from vitac.server.contest.applying import apply
-from vitac.server.contest.definition import CompetitionDefinition
+from vitac.server.competition.applying import apply
+from vitac.server.competition.definition import CompetitionDefinition
 from vitac.server.principals import CONSOLE
 from vitac.server.receipts.log_audit import audit_log
 from vitac.server.transparency.entries import FinalBoard
@@ -20,7 +20,7 @@ WITNESS = VerifierKey(name="ants.example/v", kind=OF_WITNESS, public_key=bytes.f
 
 def a_board(at: datetime) -> FinalBoard:
     """Some entry."""
-    return FinalBoard(issued_at=at, contest="cup", track=TRACK, stage="only", entries=0, board_sha256="0" * 64)
+    return FinalBoard(issued_at=at, competition="cup", track=TRACK, stage="only", entries=0, board_sha256="0" * 64)
 
 
 def test_everybody_reads_the_log_as_files(service: Service) -> None:

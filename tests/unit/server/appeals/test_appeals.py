@@ -13,8 +13,8 @@ from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server import team_data
 from vitac.server.appeals import appeals
 from vitac.server.audit import newest_entries
-from vitac.server.contest.contest import Contest
-from vitac.server.contest.sealing import seal
+from vitac.server.competition.competition import Competition
+from vitac.server.competition.sealing import seal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Appeal, BoardResult, EpisodeResult, Evaluation, Rejudgement, Submission
 from vitac.server.db.states import AppealState, Role
@@ -272,4 +272,4 @@ def test_the_form_is_shown_where_the_competition_gives_time_for_appeals(
         assert not appeals.takes_appeals(session)
         with_appeals(session, days)
         assert appeals.takes_appeals(session) == is_taken
-        assert appeals.takes_appeals(session, Contest.read(session).name) == is_taken
+        assert appeals.takes_appeals(session, Competition.read(session).name) == is_taken

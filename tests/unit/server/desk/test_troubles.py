@@ -122,10 +122,10 @@ def test_stages_tell_how_far_they_are(session: Session) -> None:
     desk = Desk(session)
     for minute in range(3):
         submission = desk.evaluation(minute).submission
-        submission.contest, submission.stage = "cup", FIRST
+        submission.competition, submission.stage = "cup", FIRST
     desk.evaluation(5)  # outside of the competition
-    session.add(Qualification(contest="cup", track=TRACK, stage=SECOND, team_id=desk.team.id))
-    session.add(Qualification(contest="cup", track="track_2", stage=SECOND, team_id=desk.team.id))
+    session.add(Qualification(competition="cup", track=TRACK, stage=SECOND, team_id=desk.team.id))
+    session.add(Qualification(competition="cup", track="track_2", stage=SECOND, team_id=desk.team.id))
     session.flush()
     before, at_the_end, after = CLOSES - timedelta(seconds=1), CLOSES, LATER_CLOSES
     assert [state_of(one) for one in stages(session, CONSOLE, before)] == [

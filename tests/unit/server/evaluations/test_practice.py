@@ -20,7 +20,7 @@ from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.shards.result import ShardEnd
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
-from vitac.server.contest.sealing import seal
+from vitac.server.competition.sealing import seal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Shard, Submission
 from vitac.server.errors import ProblemCode, ServiceError

@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 from submission_steps import refused
 from vitac.server.advancement.advancement import confirm
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Competition, Submission, Team
+from vitac.server.db.models import CompetitionRow, Submission, Team
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
@@ -95,7 +95,7 @@ def test_stale_results_of_the_last_stage_stop_the_end(database: Database, submis
     with refused(ProblemCode.RESULTS_OUTDATED), database.transaction() as session:
         finalize(session, CONSOLE)
     with database.transaction() as session:
-        assert session.get_one(Competition, "cup").finalized_at is None
+        assert session.get_one(CompetitionRow, "cup").finalized_at is None
 
 
 def test_a_disqualified_team_holds_nobody_up(database: Database, submissions: dict[str, Submission]) -> None:

@@ -10,7 +10,7 @@ from vitac.evaluator.figures.figures import GraspFigures, Information, Sensitivi
 from vitac.server import tokens
 from vitac.server.audit import newest_entries
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Competition, JudgingMark, Submission
+from vitac.server.db.models import CompetitionRow, JudgingMark, Submission
 from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode
 from vitac.server.judging.judging import declare_conflict, give_marks, judged, percentiles
@@ -156,7 +156,7 @@ def test_what_is_no_judgement_is_refused(database: Database, stage: dict[str, Su
     with refused(ProblemCode.INVALID_REQUEST), database.transaction() as session:
         judged(session, CONSOLE, shown_stage(session, "track_2"))
     with database.transaction() as session:
-        row = session.get_one(Competition, "cup")
+        row = session.get_one(CompetitionRow, "cup")
         row.finalized_at, row.winners = row.applied_at, []
     refuse(ProblemCode.COMPETITION_FINAL)
 

@@ -7,7 +7,7 @@ from sqlalchemy import update
 from submission_steps import refused
 from vitac.evaluator.figures.figures import FiguresPart
 from vitac.evaluator.version import evaluator_version
-from vitac.server.contest import sealing
+from vitac.server.competition import sealing
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission, SubmissionFile
 from vitac.server.db.states import FileRole, Role

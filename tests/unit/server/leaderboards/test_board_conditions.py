@@ -9,7 +9,7 @@ import pytest
 from service_factories import LOCK, TASK, TRACK, add_result, make_score
 from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.contest.definition import RankingKey
+from vitac.server.competition.definition import RankingKey
 from vitac.server.db.engine import Database
 from vitac.server.db.models import ALL_TASKS, Evaluation, Team
 from vitac.server.db.states import Role

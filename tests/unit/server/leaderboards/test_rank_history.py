@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from vitac.evaluator.scoring.ranking import Standing, rank
-from vitac.server.contest.definition import DEFAULT_RANKING
+from vitac.server.competition.definition import DEFAULT_RANKING
 from vitac.server.db.engine import Database
 from vitac.server.db.models import BoardResult
 from vitac.server.leaderboards.rank_history import TEAMS, _follow

@@ -5,7 +5,7 @@ from itertools import permutations
 import pytest
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.contest.definition import DEFAULT_RANKING, RankingKey
+from vitac.server.competition.definition import DEFAULT_RANKING, RankingKey
 from vitac.server.db.engine import Database
 from vitac.server.leaderboards.best_entries import Board, best_entries, places
 from vitac.server.leaderboards.log_boards import log_boards

@@ -36,7 +36,7 @@ from vitac.evaluator.logs.text_2025 import WHY_RATES_DIFFER
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.version import evaluator_version
-from vitac.server.contest import sealing
+from vitac.server.competition import sealing
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission, Team
 from vitac.server.evaluations import lifecycle

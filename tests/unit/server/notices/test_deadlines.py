@@ -23,7 +23,7 @@ def test_each_team_that_may_submit_is_told_once_a_day_before(database: Database)
             members.set_email(session, CONSOLE, captain, f"{by.team_name}@example.org")
         waiting = teams.register(session, CONSOLE, name="Waiting", waits=True)
         members.set_email(session, CONSOLE, members.find_captain(session, waiting), "w@example.org")
-        session.add(Qualification(contest="cup", track=TRACK, stage=SECOND, team_id=bees.team_id))
+        session.add(Qualification(competition="cup", track=TRACK, stage=SECOND, team_id=bees.team_id))
         session.flush()
         for too_early_or_late in (CLOSES - timedelta(hours=24, seconds=1), CLOSES, LATER_CLOSES):
             announce_near(session, too_early_or_late)

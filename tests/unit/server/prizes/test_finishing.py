@@ -9,11 +9,11 @@ from sqlalchemy import select, update
 from submission_steps import SETTINGS, refused
 from vitac.server.appeals import appeals
 from vitac.server.audit import newest_entries
-from vitac.server.contest.contest import Contest
-from vitac.server.contest.freezing import freeze, unfreeze
-from vitac.server.contest.view import competition_view
+from vitac.server.competition.competition import Competition
+from vitac.server.competition.freezing import freeze, unfreeze
+from vitac.server.competition.view import competition_view
 from vitac.server.db.engine import Database
-from vitac.server.db.models import BoardResult, Competition, Rejudgement, Submission
+from vitac.server.db.models import BoardResult, CompetitionRow, Rejudgement, Submission
 from vitac.server.db.states import AppealState, Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.judging.judging import give_marks
@@ -111,13 +111,13 @@ def test_the_final_winners_stay_whatever_happens_to_the_boards(played: Database)
     with played.transaction() as session:
         outdate(session)
         assert winners(session) == final
-        row = session.get_one(Competition, "cup")
+        row = session.get_one(CompetitionRow, "cup")
         assert (row.frozen_at, row.finalized_at is not None) == (None, True)
         entry = newest_entries(session)[0]
         assert entry.action == "competition.finalize"
         (signed,) = receipts_of_ends(session)
         signed.require_valid()
-        assert signed.end.winners == winning_entries(Contest.read(session))
+        assert signed.end.winners == winning_entries(Competition.read(session))
         assert [winner.submission for winner in signed.end.winners] == [UUID(winner.submission) for winner in final]
         assert [winner["team"] for winner in entry.after["winners"]] == list(SUCCESSES)
     for change in (finalize, freeze, unfreeze):
@@ -227,7 +227,7 @@ def test_the_end_names_what_is_not_settled_and_waits_until_it_is_confirmed(playe
     close_with_appeals(played)
     names = ["open_appeals", "appeal_time", "rejudgements", "boards_without_ranks"]
     with played.transaction() as session:
-        session.add(Rejudgement(contest="cup", track=TRACK, stage=FIRST, reason="in doubt"))
+        session.add(Rejudgement(competition="cup", track=TRACK, stage=FIRST, reason="in doubt"))
         session.flush()
         found = concerns_at_end(session)
         assert [concern.name for concern in found] == names[:3]

@@ -11,10 +11,10 @@ from vitac.evaluator import version
 from vitac.evaluator.tracks import Track, UnknownTrack, versions
 from vitac.evaluator.version import evaluator_version
 from vitac.server.audit import newest_entries
-from vitac.server.contest.contest import Contest
-from vitac.server.contest.view import competition_view, disqualified_since_the_end
+from vitac.server.competition.competition import Competition
+from vitac.server.competition.view import competition_view, disqualified_since_the_end
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Competition, Evaluation, Submission
+from vitac.server.db.models import CompetitionRow, Evaluation, Submission
 from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.leaderboards.log_boards import log_boards
@@ -111,7 +111,7 @@ def test_a_later_result_of_the_same_version_changes_no_final_board(final: Databa
 
 def test_a_competition_that_was_final_before_boards_were_kept_ranks_by_the_present_version(final: Database) -> None:
     with final.transaction() as session:
-        session.execute(update(Competition).values(boards=null()))
+        session.execute(update(CompetitionRow).values(boards=null()))
         session.expire_all()
         found = leaderboard(session, shown_stage(session, TRACK)).view
     assert [entry.rank for entry in found.entries] == [1, 2]
@@ -195,12 +195,12 @@ def test_only_an_organizer_finalizes_again_and_only_what_is_final(final: Databas
     with final.transaction() as session:
         with refused(ProblemCode.FORBIDDEN):
             finalize_again(session, Principal(role=Role.JUDGE, judge_name="Prof. X"))
-        session.execute(update(Competition).values(finalized_at=null(), winners=null(), boards=null()))
+        session.execute(update(CompetitionRow).values(finalized_at=null(), winners=null(), boards=null()))
         session.expire_all()
         with pytest.raises(ServiceError, match="is not final yet"):
             finalize_again(session, CONSOLE)
-        assert disqualified_since_the_end(Contest.read(session)) == []
-        session.execute(delete(Competition))
+        assert disqualified_since_the_end(Competition.read(session)) == []
+        session.execute(delete(CompetitionRow))
         session.expire_all()
         with refused(ProblemCode.NOT_FOUND):
             finalize_again(session, CONSOLE)

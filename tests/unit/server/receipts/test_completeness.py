@@ -116,7 +116,7 @@ def exported(
         "ranking": ("success_rate", "mean_steps", "submitted_at"),
         "secret": None,
         "commitment": None,
-        "contest": "",
+        "competition": "",
         "board": board,
         "kind": SubmissionKind.MODEL,
         "checkpoint": str(signed(receipts)),
@@ -292,7 +292,7 @@ def test_a_result_follows_from_a_submission_that_arrived_before_it() -> None:
     "changes",
     [
         {"submission_digest": "cd" * 32},
-        {"contest": "last-year"},
+        {"competition": "last-year"},
         {"track": "track_2"},
         {"stage": "final"},
         {"kind": SubmissionKind.LOG},
@@ -349,7 +349,7 @@ def an_end(winners: list[Result], marks: dict[UUID, float] | None = None) -> End
     end = End(
         salt="0" * 32,
         issued_at=WHEN,
-        contest="vitac",
+        competition="vitac",
         finalized_at=WHEN,
         reason=None,
         winners=tuple(

@@ -163,15 +163,15 @@ def test_witnesses_are_counted_by_what_they_have_signed() -> None:
 def test_secrets_have_to_fit_and_what_needs_a_reason_is_said() -> None:
     secret = "1" * 64
     commitment = make_commitment(bytes.fromhex(secret))
-    late = a_result(3, issued_at=at(3), contest="cup", stage="only")
+    late = a_result(3, issued_at=at(3), competition="cup", stage="only")
     arrival = late.model_dump(include=set(type(late).model_fields) & {"salt", "issued_at"})
-    end = End(**arrival, contest="cup", finalized_at=None, reason=None, winners=(), judged=())
+    end = End(**arrival, competition="cup", finalized_at=None, reason=None, winners=(), judged=())
     contents = [
         apply_file(1),
         change_list(2, "sealed", commitment),
         late,
         RejudgementApplied(
-            issued_at=at(4), contest="cup", track="track_1", stage="only", rejudgement=late.evaluation, replaced=2,
+            issued_at=at(4), competition="cup", track="track_1", stage="only", rejudgement=late.evaluation, replaced=2,
             withdrawn=1,
         ),
         change_list(5, "published", commitment, secret),

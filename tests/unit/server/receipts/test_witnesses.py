@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from service_factories import TRACK, make_principal, play_all, submit
 from sqlalchemy import text
 from sqlalchemy.orm import Session
-from vitac.server.contest.definition import CompetitionDefinition
+from vitac.server.competition.definition import CompetitionDefinition
 from vitac.server.db.engine import Database
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import CONSOLE

@@ -28,7 +28,7 @@ from vitac.evaluator.tracks import UnknownTask
 from vitac.evaluator.version import evaluator_version
 from vitac.server.audit import newest_entries
 from vitac.server.db.engine import Database
-from vitac.server.db.models import BoardResult, Competition, Evaluation, Submission, Team
+from vitac.server.db.models import BoardResult, CompetitionRow, Evaluation, Submission, Team
 from vitac.server.db.states import EvaluationState, Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations import lifecycle
@@ -261,13 +261,13 @@ def test_boards_that_stand_still_are_not_changed(database: Database) -> None:
     rejudgement = start(database, staged)
     play_proposed(database, rejudgement)
     with database.transaction() as session:
-        session.get_one(Competition, "cup").frozen_at = datetime.now(UTC)
+        session.get_one(CompetitionRow, "cup").frozen_at = datetime.now(UTC)
     assert compared(database, rejudgement)["Ants"].changes, "organizers see what it would change"
     with pytest.raises(ServiceError, match="unfreeze"), database.transaction() as session:
         rejudging.apply(session, CONSOLE, rejudgement)
     with database.transaction() as session:
         assert session.scalars(select(BoardResult.success_rate).where(BoardResult.board == TASK)).all() == [0.9]
-        session.get_one(Competition, "cup").frozen_at = None
+        session.get_one(CompetitionRow, "cup").frozen_at = None
     with database.transaction() as session:
         rejudging.apply(session, CONSOLE, rejudgement)
         assert session.scalars(select(BoardResult.success_rate).where(BoardResult.board == TASK)).all() == [0.5]

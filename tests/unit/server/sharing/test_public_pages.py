@@ -16,9 +16,9 @@ from service_factories import (
 from sqlalchemy import update
 from sqlalchemy.orm import Session
 from vitac.server.audit import newest_entries
-from vitac.server.contest import sealing
+from vitac.server.competition import sealing
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Competition, Submission, Team
+from vitac.server.db.models import CompetitionRow, Submission, Team
 from vitac.server.db.states import EvaluationState, Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import newest_evaluation
@@ -130,7 +130,7 @@ def test_disqualified_teams_and_results_that_frozen_boards_do_not_show_are_left_
         two.publish(submission)
     both = [two.submission.id, staged.id]
     assert public_among(two.session, both) == frozenset(both)
-    cup = two.session.get_one(Competition, "cup")
+    cup = two.session.get_one(CompetitionRow, "cup")
     cup.frozen_at = datetime.now(UTC) - timedelta(hours=1)
     two.session.flush()
     assert public_among(two.session, both) == {two.submission.id}, "outside of the competition nothing stands still"

@@ -3,7 +3,7 @@ from datetime import UTC, datetime, timedelta
 from service_factories import make_settings
 from vitac.server.audit import newest_entries
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Competition
+from vitac.server.db.models import CompetitionRow
 from vitac.server.db.states import NoticeKind
 from vitac.server.members import members
 from vitac.server.notices import outbox
@@ -22,7 +22,7 @@ def test_addresses_are_forgotten_so_long_after_the_end(database: Database) -> No
         outbox.announce(session, NoticeKind.FINISHED, team.id, "evaluation:1", {})
         assert contacts.forget_contacts(session, settings) == 0
         put_in_place(session, make_competition())
-        row = session.get_one(Competition, "cup")
+        row = session.get_one(CompetitionRow, "cup")
         row.finalized_at, row.winners = datetime(2031, 1, 1, tzinfo=UTC), []
         session.flush()
         later = row.finalized_at + timedelta(days=30)

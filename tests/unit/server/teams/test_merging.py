@@ -36,7 +36,7 @@ def test_a_merge_keeps_submissions_members_tokens_and_places_and_counts_quotas_t
         best = submit_scored(session, ants, "best", {TASK: make_score(90)}).id
         submit_scored(session, bees, "worse", {TASK: make_score(10)})
         both = [submit(session, team, "the same").id for team in (ants, bees)]
-        session.add(Qualification(contest="", track=TRACK, stage="stage2", team_id=ants.team_id))
+        session.add(Qualification(competition="", track=TRACK, stage="stage2", team_id=ants.team_id))
         old, new = teams.own(session, ants), teams.own(session, bees)
         _, code = members.invite(session, ants, old)
         members.join(session, NewMember(code=code, name="Ann"), timedelta(days=1))

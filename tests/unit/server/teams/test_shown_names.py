@@ -10,8 +10,8 @@ from served_pages import team_visitor, visitor, visitor_of_role
 from service_factories import LOCK, TASK, TRACK, make_score, make_upload, play_all, submit, submit_scored
 from sqlalchemy import ColumnElement, select, update
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.contest.contest import Contest
-from vitac.server.db.models import Competition, Submission, Team
+from vitac.server.competition.competition import Competition
+from vitac.server.db.models import CompetitionRow, Submission, Team
 from vitac.server.db.states import Role
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.logs.claims import LogClaim
@@ -168,16 +168,16 @@ def test_the_names_are_shown_again_once_the_competition_is_final(service: CliSer
     anybody = visitor(service)
     with service.database.transaction() as session:
         hidden_as = teams.find(session, NAME).pseudonym
-        row = session.get_one(Competition, "cup")
+        row = session.get_one(CompetitionRow, "cup")
         row.finalized_at, row.winners = datetime.now(UTC), []
     assert NAME in anybody.get(f"/tracks/{TRACK}").text
     assert hidden_as not in anybody.get(f"/tracks/{TRACK}").text
     assert NAME in anybody.get(f"/tracks/{TRACK}/leaderboard.csv").text
     with service.database.transaction() as session:
-        row = session.get_one(Competition, "cup")
+        row = session.get_one(CompetitionRow, "cup")
         row.finalized_at = row.winners = None
-        assert Contest.read(session).hides_names
+        assert Competition.read(session).hides_names
         row.definition = row.definition | {"anonymous": False}
-        assert not Contest.read(session).hides_names
+        assert not Competition.read(session).hides_names
         assert ShownNames.read(session).show_name(teams.find(session, NAME)) == NAME
         row.definition = row.definition | {"anonymous": True}

@@ -4,10 +4,10 @@ from submission_steps import refused
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.uploads.file_names import check_file_name
 
-from competitions import FIRST, contest_of, make_competition
+from competitions import FIRST, competition_of, make_competition
 
-STAGE = contest_of(make_competition()).stage(TRACK, FIRST)
-PRACTICE = contest_of(make_competition(taken_here=False)).list_stages(TRACK)[0]
+STAGE = competition_of(make_competition()).stage(TRACK, FIRST)
+PRACTICE = competition_of(make_competition(taken_here=False)).list_stages(TRACK)[0]
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from visits import COMPLETED
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server.api.conditional import compress
 from vitac.server.playbacks.files import PlaybackFile
-from vitac.server.views.contest import CompetitionTrackView, CompetitionView, StageView
+from vitac.server.views.competition import CompetitionTrackView, CompetitionView, StageView
 from vitac.server.views.messages import AnnouncementView
 from vitac.server.views.playbacks import PublicEpisodeView, StillView
 from vitac.web.pages import home

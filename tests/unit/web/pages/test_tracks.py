@@ -15,7 +15,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import list_tracks, load_track
 from vitac.server.leaderboards.baselines import list_baselines
 from vitac.server.tracks import sort_challenge_first
-from vitac.server.views.contest import PublicRankingView
+from vitac.server.views.competition import PublicRankingView
 from vitac.web.pages.leaderboards.leaderboard import PLOTTED
 from vitac.web.pages.leaderboards.paging import PAGE_ENTRIES
 from vitac.web.pages.leaderboards.tabs import accepts_logs, track_tabs

@@ -9,7 +9,7 @@ from page_service import FixedData
 from visits import sign_in
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.server.db.states import EvaluationState
-from vitac.server.views.contest import CompetitionView, StageView
+from vitac.server.views.competition import CompetitionView, StageView
 from vitac.web.pages.leaderboards.tabs import find_stage_title, stage_tabs
 
 DAY = timedelta(days=1)

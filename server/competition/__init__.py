@@ -1,0 +1,1 @@
+"""The competition: its definition, stages, own tracks and sealed lists."""

@@ -1,1 +1,0 @@
-"""The contest: its definition, stages, own tracks and sealed lists."""

@@ -1,0 +1,150 @@
+import json
+from pathlib import Path
+
+import pytest
+from cli_service import CliService
+from service_factories import TRACK
+from vitac.cli.admin.consent import ConsentMissing
+from vitac.evaluator.strict_model import DocumentRejected
+from vitac.evaluator.tracks.sealed import make_commitment
+from vitac.server.competition.competition import Competition
+from vitac.server.competition.sealing import seal
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.principals import CONSOLE
+
+from competitions import (
+    FIRST,
+    PUBLIC_RANKING,
+    SECOND,
+    make_competition,
+    open_now,
+    put_in_place,
+    sealed_competition,
+    stored_stage,
+    write_competition,
+)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> str:
+    return str(write_competition(tmp_path, make_competition()))
+
+
+def test_a_file_is_checked_without_a_service(service: CliService, file: str, tmp_path: Path) -> None:
+    shown = service.run("admin", "competition", "check", file)
+    assert shown.exit_code == 0
+    assert "the best team of the stage before" in shown.stdout
+    assert json.loads(service.run("admin", "competition", "check", file, "--json").stdout)["name"] == "cup"
+    Path(file).write_text("name: cup\ntitel: wrong\n")
+    refused = service.run("admin", "competition", "check", file)
+    assert isinstance(refused.exception, DocumentRejected)
+    assert "did you mean 'title'" in str(refused.exception)
+
+
+def test_nothing_is_applied_without_consent_or_in_a_dry_run(service: CliService, file: str) -> None:
+    assert isinstance(service.run("admin", "competition", "apply", file).exception, ConsentMissing)
+    dry = service.run("admin", "competition", "apply", file, "--dry-run")
+    assert (dry.exit_code, "The cup" in dry.stdout) == (0, True)
+    assert json.loads(service.run("admin", "competition", "show", "--json").stdout) is None
+    assert "No competition" in service.run("admin", "competition", "show").stdout
+
+
+def test_a_file_is_applied_once(service: CliService, file: str) -> None:
+    first = service.run("admin", "competition", "apply", file, "--yes", "--confirm", PUBLIC_RANKING)
+    assert (first.exit_code, "tracks.track_1.stages.stage1.opens" in first.stdout) == (0, True)
+    again = service.run("admin", "competition", "apply", file)  # nothing to consent to
+    assert (again.exit_code, again.stdout.strip()) == (0, "Nothing changes.")
+    assert json.loads(service.run("admin", "competition", "apply", file, "--json").stdout) == []
+    assert "track_1/stage1, track_1/stage2" in service.run("admin", "competition", "show").stdout
+    (sealed,) = json.loads(service.run("admin", "competition", "lists", "--json").stdout)
+    assert (sealed["stage"], sealed["secret"], len(sealed["commitment"])) == (SECOND, None, 64)
+
+
+def test_a_list_is_revealed_after_its_stage_and_fits_its_commitment(service: CliService) -> None:
+    with service.database.transaction() as session:
+        put_in_place(session, open_now(sealed_competition(), stage=1))
+        for stage in (FIRST, SECOND):
+            seal(session, CONSOLE, stored_stage(session, TRACK, stage))
+    early = service.run("admin", "competition", "reveal", TRACK, SECOND, "--yes")
+    assert isinstance(early.exception, ServiceError)
+    assert "closes at" in str(early.exception)
+    dry = service.run("admin", "competition", "reveal", TRACK, FIRST, "--dry-run")
+    listed = json.loads(service.run("admin", "competition", "lists", "--json").stdout)
+    assert [each["secret"] for each in listed] == [None, None]
+    assert (dry.exit_code, listed[0]["commitment"] in dry.stdout) == (0, True)
+    assert dry.stdout.splitlines()[-1].split() == ["secret", "-"]
+    revealed = json.loads(service.run("admin", "competition", "reveal", TRACK, FIRST, "--yes", "--json").stdout)
+    listed = json.loads(service.run("admin", "competition", "lists", "--json").stdout)
+    assert revealed == {name: listed[0][name] for name in ("track", "stage", "commitment", "secret")}
+    assert make_commitment(bytes.fromhex(listed[0]["secret"])) == listed[0]["commitment"]
+    assert listed[1]["secret"] is None
+
+
+def test_an_unknown_stage_cannot_be_revealed(service: CliService) -> None:
+    refused = service.run("admin", "competition", "reveal", TRACK, "none", "--yes")
+    assert isinstance(refused.exception, ServiceError)
+    assert "no stage 'none'" in str(refused.exception)
+
+
+def test_what_a_file_closes_at_once_is_told_before_it_is_applied(service: CliService) -> None:
+    example = str(Path(__file__).parents[5] / "competitions" / "vitac-2025.yaml")
+    for arguments in (("--dry-run",), ("--yes",)):
+        done = service.run("admin", "competition", "apply", example, *arguments, "--json")
+        assert done.exit_code == 0
+        assert "teams_locked is 2025-02-01 00:00:00 UTC, which is past" in done.stderr
+        assert "The last stage of track_1 closed at 2025-03-21" in done.stderr
+        assert "public list" not in done.stderr, "each stage ranks on a sealed list"
+        assert len(json.loads(done.stdout)) > 10
+    assert service.run("admin", "competition", "apply", example).stderr == "", "nothing changes any more"
+
+
+def test_hiding_and_showing_names_is_warned_of(service: CliService, tmp_path: Path) -> None:
+    told = []
+    for anonymous in (True, False, True):
+        file = str(write_competition(tmp_path, make_competition(anonymous=anonymous)))
+        with service.database.transaction() as session:
+            base = Competition.read(session).revision
+        done = service.run("admin", "competition", "apply", file, "--yes", "--base", base, "--confirm", PUBLIC_RANKING)
+        assert done.exit_code == 0
+        told.append(done.stderr)
+    assert "anonymous" not in told[0], "nothing was shown before"
+    assert "WARNING: anonymous is switched off: from now on everybody sees the real names" in told[1]
+    assert "WARNING: anonymous is switched on" in told[2]
+    assert "still knows them" in told[2]
+
+
+def test_the_second_of_two_who_apply_from_the_same_file_is_refused(service: CliService, tmp_path: Path) -> None:
+    apply = ("admin", "competition", "apply")
+    service.run(*apply, str(write_competition(tmp_path, make_competition())), "--yes", "--confirm", PUBLIC_RANKING)
+    first = str(write_competition(tmp_path, make_competition(title="The first cup")))
+    dry = service.run(*apply, first, "--dry-run")
+    base = dry.stderr.rpartition("--base ")[2].split(".")[0]
+    assert base in service.run("admin", "competition", "show").stdout
+    assert service.run(*apply, first, "--yes", "--base", base).exit_code == 0
+    second = str(write_competition(tmp_path, make_competition(summary="By touch.")))
+    for options in (("--yes", "--base", base), ("--yes",), ("--dry-run", "--base", base)):
+        refused = service.run(*apply, second, *options)
+        assert isinstance(refused.exception, ServiceError)
+        assert refused.exception.code is ProblemCode.CHANGED_MEANWHILE
+    assert "The first cup" in service.run("admin", "competition", "show").stdout
+
+
+def test_a_change_of_what_has_happened_is_confirmed_by_name(
+    service: CliService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    apply = ("admin", "competition", "apply")
+    content = make_competition()
+    service.run(*apply, str(write_competition(tmp_path, content)), "--yes", "--confirm", PUBLIC_RANKING)
+    with service.database.transaction() as session:
+        base = Competition.read(session).revision
+    content["tracks"][TRACK]["stages"][1]["list"] = "public"
+    public, name = str(write_competition(tmp_path, content)), f"tracks.{TRACK}.stages.{SECOND}.list"
+    assert f"WARNING: {name}: The commitment" in service.run(*apply, public, "--dry-run").stderr
+    refused = service.run(*apply, public, "--yes", "--base", base)
+    assert isinstance(refused.exception, ServiceError)
+    assert f"--confirm {name}" in str(refused.exception)
+    asked: list[str] = []
+    monkeypatch.setattr("vitac.cli.admin.consent.require_consent", lambda question, *, yes: asked.append(question))
+    assert service.run(*apply, public).exit_code == 0
+    assert asked == [f"{name}: do you mean that?", "Apply these 1 changes?"]
+    assert service.run(*apply, public, "--yes").stdout.strip() == "Nothing changes."

@@ -1,0 +1,100 @@
+"""The competition's home page: schedule, tracks, rules, prizes, commitments, winners."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import partial
+
+from sqlalchemy.orm import Session
+from starlette.requests import Request
+from starlette.responses import Response
+from vitac.server.competition import freezing
+from vitac.server.competition.view import competition_list_view, competition_view
+from vitac.server.messages import announcements
+from vitac.server.views.competition import CompetitionView
+from vitac.server.views.messages import AnnouncementView
+
+from ...site import get_principal, get_site, get_viewer, page
+from ..addresses import board_address, competition_address, read_competition_name
+from ..forms import act
+
+N_SAID = 3
+"""Number of the newest announcements on the page; all of them have a page of their own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Countdown:
+    """What opens or closes next on some tracks, and when."""
+
+    tracks: tuple[str, ...]
+    stage: str
+    closes: bool
+    moment: datetime
+
+
+async def competitions(request: Request) -> Response:
+    """Show all competitions of this service to everybody."""
+    found = (await get_site(request).read(competition_list_view)).items
+    return page(request, "competitions.html", viewer=await get_viewer(request), section="/competition", found=found)
+
+
+async def competition(request: Request) -> Response:
+    """Show a competition to everybody: the one in the address, else the one that opened last.
+
+    Raises:
+        ServiceError: there is no such competition.
+    """
+    competition = read_competition_name(request)
+
+    def read(session: Session) -> tuple[CompetitionView, Sequence[AnnouncementView], int]:
+        shown = competition_view(session, competition)
+        return shown, announcements.shown(session), len(competition_list_view(session).items)
+
+    found, said, n_competitions = await get_site(request).read(read)
+    viewer = await get_viewer(request)
+    return page(
+        request,
+        "competition.html",
+        viewer=viewer,
+        section="/competition",
+        found=found,
+        competition_url=competition_address(competition),
+        board_address=partial(board_address, competition),
+        has_others=n_competitions > 1,
+        said=said[:N_SAID],
+        is_organizer=competition is not None and get_principal(viewer).organizes(competition),
+        now=(now := datetime.now(UTC)),
+        countdowns=list_countdowns(found, now),
+    )
+
+
+def list_countdowns(found: CompetitionView, now: datetime) -> list[Countdown]:
+    """Return for each track the end of its open stage, else the start of the next, the earliest first."""
+    following: dict[tuple[datetime, bool, str], list[str]] = {}
+    for track in found.tracks:
+        ends = [(stage.closes, True, stage.title) for stage in track.stages if stage.opens <= now < stage.closes]
+        starts = [(stage.opens, False, stage.title) for stage in track.stages if stage.opens > now]
+        if coming := ends or starts:
+            following.setdefault(min(coming), []).append(track.title)
+    return [
+        Countdown(tracks=tuple(tracks), stage=stage, closes=closes, moment=moment)
+        for (moment, closes, stage), tracks in sorted(following.items())
+    ]
+
+
+async def freeze(request: Request) -> Response:
+    """Freeze the boards for everybody but organizers."""
+    competition = read_competition_name(request)
+    return await act(
+        request, lambda session, by, _: freezing.freeze(session, by, competition), back=competition_address(competition)
+    )
+
+
+async def unfreeze(request: Request) -> Response:
+    """Show all results on the boards again."""
+    competition = read_competition_name(request)
+    return await act(
+        request,
+        lambda session, by, _: freezing.unfreeze(session, by, competition),
+        back=competition_address(competition),
+    )
