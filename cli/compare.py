@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from vitac.envs.errors import VitacError
 
+from .client.answers import pick
 from .client.http import make_client
 from .terminal.options import Server, TokenFile
 from .terminal.outcomes import print_meanings
@@ -88,7 +89,7 @@ def _evaluated(named: str, server: str | None, token_file: Path | None) -> Evalu
     address, _, submission_id = named.rpartition(PAGES)
     client = make_client(address.removesuffix("/api/v1") or server, token_file)
     submission = client.submission(submission_id)
-    episodes = [EndedEpisode(**episode) for episode in client.episodes(submission_id)]
+    episodes = [pick(EndedEpisode, episode) for episode in client.episodes(submission_id)]
     return Evaluated(name=submission["name"], track=submission["track"], list_hash=None, episodes=episodes)
 
 

@@ -91,13 +91,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         build_app(arguments)(arguments, prog_name="vitac")
     except ModuleNotFoundError as error:
-        extra = next((noun.extra for noun in NOUNS if noun.name == _requested(arguments)), None)
-        if extra is None or (error.name or "").startswith("vitac"):
-            raise
-        from vitac.envs.extras import install_command
+        from vitac.envs.extras import explain_missing, find_extra
 
-        needs = f"This command needs the extra {extra!r}; install it with: {install_command(extra)}"
-        print(f"vitac: {error.name} is not installed. {needs}", file=sys.stderr)
+        preferred = next((noun.extra for noun in NOUNS if noun.name == _requested(arguments)), None)
+        extra = find_extra(error.name or "", preferred)
+        if extra is None:
+            raise
+        print(f"vitac: {explain_missing(error.name or '', extra)}", file=sys.stderr)
         sys.exit(1)
     except Exception as error:
         from vitac.envs.errors import VitacError  # not above: with it comes Gymnasium, which `--help` does without

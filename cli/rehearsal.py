@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from vitac.station.records import TrialRecord
     from vitac.station.rehearsal import RehearsalReport
 
+STATION_MODULES = ("cv2", "pymodbus", "serial")
+"""What every station and twin needs, some of it in a process of its own."""
 _PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Trials</title>
 <style>body{{font:15px system-ui;margin:2em;max-width:64em}}img{{width:28em;display:block}}
 figure{{display:inline-block;margin:.5em}}</style>
@@ -27,12 +29,14 @@ def rehearse_submission(
     submission: Path, named: str, episodes: Sequence[int] | None, *, json: Path | None, pictures: Path | None
 ) -> None:
     """Play a submission's trials on the station of a file, or on `twin`; print and write the outcomes."""
+    from vitac.envs.extras import require_extra
     from vitac.evaluator.submission.manifest import load_manifest
     from vitac.evaluator.submission.sources import staged, submission_digest
     from vitac.evaluator.tracks import load_track
     from vitac.station.rehearsal import RehearsalReport, find_station_task, found_station, rehearse
     from vitac.station.trials import Player
 
+    require_extra("station", *STATION_MODULES, user="A station")
     album = Album(pictures) if pictures else None
     folder = pictures or (json.absolute().parent if json else Path.cwd())
     with staged(submission) as staged_folder:

@@ -111,9 +111,9 @@ def show(
     width: Annotated[int, typer.Option(min=600, max=4000, help="Width in pixels.")] = 1600,
 ) -> None:
     """Draw a sensor: its gel with driven and sensing faces, its markers, and what its camera sees."""
-    from .show.command import require_extra
+    from vitac.envs.extras import require_extra
 
-    require_extra()
+    require_extra("show", "matplotlib", "PIL", user="Drawing")
     from vitac.envs.drawing.design import draw_design
     from vitac.envs.drawing.files import Destination, Frame
     from vitac.evaluator.sensors.check import accepted_sensor

@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from vitac.envs.errors import VitacError
+from vitac.envs.extras import explain_missing
 
 if TYPE_CHECKING:
     from opentelemetry.sdk.trace import TracerProvider
@@ -38,8 +39,8 @@ def require_packages() -> None:
     """
     if are_asked_for() and not (find_spec("opentelemetry") and find_spec("opentelemetry.exporter")):
         raise TelemetryMissing(
-            f"{' or '.join(ENDPOINTS)} asks for traces, and the packages that send them are missing. Install "
-            "vitac-arena[telemetry], or unset it."
+            f"{' or '.join(ENDPOINTS)} asks for traces; unset it, or install what sends them. "
+            + explain_missing("opentelemetry.exporter", "telemetry", "It")
         )
 
 

@@ -60,7 +60,7 @@ def pytest_collection() -> Generator[None, object, object]:
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Three processes for the suite on two cores, since tests often wait; none for tests that were named or chosen."""
-    chosen = config.option.file_or_dir or config.option.keyword
+    chosen = getattr(config.option, "file_or_dir", None) or config.option.keyword  # there are none with --help
     return 0 if chosen else min(3, (os.cpu_count() or 1) + 1)
 
 

@@ -10,13 +10,12 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import cache
-from importlib.util import find_spec
 from itertools import islice
 from multiprocessing import active_children, get_context
 from typing import Any, TypeVar
 
 from vitac.envs.errors import VitacError
-from vitac.envs.extras import install_command
+from vitac.envs.extras import require_extra
 from vitac.evaluator.version import evaluator_hash, platform_class, sources_hash
 
 T = TypeVar("T")
@@ -37,10 +36,6 @@ class ProcessesLost(VitacError):
     """Processes ended again and again while they worked on one item; give them more memory, or start fewer."""
 
 
-class RayMissing(VitacError):
-    """Ray is not installed; the message has the command that installs it."""
-
-
 class ClusterDiffers(VitacError):
     """A machine of the cluster has other sources or another platform; install the same package there."""
 
@@ -58,7 +53,7 @@ def map_in_order(
 
     Raises:
         ProcessesLost: a process ended several times in one item.
-        RayMissing: an address is given and Ray is not installed.
+        ExtraMissing: an address is given and Ray is not installed.
         ClusterDiffers: a machine of the cluster would give other results.
     """
     if ray is not None:
@@ -112,8 +107,7 @@ def _work(item: Any) -> Any:
 
 
 def _map_on_ray(work: Callable[[T], R], items: Iterable[T], address: str) -> Iterator[R]:
-    if not find_spec("ray"):
-        raise RayMissing(f"Ray is not installed; install it with: {install_command('ray')}")
+    require_extra("ray", "ray", user="--ray")
     import ray
 
     ray.init(address=address, runtime_env={"env_vars": _ONE_THREAD}, log_to_driver=False, logging_level="error")

@@ -27,7 +27,7 @@ def list_appeals(server: Server = None, token_file: TokenFile = None, as_json: A
 def open_appeal(
     submission: Annotated[str, typer.Argument(help="Id of the submission, as `vitac status` prints it.")],
     text: Annotated[str, typer.Argument(help="What went wrong, as plain text.")],
-    task: Annotated[str | None, typer.Option(help="Task in which it went wrong; all tasks by default.")] = None,
+    task: Annotated[str | None, typer.Option(help="Task in which it went wrong; needs --episode.")] = None,
     episode: Annotated[int | None, typer.Option(min=1, help="Number of the episode; needs --task.")] = None,
     server: Server = None,
     token_file: TokenFile = None,

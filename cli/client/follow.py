@@ -8,10 +8,10 @@ import time
 from collections.abc import Callable
 from typing import TypeVar
 
+from .answers import RequestRefused, ServiceUnreachable
 from .http import Client, Json
 from .pieces import PAUSES_S, is_transient
 from .progress import EvaluationProgress
-from .refusals import RequestRefused, ServiceUnreachable
 
 AnswerT = TypeVar("AnswerT")
 

@@ -19,8 +19,8 @@ from vitac.envs.errors import VitacError
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from . import credentials
+from .answers import Answer, ServiceUnreachable, decode, decode_object, refusal
 from .pieces import PieceSender
-from .refusals import ServiceUnreachable, refusal
 
 DEFAULT_SERVER = "http://127.0.0.1:8000"
 TIMEOUT_S = 30.0
@@ -66,7 +66,7 @@ class Client:
         content = None if body is None else [json.dumps(body).encode()]
         headers = {} if body is None else {"Content-Type": "application/json"}
         answer = self.send(method, path, headers=headers, content=content)
-        return dict(answer.json()) if answer.content else {}
+        return decode_object(answer) if answer.content else {}
 
     def register(self, name: str, *, contact: str | None, invite: str | None) -> Json:
         """Register a team and return it with its first token."""
@@ -87,9 +87,9 @@ class Client:
         headers = {"Content-Type": "application/json"}
         return self._json("PUT", f"/api/v1/submissions/{submission_id}/public", content=content, headers=headers)
 
-    def episodes(self, submission_id: str) -> list[Json]:
+    def episodes(self, submission_id: str) -> list[Answer]:
         """Return how each finished episode of a submission ended."""
-        return list(self.send("GET", f"/api/v1/submissions/{submission_id}/episodes").json())
+        return list(decode(self.send("GET", f"/api/v1/submissions/{submission_id}/episodes")))
 
     def submissions(self, limit: int = 50) -> list[Json]:
         """Return the newest submissions that the token may see."""
@@ -185,7 +185,7 @@ class Client:
         )
 
     def _json(self, method: str, path: str, **arguments: Any) -> Json:
-        return dict(self.send(method, path, **arguments).json())
+        return decode_object(self.send(method, path, **arguments))
 
 
 @cache

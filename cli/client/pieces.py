@@ -15,7 +15,7 @@ from typing import Any
 
 import httpx
 
-from .refusals import NO_CODE, RequestRefused, ServiceUnreachable
+from .answers import NO_CODE, RequestRefused, ServiceUnreachable, decode_object
 
 UPLOADS = "/api/v1/uploads"
 PROTOCOL = {"Tus-Resumable": "1.0.0"}
@@ -81,7 +81,7 @@ class PieceSender:
                 answer = self.send("POST", f"{sent}/submission", timeout_s=CHECKING_TIMEOUT_S)
                 if answer.status_code == HTTPStatus.OK and failures == 0:
                     self.on_known()
-                return dict(answer.json())
+                return decode_object(answer)
             except ServiceUnreachable as error:
                 if failures == len(PAUSES_S):
                     raise

@@ -90,9 +90,13 @@ def command(
 
 def _play_on_a_station(submission: Path, port: int | None, display: DemoDisplay) -> None:
     """Play three trials by the agent of a twin, in a service of its own."""
+    from vitac.envs.extras import require_extra
+
+    from ..rehearsal import STATION_MODULES
     from .laboratory import use_station_track
     from .station import TRIALS, StationDemo
 
+    require_extra("station", *STATION_MODULES, user="A station")
     state_dir = load_settings().state_dir / "station"
     use_station_track(state_dir / "tracks", starts=TRIALS, repeats=1)
     settings = load_settings(state_dir=state_dir, port=port)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from vitac.envs.errors import VitacError
 
+from ..client.answers import decode, decode_object
 from ..client.http import make_client
 from ..compare import PAGES
 from ..terminal.options import Server, TokenFile
@@ -19,12 +20,17 @@ from ..terminal.output import AsJson, moment, percent, print_json, print_pairs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import TypeVar
 
     from vitac.server.receipts.audit import Audit, SampledEpisode
     from vitac.server.receipts.log_audit import LogAudit
     from vitac.server.receipts.receipt import AnyReceipt
     from vitac.server.transparency.entries import Content
     from vitac.server.transparency.notes import Checkpoint
+
+    from ..client.answers import Answer
+
+    ReceiptT = TypeVar("ReceiptT", bound=AnyReceipt)
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -283,14 +289,14 @@ def _read_from_service(named: str, server: str | None, token_file: Path | None) 
 
     address, _, submission_id = named.rpartition(PAGES)
     client = make_client(address.removesuffix("/api/v1") or server, token_file)
-    listed = client.send("GET", f"/api/v1/submissions/{submission_id}/receipts").json()
+    listed = decode(client.send("GET", f"/api/v1/submissions/{submission_id}/receipts"))
     found: AnyReceipt
     if listed:
-        found = Receipt.model_validate(listed[-1])
+        found = _read_signed(Receipt, listed[-1])
     else:
-        arrival = client.send("GET", f"/api/v1/submissions/{submission_id}/arrival").json()
-        found = SubmissionReceipt.model_validate(arrival)
-    log = client.send("GET", "/api/v1/receipts", params={"after": found.entry.number - 1, "limit": 1}).json()
+        arrival = decode(client.send("GET", f"/api/v1/submissions/{submission_id}/arrival"))
+        found = _read_signed(SubmissionReceipt, arrival)
+    log = decode_object(client.send("GET", "/api/v1/receipts", params={"after": found.entry.number - 1, "limit": 1}))
     shown = [entry["leaf_hash"] for entry in log["items"]]
     if shown != [found.entry.leaf_hash.hex()]:
         raise ReceiptRejected(
@@ -298,6 +304,17 @@ def _read_from_service(named: str, server: str | None, token_file: Path | None) 
             f"{found.entry.leaf_hash.hex()}, got {', '.join(shown) or 'none'}."
         )
     return found, str(log["public_key"]), [witness["witness"] for witness in log["witnesses"]]
+
+
+def _read_signed(model: type[ReceiptT], answer: Answer) -> ReceiptT:
+    """Return the receipt of an answer; what stands beside it is left alone, in what is signed nothing may be.
+
+    Raises:
+        DocumentRejected: it does not have the form.
+    """
+    from vitac.evaluator.strict_model import validate
+
+    return validate(model, {name: answer[name] for name in model.model_fields}, "The receipt that the service shows")
 
 
 def _print(found: Audit, key: str | None, seed: int) -> None:

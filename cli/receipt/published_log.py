@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..client.answers import RequestRefused
 from ..client.http import make_client
-from ..client.refusals import RequestRefused
 
 if TYPE_CHECKING:
     from vitac.server.transparency.notes import VerifierKey

@@ -1,13 +1,11 @@
 """`vitac show`: draws an episode."""
 
 from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
-from vitac.envs.errors import VitacError
-from vitac.envs.extras import install_command
+from vitac.envs.extras import require_extra
 from vitac.envs.maniskill.definition import is_maniskill
 
 from ..terminal.existing import existing_file
@@ -24,13 +22,8 @@ if TYPE_CHECKING:
     from vitac.envs.tasks.task_env import TactileTaskEnv
     from vitac.envs.vision.camera import Sight
 
-_EXTRA = "show"
 _PICTURE_WIDTH_PX, _ANIMATION_WIDTH_PX = 1600, 1000
 _BETWEEN_MS, _ENV_STEP_MS, _END_MS = 120, 700, 2500
-
-
-class ExtraMissing(VitacError):
-    """The drawing packages are not installed; the message is the command that installs them."""
 
 
 _Policy = Annotated[Path | None, typer.Option(help="Submission whose policy acts, in its sandbox.")]
@@ -87,7 +80,7 @@ def command(
     know where the target is. Of ManiSkill's environments, SAPIEN draws what a camera beside the robot sees; without
     actions, the start.
     """
-    require_extra()
+    require_extra("show", "matplotlib", "PIL", user="Drawing")
     if policy and actions:
         raise typer.BadParameter("expected one of them, got both.", param_hint="--policy and --actions")
     destination = _destination(out or Path(f"{task.rpartition('/')[2]}-{episode}.png"), step)
@@ -157,17 +150,6 @@ def _played(
     start = played.start
     title = start.title if start.listed else f"{start.title}: {playback.held.name}"
     return Caption(title=title, actions=played.actions), playback
-
-
-def require_extra() -> None:
-    """Check that the drawing packages are installed.
-
-    Raises:
-        ExtraMissing: one is not.
-    """
-    if find_spec("matplotlib") and find_spec("PIL"):
-        return
-    raise ExtraMissing(f"Drawing needs the extra {_EXTRA!r}; install it with: {install_command(_EXTRA)}")
 
 
 def _pace(every: str | None, destination: "Destination") -> "Pace":

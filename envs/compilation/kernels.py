@@ -3,8 +3,7 @@
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
-import numba
-
+from ..errors import require_compilation
 from .dispatcher import KernelDispatcher
 
 Parameters = ParamSpec("Parameters")
@@ -38,8 +37,7 @@ def _compiled(
 
     `fastmath=False` forbids reordering and fused multiply-add, so a generic and a native build agree; no threads.
     """
-    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-        return function
+    require_compilation()
     options = {
         "nopython": True,
         "boundscheck": None,

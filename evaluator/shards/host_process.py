@@ -7,7 +7,7 @@ import sys
 from types import MappingProxyType
 from typing import Final, Self
 
-from vitac.envs.errors import VitacError
+from vitac.envs.errors import VitacError, require_compilation
 
 COMMAND = (sys.executable, "-P", "-m", "vitac.evaluator.shards.host")
 LOAD_ALL: Final = "load-all"
@@ -31,6 +31,7 @@ class HostProcess:
     def __init__(self, *, loads_all: bool = False) -> None:
         self.shards = 0
         """Number of shards that were ordered from it and have not been closed."""
+        require_compilation()
         self._control, theirs = socket.socketpair(type=socket.SOCK_SEQPACKET)
         with theirs:
             try:

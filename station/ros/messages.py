@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.errors import VitacError
+from vitac.envs.extras import explain_missing
 
 from ..eyes import Side, Sight
 from ..perception.markers import Picture, cut_picture
@@ -60,7 +61,7 @@ class RosVersion(Enum):
         try:
             from rosbags.typesys import Stores, get_types_from_msg, get_typestore
         except ImportError as error:
-            raise RosMissing("Expected the package rosbags. Install vitac-arena[station].") from error
+            raise RosMissing(explain_missing("rosbags", "station", "ROS")) from error
         store = get_typestore(Stores.ROS1_NOETIC if self is RosVersion.ROS_1 else Stores.ROS2_HUMBLE)
         for name, text in _OURS.items():
             store.register(get_types_from_msg(text, self._name(name)))

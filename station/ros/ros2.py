@@ -14,6 +14,8 @@ from secrets import randbits
 from threading import Event, Thread
 from typing import Any, Final
 
+from vitac.envs.extras import explain_missing
+
 from ..eyes import Side
 from .messages import PACKAGE, QUEUE, RESET_SERVICES, Message, RosMissing, RosVersion
 
@@ -120,7 +122,7 @@ def ros2_node() -> Iterator[Ros2Node]:
     try:
         from cyclonedds.domain import DomainParticipant
     except ImportError as error:
-        raise RosMissing("Expected the package cyclonedds. Install vitac-arena[station].") from error
+        raise RosMissing(explain_missing("cyclonedds", "station", "ROS 2")) from error
     node = Ros2Node(DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0"))))
     try:
         yield node

@@ -241,6 +241,8 @@ def test_only_commands_of_the_service_bring_server_and_database(checkout: Checko
         ("sensor show --help", "base"),
         ("show --help", "base"),
         ("station --help", "base"),
+        ("station run --help", "server"),
+        ("evaluate folder --station twin --help", "base"),
         ("sensor check folder", "base"),
         ("sensor evaluate folder", "base"),
         ("sandbox", "base"),
@@ -254,6 +256,21 @@ def test_verbs_bring_what_they_need_and_no_more(checkout: Checkout, words: str, 
     ran = checkout.run(str(checkout.root / "vitac"), *words.split())
     assert checkout.calls == ["venv", f"pip {lock}.lock"]
     assert ran.stdout.startswith("".join(f"<{word}>" for word in words.split()))
+
+
+@pytest.mark.parametrize(
+    ("words", "locks"),
+    [
+        ("evaluate folder --station twin --episodes 1", ["base"]),
+        ("evaluate folder --station=twin", ["base"]),
+        ("demo --station", ["server", "show"]),
+        ("station check file", ["base"]),
+        ("station run file --key key", ["server"]),
+    ],
+)
+def test_what_plays_on_a_station_brings_its_software(checkout: Checkout, words: str, locks: list[str]) -> None:
+    checkout.run(str(checkout.root / "vitac"), *words.split())
+    assert checkout.calls == ["venv", *(f"pip {lock}.lock" for lock in [*locks, "station"])]
 
 
 def test_service_and_drawing_are_added_to_each_other(checkout: Checkout) -> None:

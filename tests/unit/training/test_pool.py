@@ -7,7 +7,8 @@ from itertools import count, islice
 from pathlib import Path
 
 import pytest
-from vitac.training.pool import ProcessesLost, RayMissing, map_in_order
+from vitac.envs.extras import ExtraMissing
+from vitac.training.pool import ProcessesLost, map_in_order
 
 
 def square(number: int) -> int:
@@ -48,6 +49,6 @@ def test_an_item_that_kills_its_process_again_and_again_is_named() -> None:
 
 
 def test_without_ray_the_command_that_installs_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vitac.training.pool.find_spec", lambda _: None)
-    with pytest.raises(RayMissing, match=r"Ray is not installed; install it with: .*ray"):
+    monkeypatch.setattr("vitac.envs.extras.find_spec", lambda name: None if name == "ray" else object())
+    with pytest.raises(ExtraMissing, match=r"ray is not installed. --ray needs the extra .ray."):
         next(map_in_order(square, range(2), ray="auto"))

@@ -4,8 +4,8 @@ from pathlib import Path
 import httpx
 import pytest
 from vitac.cli.client import credentials
+from vitac.cli.client.answers import HINTS, RequestRefused, ServiceUnreachable
 from vitac.cli.client.http import DEFAULT_SERVER, Client, TokenUnusable, make_client
-from vitac.cli.client.refusals import HINTS, RequestRefused, ServiceUnreachable
 from vitac.envs.errors import VitacError
 from vitac.server.errors import ProblemCode
 

@@ -13,9 +13,9 @@ from databases import opened_database
 from service_client import MANIFEST, POLICY, Service, running_service, serving
 from sqlalchemy import func, select
 from vitac.cli.client import pieces
+from vitac.cli.client.answers import RequestRefused, ServiceUnreachable
 from vitac.cli.client.http import Client
 from vitac.cli.client.pieces import CHUNK_BYTES, MISPLACED, PAUSES_S, PieceSender
-from vitac.cli.client.refusals import RequestRefused, ServiceUnreachable
 from vitac.server.api.app import create_app
 from vitac.server.db.models import PartialUpload
 from worker_fakes import eventually

@@ -8,7 +8,7 @@ import pytest
 from cli_service import MANIFEST, CliService, submission_folder
 from service_factories import make_failed_record, make_record, play_all
 from submission_steps import make_worker
-from vitac.cli.client.refusals import RequestRefused
+from vitac.cli.client.answers import RequestRefused
 from vitac.cli.client.status import EvaluationEndedWithoutScore, require_score, show
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.server.db.models import Submission

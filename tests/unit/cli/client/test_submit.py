@@ -9,7 +9,7 @@ from service_factories import TASK
 from sqlalchemy import func, select
 from text_log_writer import text_log
 from uploaded_logs import EPISODES, a_log, a_text_log, packed
-from vitac.cli.client.refusals import RequestRefused, ServiceUnreachable
+from vitac.cli.client.answers import RequestRefused, ServiceUnreachable
 from vitac.cli.client.submit import find_kind
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.submission.sources import NoSubmission

@@ -11,7 +11,6 @@ from evaluation_records import make_manifest, make_record
 from fake_scene import FakeScene
 from PIL import Image
 from vitac.cli import main as cli
-from vitac.cli.show import command as show
 from vitac.evaluator.logs.log import LogHeader, write_log
 
 Run = Callable[..., tuple[int, str, str]]
@@ -205,7 +204,7 @@ def test_missing_extra_is_refused_with_the_command_that_installs_it(
     extra = tomllib.loads((repository / "pyproject.toml").read_text())["project"]["optional-dependencies"]["show"]
     listed = ["numpy>=2", *(f'{requirement}; extra == "show"' for requirement in extra), 'torch; extra == "torch"']
     monkeypatch.setattr("vitac.envs.extras.requires", lambda _: listed)
-    monkeypatch.setattr(show, "find_spec", lambda name: None if name == missing else object())
+    monkeypatch.setattr("vitac.envs.extras.find_spec", lambda name: None if name == missing else object())
     code, _, err = run("peg-insertion", "--episode", 5)
     assert code == 1
     assert err.rstrip().endswith("-m pip install " + " ".join(f"'{requirement}'" for requirement in extra))

@@ -1,8 +1,16 @@
-"""Refusals of a service as the command line prints them. Raised by the client, distinguished by its callers."""
+"""Answers of a service as its clients read them, refusals too; what a newer service says besides is left alone.
+
+Raised by the client, distinguished by its callers.
+"""
+
+import json
+from dataclasses import fields
+from typing import Any, TypeVar
 
 import httpx
 from vitac.envs.errors import VitacError
 
+T = TypeVar("T")
 HINTS = {
     "missing_credentials": "Get a token with `vitac register TEAM`, or give yours to `vitac login`.",
     "invalid_credentials": "Give a valid token to `vitac login`; ask an organizer for one if yours was revoked or has "
@@ -65,4 +73,59 @@ def refusal(answer: httpx.Response) -> RequestRefused:
         code=str(problem.get("code", NO_CODE)),
         detail=str(problem.get("detail", f"{answer.reason_phrase}; this may not be a ViTac Arena service")),
         request_id=request_id,
+    )
+
+
+class AnswerNotUnderstood(VitacError):
+    """What answers is no service of ViTac Arena, or one that says less than this command needs."""
+
+
+class Answer(dict[str, Any]):
+    """An object of an answer, which names a key that it should have and has not."""
+
+    def __missing__(self, key: str) -> Any:
+        """Refuse it.
+
+        Raises:
+            AnswerNotUnderstood: always.
+        """
+        raise AnswerNotUnderstood(
+            f"Expected {key!r} in the service's answer, got {', '.join(map(repr, self)) or 'nothing'}. The service is "
+            "of another release than this command; use the same one for both."
+        )
+
+
+def decode(answer: httpx.Response) -> Any:
+    """Return the JSON of an answer, with each of its objects as an `Answer`.
+
+    Raises:
+        AnswerNotUnderstood: it is no JSON.
+    """
+    try:
+        return json.loads(answer.content, object_hook=Answer)
+    except ValueError as error:
+        raise _not_understood(answer, answer.headers.get("content-type", "nothing")) from error
+
+
+def decode_object(answer: httpx.Response) -> Answer:
+    """Return the JSON of an answer that is an object.
+
+    Raises:
+        AnswerNotUnderstood: it is none.
+    """
+    content = decode(answer)
+    if not isinstance(content, Answer):
+        raise _not_understood(answer, f"a {type(content).__name__}")
+    return content
+
+
+def pick(kind: type[T], content: Answer) -> T:
+    """Return a dataclass with those of an answer's fields that it has."""
+    return kind(**{field.name: content[field.name] for field in fields(kind)})  # type: ignore[arg-type]
+
+
+def _not_understood(answer: httpx.Response, got: str) -> AnswerNotUnderstood:
+    return AnswerNotUnderstood(
+        f"Expected JSON from {answer.url}, got {got}. Something else than a service of ViTac Arena answers there; "
+        "check --server or VITAC_SERVER."
     )

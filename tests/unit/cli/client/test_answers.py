@@ -1,6 +1,7 @@
 import httpx
 import pytest
-from vitac.cli.client.refusals import HINTS, RequestRefused, refusal
+from vitac.cli.client.answers import HINTS, AnswerNotUnderstood, RequestRefused, decode, decode_object, pick, refusal
+from vitac.cli.compare import EndedEpisode
 
 
 def test_a_refusal_has_a_line_each_for_sentence_hint_and_request_id() -> None:
@@ -26,3 +27,21 @@ def test_an_answer_that_is_no_problem_is_told_as_that_of_something_else(body: by
     found = refusal(httpx.Response(502, content=body))
     assert found.code == "no_code"
     assert str(found).endswith("Bad Gateway; this may not be a ViTac Arena service")
+
+
+def answered(content: str) -> httpx.Response:
+    return httpx.Response(200, text=content, request=httpx.Request("GET", "http://a.test/api/v1/me"))
+
+
+def test_a_key_that_an_older_service_does_not_send_is_named_however_deep() -> None:
+    (episode,) = decode(answered('[{"task": "peg-insertion", "episode": 1, "new": {"a": 1}}]'))
+    assert (episode["task"], episode["new"]["a"], episode.get("shape")) == ("peg-insertion", 1, None)
+    for read in (lambda: episode["new"]["b"], lambda: pick(EndedEpisode, episode)):
+        with pytest.raises(AnswerNotUnderstood, match=r"Expected '(b|shape)' in the service's answer, got .*release"):
+            read()
+
+
+@pytest.mark.parametrize("content", ["", "<html>", "[]", "null", "5", '{"a": '])
+def test_what_is_no_object_comes_from_something_else(content: str) -> None:
+    with pytest.raises(AnswerNotUnderstood, match=r"http://a.test/api/v1/me, got .* check --server"):
+        decode_object(answered(content))
