@@ -137,7 +137,7 @@ def add_submission(session: Session, number: int, team_id: UUID, rng: np.random.
         list_kind=ListKind.PUBLIC,
     )  # fmt: skip
     scores = {name: random_score(tasks[name], rng) for name in chosen}
-    store_scores(evaluation, scores, dict.fromkeys(chosen, digest), finished_at=moment)
+    store_scores(session, evaluation, scores, dict.fromkeys(chosen, digest), finished_at=moment)
     session.add(evaluation)
 
 

@@ -42,7 +42,6 @@ def make_station_track(
         "folder": simulated.folder,
         "title": f"Station: {played.title}",
         "summary": f"{played.title} on a laboratory's devices, with the {shape}.",
-        "ranking_rule": simulated.ranking_rule,
         "accepts": ["model"],
         "tasks": {own["name"]: own},
     }

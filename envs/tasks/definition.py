@@ -48,21 +48,42 @@ class ActionComponent:
     meaning: str
 
 
+class Better(StrEnum):
+    """Which values are in front where entries are compared."""
+
+    HIGH = "high"
+    LOW = "low"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Measure:
-    """Quantities in an info that a report of a re-simulation shows.
+    """Quantities in an info: reports of re-simulations show them, and boards may rank by them.
+
+    A board compares the mean over all episodes of the largest one after the last env step.
 
     Attributes:
-        name: key in the report.
+        name: key in reports, scores and rankings.
         label: short name for a column.
+        meaning: what is measured, within a sentence.
+        unit: of each quantity.
         needs: entries of the info that it is read from.
-        read: gives the quantities [mm] from an info that has these entries.
+        read: gives the quantities from an info that has these entries.
+        better: which values are in front; None where no board may rank by it.
     """
 
     name: str
     label: str
+    meaning: str
+    unit: str
     needs: tuple[str, ...]
     read: Callable[[InfoView], tuple[float, ...]]
+    better: Better | None = None
+
+    def read_end(self, info: InfoView) -> float | None:
+        """Return the largest quantity in the info of an episode's last env step; None where it has none."""
+        if not all(key in info for key in self.needs):
+            return None
+        return max(self.read(info), default=None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +98,7 @@ class TaskDefinition:
         actions: numbers of an action, in order.
         observables: entries of the observation, in the order in which they are read.
         optional_observables: what a track file or an environment's argument may add to them, by name.
-        measures: what a report of a re-simulation shows of it.
+        measures: what reports of re-simulations show of it, and boards may rank by.
         methods: settings of what measures for an observation, as dataclasses; part of a track's digest.
         perspective: place of the `Perspective` it is drawn from; None where it is not drawn.
         guided_motion: place of the `NextAction` that goes to its target; None where there is none.

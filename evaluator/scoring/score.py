@@ -1,11 +1,14 @@
 """The score of an evaluation, a pure function of its records; used by the CLI, the leaderboards and the pages."""
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
-from math import hypot, sqrt
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from math import hypot, isfinite, sqrt
 from statistics import NormalDist, fmean
 
 from pydantic import Field, NonNegativeInt, PositiveInt
+from vitac.envs.tasks.definition import Measure
 
 from ..episodes.records import EpisodeOutcome, EpisodeRecord
 from ..strict_model import StrictModel
@@ -32,12 +35,50 @@ class Rate(StrictModel):
 
 
 class Score(Rate):
-    """The score of finished episodes. `mean_steps` is None without a success, `forces` without a record of any."""
+    """The score of finished episodes. `mean_steps` is None without a success, `forces` without a record of any.
+
+    `measures` has the means of what boards may rank by and every episode has.
+    """
 
     mean_steps: float | None
     by_shape: dict[str, Rate]
     outcomes: dict[EpisodeOutcome, NonNegativeInt]
     forces: ForceSummary | None = None
+    measures: dict[str, float] = Field(default={})
+
+
+@dataclass(frozen=True, kw_only=True)
+class CombinedScore:
+    """What a submission reached in all tasks of a track together.
+
+    `mean_steps` is None where a task has none; `measures` has those that every task has.
+    """
+
+    success_rate: float
+    interval: Interval
+    mean_steps: float | None
+    measures: Mapping[str, float] = field(default_factory=dict)
+
+
+def combine(tasks: Collection[str], scores: Mapping[str, Score]) -> CombinedScore:
+    """Return the means over a track's tasks: of their success rates, their mean env steps, and what they measure.
+
+    A task without a score counts as 0 successes and has no mean of steps.
+
+    Args:
+        tasks: all tasks of the track.
+        scores: by task, of those that were played.
+    """
+    played = [scores[task] for task in tasks if task in scores]
+    steps = [score.mean_steps for score in played if score.mean_steps is not None]
+    # Exact until the last: rounded sums of equal rates may differ, and the steps would not be asked.
+    rates = sum((Fraction(score.successes, score.episodes) for score in played), Fraction(0))
+    return CombinedScore(
+        success_rate=float(rates / len(tasks)),
+        interval=interval_of_mean(played, of=len(tasks)),
+        mean_steps=fmean(steps) if len(steps) == len(tasks) else None,
+        measures=_average_shared([score.measures for score in played]) if len(played) == len(tasks) else {},
+    )
 
 
 def wilson_interval(successes: int, episodes: int) -> Interval:
@@ -80,8 +121,14 @@ def rate(successes: int, episodes: int) -> Rate:
     )
 
 
-def score(records: Collection[EpisodeRecord]) -> Score:
-    """Return the success rate, interval and mean env steps of the successes over at least one record, in any order."""
+def score(records: Collection[EpisodeRecord], measures: Iterable[Measure] = ()) -> Score:
+    """Return the score of at least one record, in any order.
+
+    Args:
+        records: of one task.
+        measures: of the task (`TaskDefinition.measures`).
+    """
+    measures, ordered = tuple(measures), sorted(records, key=lambda record: record.episode)
     steps = sorted(record.env_steps for record in records if record.success)
     shapes = sorted({record.shape for record in records})
     return Score(
@@ -90,7 +137,21 @@ def score(records: Collection[EpisodeRecord]) -> Score:
         by_shape={shape: _compute_rate(record for record in records if record.shape == shape) for shape in shapes},
         outcomes=dict(sorted(Counter(record.outcome for record in records).items())),
         forces=summarize_forces(record.forces for record in records),
+        measures=_average_shared([_read_measures(record, measures) for record in ordered]),
     )
+
+
+def _read_measures(record: EpisodeRecord, measures: Iterable[Measure]) -> dict[str, float]:
+    """Return what an episode has of what boards may rank by, after its last env step."""
+    end = record.infos[-1] if record.infos else {}
+    found = {measure.name: measure.read_end(end) for measure in measures if measure.better is not None}
+    return {name: value for name, value in found.items() if value is not None and isfinite(value)}
+
+
+def _average_shared(measured: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Return the means of what all of them have."""
+    shared = [name for name in (measured[0] if measured else ()) if all(name in each for each in measured)]
+    return {name: fmean(each[name] for each in measured) for name in shared}
 
 
 def _compute_rate(records: Iterable[EpisodeRecord]) -> Rate:

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from functools import cached_property
@@ -18,6 +18,7 @@ from vitac.envs.tasks.fidelity import FIDELITY, Fidelity
 from vitac.envs.tasks.quantities import Quantity, check_draws
 
 from ..package_sets import PackageSet
+from ..ranking import DEFAULT_RANKING, Ranking, make_ranking
 from ..strict_model import StrictModel, Word
 from ..submission_kinds import SubmissionKind
 from .families import environment_definition
@@ -149,6 +150,9 @@ class Task(StrictModel):
     shard_size: PositiveInt
     name_2025: Word | None = Field(default=None, description="Its name in the text logs of 2025, if it is in them.")
     notes: tuple[str, ...] = ()
+    ranking: tuple[Word, ...] | None = Field(
+        default=None, description="What entries of its board are compared by; null: as its track says."
+    )
     settings: dict[Word, bool | int | float | str] = Field(
         default={}, description="Settings of the environment that are not its defaults."
     )
@@ -283,6 +287,7 @@ class Task(StrictModel):
         tables = [observed, done, *([measured] if measured else [])]
         absent: dict[str, Any] = {"profiles": True}  # never scored
         absent |= {name: True for name in ("settings", "draws", "optional_observables") if not getattr(self, name)}
+        absent |= {"ranking": True}  # another order of the same scores
         absent |= {"force_limit_n": True} if self.force_limit_n is None else {}
         absent |= {"player": True} if self.player is Player.POLICY else {}
         absent |= {"station_of": True} if self.station_of is None else {}
@@ -294,7 +299,7 @@ class Task(StrictModel):
 class Track(StrictModel):
     """One track: what is scored, how it is ranked, what may be submitted, and its tasks by name.
 
-    `ranking_rule` orders the submissions of one task, `combination_rule` those of all tasks together, or of
+    `ranking` names what entries are compared by; `combination_rule` says how all tasks are combined, or those of
     `combined_tasks` where these are given. `folder` is the one folder that the archive of a submission holds, and the
     challenge's own name of the track. With `has_sensor`, every submission brings a sensor of its own. `packages` are
     the sets of packages that its policies see beside the base.
@@ -304,7 +309,7 @@ class Track(StrictModel):
     folder: Word
     title: str
     summary: str
-    ranking_rule: str
+    ranking: tuple[Word, ...] = DEFAULT_RANKING
     combination_rule: str | None = None
     combined_tasks: tuple[Word, ...] = ()
     has_sensor: bool = False
@@ -324,6 +329,33 @@ class Track(StrictModel):
     def tasks_that_count(self) -> tuple[str, ...]:
         """Return the tasks that the board of the whole track combines."""
         return self.combined_tasks or tuple(self.tasks)
+
+    def find_ranking(self, task: str | None = None, names: Sequence[str] | None = None) -> Ranking:
+        """Return what the entries of a board are compared by.
+
+        Args:
+            task: whose board; None: that of all tasks together.
+            names: of the keys; None: those of the file.
+
+        Raises:
+            ValueError: there is no such key.
+        """
+        tasks = [self.tasks[name] for name in ((task,) if task else self.tasks_that_count)]
+        shared = [
+            measure
+            for measure in tasks[0].definition.measures
+            if all(measure in other.definition.measures for other in tasks)
+        ]
+        own = (self.tasks[task].ranking if task else None) or self.ranking
+        return make_ranking(own if names is None else names, shared)
+
+    @property
+    def ranking_rule(self) -> str:
+        """Return the order on the board of a task, in words; that of each task where they differ."""
+        rules = {name: self.find_ranking(name).sentence for name in self.tasks}
+        if len(set(rules.values())) > 1:
+            return " ".join(f"{self.tasks[name].title}: {rule}" for name, rule in rules.items())
+        return next(iter(rules.values()))
 
     def task(self, name: str) -> Task:
         """Return the task of that name.
@@ -364,4 +396,10 @@ class Track(StrictModel):
     def _several_tasks_need_a_combination(self) -> Self:
         if (self.combination_rule is not None) != (len(self.tasks) > 1):
             raise ValueError("combination_rule must be given where there are several tasks, and only there")
+        return self
+
+    @model_validator(mode="after")
+    def _ranking_keys_are_known(self) -> Self:
+        for task in (None, *self.tasks):
+            self.find_ranking(task)
         return self

@@ -778,14 +778,12 @@ def make_tables() -> None:
         sa.Column("team_id", sa.Uuid(), sa.ForeignKey("teams.id", ondelete="RESTRICT"), nullable=False),
         sa.Column("submission_id", sa.Uuid(), sa.ForeignKey("submissions.id", ondelete="RESTRICT"), nullable=False),
         sa.Column("evaluator_version", sa.Text(), nullable=False),
-        sa.Column("success_rate", sa.Float(), nullable=False),
-        sa.Column("mean_steps", sa.Float()),
+        sa.Column("ranked_by", JSON, nullable=False),
+        sa.Column("sort_key", postgresql.ARRAY(sa.Float()), nullable=False),
         sa.Column("submitted_at", TIME, nullable=False),
         sa.Column("finished_at", TIME, nullable=False),
         sa.Column("is_copy", sa.Boolean(), server_default=sa.false(), nullable=False),
         sa.Column("is_disqualified", sa.Boolean(), server_default=sa.false(), nullable=False),
-        sa.CheckConstraint("mean_steps < 'Infinity'", name="mean_steps_is_finite"),
-        sa.CheckConstraint("success_rate >= 0 AND success_rate <= 1", name="success_rate_is_a_fraction"),
         sa.CheckConstraint("kind IN ('model', 'log', 'text_log')", name="kind"),
     )
     op.create_index(
@@ -798,10 +796,8 @@ def make_tables() -> None:
             "kind",
             "board",
             "team_id",
-            sa.literal_column("success_rate DESC"),
-            sa.literal_column("mean_steps"),
-            sa.literal_column("submitted_at"),
-            sa.literal_column("evaluation_id"),
+            "sort_key",
+            "evaluation_id",
         ],
     )
     op.create_index(
@@ -815,10 +811,8 @@ def make_tables() -> None:
             "board",
             "evaluator_version",
             "team_id",
-            sa.literal_column("success_rate DESC"),
-            sa.literal_column("mean_steps"),
-            sa.literal_column("submitted_at"),
-            sa.literal_column("evaluation_id"),
+            "sort_key",
+            "evaluation_id",
         ],
     )
     op.create_table(

@@ -11,7 +11,7 @@ from vitac.evaluator.tracks import ListKind
 
 from ..audit import newest_entries, record
 from ..confirmations import Concern, compute_revision, require_base, require_confirmed
-from ..db.models import CompetitionRow, Submission
+from ..db.models import ALL_TASKS, BoardResult, CompetitionRow, Submission
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
 from ..transparency.entries import CompetitionApplied
@@ -111,6 +111,7 @@ def apply(
             competition.row.frozen_at = definition.freeze_at
         competition.row.definition, competition.row.applied_at = after, datetime.now(UTC)
     session.flush()
+    _sort_again(Competition.read(session, definition.name), competition.definition)
     if before != after:
         record(
             session, by, "competition.apply", Competition.read(session, definition.name).subject, after, before=before
@@ -122,6 +123,17 @@ def apply(
         change(session, by, stage)
     withdraw_unplayed(session, by, Competition.read(session, definition.name))
     return found
+
+
+def _sort_again(competition: Competition, before: CompetitionDefinition) -> None:
+    """Give the results of each track whose ranking has changed the keys of the new one."""
+    tracks = competition.definition.tracks
+    changed = [name for name in before.tracks.keys() & tracks if before.tracks[name].ranking != tracks[name].ranking]
+    results = select(BoardResult).where(BoardResult.competition == competition.name, BoardResult.track.in_(changed))
+    for result in competition.session.scalars(results):
+        stage = competition.stored_stage(result.track, result.stage)
+        ranking = stage.find_ranking(None if result.board == ALL_TASKS else result.board)
+        result.sort_key = list(ranking.sort_key(result.ranked_by))
 
 
 def list_warnings(definition: CompetitionDefinition, changes: Sequence[Change]) -> list[str]:

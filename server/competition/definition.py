@@ -2,9 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from datetime import UTC
-from enum import StrEnum
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Self
 
 from pydantic import AfterValidator, AwareDatetime, Field, NonNegativeInt, PositiveInt, model_validator
@@ -18,23 +16,7 @@ Instant = Annotated[AwareDatetime, AfterValidator(lambda when: when.astimezone(U
 """A moment with its time zone, stored in UTC."""
 
 
-class RankingKey(StrEnum):
-    """What entries are compared by, one key after the other; what is missing or not finite comes last."""
-
-    SUCCESS_RATE = "success_rate"  # high first
-    MEAN_STEPS = "mean_steps"  # few first
-    SUBMITTED_AT = "submitted_at"  # early first; always the last key, then the id
-
-
-_WORDS: Mapping[RankingKey, str] = MappingProxyType(
-    {
-        RankingKey.SUCCESS_RATE: "higher success rate",
-        RankingKey.MEAN_STEPS: "fewer mean env steps of the successful episodes",
-        RankingKey.SUBMITTED_AT: "the earlier submission",
-    }
-)
 _ROUNDING = 1e-9
-DEFAULT_RANKING = (RankingKey.SUCCESS_RATE, RankingKey.MEAN_STEPS, RankingKey.SUBMITTED_AT)
 
 
 class Advancement(StrictModel):
@@ -181,7 +163,9 @@ class TrackRules(StrictModel):
     title: str
     taken_here: bool = True
     stages: tuple[StageRules, ...] = Field(min_length=1)
-    ranking: tuple[RankingKey, ...] = DEFAULT_RANKING
+    ranking: tuple[Word, ...] | None = Field(
+        default=None, description="What entries are compared by; null: as the track's file says."
+    )
     ties: str = "The earlier submission is in front."
     prizes: tuple[Prize, ...] = ()
     judging: Judging | None = None
@@ -195,25 +179,15 @@ class TrackRules(StrictModel):
             if self.taken_here and after.qualified is not None and before.list is ListKind.PUBLIC:
                 yield f"stages.{after.name}.qualified", f"{after.title} of {self.title} is for teams by {before.title}"
 
-    @property
-    def ranking_sentence(self) -> str | None:
-        """The ranking in words; None for the usual one, which the track's file explains."""
-        if self.ranking == DEFAULT_RANKING:
-            return None
-        return f"First comes {'; then '.join(_WORDS[key] for key in self.ranking)}. {self.ties}"
-
     @model_validator(mode="after")
     def _stages_follow_each_other(self) -> Self:
         _refuse_twice([stage.name for stage in self.stages], "stage")
         _refuse_twice([prize.place for prize in self.prizes], "prize")
-        _refuse_twice(list(self.ranking), "ranking key")
         if self.stages[0].qualified is not None:
             raise ValueError(f"stage {self.stages[0].name} is the first one, so nobody can be qualified for it")
         for before, after in zip(self.stages, self.stages[1:], strict=False):
             if after.opens < before.closes:
                 raise ValueError(f"stage {after.name} opens before stage {before.name} closes")
-        if not self.ranking or self.ranking[-1] is not RankingKey.SUBMITTED_AT:
-            raise ValueError("ranking must end with submitted_at, which decides between equal scores")
         return self
 
 
@@ -294,6 +268,12 @@ def _problems(name: str, track: TrackRules) -> Iterator[str]:
         )
         return
     known = load_track(name)
+    for task in (None, *known.tasks):
+        try:
+            known.find_ranking(task, track.ranking)
+        except ValueError as error:
+            yield f"tracks.{name}.{error}."
+            break
     yield from _stage_problems(known, track)
     if track.judging is not None and track.judging.weights.figures and not known.has_sensor:
         yield (

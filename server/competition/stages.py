@@ -8,13 +8,15 @@ from datetime import UTC, datetime
 
 from sqlalchemy import ColumnElement, and_, select
 from sqlalchemy.orm import Session
+from vitac.evaluator.ranking import Ranking
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 from vitac.evaluator.tracks.versions import find_version
 
 from ..db.models import CompetitionRow, Qualification, SealedList, Submission, Team
 from ..errors import ProblemCode, ServiceError
-from .definition import RankingKey, StageRules, TrackRules
+from ..tracks import known_track
+from .definition import StageRules, TrackRules
 
 PRACTICE = ""
 """Name of the stage of submissions outside of a competition: to a track that has none, or for practice."""
@@ -88,10 +90,16 @@ class Stage:
         """Whether it is outside of a competition."""
         return self.name == PRACTICE
 
-    @property
-    def ranking(self) -> tuple[RankingKey, ...]:
-        """What entries are compared by."""
-        return self.track_rules.ranking
+    def find_ranking(self, task: str | None = None) -> Ranking:
+        """Return what the entries of the board of a task are compared by; None: of all tasks together."""
+        track = known_track(self.track)
+        if track is None or not (task is None or task in track.tasks):
+            return Ranking()  # whose track file is gone
+        return track.find_ranking(task, self.track_rules.ranking)
+
+    def describe_ranking(self, task: str | None = None) -> str:
+        """Return the order of a board in words."""
+        return f"{self.find_ranking(task).sentence} {self.track_rules.ties}" if self.track_rules.ranking else ""
 
     @property
     def frozen_at(self) -> datetime | None:

@@ -163,7 +163,7 @@ def _track(name: str, competition: Competition, lists: Lists, now: datetime) -> 
         name=name,
         title=track.title,
         taken_here=track.taken_here,
-        ranking=list(track.ranking),
+        ranking=[key.name for key in competition.list_stages(name)[0].find_ranking().keys],
         ties=track.ties,
         stages=[_stage(stage, lists, now) for stage in competition.stages if stage.track == name],
         prizes=[PrizeView(**prize.model_dump()) for prize in track.prizes],

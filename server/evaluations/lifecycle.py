@@ -253,7 +253,9 @@ def _complete(session: Session, evaluation: Evaluation, records: Records) -> Non
     manifests = {task: read_provenance(session, evaluation, task, evaluation.commitment or "") for task in records}
     hashes = {task: result_hash(manifests[task], records[task]) for task in records}
     finished_at = datetime.now(UTC)
-    store_scores(evaluation, {task: score(records[task]) for task in records}, hashes, finished_at=finished_at)
+    track = load_track(evaluation.submission.track)
+    scores = {task: score(records[task], track.task(task).definition.measures) for task in records}
+    store_scores(session, evaluation, scores, hashes, finished_at=finished_at)
     evaluation.result_hash = combine_hashes(hashes)
     evaluation.platform_class = next(iter(manifests.values())).platform_class
     evaluation.state = EvaluationState.COMPLETED

@@ -5,12 +5,14 @@ from collections.abc import Collection, Mapping
 from datetime import datetime
 from typing import Any
 
+from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest, result_hash
+from vitac.evaluator.ranking import Ranking
 from vitac.evaluator.scoring.lists import better_on_public_p_value
-from vitac.evaluator.scoring.ranking import CombinedScore, combine
-from vitac.evaluator.scoring.score import Interval, Rate, Score, score
+from vitac.evaluator.scoring.score import CombinedScore, Interval, Rate, Score, combine, score
 from vitac.evaluator.tracks import Track
 
+from ..competition.competition import find_stage
 from ..db.models import ALL_TASKS, BoardResult, Evaluation, Submission
 from ..receipts.receipt import CombinedResult
 from ..tracks import known_track
@@ -21,7 +23,12 @@ Records = Mapping[str, Collection[EpisodeRecord]]
 
 
 def store_scores(
-    evaluation: Evaluation, scores: Mapping[str, Score], hashes: Mapping[str, str], *, finished_at: datetime
+    session: Session,
+    evaluation: Evaluation,
+    scores: Mapping[str, Score],
+    hashes: Mapping[str, str],
+    *,
+    finished_at: datetime,
 ) -> None:
     """Write the score of each task into the row of an evaluation; one that is not only proposed enters the boards.
 
@@ -32,7 +39,7 @@ def store_scores(
     ]
     evaluation.counted_tasks = list(_tasks_that_count(evaluation.submission))
     if not evaluation.is_proposed:
-        add_to_boards(evaluation, finished_at)
+        add_to_boards(session, evaluation, finished_at)
 
 
 def store_practice_scores(
@@ -52,19 +59,22 @@ def store_practice_scores(
             "task": task,
             "result_hash": result_hash(manifests[task], records),
             "p_value": better_on_public_p_value(track.task(task).episode_list, records, sealed[task]),
-            **score(records).model_dump(mode="json"),
+            **score(records, track.task(task).definition.measures).model_dump(mode="json"),
         }
         for task, records in public.items()
     ]
 
 
-def add_to_boards(evaluation: Evaluation, finished_at: datetime) -> None:
+def add_to_boards(session: Session, evaluation: Evaluation, finished_at: datetime) -> None:
     """Write what a scored evaluation is ranked by on each board, from a moment on."""
-    scores = make_score_views(evaluation)
-    evaluation.board_results = [_board_result(evaluation, task, score, finished_at) for task, score in scores.items()]
+    stage = find_stage(session, evaluation.submission)
+    boards: dict[str | None, Score | CombinedScore] = dict(read_scores(evaluation).items())
     combined = combined_score(evaluation)
     if combined is not None and evaluation.submission.kind.form.runs_policy:
-        evaluation.board_results.append(_board_result(evaluation, ALL_TASKS, combined, finished_at))
+        boards[None] = combined
+    evaluation.board_results = [
+        _board_result(evaluation, task, stage.find_ranking(task), score, finished_at) for task, score in boards.items()
+    ]
 
 
 def combine_hashes(hashes: Mapping[str, str]) -> str:
@@ -75,24 +85,28 @@ def combine_hashes(hashes: Mapping[str, str]) -> str:
     return hashlib.sha256(lines.encode()).hexdigest()
 
 
-def make_score_views(evaluation: Evaluation) -> dict[str, Score]:
+def read_scores(evaluation: Evaluation) -> dict[str, Score]:
     """Return the stored score of each task; empty before the end."""
     return {row["task"]: Score.model_validate(_select_score(row)) for row in evaluation.scores or []}
 
 
 def combined_score(evaluation: Evaluation) -> CombinedScore | None:
     """Return the score over all tasks that count; None without a score."""
-    return combine_scores(evaluation, make_score_views(evaluation))
+    return combine_scores(evaluation, read_scores(evaluation))
 
 
 def combined_result(evaluation: Evaluation) -> CombinedResult | None:
     """Return the score over all tasks for the receipt of an evaluation; None where there is none, as for a log."""
     found = combined_score(evaluation) if evaluation.submission.kind.form.runs_policy else None
-    return CombinedResult(success_rate=found.success_rate, mean_steps=found.mean_steps) if found else None
+    return (
+        CombinedResult(success_rate=found.success_rate, mean_steps=found.mean_steps, measures=dict(found.measures))
+        if found
+        else None
+    )
 
 
 def combine_scores(evaluation: Evaluation, scores: Mapping[str, Score]) -> CombinedScore | None:
-    """Return the same for scores that are read already; None, too, where none of the tasks that count was played."""
+    """Return the combined score of already loaded task scores; None where none of the tasks that count was played."""
     counting = counted_tasks(evaluation)
     return combine(counting, scores) if not scores.keys().isdisjoint(counting) else None
 
@@ -121,11 +135,11 @@ def counted_tasks(evaluation: Evaluation) -> Collection[str]:
 
 def score_views(evaluation: Evaluation) -> list[TaskScoreView]:
     """Return the score of each task as it is shown."""
-    return task_views(evaluation, make_score_views(evaluation))
+    return task_views(evaluation, read_scores(evaluation))
 
 
 def task_views(evaluation: Evaluation, scores: Mapping[str, Score]) -> list[TaskScoreView]:
-    """Return the same for scores that are read already."""
+    """Return already loaded task scores as they are shown."""
     hashes = {row["task"]: row["result_hash"] for row in evaluation.scores or []}
     return [_score_view(task, score, hashes[task]) for task, score in scores.items()]
 
@@ -134,7 +148,7 @@ def practice_score_views(evaluation: Evaluation) -> list[PracticeScoreView] | No
     """Return what was reached on the public list beside the sealed one; None where it was not played."""
     if evaluation.practice_scores is None:
         return None
-    sealed, rows = make_score_views(evaluation), evaluation.practice_scores
+    sealed, rows = read_scores(evaluation), evaluation.practice_scores
     return [_practice_score_view(row, sealed[row["task"]]) for row in rows]
 
 
@@ -162,11 +176,12 @@ def _select_score(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _board_result(
-    evaluation: Evaluation, board: str, score: Score | CombinedScore, finished_at: datetime
+    evaluation: Evaluation, task: str | None, ranking: Ranking, score: Score | CombinedScore, finished_at: datetime
 ) -> BoardResult:
     submission = evaluation.submission
+    values = ranking.values(score, submission.submitted_at)
     return BoardResult(
-        board=board,
+        board=ALL_TASKS if task is None else task,
         competition=submission.competition,
         track=submission.track,
         stage=submission.stage,
@@ -174,8 +189,8 @@ def _board_result(
         team_id=submission.team_id,
         submission_id=submission.id,
         evaluator_version=evaluation.evaluator_version,
-        success_rate=score.success_rate,
-        mean_steps=score.mean_steps,
+        ranked_by=values,
+        sort_key=list(ranking.sort_key(values)),
         submitted_at=submission.submitted_at,
         finished_at=finished_at,
         is_disqualified=submission.disqualified_at is not None,
@@ -201,6 +216,7 @@ def _score_view(task: str, score: Score, result_hash: str) -> TaskScoreView:
         shapes=[_shape_view(shape, rate) for shape, rate in sorted(score.by_shape.items())],
         outcomes={outcome.value: count for outcome, count in score.outcomes.items()},
         forces=score.forces,
+        measures=score.measures,
         result_hash=result_hash,
     )
 

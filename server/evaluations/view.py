@@ -44,9 +44,9 @@ from .scores import (
     bounds,
     combine_scores,
     counted_tasks,
-    make_score_views,
     played_score,
     practice_score_views,
+    read_scores,
     task_views,
 )
 from .verdicts import find_sentence
@@ -151,7 +151,7 @@ def _key(evaluation: Evaluation, hidden: Collection[UUID]) -> tuple[UUID, bool, 
 
 def _view(evaluation: Evaluation, workers: Callable[[str], WorkersAlive], rows: EvaluationRows) -> EvaluationView:
     """Return an evaluation as a list shows it to teams."""
-    scores = make_score_views(evaluation)
+    scores = read_scores(evaluation)
     combined, shown_scores = combine_scores(evaluation, scores), task_views(evaluation, scores)
     progress = make_progress_view(evaluation, evaluation.submission, rows.counts.get(evaluation.id, {}))
     verdict, is_hidden = verdict_view(evaluation), evaluation.id in rows.hidden

@@ -1,21 +1,21 @@
 """The best entry of each team on a board, found and ranked by the database; called by the boards and for places.
 
-The order is that of `vitac.evaluator.scoring.ranking.rank`, which a test compares on random standings.
+Each result has the key that sorts it (`vitac.evaluator.ranking`).
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache
-from typing import Any, Self
+from typing import Self
 from uuid import UUID
 
 from sqlalchemy import ColumnElement, Select, bindparam, lateral, select, true
 from sqlalchemy.orm import Session, aliased
+from vitac.evaluator.ranking import Ranking
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
 
-from ..competition.definition import DEFAULT_RANKING, RankingKey
 from ..competition.stages import CountedResults, Stage
 from ..db.models import ALL_TASKS, BoardResult, Team
 from ..tracks import is_reference, known_track
@@ -45,7 +45,7 @@ class Board:
     task: str | None = None
     competition: str = ""
     stage: str = ""
-    ranking: tuple[RankingKey, ...] = DEFAULT_RANKING
+    ranking: Ranking = field(default_factory=Ranking)
     evaluator_version: str = field(default_factory=evaluator_version)
     until: datetime = _EVER
 
@@ -65,7 +65,7 @@ class Board:
             task=task,
             competition=stage.competition,
             stage=stage.name,
-            ranking=stage.ranking,
+            ranking=stage.find_ranking(task),
             evaluator_version=counted.evaluator_version,
             until=counted.frozen_at or counted.final_since or _EVER,
         )
@@ -78,6 +78,7 @@ class BestEntry:
     rank: int | None
     evaluation_id: UUID
     submission_id: UUID
+    ranked_by: Mapping[str, float | None]
 
     def __str__(self) -> str:
         """Return a short text that no other entry has: revisions of boards are made of hundreds of them."""
@@ -86,20 +87,14 @@ class BestEntry:
 
 def best_entries(session: Session, board: Board) -> list[BestEntry]:
     """Return the best entry of each team, ranked; then those of teams that only have results of other versions."""
-    unranked = session.execute(_best_of_other_versions(board.ranking), _parameters(board))
-    return ranked_entries(session, board) + [
-        BestEntry(rank=None, evaluation_id=evaluation_id, submission_id=submission_id)
-        for evaluation_id, submission_id in unranked
-    ]
+    unranked = session.execute(_best_of_other_versions(), _parameters(board))
+    return ranked_entries(session, board) + [BestEntry(rank=None, **row) for row in unranked.mappings()]
 
 
 def ranked_entries(session: Session, board: Board) -> list[BestEntry]:
     """Return the best entry of each team that the board's evaluator version has made, ranked."""
-    ranked = session.execute(_best_of_teams(board.ranking), _parameters(board))
-    return [
-        BestEntry(rank=rank, evaluation_id=evaluation_id, submission_id=submission_id)
-        for rank, (evaluation_id, submission_id) in enumerate(ranked, start=1)
-    ]
+    ranked = session.execute(_best_of_teams(), _parameters(board))
+    return [BestEntry(rank=rank, **row) for rank, row in enumerate(ranked.mappings(), start=1)]
 
 
 def places(session: Session, combined: Board) -> PlacesOfBoards:
@@ -135,69 +130,54 @@ def _parameters(board: Board) -> dict[str, object]:
     }
 
 
-def ranking_order(
-    result: type[BoardResult], keys: tuple[RankingKey, ...] = DEFAULT_RANKING
-) -> tuple[ColumnElement[Any], ...]:
-    """Return the order by some keys, the id last: high success rate, few mean env steps (none of them last), early."""
-    columns: Mapping[RankingKey, ColumnElement[Any]] = {
-        RankingKey.SUCCESS_RATE: result.success_rate.desc(),
-        RankingKey.MEAN_STEPS: result.mean_steps.asc(),
-        RankingKey.SUBMITTED_AT: result.submitted_at.asc(),
-    }
-    return (*(columns[key] for key in keys), result.evaluation_id.asc())
+def _order(result: type[BoardResult]) -> tuple[ColumnElement[object], ...]:
+    """Return the order of the boards: by the keys of the ranking, then by id."""
+    return result.sort_key, result.evaluation_id  # type: ignore[return-value]
 
 
-# Building a statement takes longer than running it, so each is built once for a ranking and filled by its parameters.
+# Building a statement takes longer than running it, so each is built once and filled by its parameters.
 
 
 @cache
-def _best_of_teams(ranking: tuple[RankingKey, ...]) -> Select[UUID, UUID]:
-    """Return the ids of evaluation and submission of each team's best entry of a version, best first."""
-    best = _best_result(ranking, bindparam("board"), _has_version(BoardResult), ~BoardResult.is_copy)
-    found = _ids(best).select_from(Team).join(best, true()).where(takes_part())
-    return found.order_by(*ranking_order(best, ranking))
+def _best_of_teams() -> Select[UUID, UUID, dict[str, float | None]]:
+    """Return each team's best entry of a version, best first."""
+    best = _best_result(_has_version(BoardResult), ~BoardResult.is_copy)
+    return _select(best).select_from(Team).join(best, true()).where(takes_part()).order_by(*_order(best))
 
 
 @cache
-def _best_of_other_versions(ranking: tuple[RankingKey, ...]) -> Select[UUID, UUID]:
+def _best_of_other_versions() -> Select[UUID, UUID, dict[str, float | None]]:
     """Return the same of teams without a ranked entry of the version: made by another one, or copies."""
-    best, ranked = _best_result(ranking, bindparam("board")), aliased(BoardResult)
+    best, ranked = _best_result(), aliased(BoardResult)
     has_ranked = (
         select(ranked.evaluation_id)
-        .where(
-            *_board_conditions(ranked, bindparam("board")),
-            _has_version(ranked),
-            ~ranked.is_copy,
-            ranked.team_id == Team.id,
-        )
+        .where(*_board_conditions(ranked), _has_version(ranked), ~ranked.is_copy, ranked.team_id == Team.id)
         .exists()
     )
-    others = _ids(best).select_from(Team).join(best, true()).where(~has_ranked, takes_part())
-    return others.order_by(*ranking_order(best, ranking))
+    others = _select(best).select_from(Team).join(best, true()).where(~has_ranked, takes_part())
+    return others.order_by(*_order(best))
 
 
-def _best_result(
-    ranking: tuple[RankingKey, ...], board: ColumnElement[str], *conditions: ColumnElement[bool]
-) -> type[BoardResult]:
+def _best_result(*conditions: ColumnElement[bool]) -> type[BoardResult]:
     """Return the best result of the team at hand on a board, for a join: one look into an index for each team."""
     return aliased(
         BoardResult,
         lateral(
             select(BoardResult)
-            .where(*_board_conditions(BoardResult, board), BoardResult.team_id == Team.id, *conditions)
-            .order_by(*ranking_order(BoardResult, ranking))
+            .where(*_board_conditions(BoardResult), BoardResult.team_id == Team.id, *conditions)
+            .order_by(*_order(BoardResult))
             .limit(1)
         ),
     )
 
 
-def _board_conditions(result: type[BoardResult], board: ColumnElement[str]) -> tuple[ColumnElement[bool], ...]:
+def _board_conditions(result: type[BoardResult]) -> tuple[ColumnElement[bool], ...]:
     return (
         result.competition == bindparam("competition"),
         result.track == bindparam("track"),
         result.stage == bindparam("stage"),
         result.kind == bindparam("kind"),
-        result.board == board,
+        result.board == bindparam("board"),
         result.finished_at <= bindparam("until"),
         ~result.is_disqualified,
     )
@@ -212,5 +192,5 @@ def _has_version(result: type[BoardResult]) -> ColumnElement[bool]:
     return result.evaluator_version == bindparam("version")
 
 
-def _ids(best: type[BoardResult]) -> Select[UUID, UUID]:
-    return select(best.evaluation_id, best.submission_id)
+def _select(best: type[BoardResult]) -> Select[UUID, UUID, dict[str, float | None]]:
+    return select(best.evaluation_id, best.submission_id, best.ranked_by)

@@ -47,7 +47,7 @@ def _results() -> Select[*tuple[Any, ...]]:
             BoardResult.submission_id,
             Submission.name.label("submission_name"),
             BoardResult.submitted_at,
-            BoardResult.success_rate,
+            BoardResult.ranked_by["success_rate"].as_float().label("success_rate"),
         )
         .join(Submission, Submission.id == BoardResult.submission_id)
         .where(

@@ -34,9 +34,6 @@ from .changes import kept_until_change
 from .made_boards import MadeBoard, MadeBoards, compute_revision
 from .standings import completed_evaluations, made_entries, unranked
 
-_USUAL_RANKING = (
-    "Higher success rate first; then fewer mean env steps of the successful episodes; then the earlier submission."
-)
 _WHAT_IS_RANKED = (
     "Logs are for practice: they play the public list, and give no prizes and no advancement. "
     "Only verified logs are ranked, the best of each team, task by task, and never together with models. "
@@ -61,11 +58,11 @@ def log_boards(session: Session, stage: Stage, *, unfrozen: bool = False) -> Mad
         ServiceError: there is no such track.
     """
     track, counted = load_known_track(stage.track), stage.counted_results(live=unfrozen)
-    rule = f"{stage.track_rules.ranking_sentence or _USUAL_RANKING} {_WHAT_IS_RANKED}"
+    rule = f"{stage.describe_ranking() or track.ranking_rule} {_WHAT_IS_RANKED}"
     shown_names = ShownNames.read(session, VISITOR)
     found = kept_until_change(
         session,
-        ("logs", stage.competition, stage.track, stage.name, stage.ranking, rule, counted, shown_names),
+        ("logs", stage.competition, stage.track, stage.name, rule, counted, shown_names),
         lambda: _found(session, track, stage, counted, shown_names, rule),
     )
     made = partial(_view, session, track, found)
@@ -205,9 +202,9 @@ def _entry(entry: BestEntry, evaluation: Evaluation, *, version: str, names: Sho
         submitted_at=submission.submitted_at,
         episodes=score.episodes,
         successes=score.successes,
-        success_rate=score.success_rate,
+        success_rate=entry.ranked_by["success_rate"] or 0.0,
         success_rate_interval=score.success_rate_interval,
-        mean_steps=score.mean_steps,
+        mean_steps=entry.ranked_by["mean_steps"],
         result_hash=score.result_hash,
         evaluator_version=evaluation.evaluator_version,
         list_kind=played_list_kind(evaluation),

@@ -3,14 +3,12 @@
 from bisect import bisect_left, insort
 from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime
-from math import inf
 from typing import Any
 from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from ..competition.definition import RankingKey
 from ..db.models import ALL_TASKS, BoardResult, Team
 from ..views.leaderboards import DatedRankView, LeaderboardEntryView, TeamRanksView
 from .best_entries import Board, takes_part
@@ -31,7 +29,7 @@ def rank_history(session: Session, board: Board, entries: Collection[Leaderboard
         board: which one.
         entries: as it shows them, with the names of their teams.
     """
-    ranks = kept_until_change(session, ("rank history", board), lambda: _follow(_read(session, board), board.ranking))
+    ranks = kept_until_change(session, ("rank history", board), lambda: _follow(_read(session, board)))
     return [
         TeamRanksView(team=entry.team, submission_id=entry.submission_id, ranks=list(ranks[entry.evaluation_id]))
         for entry in entries
@@ -61,18 +59,18 @@ def _read(session: Session, board: Board) -> Sequence[BoardResult]:
     return session.scalars(query).all()
 
 
-def _follow(results: Sequence[BoardResult], ranking: Sequence[RankingKey]) -> Ranks:
+def _follow(results: Sequence[BoardResult]) -> Ranks:
     """Return the changes of ranks of the teams that are first at the end."""
     final: dict[UUID, tuple[Any, ...]] = {}
     for result in results:
-        key = _key(result, ranking)
+        key = _key(result)
         final[result.team_id] = min(key, final.get(result.team_id, key))
     first = sorted(final, key=final.__getitem__)[:TEAMS]
     changes: dict[UUID, list[DatedRankView]] = {team: [] for team in first}
     best: dict[UUID, tuple[Any, ...]] = {}
     order: list[tuple[Any, ...]] = []
     for result in results:
-        key, before = _key(result, ranking), best.get(result.team_id)
+        key, before = _key(result), best.get(result.team_id)
         if before is not None and before <= key:
             continue
         if before is not None:
@@ -95,11 +93,6 @@ def _note(
             noted.append(DatedRankView(at=at, rank=rank))
 
 
-def _key(result: BoardResult, ranking: Sequence[RankingKey]) -> tuple[Any, ...]:
-    """Return what a result is ordered by, low first, the id last, as `ranking_order` has it."""
-    values = {
-        RankingKey.SUCCESS_RATE: -result.success_rate,
-        RankingKey.MEAN_STEPS: inf if result.mean_steps is None else result.mean_steps,
-        RankingKey.SUBMITTED_AT: result.submitted_at,
-    }
-    return (*(values[key] for key in ranking), result.evaluation_id)
+def _key(result: BoardResult) -> tuple[Any, ...]:
+    """Return what a result is ordered by, low first, the id last, as the boards have it."""
+    return (*result.sort_key, result.evaluation_id)

@@ -19,8 +19,8 @@ from ..evaluations.scores import (
     bounds,
     combine_scores,
     counted_tasks,
-    make_score_views,
     played_score,
+    read_scores,
     task_views,
 )
 from ..principals import CONSOLE, VISITOR
@@ -87,7 +87,7 @@ def leaderboard(
         list_kind=list_kind,
         is_practice=is_practice,
         is_reference=reference,
-        rule=stage.track_rules.ranking_sentence,
+        rule=stage.describe_ranking(task),
         best=best,
         counted=counted,
         names=shown_names,
@@ -105,7 +105,7 @@ class _Shown:
         list_kind: of the episodes that submissions to it play.
         is_practice: whether it decides nothing because its list is public.
         is_reference: whether it ranks nobody.
-        rule: how it is ranked, where that is not what the track's file says.
+        rule: how it is ranked where the competition's file says it; empty where the track's does.
         counted: which results it is made of.
         names: under which teams are shown.
     """
@@ -114,7 +114,7 @@ class _Shown:
     list_kind: ListKind
     is_practice: bool
     is_reference: bool
-    rule: str | None
+    rule: str
     best: Collection[BestEntry]
     counted: CountedResults
     names: ShownNames
@@ -140,7 +140,8 @@ def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView |
         list_kind=shown.list_kind,
         is_practice=shown.is_practice,
         is_reference=shown.is_reference,
-        ranking_rule=shown.rule or (track.ranking_rule if task else track.combination_rule or track.ranking_rule),
+        ranking=shown.board.ranking,
+        ranking_rule=shown.rule or (track.combination_rule if task is None else None) or shown.board.ranking.sentence,
         evaluator_version=shown.board.evaluator_version,
         unranked=unranked(entries, shown.counted, shown.board),
         revision=shown.revision,
@@ -210,7 +211,7 @@ def completed_evaluations(session: Session, ids: Collection[UUID]) -> Mapping[UU
 
 def _entry(entry: BestEntry, evaluation: Evaluation, *, board: Board, names: ShownNames) -> LeaderboardEntryView | None:
     """Return an entry as it is shown; None for one in tasks of which none counts."""
-    submission, found, task = evaluation.submission, make_score_views(evaluation), board.task
+    submission, found, task = evaluation.submission, read_scores(evaluation), board.task
     scores = [score for score in task_views(evaluation, found) if task in {None, score.task}]
     ranked_by = combine_scores(evaluation, found) if task is None else found[task]
     if ranked_by is None:
@@ -228,9 +229,10 @@ def _entry(entry: BestEntry, evaluation: Evaluation, *, board: Board, names: Sho
         evaluated_at=evaluation.finished_at or evaluation.created_at,
         episodes=sum(score.episodes for score in scores),
         successes=sum(score.successes for score in scores),
-        success_rate=ranked_by.success_rate,
+        success_rate=entry.ranked_by["success_rate"] or 0.0,
         success_rate_interval=bounds(ranked_by.interval),
-        mean_steps=ranked_by.mean_steps,
+        mean_steps=entry.ranked_by["mean_steps"],
+        measures=dict(ranked_by.measures),
         played=played_score(counted_tasks(evaluation) if task is None else (task,), found),
         scores=scores,
         result_hash=evaluation.result_hash or "",

@@ -85,7 +85,6 @@ def export_receipts(
     description = ExportDescription(
         made_at=datetime.now(UTC),
         public_key=state.public_key,
-        ranking=tuple(key.value for key in stage.ranking),
         secret=sealed.secret if sealed and sealed.revealed_at else None,
         commitment=stage.commitment,
         competition=stage.competition,

@@ -211,7 +211,7 @@ def _check_board(described: ExportDescription, receipts: Mapping[UUID, Receipt],
     ranked = [entry for entry in board.entries if entry.rank is not None]
     if [entry.rank for entry in ranked] != list(range(1, len(ranked) + 1)):
         found.findings.append("The ranks of the board do not count from 1.")
-    if ranked != sorted(ranked, key=lambda entry: place(described.ranking, entry)):
+    if ranked != sorted(ranked, key=lambda entry: place(board, entry)):
         found.findings.append("The order of the board is not that of its scores.")
 
 
@@ -266,12 +266,13 @@ def _differences(described: ExportDescription, entry: LeaderboardEntryView, resu
         ("evaluator version", entry.evaluator_version, result.evaluator_version),
         ("success rate", entry.success_rate, ranked_by and ranked_by.success_rate),
         ("mean env steps", entry.mean_steps, ranked_by and ranked_by.mean_steps),
+        ("what is measured", entry.measures, ranked_by and ranked_by.measures),
     ]
     for shown in entry.scores:
         signed = tasks.get(shown.task)
         pairs += [
             (f"{name.replace('_', ' ')} of {shown.task}", getattr(shown, name), signed and getattr(signed, name))
-            for name in ("episodes", "successes", "success_rate", "mean_steps", "result_hash")
+            for name in ("episodes", "successes", "success_rate", "mean_steps", "measures", "result_hash")
         ]
     for name, on_board, in_receipt in pairs:
         if on_board != in_receipt:
@@ -327,9 +328,11 @@ def _wrong_records(track: Track, header: LogHeader, records: Sequence[EpisodeRec
         return f"the records are not those of such an evaluation. {impossible.message}"
     if result_hash(header.manifest, records) != signed.result_hash:
         return "the records have another result hash than the receipt."
-    earned = score(records)
+    earned = score(records, task.definition.measures)
     if (earned.successes, earned.mean_steps) != (signed.successes, signed.mean_steps):
         return f"the records have {earned.successes} successes, the receipt {signed.successes}."
+    if earned.measures != signed.measures:
+        return f"the records measure {earned.measures}, the receipt {signed.measures}."
     return None
 
 

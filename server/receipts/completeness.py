@@ -3,17 +3,17 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from itertools import pairwise
-from math import inf
 from typing import Any, Final
 from uuid import UUID
 
+from vitac.evaluator.ranking import RankedScore
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks.sealed import make_commitment
 
 from ..transparency.entries import EntryKind, LogEntry
 from ..transparency.merkle import Tree
 from ..transparency.notes import Checkpoint, NoteRejected, make_log_key
-from ..views.leaderboards import LeaderboardEntryView
+from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
 from .export import ExportDescription, ExportedTeam
 from .receipt import (
     CombinedResult,
@@ -236,7 +236,7 @@ def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]
             continue
         if shown is None:
             missing = f"{subject} is of this board, but the team is not on it"
-        elif shown.rank is not None and _place_of_result(described, receipt.result) < place(described.ranking, shown):
+        elif shown.rank is not None and _is_better(board, ranked_by, receipt.result.submitted_at, than=shown):
             missing = f"{subject} is better than its entry on the board"
         else:
             continue
@@ -266,32 +266,20 @@ def reached(task: str | None, result: Result) -> TaskResult | CombinedResult | N
     return next((found for found in result.tasks if found.task == task), None)
 
 
-def place(ranking: Sequence[str], entry: LeaderboardEntryView) -> tuple[float, ...]:
-    """Return what sorts entries as the board does."""
-    return _place(ranking, entry.success_rate, entry.mean_steps, entry.submitted_at.timestamp())
+def place(board: LeaderboardView, entry: LeaderboardEntryView) -> tuple[float, ...]:
+    """Return what sorts the entries of a board."""
+    return board.ranking.sort_key(board.ranking.values(entry, entry.submitted_at))
+
+
+def _is_better(
+    board: LeaderboardView, score: RankedScore, submitted_at: datetime, *, than: LeaderboardEntryView
+) -> bool:
+    return board.ranking.sort_key(board.ranking.values(score, submitted_at)) < place(board, than)
 
 
 def teams_by_evaluation(described: ExportDescription) -> Mapping[UUID, ExportedTeam]:
     """Return the team of each result."""
     return {evaluation: team for team in described.teams for evaluation in team.evaluations}
-
-
-def _place_of_result(described: ExportDescription, result: Result) -> tuple[float, ...]:
-    ranked_by = reached(described.board.task, result)
-    if ranked_by is None:
-        return (inf,)
-    return _place(described.ranking, ranked_by.success_rate, ranked_by.mean_steps, result.submitted_at.timestamp())
-
-
-def _place(
-    ranking: Sequence[str], success_rate: float, mean_steps: float | None, submitted_at: float
-) -> tuple[float, ...]:
-    values = {
-        "success_rate": -success_rate,
-        "mean_steps": inf if mean_steps is None else mean_steps,
-        "submitted_at": submitted_at,
-    }
-    return tuple(values[key] for key in ranking)
 
 
 def _moment(at: datetime) -> str:

@@ -71,8 +71,6 @@ class ExportDescription(StrictModel):
     format: Literal["vitac-receipts-2"] = FORMAT
     made_at: datetime
     public_key: PublicKey
-    ranking: tuple[Literal["success_rate", "mean_steps", "submitted_at"], ...]
-    """What entries are compared by, one after the other."""
     secret: Sha256 | None
     """Secret of the stage's sealed list, once published; null for a public list, and before."""
     commitment: Sha256 | None

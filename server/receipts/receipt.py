@@ -39,6 +39,7 @@ class TaskResult(StrictModel):
     successes: NonNegativeInt
     success_rate: Rate
     mean_steps: float | None
+    measures: dict[Word, float] = Field(default={})
     result_hash: Sha256
 
 
@@ -47,6 +48,7 @@ class CombinedResult(StrictModel):
 
     success_rate: Rate
     mean_steps: float | None
+    measures: dict[Word, float] = Field(default={})
 
 
 class SaltedContent(Content):

@@ -8,11 +8,10 @@ from uuid import UUID
 from sqlalchemy import ColumnElement, exists, select, true
 from sqlalchemy.orm import Session, aliased, defer, joinedload
 from vitac.evaluator.episodes.records import canonical_json
-from vitac.evaluator.scoring.ranking import CombinedScore
+from vitac.evaluator.ranking import Ranking
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..competition.competition import find_stage
-from ..competition.definition import RankingKey
 from ..competition.stages import Stage
 from ..db.models import Evaluation, Rejudgement, Submission, Team
 from ..db.states import TERMINAL_EVALUATION_STATES, EvaluationState
@@ -31,9 +30,9 @@ def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmi
     """
     new, kept = find_newest_evaluations(session, rejudgement), _find_newer_evaluations(session, rejudgement)
     stage = find_stage(session, rejudgement)
-    present, keys = _present(session, rejudgement, stage), stage.ranking
+    present, ranking = _present(session, rejudgement, stage), stage.find_ranking()
     replaced = {submission: run for submission, run in new.items() if not _keeps_result(run, kept)}
-    ranks_before, ranks_after = _ranks(present, keys), _ranks({**present, **replaced}, keys)
+    ranks_before, ranks_after = _ranks(present, ranking), _ranks({**present, **replaced}, ranking)
     rows = [
         _compared(
             evaluation,
@@ -116,25 +115,18 @@ def _find_end(rejudgement: Rejudgement) -> datetime | None:
     return rejudgement.applied_at or rejudgement.discarded_at
 
 
-def _ranks(results: Mapping[UUID, Evaluation], keys: Sequence[RankingKey]) -> dict[UUID, int]:
+def _ranks(results: Mapping[UUID, Evaluation], ranking: Ranking) -> dict[UUID, int]:
     """Return the rank of each submission that is its team's best."""
     scored = [(evaluation, combined_score(evaluation)) for evaluation in results.values()]
     in_order = sorted(
-        ((evaluation, score) for evaluation, score in scored if score is not None),
-        key=lambda pair: (*(_key(key, *pair) for key in keys), str(pair[0].id)),
+        (ranking.sort_key(ranking.values(score, evaluation.submission.submitted_at)), evaluation.id, evaluation)
+        for evaluation, score in scored
+        if score is not None
     )
     best: dict[UUID, UUID] = {}
-    for evaluation, _ in in_order:
+    for *_, evaluation in in_order:
         best.setdefault(evaluation.submission.team_id, evaluation.submission_id)
     return {submission: rank for rank, submission in enumerate(best.values(), start=1)}
-
-
-def _key(key: RankingKey, evaluation: Evaluation, score: CombinedScore) -> float:
-    if key is RankingKey.SUCCESS_RATE:
-        return -score.success_rate
-    if key is RankingKey.MEAN_STEPS:
-        return float("inf") if score.mean_steps is None else score.mean_steps
-    return evaluation.submission.submitted_at.timestamp()
 
 
 def _compared(

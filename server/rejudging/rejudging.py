@@ -170,7 +170,7 @@ def apply(
         kind = NoticeKind.FINISHED if evaluation.state is EvaluationState.COMPLETED else NoticeKind.FAILED
         announce_evaluation(session, kind, evaluation)
     for evaluation in completed:
-        add_to_boards(evaluation, now)
+        add_to_boards(session, evaluation, now)
         session.flush()
         flag_copies(session, evaluation)
         note_near_copies(session, evaluation, read_played_records(session, evaluation))

@@ -6,6 +6,7 @@ from uuid import UUID
 
 from pydantic import Field
 from vitac.evaluator.logs.findings import VerificationResult
+from vitac.evaluator.ranking import Ranking
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 
@@ -52,6 +53,7 @@ class LeaderboardEntryView(RankedEntryView):
     mean_steps: float | None = Field(
         description="Of the task, or the mean of all tasks' means; null where one is missing."
     )
+    measures: dict[str, float] = Field(default={}, description="Means of what boards may rank by, by its name.")
     played: PlayedScoreView | None = Field(
         default=None, description="Over the tasks that it plays alone, of those that count on this leaderboard."
     )
@@ -89,7 +91,8 @@ class LeaderboardView(View):
     is_reference: bool = Field(
         default=False, description="Nobody is ranked: its results, of blind runs, are what others are compared with."
     )
-    ranking_rule: str
+    ranking: Ranking = Field(default=Ranking(), description="What entries are compared by, one key after the other.")
+    ranking_rule: str = Field(description="The same in words.")
     evaluator_version: str = Field(description="Whose results are ranked; each entry names the one that made it.")
     unranked: str | None = Field(
         default=None,

@@ -35,6 +35,9 @@ class TaskScoreView(TaskRateView):
     forces: ForceSummary | None = Field(
         default=None, description="Contact forces, medians over the episodes; null where none are recorded."
     )
+    measures: dict[str, float] = Field(
+        default={}, description="Means over the episodes of what boards may rank by, by its name."
+    )
     result_hash: str = Field(description="The hash that `vitac evaluate` prints for the same evaluation.")
 
 

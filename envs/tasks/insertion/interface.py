@@ -17,6 +17,8 @@ MARKER_FLOW = marker_flow(
 PEG_HEIGHT = Measure(
     name="peg_relative_z_mm",
     label="peg",
+    meaning="height of the peg's bottom corners above the rim",
+    unit="mm",
     needs=("peg_relative_z_mm",),
     read=lambda info: tuple(info["peg_relative_z_mm"]),
 )

@@ -105,7 +105,14 @@ TASK = TaskDefinition(
     optional_observables=(RGB_IMAGES,),
     measures=(
         SURFACE_DIFF,
-        Measure(name="tooth_z_mm", label="teeth", needs=("key1_pts_m", "key2_pts_m"), read=_lowest_corners_mm),
+        Measure(
+            name="tooth_z_mm",
+            label="teeth",
+            meaning="height of the key's lowest corners",
+            unit="mm",
+            needs=("key1_pts_m", "key2_pts_m"),
+            read=_lowest_corners_mm,
+        ),
     ),
     perspective="vitac.envs.tasks.lock_opening.perspective:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.lock_opening.guided_motion:out_and_up",

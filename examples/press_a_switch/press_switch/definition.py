@@ -36,7 +36,14 @@ TASK = TaskDefinition(
     observables=(GT_HEIGHT, CONTACT_FORCES, TRAVEL, marker_flow("u+ is up for both sensors.")),
     measures=(
         SURFACE_DIFF,
-        Measure(name="gap_mm", label="finger", needs=("gap_mm",), read=lambda info: tuple(info["gap_mm"])),
+        Measure(
+            name="gap_mm",
+            label="finger",
+            meaning="gap between finger and button",
+            unit="mm",
+            needs=("gap_mm",),
+            read=lambda info: tuple(info["gap_mm"]),
+        ),
     ),
     perspective="press_switch.perspective:PERSPECTIVE",
     guided_motion="press_switch.perspective:press_slowly",

@@ -33,8 +33,7 @@ ALL_TASKS = "*"
 """Name of the board that ranks all tasks of a track together; those of single tasks have the tasks' names."""
 
 _BOARD = ("competition", "track", "stage", "kind", "board")
-_RANKING = (text("success_rate DESC"), text("mean_steps"), text("submitted_at"), text("evaluation_id"))
-"""The order of `evaluator.scoring.ranking`; a missing mean comes last, as NULL does."""
+_RANKING = ("sort_key", "evaluation_id")
 
 
 class Evaluation(Base):
@@ -121,6 +120,7 @@ class Evaluation(Base):
 class BoardResult(Base):
     """What a completed evaluation is ranked by on one board: that of a task, or under `ALL_TASKS` that of the track.
 
+    `ranked_by` has its values by name, `sort_key` those of the board's ranking, low first (`evaluator.ranking`).
     `is_copy` is one that is not ranked because another team had its states (`LogCopy`) or nearly its actions before
     (`NearCopy`), unless its submission was cleared; one that
     `is_disqualified`, with its submission, is on no board. The rest repeats what the rows of its evaluation, submission
@@ -129,8 +129,6 @@ class BoardResult(Base):
 
     __tablename__ = "board_results"
     __table_args__ = (
-        CheckConstraint("success_rate >= 0 AND success_rate <= 1", name="success_rate_is_a_fraction"),
-        CheckConstraint("mean_steps < 'Infinity'", name="mean_steps_is_finite"),
         Index("ix_board_results_of_version", *_BOARD, "evaluator_version", "team_id", *_RANKING),
         Index("ix_board_results_of_team", *_BOARD, "team_id", *_RANKING),
     )
@@ -143,8 +141,8 @@ class BoardResult(Base):
     team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="RESTRICT"))
     submission_id: Mapped[UUID] = mapped_column(ForeignKey("submissions.id", ondelete="RESTRICT"))
     evaluator_version: Mapped[str]
-    success_rate: Mapped[float] = mapped_column(Float)
-    mean_steps: Mapped[float | None] = mapped_column(Float)
+    ranked_by: Mapped[dict[str, float | None]] = mapped_column(JSONB)
+    sort_key: Mapped[list[float]] = mapped_column(ARRAY(Float))
     submitted_at: Mapped[datetime]
     finished_at: Mapped[datetime]
     is_copy: Mapped[bool] = mapped_column(default=False, server_default=false())

@@ -91,7 +91,9 @@ def kept(service: CliService) -> list[object]:
         columns = EpisodeResult.record_digest, EpisodeResult.outcome, EpisodeResult.env_steps
         return [
             *session.execute(select(*columns).order_by(EpisodeResult.id)),
-            *session.execute(select(BoardResult.success_rate, BoardResult.board).order_by(BoardResult.board)),
+            *session.execute(
+                select(BoardResult.ranked_by["success_rate"].as_float(), BoardResult.board).order_by(BoardResult.board)
+            ),
             *session.scalars(select(Evaluation.result_hash)),
         ]
 

@@ -5,7 +5,6 @@ name: cubes
 folder: Cubes
 title: Cubes
 summary: Lift a cube.
-ranking_rule: Higher success rate first.
 accepts: [model, log]
 tasks:
   pick-cube:

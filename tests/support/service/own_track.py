@@ -5,7 +5,6 @@ name: pegs
 folder: Pegs
 title: Pegs
 summary: Insert a peg.
-ranking_rule: Higher success rate first.
 accepts: [model, log]
 tasks:
   own-pegs:

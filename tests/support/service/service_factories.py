@@ -141,7 +141,7 @@ def complete_scored(session: Session, submission: Submission, scores: Mapping[st
     session.flush()
     finished_at = datetime.now(UTC)
     hashes = {task: sha256(f"{submission.name} {task}") for task in scores}
-    store_scores(evaluation, scores, hashes, finished_at=finished_at)
+    store_scores(session, evaluation, scores, hashes, finished_at=finished_at)
     evaluation.result_hash = sha256(submission.name)
     evaluation.finished_at = finished_at
     evaluation.state = EvaluationState.COMPLETED
@@ -170,7 +170,7 @@ def add_result(
         state=EvaluationState.COMPLETED, episodes_reused=0, log_tail="", created_at=moment, finished_at=moment,
         result_hash=digest, list_kind=ListKind.PUBLIC,
     )  # fmt: skip
-    store_scores(evaluation, played, dict.fromkeys(played, digest), finished_at=moment)
+    store_scores(session, evaluation, played, dict.fromkeys(played, digest), finished_at=moment)
     session.add(evaluation)
     session.flush()
     return evaluation

@@ -10,8 +10,7 @@ from uuid import UUID, uuid5
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.description import SandboxDescription
 from vitac.evaluator.logs.findings import VerificationResult
-from vitac.evaluator.scoring.ranking import CombinedScore, combine
-from vitac.evaluator.scoring.score import Score, rate
+from vitac.evaluator.scoring.score import CombinedScore, Score, combine, rate
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, load_track
 from vitac.server.db.states import EvaluationState, Role, WorkerOrder, WorkerState

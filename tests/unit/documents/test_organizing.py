@@ -7,7 +7,6 @@ import pytest
 from pydantic import BaseModel
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.competition.definition import (
-    DEFAULT_RANKING,
     Advancement,
     CompetitionDefinition,
     Judging,
@@ -42,7 +41,7 @@ def test_every_key_is_told_with_what_is_taken_without_it(repository: Path, table
 def test_defaults_and_inner_keys_are_those_of_the_code(repository: Path) -> None:
     of_file, of_track, of_stage = (rows(repository, f"key of {what}") for what in ("the file", "a track", "a stage"))
     assert CompetitionDefinition.model_fields["currency"].default in of_file["currency"][1]
-    assert of_track["ranking"][1].strip() == ", ".join(f"`{key}`" for key in DEFAULT_RANKING)
+    assert of_track["ranking"][1].strip() == "as the track's file says"
     assert StageRules.model_fields["list"].default.value in of_stage["list"][1]
     for row, model in (
         (of_track["prizes"], Prize),

@@ -30,7 +30,9 @@ async def leaderboard(request: Request) -> Response:
             ).view
         )
     )
-    return csv_file(_name(asked, asked.task or "all"), BOARD_COLUMNS, map(_ranked, board.entries))
+    measures = [key.name for key in board.ranking.measures]
+    rows = ((*_ranked(entry), *(entry.measures.get(name) for name in measures)) for entry in board.entries)
+    return csv_file(_name(asked, asked.task or "all"), (*BOARD_COLUMNS, *measures), rows)
 
 
 async def logs(request: Request) -> Response:

@@ -31,12 +31,13 @@ PLOTTED = 50
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """A column of a leaderboard: the rate in one task, or in one shape of it, or the force in one."""
+    """A column of a leaderboard: the rate in one task or shape, the force in one, or what the board ranks by."""
 
     title: str
     task: str
     shape: str | None = None
     is_force: bool = False
+    measure: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +68,11 @@ async def leaderboard(request: Request) -> Response:
 
     values = await site.read(read)
     board: LeaderboardView = values["board"]
-    shown_columns = (*columns(track, task), *_force_columns(track, task, values["shown"].entries))
+    shown_columns = (
+        *_measure_columns(board),
+        *columns(track, task),
+        *_force_columns(track, task, values["shown"].entries),
+    )
     counted = list(track.tasks.values()) if task is None else [track.tasks[task]]
     return page(
         request,
@@ -105,6 +110,11 @@ def _draw_ranks(site: Site, board: LeaderboardView, ranks: Sequence[TeamRanksVie
     return found
 
 
+def _measure_columns(board: LeaderboardView) -> tuple[Column, ...]:
+    """Return a column for each ranking key beside those that every board shows."""
+    return tuple(Column(title=key.title, task="", measure=key.name) for key in board.ranking.measures)
+
+
 def columns(track: Track, task: str | None) -> tuple[Column, ...]:
     """Return the columns beside the ranking's rate: the tasks, or the shapes of the only one."""
     if _is_combined(track, task):
@@ -128,10 +138,14 @@ def _is_combined(track: Track, task: str | None) -> bool:
 
 
 def _with_cells(shown: Sequence[Column], rows: Iterable[RowT]) -> list[tuple[RowT, list[Cell]]]:
-    return [(row, [_cell(column, row.scores) for column in shown]) for row in rows]
+    return [(row, [_cell(column, row) for column in shown]) for row in rows]
 
 
-def _cell(column: Column, scores: Sequence[TaskRateView]) -> Cell:
+def _cell(column: Column, row: LeaderboardEntryView | BaselineView) -> Cell:
+    if column.measure is not None:
+        value = row.measures.get(column.measure) if isinstance(row, LeaderboardEntryView) else None
+        return Cell(text="–" if value is None else f"{value:.3g}")
+    scores: Sequence[TaskRateView] = row.scores
     score = next((score for score in scores if score.task == column.task), None)
     if score is None:
         return Cell(notes=("not submitted",))

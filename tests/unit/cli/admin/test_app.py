@@ -1,5 +1,4 @@
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +9,11 @@ from service_factories import claim, make_record, play_all, shard_ids, store
 from typer.testing import Result
 from vitac.cli.admin.consent import ConsentMissing
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.evaluator.scoring.ranking import combine
 from vitac.server.db.models import Submission, Worker
 from vitac.server.db.states import WorkerState
 from vitac.server.errors import ServiceError
-from vitac.server.evaluations import scores
-from vitac.server.leaderboards.standings import leaderboard
 
-from competitions import make_competition, open_now, put_in_place, shown_stage
+from competitions import make_competition, open_now, put_in_place
 
 
 def admin(service: CliService, *arguments: str) -> Result:
@@ -135,23 +131,6 @@ def test_nothing_is_changed_without_consent(service: CliService, submission_id: 
     refused = admin(service, "submission", "cancel", submission_id)
     assert isinstance(refused.exception, ConsentMissing)
     assert "queued" in admin(service, "submission", "show", submission_id).stdout
-
-
-def test_the_combination_is_that_of_todays_rule_in_every_list(
-    service: CliService, submission_id: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As after an upgrade that combines tasks otherwise: the leaderboard and the admin lists have to agree."""
-    play(service, submission_id)
-    monkeypatch.setattr(scores, "combine", lambda tasks, of: replace(combine(tasks, of), success_rate=0.125))
-    listed = read(service, "evaluation", "list")
-    assert isinstance(listed, list)
-    (evaluation,) = listed
-    assert evaluation["success_rate"] == 0.125
-    assert "12.5 %" in admin(service, "evaluation", "list").stdout
-    assert "12.5 %" in admin(service, "submission", "list").stdout
-    with service.database.transaction() as session:
-        (entry,) = leaderboard(session, shown_stage(session, "track_1")).view.entries
-    assert entry.success_rate == 0.125
 
 
 def test_shows_an_evaluation_with_its_shards(service: CliService, submission_id: str) -> None:

@@ -6,8 +6,9 @@ from evaluation_records import make_record
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
+from vitac.envs.tasks.definition import Better, Measure
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.evaluator.scoring.score import Interval, Rate, interval_of_mean, rate, score, wilson_interval
+from vitac.evaluator.scoring.score import Interval, Rate, Score, combine, interval_of_mean, rate, score, wilson_interval
 
 
 @given(st.integers(1, 1000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
@@ -128,3 +129,58 @@ def test_the_interval_of_a_mean_holds_the_mean_and_stays_within_0_and_1(
     assert mean - 1e-12 <= interval.high <= 1.0
     if missing:
         assert interval.high < 1.0
+
+
+def test_what_a_board_may_rank_by_is_averaged_where_every_episode_has_it() -> None:
+    def measure(name: str, better: Better | None = Better.LOW) -> Measure:
+        return Measure(
+            name=name, label=name, meaning=name, unit="mm", needs=(name,), read=lambda info: info[name], better=better
+        )
+
+    measures = [measure("error_mm"), measure("sometimes_mm"), measure("shown_mm", None)]
+    everywhere = {"error_mm": [0.5, 2.0], "shown_mm": [1.0]}
+    records = [
+        make_record(1, env_steps=1, infos=({**everywhere, "sometimes_mm": [1.0]},)),
+        make_record(2, env_steps=1, infos=({**everywhere, "error_mm": [1.0]},)),
+    ]
+    assert score(records, measures).measures == {"error_mm": 1.5}
+    assert score([*records, make_record(3, EpisodeOutcome.POLICY_FAILED, env_steps=0)], measures).measures == {}
+    assert score(records).measures == {}
+
+
+PEG, LOCK = "peg-insertion", "lock-opening"
+
+
+def test_tasks_combine_by_the_mean() -> None:
+    peg = score([make_record(1, env_steps=4), make_record(2, EpisodeOutcome.STEPS)])
+    lock = score([make_record(1, env_steps=7)])
+    combined = combine([PEG, LOCK], {PEG: peg, LOCK: lock})
+    assert (combined.success_rate, combined.mean_steps) == (0.75, 5.5)
+    assert combined.interval == interval_of_mean([peg, lock], of=2)
+
+
+def test_combination_has_no_steps_where_a_task_has_none() -> None:
+    scores = {PEG: score([make_record(1, EpisodeOutcome.STEPS)]), LOCK: score([make_record(1)])}
+    combined = combine([PEG, LOCK], scores)
+    assert (combined.success_rate, combined.mean_steps) == (0.5, None)
+
+
+def test_a_task_that_is_not_played_counts_as_nothing() -> None:
+    peg = score([make_record(1)])
+    combined = combine([PEG, LOCK], {PEG: peg})
+    assert (combined.success_rate, combined.mean_steps) == (0.5, None)
+    assert (combined.interval.low, combined.interval.high) == pytest.approx((peg.interval.low / 2, 0.5))
+
+
+def test_a_task_of_another_track_does_not_count() -> None:
+    assert combine([PEG], {PEG: score([make_record(1)]), LOCK: score([make_record(1)])}).success_rate == 1.0
+
+
+def test_equal_combined_rates_are_equal_numbers_so_that_steps_decide() -> None:
+    def of(successes: int, episodes: int) -> Score:
+        outcomes = [EpisodeOutcome.SUCCESS] * successes + [EpisodeOutcome.TACTILE] * (episodes - successes)
+        return score([make_record(number, outcome) for number, outcome in enumerate(outcomes, start=1)])
+
+    first = combine([PEG, LOCK], {PEG: of(96, 270), LOCK: of(128, 160)})
+    second = combine([PEG, LOCK], {PEG: of(42, 270), LOCK: of(160, 160)})
+    assert first.success_rate == second.success_rate

@@ -128,6 +128,7 @@ def test_a_task_without_settings_methods_and_commitment_keeps_the_digest_from_be
     content = task.model_dump_json(
         exclude={
             "settings": True,
+            "ranking": True,
             "draws": True,
             "optional_observables": True,
             "force_limit_n": True,
@@ -190,7 +191,7 @@ def test_digest_changes_with_the_list(content: dict[str, object]) -> None:
 @pytest.mark.parametrize(
     ("place", "key", "nearest"),
     [
-        ((), "rankingrule", "ranking_rule"),
+        ((), "rankings", "ranking"),
         (("tasks", "peg-insertion"), "shardsize", "shard_size"),
         (("tasks", "peg-insertion", "episode_list"), "block", "blocks"),
         (("tasks", "peg-insertion", "episode_list", "blocks", 0), "repeat", "repeats"),

@@ -37,7 +37,7 @@ def with_appeals(session: Session, days: int | None = 7) -> None:
 
 def results(session: Session) -> list[object]:
     """All that boards and records say."""
-    rates = session.scalars(select(BoardResult.success_rate).order_by(BoardResult.board))
+    rates = session.scalars(select(BoardResult.ranked_by["success_rate"].as_float()).order_by(BoardResult.board))
     return [*rates, *session.scalars(select(EpisodeResult.record_digest).order_by(EpisodeResult.id))]
 
 

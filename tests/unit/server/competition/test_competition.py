@@ -122,7 +122,7 @@ def test_stages_know_their_track_the_one_before_them_and_the_last_one() -> None:
     assert (first.before, second.before) == (None, first)
     assert competition.last_stages == (second,)
     assert (str(second), second.subject) == (f"stage {SECOND} of {TRACK}", f"stage:cup/{TRACK}/{SECOND}")
-    assert second.ranking == ("success_rate", "submitted_at")
+    assert [key.name for key in second.find_ranking().keys] == ["success_rate", "submitted_at"]
     assert (first.plays_sealed_list, second.plays_sealed_list) == (False, True)
     assert competition.stage_titles == {(TRACK, FIRST): "Simulation", (TRACK, SECOND): "Final"}
     assert competition_of(make_competition(taken_here=False)).stages_held_here == ()

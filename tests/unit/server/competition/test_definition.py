@@ -69,7 +69,10 @@ def set_in(place: Callable[[Content], Content], **values: object) -> Callable[[C
         (set_in(second, quotas={"scored_runs": 0}), "greater than 0"),
         (lambda content: content["tracks"].update(track_9=content["tracks"].pop(TRACK)), "there is no such track"),
         (lambda content: content["tracks"][TRACK].update(ranking=["success_rate"]), "must end with submitted_at"),
-        (lambda content: content["tracks"][TRACK].update(ranking=["submitted_at"] * 2), "two ranking keys"),
+        (
+            lambda content: content["tracks"][TRACK].update(ranking=["submitted_at"] * 2),
+            "ranking names submitted_at twice",
+        ),
         (
             lambda content: content["tracks"][TRACK].update(prizes=[{"place": "first", "amount": 1}] * 2),
             "two prizes 'first'",

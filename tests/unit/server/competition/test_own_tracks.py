@@ -36,7 +36,6 @@ def content(**task: Any) -> dict[str, Any]:
         "folder": "Mine",
         "title": "My track",
         "summary": "Short.",
-        "ranking_rule": "Higher success rate first.",
         "accepts": ["model"],
         "tasks": {"short-peg": own | task},
     }

@@ -33,7 +33,7 @@ from vitac.server.evaluations.episode_store import EpisodeKey, read_stored_recor
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import EpisodesMissing
 from vitac.server.evaluations.listing import show_evaluation
-from vitac.server.evaluations.scores import combine_hashes, combined_score, make_score_views
+from vitac.server.evaluations.scores import combine_hashes, combined_score, read_scores
 from vitac.server.queue.leases import Lease, LeaseLost, lock_held
 from vitac.server.submissions import listing, runs
 from worker_fakes import eventually
@@ -81,7 +81,7 @@ def test_last_shard_scores_the_evaluation_with_the_evaluators_own_functions(data
     with database.transaction() as session:
         evaluation = newest_evaluation(session, submission)
         assert evaluation.state is EvaluationState.COMPLETED
-        assert make_score_views(evaluation) == {TASK: score(records)}
+        assert read_scores(evaluation) == {TASK: score(records)}
         combined = combined_score(evaluation)
         assert combined is not None
         assert combined.success_rate == score(records).success_rate / 2  # of the track's two tasks
@@ -134,7 +134,7 @@ def test_two_tasks_are_scored_each_and_together(database: Database) -> None:
     play_all(database, submission, lambda n, task: make_record(n, task=task) if task == LOCK else some_record(n))
     with database.transaction() as session:
         evaluation = newest_evaluation(session, submission)
-        scores = make_score_views(evaluation)
+        scores = read_scores(evaluation)
         assert [(task, score.episodes, score.successes) for task, score in scores.items()] == [
             (TASK, 270, 90),
             (LOCK, 160, 160),
@@ -170,7 +170,7 @@ def test_a_few_policy_failures_are_unsuccessful_episodes_of_a_completed_evaluati
     with database.transaction() as session:
         evaluation = newest_evaluation(session, submission)
         assert evaluation.state is EvaluationState.COMPLETED
-        assert make_score_views(evaluation)[TASK].successes == 268
+        assert read_scores(evaluation)[TASK].successes == 268
         assert "[peg-insertion, episode 5: crashed]" in evaluation.log_tail
 
 

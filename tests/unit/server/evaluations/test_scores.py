@@ -8,9 +8,9 @@ import pytest
 from evaluation_records import make_record
 from hypothesis import given
 from hypothesis import strategies as st
+from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.evaluator.scoring.ranking import combine
-from vitac.evaluator.scoring.score import Score, score
+from vitac.evaluator.scoring.score import Score, combine, score
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.models import ALL_TASKS, Evaluation, Submission
@@ -20,8 +20,8 @@ from vitac.server.evaluations.scores import (
     combined_result,
     combined_score,
     counted_tasks,
-    make_score_views,
     played_score,
+    read_scores,
     score_views,
     store_scores,
 )
@@ -49,20 +49,21 @@ def evaluation(*tasks: str, kind: SubmissionKind = SubmissionKind.MODEL) -> Eval
         tasks=list(tasks),
         kind=kind,
         submitted_at=WHEN,
-        stage="qualification",
+        competition="",
+        stage="",
     )
     return Evaluation(submission=submission, evaluator_version="7+abc")
 
 
 def scored(scores: dict[str, Score], kind: SubmissionKind = SubmissionKind.MODEL) -> Evaluation:
     found = evaluation(*scores, kind=kind)
-    store_scores(found, scores, {task: f"hash of {task}" for task in scores}, finished_at=ENDED)
+    store_scores(Session(), found, scores, {task: f"hash of {task}" for task in scores}, finished_at=ENDED)
     return found
 
 
 def test_before_the_end_there_is_no_score() -> None:
     running = evaluation(PEG)
-    assert make_score_views(running) == {}
+    assert read_scores(running) == {}
     assert score_views(running) == []
     assert combined_score(running) is None
     assert combine_scores(running, {}) is None
@@ -70,7 +71,7 @@ def test_before_the_end_there_is_no_score() -> None:
 
 def test_scores_are_read_back_as_they_were_stored() -> None:
     scores = {PEG: HALF, LOCK: NONE}
-    assert make_score_views(scored(scores)) == scores
+    assert read_scores(scored(scores)) == scores
 
 
 def test_the_row_holds_each_tasks_hash_beside_its_score() -> None:
@@ -82,7 +83,7 @@ def test_the_row_holds_each_tasks_hash_beside_its_score() -> None:
 
 def test_a_model_is_ranked_on_the_board_of_each_task_and_of_all_together() -> None:
     results = scored({PEG: HALF, LOCK: NONE}).board_results
-    assert [(result.board, result.success_rate, result.mean_steps) for result in results] == [
+    assert [(result.board, result.ranked_by["success_rate"], result.ranked_by["mean_steps"]) for result in results] == [
         (PEG, 0.5, 3.0),
         (LOCK, 0.0, None),
         (ALL_TASKS, 0.25, None),
@@ -90,12 +91,13 @@ def test_a_model_is_ranked_on_the_board_of_each_task_and_of_all_together() -> No
     for result in results:
         assert (result.track, result.kind, result.evaluator_version) == ("track_1", SubmissionKind.MODEL, "7+abc")
         assert (result.team_id, result.submission_id) == (UUID(int=2), UUID(int=1))
-        assert (result.submitted_at, result.finished_at, result.stage) == (WHEN, ENDED, "qualification")
+        assert (result.submitted_at, result.finished_at, result.stage) == (WHEN, ENDED, "")
 
 
 def test_a_task_that_a_model_does_not_play_counts_as_nothing() -> None:
     *_, together = scored({PEG: HALF}).board_results
-    assert (together.board, together.success_rate, together.mean_steps) == (ALL_TASKS, 0.25, None)
+    assert (together.board, together.ranked_by["success_rate"]) == (ALL_TASKS, 0.25)
+    assert together.ranked_by["mean_steps"] is None
 
 
 def test_what_was_played_is_scored_over_these_tasks_alone() -> None:
@@ -150,7 +152,7 @@ def test_a_model_scored_before_tasks_were_kept_has_no_combination_without_its_tr
     of_track.counted_tasks = of_task.counted_tasks = log.counted_tasks = None
     assert [combined_score(found) for found in (of_track, of_task)] == [None, None]
     assert [combined_result(found) for found in (of_track, of_task)] == [None, None]
-    assert make_score_views(of_track) == {PEG: HALF}
+    assert read_scores(of_track) == {PEG: HALF}
     combined = combined_score(log)
     assert combined is not None
     assert combined.success_rate == HALF.success_rate, "it is of one task, whatever the track combines"

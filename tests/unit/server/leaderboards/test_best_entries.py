@@ -9,12 +9,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from service_factories import LOCK, TASK, TRACK, add_result, make_score
 from sqlalchemy import select, text
-from vitac.evaluator.scoring.ranking import Standing, rank
+from vitac.evaluator.ranking import Ranking
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Team
-from vitac.server.evaluations.scores import combined_score, make_score_views
+from vitac.server.evaluations.scores import combined_score, read_scores
 from vitac.server.leaderboards import standings
 from vitac.server.leaderboards.best_entries import Board, best_entries, places
 from vitac.server.leaderboards.log_boards import log_boards
@@ -43,23 +43,16 @@ results = st.tuples(
 
 def best_by_the_rule(evaluations: Sequence[Evaluation], task: str | None) -> list[UUID]:
     """Ids of each team's best evaluation on a board, by the evaluator's own function."""
-    candidates, team_of = [], {}
+    ranking, candidates = Ranking(), []
     for evaluation in evaluations:
-        score = combined_score(evaluation) if task is None else make_score_views(evaluation).get(task)
+        score = combined_score(evaluation) if task is None else read_scores(evaluation).get(task)
         if score is not None:
-            team_of[str(evaluation.id)] = evaluation.submission.team_id
-            candidates.append(
-                Standing(
-                    id=str(evaluation.id),
-                    success_rate=score.success_rate,
-                    mean_steps=score.mean_steps,
-                    submitted_at=evaluation.created_at,
-                )
-            )
-    best: dict[UUID, str] = {}
-    for ranked in rank(candidates):
-        best.setdefault(team_of[ranked.standing.id], ranked.standing.id)
-    return [UUID(found) for found in best.values()]
+            key = ranking.sort_key(ranking.values(score, evaluation.created_at))
+            candidates.append((key, evaluation.id, evaluation.submission.team_id))
+    best: dict[UUID, UUID] = {}
+    for _, evaluation_id, team_id in sorted(candidates):
+        best.setdefault(team_id, evaluation_id)
+    return list(best.values())
 
 
 @given(st.lists(results, max_size=14, unique_by=lambda result: result[-1]))

@@ -1,62 +1,20 @@
 """Boards by other keys than the usual ones, as a competition's file may say."""
 
-from itertools import permutations
-
-import pytest
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.competition.definition import DEFAULT_RANKING, RankingKey
+from vitac.server.competition.applying import apply
+from vitac.server.competition.definition import CompetitionDefinition
 from vitac.server.db.engine import Database
-from vitac.server.leaderboards.best_entries import Board, best_entries, places
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.logs.claims import LogClaim
+from vitac.server.principals import CONSOLE
 
 from competitions import OPENS, make_competition, open_now, put_in_place, shown_stage
 
 CLAIM = LogClaim(team=None, episodes=270, successes=270, success_rate=1.0, mean_steps=3.0)
+CONCERN = [f"tracks.{TRACK}.ranking"]
 SCORES = {"A": (50, 4.0), "B": (50, 3.0), "C": (60, 5.0), "D": (0, None), "E": (60, 5.0)}
-RANKINGS = [
-    (*keys, RankingKey.SUBMITTED_AT)
-    for length in range(3)
-    for keys in permutations([RankingKey.SUCCESS_RATE, RankingKey.MEAN_STEPS], length)
-]
-
-
-@pytest.fixture
-def filled(database: Database) -> Database:
-    """A board with ties, a missing mean of steps, and no competition."""
-    for name, (successes, steps) in SCORES.items():
-        with database.transaction() as session:  # each in one of its own, for another time of submission
-            team = make_principal(session, f"Team {name}")
-            submit_scored(session, team, name, {TASK: make_score(successes, mean_steps=steps)})
-    return database
-
-
-def key_of(name: str, ranking: tuple[RankingKey, ...]) -> tuple[float, ...]:
-    successes, steps = SCORES[name]
-    values = {
-        RankingKey.SUCCESS_RATE: -successes,
-        RankingKey.MEAN_STEPS: float("inf") if steps is None else steps,
-        RankingKey.SUBMITTED_AT: list(SCORES).index(name),
-    }
-    return tuple(values[key] for key in ranking)
-
-
-@pytest.mark.parametrize("ranking", RANKINGS)
-def test_entries_are_compared_key_by_key(filled: Database, ranking: tuple[RankingKey, ...]) -> None:
-    with filled.transaction() as session:
-        entries = best_entries(session, Board(track=TRACK, task=TASK, ranking=ranking))
-        board = leaderboard(session, shown_stage(session, TRACK), task=TASK).view
-        name_of = {entry.submission_id: entry.submission_name for entry in board.entries}
-        shown = [name_of[entry.submission_id] for entry in entries]
-        assert shown == sorted(SCORES, key=lambda name: key_of(name, ranking))
-        found = places(session, Board(track=TRACK, ranking=ranking))[TASK]
-        assert sorted(name_of, key=lambda submission: found[submission].rank) == [
-            entry.submission_id for entry in entries
-        ]
-        if ranking == DEFAULT_RANKING:
-            assert [entry.submission_name for entry in board.entries] == shown
 
 
 def test_the_file_of_a_competition_says_what_counts(database: Database) -> None:
@@ -91,3 +49,36 @@ def test_logs_are_compared_by_the_keys_of_the_competition_too(database: Database
     assert [entry.evaluation_id for entry in same] == [entry.evaluation_id for entry in board.entries]
     assert view.ranking_rule.startswith("First comes fewer mean env steps of the successful episodes; then higher")
     assert "Only verified logs are ranked" in view.ranking_rule
+
+
+def test_results_move_where_the_file_is_applied_with_another_ranking(database: Database) -> None:
+    with database.transaction() as session:
+        put_in_place(session, make_competition())
+    for name, (successes, steps) in SCORES.items():
+        with database.transaction() as session:
+            measures = {"surface_diff_mm": 0.1 * successes}
+            scored = make_score(successes, mean_steps=steps).model_copy(update={"measures": measures})
+            submit_scored(session, make_principal(session, f"Team {name}"), name, {TASK: scored}, at=OPENS)
+
+    def read_names() -> list[str]:
+        with database.transaction() as session:
+            entries = leaderboard(session, shown_stage(session, TRACK), task=TASK).view.entries
+            return [entry.submission_name for entry in entries]
+
+    assert read_names() == ["C", "E", "B", "A", "D"]
+    for ranking, expected in (
+        (["submitted_at"], ["A", "B", "C", "D", "E"]),
+        (["surface_diff_mm", "submitted_at"], ["D", "A", "B", "C", "E"]),
+        (None, ["C", "E", "B", "A", "D"]),
+    ):
+        with database.transaction() as session:
+            changed = make_competition(**({} if ranking is None else {"ranking": ranking}))
+            apply(session, CONSOLE, CompetitionDefinition.model_validate(changed), confirmed=CONCERN)
+        assert read_names() == expected
+    with database.transaction() as session:
+        changed = make_competition(ranking=["surface_diff_mm", "submitted_at"])
+        apply(session, CONSOLE, CompetitionDefinition.model_validate(changed), confirmed=CONCERN)
+        view = leaderboard(session, shown_stage(session, TRACK), task=TASK).view
+        assert [key.title for key in view.ranking.measures] == ["Surface [mm]"]
+        assert view.entries[0].measures == {"surface_diff_mm": 0.0}
+        assert view.ranking_rule.startswith("First comes lower mean motion of a sensing surface since the grasp; then")

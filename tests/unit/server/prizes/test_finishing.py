@@ -276,7 +276,7 @@ def test_an_end_is_taken_back_with_a_reason_that_everybody_reads(played: Databas
         assert len(entry.before["boards"][0]["entries"]) == len(SUCCESSES)
         dogs = teams.find(session, "Dogs")
         submission = session.scalars(select(Submission).where(Submission.team_id == dogs.id)).one()
-        session.execute(update(BoardResult).where(BoardResult.submission_id == submission.id).values(success_rate=1.0))
+        session.execute(update(BoardResult).where(BoardResult.submission_id == submission.id).values(sort_key=[-1.0]))
     with played.transaction() as session:
         assert finalize(session, CONSOLE)[0].team == "Dogs"
         assert len(competition_view(session).reopened) == 1

@@ -113,7 +113,6 @@ def exported(
     values: dict[str, Any] = {
         "made_at": WHEN,
         "public_key": PUBLIC_KEY,
-        "ranking": ("success_rate", "mean_steps", "submitted_at"),
         "secret": None,
         "commitment": None,
         "competition": "",

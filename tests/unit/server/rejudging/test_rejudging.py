@@ -266,11 +266,15 @@ def test_boards_that_stand_still_are_not_changed(database: Database) -> None:
     with pytest.raises(ServiceError, match="unfreeze"), database.transaction() as session:
         rejudging.apply(session, CONSOLE, rejudgement)
     with database.transaction() as session:
-        assert session.scalars(select(BoardResult.success_rate).where(BoardResult.board == TASK)).all() == [0.9]
+        assert session.scalars(
+            select(BoardResult.ranked_by["success_rate"].as_float()).where(BoardResult.board == TASK)
+        ).all() == [0.9]
         session.get_one(CompetitionRow, "cup").frozen_at = None
     with database.transaction() as session:
         rejudging.apply(session, CONSOLE, rejudgement)
-        assert session.scalars(select(BoardResult.success_rate).where(BoardResult.board == TASK)).all() == [0.5]
+        assert session.scalars(
+            select(BoardResult.ranked_by["success_rate"].as_float()).where(BoardResult.board == TASK)
+        ).all() == [0.5]
 
 
 def test_a_proposed_evaluation_can_be_cancelled_and_uploads_that_are_gone_are_left_alone(

@@ -10,7 +10,6 @@ name: mine
 folder: Mine
 title: My track
 summary: One episode.
-ranking_rule: Higher success rate first.
 accepts: [model]
 tasks:
   one-peg:
