@@ -19,13 +19,14 @@ _PARALLEL = 1e-9
 
 
 @allocating_kernel
-def first_crossing(vertices: FloatArray, triangles: IndexArray, max_pairs: int) -> tuple[int, int]:
+def first_crossing(vertices: FloatArray, triangles: IndexArray, max_pairs: int, slack: float = 0.0) -> tuple[int, int]:
     """Return two triangles of a surface that cross or lie on each other.
 
     Args:
         vertices: shape [v, 3].
         triangles: shape [f, 3].
         max_pairs: pairs with overlapping boxes that are looked at.
+        slack: an edge that ends so close to another triangle's rim does not cross it, in the vertices' unit.
 
     Returns:
         Two triangles; NONE where there are none; TOO_MANY where there are more pairs than that.
@@ -44,7 +45,7 @@ def first_crossing(vertices: FloatArray, triangles: IndexArray, max_pairs: int) 
             pairs += 1
             if pairs > max_pairs:
                 return TOO_MANY, TOO_MANY
-            if _cross(vertices, triangles, a, b):
+            if _cross(vertices, triangles, a, b, slack):
                 return min(a, b), max(a, b)
     return NONE, NONE
 
@@ -80,7 +81,7 @@ def _boxes(vertices: FloatArray, triangles: IndexArray) -> tuple[FloatArray, Flo
 
 
 @kernel
-def _cross(vertices: FloatArray, triangles: IndexArray, a: int, b: int) -> bool:
+def _cross(vertices: FloatArray, triangles: IndexArray, a: int, b: int, slack: float) -> bool:
     shared, of_a, of_b = 0, 0, 0
     for i in range(3):
         for j in range(3):
@@ -90,17 +91,18 @@ def _cross(vertices: FloatArray, triangles: IndexArray, a: int, b: int) -> bool:
     if shared >= 2:
         return _folded(vertices, triangles, a, b)
     if shared == 1:
-        return _edge_meets(vertices, triangles, a, (of_a + 1) % 3, b) or _edge_meets(
-            vertices, triangles, b, (of_b + 1) % 3, a
+        return _edge_meets(vertices, triangles, a, (of_a + 1) % 3, b, slack) or _edge_meets(
+            vertices, triangles, b, (of_b + 1) % 3, a, slack
         )
     meets = False
     for i in range(3):
-        meets = meets or _edge_meets(vertices, triangles, a, i, b) or _edge_meets(vertices, triangles, b, i, a)
+        meets = meets or _edge_meets(vertices, triangles, a, i, b, slack)
+        meets = meets or _edge_meets(vertices, triangles, b, i, a, slack)
     return meets
 
 
 @kernel
-def _edge_meets(vertices: FloatArray, triangles: IndexArray, a: int, i: int, b: int) -> bool:
+def _edge_meets(vertices: FloatArray, triangles: IndexArray, a: int, i: int, b: int, slack: float) -> bool:
     """Return whether the edge of triangle a from its corner i on meets triangle b, be it only at its rim.
 
     Those of surfaces that were drawn on one grid cross exactly there. In one plane with it an edge does not meet it.
@@ -114,7 +116,24 @@ def _edge_meets(vertices: FloatArray, triangles: IndexArray, a: int, i: int, b: 
     if abs(rise) <= _PARALLEL * np.sqrt(dot(along, along) * dot(normal, normal)) or height * (height - rise) > 0.0:
         return False
     u, v, w = dot(along, cross(to_2, to_1)), dot(along, cross(to_0, to_2)), dot(along, cross(to_1, to_0))
-    return (u >= 0.0 and v >= 0.0 and w >= 0.0) or (u <= 0.0 and v <= 0.0 and w <= 0.0)
+    inside = (u >= 0.0 and v >= 0.0 and w >= 0.0) or (u <= 0.0 and v <= 0.0 and w <= 0.0)
+    if not inside or slack == 0.0 or min(abs(height), abs(height - rise)) > slack * np.sqrt(dot(normal, normal)):
+        return inside
+    return _depth(p, along, height / rise, vertices, triangles, b) > slack
+
+
+@kernel
+def _depth(p: Vec3, along: Vec3, part: float, vertices: FloatArray, triangles: IndexArray, b: int) -> float:
+    """Return how far a part of the way from a point lies from the rim of the triangle that it is in."""
+    depth = np.inf
+    for i in range(3):
+        corner = load(vertices, triangles[b, i])
+        side = subtract(load(vertices, triangles[b, (i + 1) % 3]), corner)
+        to = subtract(p, corner)
+        at = (to[0] + part * along[0], to[1] + part * along[1], to[2] + part * along[2])
+        across = cross(side, at)
+        depth = min(depth, np.sqrt(dot(across, across) / dot(side, side)))
+    return depth
 
 
 @kernel

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..compilation import allocating_kernel, kernel
 from ..errors import VitacError
-from .surface import DrawnSurface
+from .surface import DrawnSurface, heights_mm
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -17,6 +17,8 @@ MaskArray = NDArray[np.bool_]
 
 # A face that leans less than this from the vertical (as sine) is a wall.
 _WALL_SINE = 1e-3
+# A face that looks down is one, too, where it stands out less than this.
+_OVERHANG_MM = 0.01
 # Points of the base are within this of its lowest point.
 _FLAT_MM = 0.02
 
@@ -52,11 +54,11 @@ class HeightField:
 
     def __init__(self, surface: DrawnSurface) -> None:
         self._surface = surface
-        self._slope = surface.area_vectors_mm2[:, 2] / np.maximum(surface.areas_mm2, 1e-300)
+        self._slope = surface.normals[:, 2]
         self._is_upper: MaskArray = self._slope > _WALL_SINE
         down = self._slope < -_WALL_SINE
         is_low: MaskArray = surface.corners_mm[:, :, 2].max(axis=1) <= _FLAT_MM
-        overhanging = down & ~is_low
+        overhanging = down & ~is_low & (heights_mm(surface.corners_mm * [1.0, 1.0, 0.0]) > _OVERHANG_MM)
         if overhanging.any():
             x, y, z = surface.corners_mm[int(np.flatnonzero(overhanging)[0])].mean(axis=0)
             raise NotAHeightField(
@@ -78,8 +80,7 @@ class HeightField:
         """Yield walls, and creases whose faces' normals have a smaller cosine than this."""
         surface = self._surface
         first, second = surface.triangles_of_edges.T
-        normals = surface.area_vectors_mm2 / np.maximum(surface.areas_mm2, 1e-300)[:, None]
-        cosine = (normals[first] * normals[second]).sum(axis=1)
+        cosine = (surface.normals[first] * surface.normals[second]).sum(axis=1)
         both = self._is_upper[first] & self._is_upper[second]
         is_wall = self._is_upper[first] ^ self._is_upper[second]
         for index in np.flatnonzero(is_wall | (both & (cosine < crease_cosine))):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .height_field import Line
 from .plane_mesh import GRID_PER_MM, PlaneMesh, Point, TooManyPoints
+from .surface import first_within
 
 FloatArray = NDArray[np.float64]
 PlanePoint = tuple[float, float]
@@ -67,17 +68,13 @@ def _pieces(lines: list[Line], half_mm: PlanePoint) -> Pieces:
 
 def _snapped(ends: list[PlanePoint], half_mm: PlanePoint) -> list[PlanePoint]:
     """Return the points with those that are close together made equal, and those close to the base's edge put on it."""
-    kept: list[PlanePoint] = []
-    found: dict[PlanePoint, PlanePoint] = {}
-    for end in dict.fromkeys(ends):
-        x, y = (_to_edge(value, limit) for value, limit in zip(end, half_mm, strict=True))
-        near = next((k for k in kept if abs(k[0] - x) <= _SNAP_MM and abs(k[1] - y) <= _SNAP_MM), None)
-        if near is None:
-            kept.append((x, y))
-        if len(kept) > _MAX_ENDS:
-            raise TooManyPoints(f"The outlines of the faces have more than {_MAX_ENDS} corners.")
-        found[end] = near or (x, y)
-    return [found[end] for end in ends]
+    distinct = [*dict.fromkeys(ends)]
+    points = [tuple(_to_edge(value, limit) for value, limit in zip(end, half_mm, strict=True)) for end in distinct]
+    firsts = first_within(np.array(points).reshape(-1, 2), _SNAP_MM).tolist()
+    if len(set(firsts)) > _MAX_ENDS:
+        raise TooManyPoints(f"The outlines of the faces have more than {_MAX_ENDS} corners.")
+    snapped = {end: points[first] for end, first in zip(distinct, firsts, strict=True)}
+    return [snapped[end] for end in ends]
 
 
 def _sample_points(points: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:

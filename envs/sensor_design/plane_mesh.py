@@ -127,12 +127,14 @@ class PlaneMesh:
                 heapq.heappush(heap, (negative, triangle))
 
     def _improve(self, triangle: Triangle, shortest: float) -> bool:
-        """Insert the triangle's circumcentre, or halve the segments that it would crowd; False if neither can be."""
-        centre = self._circumcentre(triangle)
+        """Insert the triangle's circumcentre, or halve the segments that it would crowd; False if neither can be.
+
+        Each time there are more points or shorter segments, so that a refinement ends at the limit of points.
+        """
+        centre, before = self._circumcentre(triangle), len(self.points)
         crowded = [edge for edge in self._segments if _is_in_diametral_circle(self._ends(edge), centre)]
         if not crowded and self._is_inside(centre):
-            self.add_point(centre)
-            return True
+            return self.add_point(centre) == before
         long = [edge for edge in crowded if self._length(edge) > 2.0 * shortest]
         for edge in long:
             self._split(edge)

@@ -1,7 +1,11 @@
-"""A triangle surface as somebody drew it, which may be anything, and the counts that show what is wrong with it."""
+"""A triangle surface as somebody drew it, which may be anything, and the edges that show what is wrong with it."""
 
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
+from math import dist, hypot
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +15,8 @@ from .sampling import samples_mm
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
-_NO_HEIGHT_MM = 1e-5
-"""Single precision, in which STL files have their coordinates, rounds those of a gel to some 1e-6 mm."""
+WELDS_MM = (1e-5, 1e-4, 1e-3)
+"""Distances within which corners are one, tried in turn; single precision rounds those of a gel to some 1e-6 mm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -22,25 +26,40 @@ class DrawnSurface:
     Attributes:
         vertices_mm: shape [v, 3].
         triangles: vertex indices, shape [f, 3]; no triangle names a vertex twice.
+        weld_mm: corners at most so far apart along each axis were taken as one; 0 where none were.
     """
 
     vertices_mm: FloatArray
     triangles: IndexArray
+    weld_mm: float = 0.0
 
     @classmethod
     def from_corners(cls, corners_mm: FloatArray) -> "DrawnSurface":
-        """Return the surface of triangles with corners of shape [f, 3, 3]; equal positions become one vertex.
+        """Return the surface of triangles with corners of shape [f, 3, 3].
 
-        Triangles two of whose corners are one vertex are left away, and vertices that no other triangle has. Where a
-        triangle without height closes a T-junction, as CAD kernels write it, its neighbour is divided instead, which
+        Corners that are close together become one vertex, by the smallest of `WELDS_MM` that leaves a closed surface
+        without triangles lower than this, or only equal ones where none does. Triangles that then name a vertex twice
+        or repeat another are left away. Where
+        a triangle without height closes a T-junction, as CAD kernels write it, its neighbour is divided instead, which
         leaves the shape as it is.
         """
         vertices, index = np.unique(corners_mm.reshape(-1, 3), axis=0, return_inverse=True)
-        triangles = index.reshape(-1, 3).astype(np.int64)
-        a, b, c = triangles.T
-        used, kept = np.unique(triangles[(a != b) & (b != c) & (c != a)], return_inverse=True)
-        whole = kept.reshape(-1, 3).astype(np.int64)
-        return cls(vertices_mm=vertices[used], triangles=_divided_at_t_junctions(vertices[used], whole))
+        drawn = cls(vertices_mm=vertices, triangles=index.reshape(-1, 3).astype(np.int64))
+        tried = []
+        for weld_mm in (*WELDS_MM, 0.0):
+            tried.append(drawn.welded(weld_mm))
+            if tried[-1].is_closed and not tried[-1].has_low_triangles:
+                return tried[-1]
+        return next((surface for surface in tried if surface.is_closed), tried[0])
+
+    def welded(self, weld_mm: float) -> "DrawnSurface":
+        """Return the surface with corners at most so far apart as one vertex, as `from_corners` says."""
+        firsts = first_within(self.vertices_mm, weld_mm) if weld_mm else np.arange(len(self.vertices_mm))
+        triangles = _single(firsts[self.triangles])
+        used, index = np.unique(triangles, return_inverse=True)
+        vertices_mm = self.vertices_mm[used]
+        divided = _divided_at_t_junctions(vertices_mm, index.reshape(-1, 3).astype(np.int64), weld_mm)
+        return DrawnSurface(vertices_mm=vertices_mm, triangles=divided, weld_mm=weld_mm)
 
     @cached_property
     def corners_mm(self) -> FloatArray:
@@ -64,6 +83,35 @@ class DrawnSurface:
         return np.asarray(np.sqrt((self.area_vectors_mm2**2).sum(axis=1)))
 
     @cached_property
+    def heights_mm(self) -> FloatArray:
+        """Heights of the triangles over their longest edges [mm], shape [f]."""
+        return heights_mm(self.corners_mm)
+
+    @cached_property
+    def is_low(self) -> NDArray[np.bool_]:
+        """Whether each triangle is so low that rounding decides where it looks to, shape [f]."""
+        return np.asarray(self.heights_mm <= WELDS_MM[-1])
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """Outward unit normals, shape [f, 3]; a low triangle has that of its neighbour at the longest edge.
+
+        On a surface on which exactly two triangles meet at each edge.
+        """
+        unit = self.area_vectors_mm2 / np.maximum(self.areas_mm2, 1e-300)[:, None]
+        low = np.flatnonzero(self.is_low)
+        if not len(low):
+            return unit
+        sides = np.roll(self.corners_mm, -1, axis=1) - self.corners_mm
+        longest = (sides**2).sum(axis=2).argmax(axis=1)
+        pairs = self.triangles_of_edges[self._edges[1][longest * len(unit) + np.arange(len(unit))]]
+        source = np.arange(len(unit))
+        source[low] = pairs[low].sum(axis=1) - low
+        for _ in range(len(low).bit_length()):  # each time twice as far
+            source = source[source]
+        return np.asarray(unit[np.where(self.is_low[source], np.arange(len(unit)), source)])
+
+    @cached_property
     def extent_mm(self) -> FloatArray:
         """Extent along x, y and z [mm], shape [3]."""
         return np.asarray(self.vertices_mm.max(axis=0) - self.vertices_mm.min(axis=0))
@@ -79,19 +127,29 @@ class DrawnSurface:
         return self._edges[0]
 
     @property
-    def n_open_edges(self) -> int:
-        """Edges of a single triangle."""
-        return int((self._uses.sum(axis=1) == 1).sum())
+    def open_edges(self) -> IndexArray:
+        """Edges of a single triangle, shape [n, 2]."""
+        return np.asarray(self.edges[self._uses.sum(axis=1) == 1])
 
     @property
-    def n_mixed_edges(self) -> int:
-        """Edges at which two triangles meet that are oriented against each other."""
-        return int(((self._uses == 2) & (self._uses[:, ::-1] == 0)).any(axis=1).sum())
+    def mixed_edges(self) -> IndexArray:
+        """Edges at which two triangles meet that are oriented against each other, shape [n, 2]."""
+        return np.asarray(self.edges[((self._uses == 2) & (self._uses[:, ::-1] == 0)).any(axis=1)])
 
     @property
-    def n_branching_edges(self) -> int:
-        """Edges at which more than two triangles meet."""
-        return int((self._uses.sum(axis=1) > 2).sum())
+    def branching_edges(self) -> IndexArray:
+        """Edges at which more than two triangles meet, shape [n, 2]."""
+        return np.asarray(self.edges[self._uses.sum(axis=1) > 2])
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether two triangles meet at every edge."""
+        return bool((self._uses.sum(axis=1) == 2).all())
+
+    @property
+    def has_low_triangles(self) -> bool:
+        """Whether a triangle has a height of at most `weld_mm`."""
+        return bool((self.heights_mm <= self.weld_mm).any())
 
     @cached_property
     def triangles_of_edges(self) -> IndexArray:
@@ -147,32 +205,94 @@ class DrawnSurface:
         return np.column_stack([np.bincount(inverse[way], minlength=count) for way in (upward, ~upward)])
 
 
-def _divided_at_t_junctions(vertices_mm: FloatArray, triangles: IndexArray) -> IndexArray:
-    """Return the triangles with the longest edge of each one without height flipped, until none is left that can be.
+def first_within(points: FloatArray, distance: float) -> IndexArray:
+    """Return for every point the first one that stands for it: at most so far from it along each axis, or itself.
 
-    Of the triangle b, a, m with m on the edge from a to b, and its neighbour a, b, c, become a, m, c and m, b, c.
+    Args:
+        points: shape [n, d].
+        distance: in the points' unit; no two points that stand for others are that close.
+
+    Returns:
+        Shape [n].
     """
-    found = triangles.copy()
-    while True:
-        corners = vertices_mm[found]
-        edges = np.roll(corners, -1, axis=1) - corners  # from each corner on
-        lengths = np.sqrt((edges**2).sum(axis=2))
-        areas = np.sqrt((np.cross(edges[:, 0], edges[:, 1]) ** 2).sum(axis=1))
-        flat = np.flatnonzero(areas <= _NO_HEIGHT_MM * lengths.max(axis=1))
-        if not len(flat):
-            return found
-        owner = {(int(t[i]), int(t[(i + 1) % 3])): n for n, t in enumerate(found) for i in range(3)}
-        without_height, changed = set(flat.tolist()), set[int]()
-        for n in flat.tolist():
-            i = int(lengths[n].argmax())
-            b, a, m = (int(found[n, (i + k) % 3]) for k in range(3))
-            neighbour = owner.get((a, b))
-            if neighbour is None or neighbour in without_height or neighbour in changed:
-                continue
-            c = next(int(corner) for corner in found[neighbour] if corner not in (a, b))
-            if c == m:
-                continue
-            found[n], found[neighbour] = (a, m, c), (m, b, c)
-            changed |= {n, neighbour}
-        if not changed:
-            return found
+    first_of: dict[tuple[float, ...], int] = {}  # by cell, which has room for one
+    firsts = np.arange(len(points))
+    positions = points.tolist()
+    for number, cell in enumerate(np.floor(points / distance).tolist()):
+        near = map(first_of.get, product(*((at - 1.0, at, at + 1.0) for at in cell)))
+        close = (n for n in near if n is not None and _is_within(positions[n], positions[number], distance))
+        firsts[number] = min(close, default=number)
+        if firsts[number] == number:
+            first_of[tuple(cell)] = number
+    return firsts
+
+
+def _is_within(first: list[float], second: list[float], distance: float) -> bool:
+    return all(abs(a - b) <= distance for a, b in zip(first, second, strict=True))
+
+
+def _single(triangles: IndexArray) -> IndexArray:
+    """Return the triangles that name three vertices, of equal ones that look to the same side the first."""
+    a, b, c = triangles.T
+    whole = triangles[(a != b) & (b != c) & (c != a)]
+    turned = np.take_along_axis(whole, (whole.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+    _, first = np.unique(turned, axis=0, return_index=True)
+    return np.asarray(whole[np.sort(first)])
+
+
+def heights_mm(corners_mm: FloatArray) -> FloatArray:
+    """Return the heights of triangles, with corners of shape [f, 3, 3], over their longest edges [mm], shape [f]."""
+    edges = np.roll(corners_mm, -1, axis=1) - corners_mm
+    longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1)
+    areas = np.sqrt((np.cross(edges[:, 0], edges[:, 1]) ** 2).sum(axis=1))
+    return np.asarray(areas / np.maximum(longest, 1e-300))
+
+
+def _divided_at_t_junctions(vertices_mm: FloatArray, triangles: IndexArray, height_mm: float) -> IndexArray:
+    """Return the triangles with the longest edges of those without height flipped.
+
+    Of the triangle b, a, m with m on the edge from a to b, and its neighbour a, b, c, become a, m, c and m, b, c. An
+    edge is flipped only where this leaves fewer triangles without height, so there are at most as many flips as there
+    are of these.
+    """
+    low = set(np.flatnonzero(heights_mm(vertices_mm[triangles]) <= height_mm).tolist())
+    if not low:
+        return triangles
+    faces = [(a, b, c) for a, b, c in triangles.tolist()]
+    points = vertices_mm.tolist()
+    owner = {edge: number for number, face in enumerate(faces) for edge in _edges_of(face)}
+
+    def is_low(face: tuple[int, int, int]) -> bool:
+        a, b, c = (points[corner] for corner in face)
+        (ux, uy, uz), (vx, vy, vz) = ([to - at for to, at in zip(end, a, strict=True)] for end in (b, c))
+        area = hypot(uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)
+        return area <= height_mm * max(dist(a, b), dist(b, c), dist(c, a))
+
+    waiting = deque(sorted(low))
+    while waiting:
+        number = waiting.popleft()
+        if number not in low:
+            continue
+        a, b = max(_edges_of(faces[number]), key=lambda edge: dist(points[edge[0]], points[edge[1]]))
+        neighbour = owner.get((b, a))
+        if neighbour is None:
+            continue
+        m, c = (next(corner for corner in faces[n] if corner not in (a, b)) for n in (number, neighbour))
+        flipped = {number: (b, m, c), neighbour: (m, a, c)}
+        still_low = {n for n, face in flipped.items() if is_low(face)}
+        if c == m or (m, c) in owner or (c, m) in owner or len(still_low) >= len(low & flipped.keys()):
+            continue
+        for edge in ((a, b), (b, a)):
+            owner.pop(edge, None)
+        for n, face in flipped.items():
+            faces[n] = face
+            owner.update(dict.fromkeys(_edges_of(face), n))
+        low = low - flipped.keys() | still_low
+        around = {owner.get((q, p)) for face in flipped.values() for p, q in _edges_of(face)}
+        waiting.extend(sorted(n for n in around if n in low))
+    return np.array(faces, dtype=np.int64)
+
+
+def _edges_of(face: tuple[int, int, int]) -> Iterator[tuple[int, int]]:
+    a, b, c = face
+    return iter(((a, b), (b, c), (c, a)))

@@ -150,8 +150,8 @@ class MeshCheck:
         surface = mesh.surface
         faults = {
             "faces of more than two tetrahedra": mesh.n_shared_faces,
-            "edges of its surface where it is not closed": surface.n_open_edges + surface.n_mixed_edges,
-            "edges of its surface where more than two faces meet": surface.n_branching_edges,
+            "edges of its surface where it is not closed": len(surface.open_edges) + len(surface.mixed_edges),
+            "edges of its surface where more than two faces meet": len(surface.branching_edges),
             "inverted parts of its surface": int((surface.shell_volumes_mm3() > 0.0).sum()) - 1,
             "crossing faces": int(first_crossing(surface.vertices_mm, surface.triangles, _MAX_PAIRS)[0] != NONE),
         }

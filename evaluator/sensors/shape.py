@@ -5,13 +5,15 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.sensor_design.surface import DrawnSurface
+from vitac.envs.sensor_design.surface import WELDS_MM, DrawnSurface
 
 from .findings import Finding, Rule
 from .limits import SensorLimits
 
 _SMALLEST_GEL_MM, _LARGEST_GEL_MM = 15.0, 40.0
 _SMALLEST_EXTENT_MM = 0.01
+# Open edges that run along each other so closely are two sides of one.
+_CRACK_MM = 0.05
 # Of numbers that can be squared and multiplied; single precision ends at 3.4e38.
 _LARGEST_COORDINATE = 1e30
 # Narrow tests of pairs of triangles, about 0.1 us each.
@@ -96,17 +98,38 @@ def _flat(surface: DrawnSurface, _: SensorLimits) -> Finding:
 
 
 def _closed(surface: DrawnSurface, _: SensorLimits) -> Finding:
-    return _count(Rule.CLOSED, surface.n_open_edges, "open edges", "Close the holes of the surface.")
+    welded = f", with corners within {surface.weld_mm:g} mm as one" if surface.weld_mm > WELDS_MM[0] else ""
+    open_edges = surface.open_edges
+    advice = _crack(surface) if len(open_edges) else ""
+    return _count(Rule.CLOSED, surface, open_edges, f"open edges{welded}", f"Close the holes of the surface{advice}")
+
+
+def _crack(surface: DrawnSurface) -> str:
+    """Return what lies so near the first open edge that it hints at a crack."""
+    open_edges = surface.open_edges
+    others = np.setdiff1d(open_edges, open_edges[0])
+    (start, along), to = surface.vertices_mm[open_edges[0]], surface.vertices_mm[others]
+    along = along - start
+    part = np.clip(((to - start) * along).sum(axis=1) / (along * along).sum(), 0.0, 1.0)
+    apart_mm = np.sqrt(((to - start - part[:, None] * along) ** 2).sum(axis=1))
+    if not len(others) or (nearest_mm := float(apart_mm.min())) > _CRACK_MM:
+        return ""
+    return (
+        ", or give both sides of a crack the same corners: that of another open edge at "
+        f"{_place(to[apart_mm.argmin()])} mm is {nearest_mm:.2g} mm away from the first one, and corners within "
+        f"{WELDS_MM[-1]:g} mm are taken as one"
+    )
 
 
 def _orientation(surface: DrawnSurface, _: SensorLimits) -> Finding:
-    advice = "Some triangles look inwards and others outwards; make the normals consistent."
-    return _count(Rule.ORIENTATION, surface.n_mixed_edges, "edges between triangles that do not agree", advice)
+    advice = "Some triangles look inwards and others outwards; make the normals consistent"
+    what = "edges between triangles that do not agree"
+    return _count(Rule.ORIENTATION, surface, surface.mixed_edges, what, advice)
 
 
 def _branching(surface: DrawnSurface, _: SensorLimits) -> Finding:
-    advice = "More than two triangles meet at an edge; unite the parts to one body."
-    return _count(Rule.EDGES, surface.n_branching_edges, "edges of more than two triangles", advice)
+    advice = "More than two triangles meet at an edge; unite the parts to one body"
+    return _count(Rule.EDGES, surface, surface.branching_edges, "edges of more than two triangles", advice)
 
 
 def _inverted(surface: DrawnSurface, _: SensorLimits) -> Finding:
@@ -152,7 +175,8 @@ def _winding_number(corners: NDArray[np.float64]) -> float:
 def _self_intersection(surface: DrawnSurface, _: SensorLimits) -> Finding:
     from vitac.envs.sensor_design.crossings import NONE, TOO_MANY, first_crossing
 
-    first, second = first_crossing(surface.vertices_mm, surface.triangles, _MAX_PAIRS)
+    clear = np.flatnonzero(~surface.is_low)
+    first, second = first_crossing(surface.vertices_mm, surface.triangles[clear], _MAX_PAIRS, WELDS_MM[-1])
     if first == TOO_MANY:
         return Finding(
             rule=Rule.TRIANGLES,
@@ -161,17 +185,18 @@ def _self_intersection(surface: DrawnSurface, _: SensorLimits) -> Finding:
             limit=f"at most {_MAX_PAIRS}",
             problem="Too many triangles lie near each other to be checked; export it coarser.",
         )
+    middle_mm = surface.corners_mm[clear[first]].mean(axis=0)
     return Finding(
         rule=Rule.SELF_INTERSECTION,
         ok=first == NONE,
-        value="none" if first == NONE else f"triangles {first} and {second}",
+        value="none" if first == NONE else f"triangles {clear[first]} and {clear[second]}",
         limit="none",
-        problem=f"Triangles cross near {_middle(surface, first)} mm; unite the parts to one body.",
+        problem=f"Triangles cross near {_place(middle_mm)} mm; unite the parts to one body.",
     )
 
 
-def _middle(surface: DrawnSurface, triangle: int) -> str:
-    return "(" + ", ".join(f"{value:.2f}" for value in surface.corners_mm[triangle].mean(axis=0)) + ")"
+def _place(point_mm: NDArray[np.float64]) -> str:
+    return "(" + ", ".join(f"{value:.5g}" for value in point_mm) + ")"
 
 
 def _base_corners(surface: DrawnSurface, limits: SensorLimits) -> tuple[NDArray[np.float64], float]:
@@ -247,8 +272,10 @@ def _within(value: float, expected: float, tolerance: float) -> bool:
     return abs(value - expected) <= tolerance + 2e-6
 
 
-def _count(rule: Rule, count: int, what: str, advice: str) -> Finding:
-    return Finding(rule=rule, ok=count == 0, value=f"{count} {what}", limit="0", problem=advice)
+def _count(rule: Rule, surface: DrawnSurface, edges: NDArray[np.int64], what: str, advice: str) -> Finding:
+    ends = (_place(end) for end in surface.vertices_mm[edges[:1].reshape(-1)])
+    where = ". The first one is from {} to {} mm.".format(*ends) if len(edges) else "."
+    return Finding(rule=rule, ok=not len(edges), value=f"{len(edges)} {what}", limit="0", problem=f"{advice}{where}")
 
 
 _STAGES: tuple[tuple[Check, ...], ...] = (

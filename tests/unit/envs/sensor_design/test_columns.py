@@ -34,7 +34,7 @@ def mesh(made: Columns) -> Tetrahedra:
 
 def is_closed(made: Tetrahedra) -> bool:
     surface = made.surface
-    return (surface.n_open_edges, surface.n_mixed_edges, made.n_shared_faces) == (0, 0, 0)
+    return (len(surface.open_edges), len(surface.mixed_edges), made.n_shared_faces) == (0, 0, 0)
 
 
 @settings(max_examples=60)

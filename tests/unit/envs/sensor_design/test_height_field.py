@@ -84,6 +84,6 @@ def test_a_face_that_looks_down_is_named_by_its_place() -> None:
 
 
 def test_a_wall_that_hardly_leans_is_a_wall() -> None:
-    HeightField(drawn_gels.leaning(3e-3))
+    HeightField(drawn_gels.leaning(8e-3))
     with pytest.raises(NotAHeightField):
-        HeightField(drawn_gels.leaning(8e-3))
+        HeightField(drawn_gels.leaning(12e-3))

@@ -59,7 +59,7 @@ def test_mesh_is_that_of_the_drawing(name: str) -> None:
     assert mesh.qualities.min() > (0.01 if name in ("round pillar", "wedge") else 0.03)
     assert mesh.n_shared_faces == 0
     surface = mesh.surface
-    assert (surface.n_open_edges, surface.n_mixed_edges, surface.n_branching_edges) == (0, 0, 0)
+    assert (len(surface.open_edges), len(surface.mixed_edges), len(surface.branching_edges)) == (0, 0, 0)
     assert surface.volume_mm3 == pytest.approx(mesh.volume_mm3, rel=1e-12)
 
 

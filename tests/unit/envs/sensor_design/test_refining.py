@@ -20,7 +20,7 @@ def test_refined_mesh_fills_the_same_body_and_meets_at_whole_faces(nodes: int) -
     assert fine.volume_mm3 == pytest.approx(CUBE.volume_mm3)
     assert fine.n_shared_faces == 0
     surface = fine.surface
-    assert (surface.n_open_edges, surface.n_mixed_edges, surface.n_branching_edges) == (0, 0, 0)
+    assert (len(surface.open_edges), len(surface.mixed_edges), len(surface.branching_edges)) == (0, 0, 0)
     assert surface.areas_mm2.sum() == pytest.approx(CUBE.surface.areas_mm2.sum())
     assert fine.qualities.min() > 0.2 * CUBE.qualities.min()
 
@@ -54,7 +54,7 @@ def test_tips_are_filled_up_within_the_nodes_allowed(depth_mm: float, fewest: in
     assert fine.n_shared_faces == 0
     assert fine.volumes_mm3.min() > 0.0
     surface = fine.surface
-    assert (surface.n_open_edges, surface.n_mixed_edges, surface.n_branching_edges) == (0, 0, 0)
+    assert (len(surface.open_edges), len(surface.mixed_edges), len(surface.branching_edges)) == (0, 0, 0)
 
 
 def test_only_what_reaches_into_a_tip_is_halved() -> None:

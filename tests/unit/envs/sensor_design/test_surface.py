@@ -15,7 +15,7 @@ def without(surface: DrawnSurface, triangle: int) -> DrawnSurface:
 def test_sample_of_the_challenge_has_its_volume_and_no_fault() -> None:
     surface = drawn_gels.bevelled()
     assert surface.volume_mm3 == pytest.approx(2051.0833, abs=1e-4)
-    assert (surface.n_open_edges, surface.n_mixed_edges, surface.n_branching_edges) == (0, 0, 0)
+    assert (len(surface.open_edges), len(surface.mixed_edges), len(surface.branching_edges)) == (0, 0, 0)
     assert surface.extent_mm == pytest.approx([25.25, 20.75, 4.0])
     assert len(surface.edges) == 30
 
@@ -26,13 +26,13 @@ def test_volume_does_not_depend_on_the_place() -> None:
 
 
 def test_missing_triangle_opens_three_edges() -> None:
-    assert without(drawn_gels.flat(), 0).n_open_edges == 3
+    assert len(without(drawn_gels.flat(), 0).open_edges) == 3
 
 
 def test_turned_triangle_disagrees_at_three_edges() -> None:
     surface = drawn_gels.flat()
     surface.triangles[0] = surface.triangles[0][::-1]
-    assert surface.n_mixed_edges == 3
+    assert len(surface.mixed_edges) == 3
 
 
 def test_third_triangle_at_an_edge_is_counted() -> None:
@@ -40,7 +40,7 @@ def test_third_triangle_at_an_edge_is_counted() -> None:
     fin = np.array([[surface.triangles[0, 0], surface.triangles[0, 1], len(surface.vertices_mm)]])
     vertices = np.concatenate([surface.vertices_mm, [[0.0, 0.0, 30.0]]])
     branching = DrawnSurface(vertices_mm=vertices, triangles=np.concatenate([surface.triangles, fin]))
-    assert (branching.n_branching_edges, branching.n_open_edges) == (1, 2)
+    assert (len(branching.branching_edges), len(branching.open_edges)) == (1, 2)
 
 
 def test_shells_are_told_apart() -> None:
@@ -90,7 +90,7 @@ def test_t_junctions_that_are_closed_by_triangles_without_height_are_divided(
 ) -> None:
     plain = gel()
     surface = DrawnSurface.from_corners(with_t_junctions(plain, parts).astype(np.float64))
-    assert (surface.n_open_edges, surface.n_mixed_edges, surface.n_branching_edges) == (0, 0, 0)
+    assert (len(surface.open_edges), len(surface.mixed_edges), len(surface.branching_edges)) == (0, 0, 0)
     assert surface.areas_mm2.min() > 1e-6
     assert len(surface.triangles) == len(plain.triangles) + 2 * (parts - 1)
     assert surface.volume_mm3 == pytest.approx(plain.volume_mm3, rel=1e-6)
