@@ -75,5 +75,24 @@ def require_base(what: str, *, base: str | None, revision: str, difference: Call
     )
 
 
+def require_shown(what: str, shown: str | None, revision: str) -> None:
+    """Refuse a change that would do something else than what was looked at.
+
+    Args:
+        what: would be another, for the message.
+        shown: revision of what was looked at, as a dry run gave it; None: nothing was.
+        revision: of what the change does.
+
+    Raises:
+        ServiceError: changed_meanwhile.
+    """
+    if shown not in {None, revision}:
+        raise ServiceError(
+            ProblemCode.CHANGED_MEANWHILE,
+            f"Since you looked, {what} became others, and nothing was done. Look again, and repeat.",
+            revision=revision,
+        )
+
+
 def _options(concerns: Iterable[Concern]) -> str:
     return " ".join(f"--confirm {concern.name}" for concern in concerns)

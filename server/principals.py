@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from datetime import datetime
+from enum import StrEnum
 from uuid import UUID
 
 from .db.states import Role
@@ -103,6 +104,49 @@ class Principal:
             f"Your token organizes the competition {self.competition}, and this concerns "
             f"{competition or 'the whole service'}; ask an organizer of the whole service.",
         )
+
+
+class Audience(StrEnum):
+    """Who may call a route of the API, as its declaration and description say.
+
+    What the role alone decides is decided here; to whom a thing belongs, the functions that read it know.
+    """
+
+    EVERYBODY = "everybody"
+    """Also without a token."""
+    SIGNED_IN = "signed in"
+    """Whoever has a token."""
+    TEAMS = "teams"
+    SUBMITTERS = "submitters"
+    """Teams, and organizers in their place."""
+    READERS = "readers"
+    """The team whose thing it is, judges and organizers."""
+    OWNERS = "owners"
+    """The team whose thing it is, and organizers."""
+    CAPTAINS = "captains"
+    """Whoever leads the team whose thing it is, and organizers."""
+    JUDGES = "judges"
+    """Judges, and organizers in their place."""
+    COMPETITION_ORGANIZERS = "organizers of the competition"
+    """Those of the service, and those of the competition only."""
+    ORGANIZERS = "organizers"
+    """Those of the whole service."""
+
+    def require(self, principal: Principal, competition: str | None) -> None:
+        """Refuse a principal of whom the role says that they may not.
+
+        Raises:
+            ServiceError: forbidden.
+        """
+        match self:
+            case Audience.ORGANIZERS:
+                principal.require_organizer()
+            case Audience.COMPETITION_ORGANIZERS:
+                principal.require_organizer(competition or principal.competition)
+            case Audience.JUDGES if principal.role not in {Role.JUDGE, Role.ORGANIZER}:
+                raise ServiceError(ProblemCode.FORBIDDEN, "Only judges and organizers may do this.")
+            case Audience.TEAMS if principal.team_id is None:
+                raise ServiceError(ProblemCode.FORBIDDEN, "Only teams may do this; use a team's token.")
 
 
 VISITOR = Principal(role=None)

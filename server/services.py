@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 from .db.availability import DatabaseUnreachable, once_available
 from .db.engine import Database
@@ -23,6 +24,10 @@ class Services:
     blobs: BlobStore
     postgres: EmbeddedPostgres | None
     instruments: Instruments = field(default_factory=Instruments)
+
+    def make_trial(self) -> Self:
+        """Return the same with a database that keeps no change, for a dry run."""
+        return replace(self, database=self.database.make_trial())
 
 
 @contextmanager

@@ -1,13 +1,13 @@
-"""What the routes depend on: the open services and the principal behind the bearer token."""
+"""What the routes depend on: the open services, and the principal behind the bearer token, who may call the route."""
 
 from typing import Annotated, Final
 
-from fastapi import Depends, Path, Request
-from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
+from fastapi import Depends, Header, Path, Request, Security
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer, SecurityScopes
 
 from .. import tokens
 from ..errors import token_missing
-from ..principals import VISITOR, Principal
+from ..principals import VISITOR, Audience, Principal
 from ..services import Services
 
 bearer = HTTPBearer(auto_error=False, description="An API token: `vitac_` and 43 characters.")
@@ -19,18 +19,14 @@ def get_services(request: Request) -> Services:
     return services
 
 
-def get_principal(
-    request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(bearer)]
-) -> Principal:
-    """Return who asks.
-
-    Raises:
-        ServiceError: no, unknown, expired or revoked token.
-    """
-    principal = get_optional_principal(request, credentials)
-    if principal is None:
-        raise token_missing()
-    return principal
+def get_changing_services(
+    services: Annotated[Services, Depends(get_services)],
+    dry_run: Annotated[
+        bool, Header(description="Answer what the change would answer, and change nothing: ids and secrets are none.")
+    ] = False,
+) -> Services:
+    """Return services to change something with; nothing is kept in a dry run."""
+    return services.make_trial() if dry_run else services
 
 
 def get_optional_principal(
@@ -49,6 +45,23 @@ def get_optional_principal(
     return principal
 
 
+def get_principal(
+    request: Request,
+    scopes: SecurityScopes,
+    principal: Annotated[Principal | None, Depends(get_optional_principal)],
+) -> Principal:
+    """Return who asks, for a route that is not for everybody.
+
+    Raises:
+        ServiceError: no, unknown, expired or revoked token, or it is not for them.
+    """
+    if principal is None:
+        raise token_missing()
+    for name in scopes.scopes:
+        Audience(name).require(principal, request.path_params.get("competition"))
+    return principal
+
+
 def get_reader(principal: Annotated[Principal | None, Depends(get_optional_principal)]) -> Principal:
     """Return who reads; without a token a visitor, who may see what is public."""
     return principal or VISITOR
@@ -59,6 +72,17 @@ MAX_NUMBER: Final = 2_147_483_647
 
 RowNumber = Annotated[int, Path(ge=1, le=MAX_NUMBER)]
 ServicesOf = Annotated[Services, Depends(get_services)]
-PrincipalOf = Annotated[Principal, Depends(get_principal)]
-OptionalPrincipalOf = Annotated[Principal | None, Depends(get_optional_principal)]
-ReaderOf = Annotated[Principal, Depends(get_reader)]
+ChangingServicesOf = Annotated[Services, Depends(get_changing_services)]
+SignedInOf = Annotated[Principal, Security(get_principal, scopes=[Audience.SIGNED_IN])]
+TeamOf = Annotated[Principal, Security(get_principal, scopes=[Audience.TEAMS])]
+SubmitterOf = Annotated[Principal, Security(get_principal, scopes=[Audience.SUBMITTERS])]
+ReaderOf = Annotated[Principal, Security(get_principal, scopes=[Audience.READERS])]
+OwnerOf = Annotated[Principal, Security(get_principal, scopes=[Audience.OWNERS])]
+CaptainOf = Annotated[Principal, Security(get_principal, scopes=[Audience.CAPTAINS])]
+JudgeOf = Annotated[Principal, Security(get_principal, scopes=[Audience.JUDGES])]
+CompetitionOrganizerOf = Annotated[Principal, Security(get_principal, scopes=[Audience.COMPETITION_ORGANIZERS])]
+OrganizerOf = Annotated[Principal, Security(get_principal, scopes=[Audience.ORGANIZERS])]
+VisitorOf = Annotated[Principal, Security(get_reader, scopes=[Audience.EVERYBODY])]
+PublicReaderOf = Annotated[Principal, Security(get_reader, scopes=[Audience.READERS, Audience.EVERYBODY])]
+"""Who reads a thing that its team may let everybody see."""
+OptionalPrincipalOf = Annotated[Principal | None, Security(get_optional_principal, scopes=[Audience.EVERYBODY])]

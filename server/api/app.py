@@ -20,18 +20,18 @@ from ..settings import Settings
 from ..submissions.watch import Changes
 from . import (
     appeals,
-    comparisons,
     competitions,
+    evaluations,
     health,
     judging,
     members,
     messages,
     metrics,
+    operations,
     problems,
     receipts,
     submissions,
     teams,
-    tiles,
     tracks,
 )
 from . import rejudging as rejudgements
@@ -136,7 +136,7 @@ def _hourly(folder: Path, limit: int) -> WindowLimiter:
 
 def _add_routes(app: FastAPI) -> None:
     app.router.routes.extend(_routes())
-    for router in (health.router, metrics.router, tiles.router):
+    for router in (health.router, metrics.router, receipts.log_router):
         app.include_router(router)
 
 
@@ -154,12 +154,14 @@ def _routes() -> Sequence[BaseRoute]:
         messages.router,
         appeals.router,
         submissions.router,
-        comparisons.router,
+        submissions.comparisons,
         receipts.router,
         judging.router,
         uploads.router,
         tracks.router,
         competitions.router,
+        evaluations.router,
+        operations.router,
     ):
         together.include_router(router, prefix=API_PREFIX)
     return together.routes

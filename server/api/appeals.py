@@ -9,7 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from ..appeals import appeals
 from ..texts import TEXT_LENGTH
 from ..views.appeals import AppealListView, AppealView
-from .access import PrincipalOf, RowNumber, ServicesOf
+from .access import ChangingServicesOf, CompetitionOrganizerOf, OwnerOf, ReaderOf, RowNumber, ServicesOf, SignedInOf
+from .messages import OnlyOpen
 from .problems import RESPONSES
 from .teams import ONE_LINE
 
@@ -36,14 +37,16 @@ class Ruling(BaseModel):
 
 @router.get("/competitions/{competition}/appeals")
 @router.get("/appeals")
-def list_appeals(services: ServicesOf, principal: PrincipalOf, competition: str | None = None) -> AppealListView:
+def list_appeals(
+    services: ServicesOf, principal: SignedInOf, *, competition: str | None = None, open_only: OnlyOpen = False
+) -> AppealListView:
     """Return the own team's appeals, all for organizers and judges, newest first."""
     with services.database.transaction() as session:
-        return AppealListView(items=appeals.visible(session, principal, competition))
+        return AppealListView(items=appeals.visible(session, principal, competition, open_only=open_only))
 
 
 @router.post("/appeals", status_code=HTTPStatus.CREATED)
-def post_appeal(services: ServicesOf, principal: PrincipalOf, new: NewAppeal) -> AppealView:
+def post_appeal(services: ChangingServicesOf, principal: OwnerOf, new: NewAppeal) -> AppealView:
     """Appeal against the newest evaluation of an own submission."""
     with services.database.transaction() as session:
         made = appeals.open_appeal(session, principal, new.submission_id, new.text, task=new.task, episode=new.episode)
@@ -51,14 +54,14 @@ def post_appeal(services: ServicesOf, principal: PrincipalOf, new: NewAppeal) ->
 
 
 @router.get("/appeals/{appeal_id}")
-def get_appeal(services: ServicesOf, principal: PrincipalOf, appeal_id: RowNumber) -> AppealView:
+def get_appeal(services: ServicesOf, principal: ReaderOf, appeal_id: RowNumber) -> AppealView:
     """Return an appeal with the episodes that were played again for it."""
     with services.database.transaction() as session:
         return appeals.appeal_view(appeals.find(session, principal, appeal_id), principal)
 
 
 @router.post("/appeals/{appeal_id}/withdraw")
-def withdraw_appeal(services: ServicesOf, principal: PrincipalOf, appeal_id: RowNumber) -> AppealView:
+def withdraw_appeal(services: ChangingServicesOf, principal: OwnerOf, appeal_id: RowNumber) -> AppealView:
     """Withdraw an appeal of the own team."""
     with services.database.transaction() as session:
         appeals.withdraw(session, principal, appeal_id)
@@ -66,7 +69,9 @@ def withdraw_appeal(services: ServicesOf, principal: PrincipalOf, appeal_id: Row
 
 
 @router.put("/appeals/{appeal_id}/ruling")
-def put_ruling(services: ServicesOf, principal: PrincipalOf, appeal_id: RowNumber, ruling: Ruling) -> AppealView:
+def put_ruling(
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, appeal_id: RowNumber, ruling: Ruling
+) -> AppealView:
     """Decide an appeal; for organizers. No result changes by it."""
     with services.database.transaction() as session:
         return appeals.appeal_view(

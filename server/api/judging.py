@@ -1,16 +1,19 @@
 """Routes of judging: marks and conflicts of interest by judges, and for organizers what follows from them."""
 
-from http import HTTPStatus
 from typing import Annotated
 from uuid import UUID
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy.orm import Session
 
 from ..competition.competition import Competition
+from ..competition.definition import Judging
 from ..judging import judging
+from ..principals import Principal
+from ..tokens import is_judge
 from ..views.judging import JudgedTeamView
-from .access import PrincipalOf, ServicesOf
+from .access import ChangingServicesOf, CompetitionOrganizerOf, JudgeOf, ServicesOf
 from .problems import RESPONSES
 
 router = APIRouter(tags=["judging"], responses=RESPONSES)
@@ -38,24 +41,40 @@ class NewConflict(BaseModel):
     judge: JudgeName
 
 
-@router.put("/submissions/{submission_id}/marks", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
-def put_marks(services: ServicesOf, principal: PrincipalOf, submission_id: UUID, new: NewMarks) -> None:
-    """Give marks by the track's rubric, in place of those that the judge gave before (judges and organizers)."""
+class NotedJudge(BaseModel):
+    """Under whose name it was stored."""
+
+    judge: str
+    has_token: bool = Field(description="Whether a judge of that name has or had a token; a misspelt one has not.")
+
+
+@router.put("/submissions/{submission_id}/marks")
+def put_marks(services: ChangingServicesOf, principal: JudgeOf, submission_id: UUID, new: NewMarks) -> NotedJudge:
+    """Store the marks of a judge by the track's rubric, replacing earlier ones (judges and organizers)."""
     with services.database.transaction() as session:
         judging.give_marks(session, principal, submission_id, new.marks, judge=new.judge)
+        return _noted_judge(session, principal, new.judge)
 
 
-@router.post("/judging/conflicts", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
-def post_conflict(services: ServicesOf, principal: PrincipalOf, new: NewConflict) -> None:
-    """Declare a conflict of interest: marks for that team are removed, and no new ones are accepted."""
+@router.post("/judging/conflicts")
+def post_conflict(services: ChangingServicesOf, principal: JudgeOf, new: NewConflict) -> NotedJudge:
+    """Record a conflict of interest: removes the judge's marks of that team and accepts no new ones."""
     with services.database.transaction() as session:
         judging.declare_conflict(session, principal, new.team, new.reason, judge=new.judge)
+        return _noted_judge(session, principal, new.judge)
+
+
+@router.get("/competitions/{competition}/judging/{track}/rubric")
+def get_rubric(services: ServicesOf, principal: JudgeOf, competition: str, track: str) -> Judging:  # noqa: ARG001
+    """Show the criteria and weights of a track."""
+    with services.database.reading() as session:
+        return judging.find_rubric(Competition.find(session, competition), track)
 
 
 @router.get("/judging/{track}")
 def get_judged(
     services: ServicesOf,
-    principal: PrincipalOf,
+    principal: CompetitionOrganizerOf,
     track: str,
     *,
     competition: Annotated[
@@ -69,3 +88,8 @@ def get_judged(
             track, stage
         )
         return judging.judged(session, principal, wanted)
+
+
+def _noted_judge(session: Session, principal: Principal, named: str | None) -> NotedJudge:
+    judge = principal.judge_name or named or ""
+    return NotedJudge(judge=judge, has_token=is_judge(session, judge))

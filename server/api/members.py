@@ -9,9 +9,11 @@ from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.orm import Session
 
-from .. import team_data, tokens
+from .. import quotas, team_data, tokens
+from ..competition.competition import Competition
+from ..competition.view import disqualified_since_the_end
 from ..db.models import Team
-from ..db.states import NoticeKind
+from ..db.states import NoticeKind, Quota
 from ..errors import not_found
 from ..members import members, passwords
 from ..members.passwords import MAX_LENGTH, MIN_LENGTH
@@ -22,8 +24,16 @@ from ..teams import merging, teams
 from ..teams.shown_names import ShownNames
 from ..views.notices import NewWebhookView, WebhookListView
 from ..views.team_data import TeamDataView
-from ..views.teams import NewInvitationView, NewTokenView, OwnTeamView, RegisteredTeamView
-from .access import PrincipalOf, ServicesOf
+from ..views.teams import (
+    DisqualifiedView,
+    NewInvitationView,
+    NewTokenView,
+    OrganizerTeamView,
+    OwnTeamView,
+    QuotaView,
+    RegisteredTeamView,
+)
+from .access import MAX_NUMBER, CaptainOf, ChangingServicesOf, OrganizerOf, OwnerOf, ServicesOf
 from .attempts import note_password, note_registration
 from .middleware.shares import leave_place
 from .problems import RESPONSES
@@ -83,6 +93,20 @@ class TeamChanges(BaseModel):
     )
 
 
+class TeamDisqualification(BaseModel):
+    """Why a team no longer takes part."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: str = Field(max_length=teams.REASON_LENGTH, pattern=ONE_LINE, description="The team reads it.")
+
+
+class Limit(BaseModel):
+    """What a team may have of something."""
+
+    model_config = ConfigDict(extra="forbid")
+    limit: int | None = Field(ge=0, le=MAX_NUMBER, description="Null: any number.")
+
+
 class Merge(BaseModel):
     """The team into which another one is merged."""
 
@@ -91,7 +115,7 @@ class Merge(BaseModel):
 
 
 @router.post("/join", status_code=HTTPStatus.CREATED)
-def join_team(request: Request, services: ServicesOf, new: NewMember) -> RegisteredTeamView:
+def join_team(request: Request, services: ChangingServicesOf, new: NewMember) -> RegisteredTeamView:
     """Join a team with the code of an invitation; the token is shown this once."""
     note_registration(request)
     password = new.password and passwords.UNKNOWN_DEVICES.run(passwords.hashed, new.password)
@@ -106,14 +130,14 @@ def join_team(request: Request, services: ServicesOf, new: NewMember) -> Registe
 
 
 @router.get("/{team_id}")
-def get_team(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> OwnTeamView:
+def get_team(services: ServicesOf, principal: OwnerOf, team_id: UUID) -> OwnTeamView:
     """Return a team with its members and open invitations."""
     with services.database.transaction() as session:
         return members.own_team_view(session, principal, _team(session, principal, team_id))
 
 
 @router.get("/{team_id}/data")
-def get_team_data(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> TeamDataView:
+def get_team_data(services: ServicesOf, principal: OwnerOf, team_id: UUID) -> TeamDataView:
     """Return all data that the service stores about the team."""
     with services.database.transaction() as session:
         team = _team(session, principal, team_id)
@@ -121,14 +145,16 @@ def get_team_data(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -
 
 
 @router.delete("/{team_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
-def delete_team(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> None:
+def delete_team(services: ChangingServicesOf, principal: OrganizerOf, team_id: UUID) -> None:
     """Remove a team's name, people, texts and uploads permanently; scores stay. For organizers."""
     with services.database.transaction() as session:
         team_data.erase(session, principal, _team(session, principal, team_id))
 
 
 @router.patch("/{team_id}")
-def change_team(services: ServicesOf, principal: PrincipalOf, team_id: UUID, changes: TeamChanges) -> OwnTeamView:
+def change_team(
+    services: ChangingServicesOf, principal: OrganizerOf, team_id: UUID, changes: TeamChanges
+) -> OwnTeamView:
     """Rename a team, or accept or refuse one that waits; for organizers."""
     with services.database.transaction() as session:
         team = _team(session, principal, team_id)
@@ -142,8 +168,60 @@ def change_team(services: ServicesOf, principal: PrincipalOf, team_id: UUID, cha
         return members.own_team_view(session, principal, team)
 
 
+@router.put("/{team_id}/disqualification")
+def disqualify_team(
+    services: ChangingServicesOf, principal: OrganizerOf, team_id: UUID, wanted: TeamDisqualification
+) -> DisqualifiedView:
+    """Remove a team from all boards and refuse its submissions, until it is reinstated."""
+    with services.database.transaction() as session:
+        team = _team(session, principal, team_id)
+        teams.disqualify(session, principal, team, wanted.reason)
+        session.flush()
+        final = [out for one in Competition.read_all(session) for out in disqualified_since_the_end(one)]
+        return DisqualifiedView(
+            **dict(teams.organizer_team_view(session, team)),
+            is_in_final_results=any(out.team == team.name for out in final),
+        )
+
+
+@router.delete("/{team_id}/disqualification")
+def reinstate_team(services: ChangingServicesOf, principal: OrganizerOf, team_id: UUID) -> OrganizerTeamView:
+    """Let a disqualified team take part again, with all its results."""
+    with services.database.transaction() as session:
+        team = _team(session, principal, team_id)
+        teams.reinstate(session, principal, team)
+        return teams.organizer_team_view(session, team)
+
+
+@router.get("/{team_id}/quotas")
+def list_quotas(services: ServicesOf, principal: OwnerOf, team_id: UUID) -> list[QuotaView]:
+    """List the quotas of a team and how much of each is used."""
+    with services.database.transaction() as session:
+        return quotas.uses(session, services.settings.quotas, _team(session, principal, team_id).id)
+
+
+@router.put("/{team_id}/quotas/{quota}")
+def set_quota(
+    services: ChangingServicesOf, principal: OrganizerOf, team_id: UUID, quota: Quota, wanted: Limit
+) -> QuotaView:
+    """Give a team a limit of its own."""
+    with services.database.transaction() as session:
+        team = _team(session, principal, team_id)
+        quotas.set_quota(session, principal, team, quota, wanted.limit)
+        return _quota_view(session, services, team, quota)
+
+
+@router.delete("/{team_id}/quotas/{quota}")
+def reset_quota(services: ChangingServicesOf, principal: OrganizerOf, team_id: UUID, quota: Quota) -> QuotaView:
+    """Give a team the limit of the service's settings again."""
+    with services.database.transaction() as session:
+        team = _team(session, principal, team_id)
+        quotas.reset_quota(session, principal, team, quota)
+        return _quota_view(session, services, team, quota)
+
+
 @router.post("/{team_id}/merge")
-def merge_team(services: ServicesOf, principal: PrincipalOf, team_id: UUID, merge: Merge) -> OwnTeamView:
+def merge_team(services: ChangingServicesOf, principal: OrganizerOf, team_id: UUID, merge: Merge) -> OwnTeamView:
     """Merge a team with another one, which keeps its name; for organizers."""
     with services.database.transaction() as session:
         team = _team(session, principal, team_id)
@@ -153,21 +231,21 @@ def merge_team(services: ServicesOf, principal: PrincipalOf, team_id: UUID, merg
 
 
 @router.post("/{team_id}/invitations", status_code=HTTPStatus.CREATED)
-def invite_member(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> NewInvitationView:
+def invite_member(services: ChangingServicesOf, principal: CaptainOf, team_id: UUID) -> NewInvitationView:
     """Make a code with which one person joins the team; it is shown this once."""
     with services.database.transaction() as session:
         return members.new_invitation_view(*members.invite(session, principal, _team(session, principal, team_id)))
 
 
 @router.delete("/{team_id}/invitations/{invitation_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
-def withdraw_invitation(services: ServicesOf, principal: PrincipalOf, team_id: UUID, invitation_id: UUID) -> None:
+def withdraw_invitation(services: ChangingServicesOf, principal: CaptainOf, team_id: UUID, invitation_id: UUID) -> None:
     """End an invitation that nobody has used."""
     with services.database.transaction() as session:
         members.withdraw_invitation(session, principal, _team(session, principal, team_id), invitation_id)
 
 
 @router.put("/{team_id}/captain")
-def change_captain(services: ServicesOf, principal: PrincipalOf, team_id: UUID, new: NewCaptain) -> OwnTeamView:
+def change_captain(services: ChangingServicesOf, principal: CaptainOf, team_id: UUID, new: NewCaptain) -> OwnTeamView:
     """Make another member the captain."""
     with services.database.transaction() as session:
         member = members.find(session, principal, team_id, new.member_id)
@@ -178,8 +256,8 @@ def change_captain(services: ServicesOf, principal: PrincipalOf, team_id: UUID, 
 @router.patch("/{team_id}/members/{member_id}")
 def change_member(
     request: Request,
-    services: ServicesOf,
-    principal: PrincipalOf,
+    services: ChangingServicesOf,
+    principal: CaptainOf,
     team_id: UUID,
     member_id: UUID,
     changes: MemberChanges,
@@ -208,7 +286,7 @@ def change_member(
 
 
 @router.get("/{team_id}/webhooks")
-def list_webhooks(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> WebhookListView:
+def list_webhooks(services: ServicesOf, principal: CaptainOf, team_id: UUID) -> WebhookListView:
     """Return the team's webhooks; for its captain."""
     with services.database.transaction() as session:
         return WebhookListView(items=webhooks.list_webhooks(session, principal, _team(session, principal, team_id)))
@@ -216,7 +294,7 @@ def list_webhooks(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -
 
 @router.post("/{team_id}/webhooks", status_code=HTTPStatus.CREATED)
 def add_webhook(
-    request: Request, services: ServicesOf, principal: PrincipalOf, team_id: UUID, new: NewWebhook
+    request: Request, services: ChangingServicesOf, principal: CaptainOf, team_id: UUID, new: NewWebhook
 ) -> NewWebhookView:
     """Have the team's notices sent to an address; the secret that signs them is shown this once."""
     inside = services.settings.webhooks_may_lead_inside
@@ -229,21 +307,23 @@ def add_webhook(
 
 
 @router.delete("/{team_id}/webhooks/{webhook_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
-def remove_webhook(services: ServicesOf, principal: PrincipalOf, team_id: UUID, webhook_id: UUID) -> None:
+def remove_webhook(services: ChangingServicesOf, principal: CaptainOf, team_id: UUID, webhook_id: UUID) -> None:
     """Send no further notices to an address."""
     with services.database.transaction() as session:
         webhooks.remove(session, principal, _team(session, principal, team_id), webhook_id)
 
 
 @router.delete("/{team_id}/members/{member_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
-def remove_member(services: ServicesOf, principal: PrincipalOf, team_id: UUID, member_id: UUID) -> None:
+def remove_member(services: ChangingServicesOf, principal: CaptainOf, team_id: UUID, member_id: UUID) -> None:
     """Leave the team, or as its captain remove a member; their token ends at once."""
     with services.database.transaction() as session:
         members.remove(session, principal, members.find(session, principal, team_id, member_id))
 
 
 @router.post("/{team_id}/members/{member_id}/token", status_code=HTTPStatus.CREATED)
-def renew_member_token(services: ServicesOf, principal: PrincipalOf, team_id: UUID, member_id: UUID) -> NewTokenView:
+def renew_member_token(
+    services: ChangingServicesOf, principal: CaptainOf, team_id: UUID, member_id: UUID
+) -> NewTokenView:
     """Get a new token in place of the own one, which ends; the secret is shown this once."""
     with services.database.transaction() as session:
         member = members.find(session, principal, team_id, member_id)
@@ -255,6 +335,11 @@ def _team(session: Session, by: Principal, team_id: UUID) -> Team:
     if team is None or not by.may_change(team_id):
         raise not_found("team", team_id)
     return team
+
+
+def _quota_view(session: Session, services: Services, team: Team, quota: Quota) -> QuotaView:
+    used = quotas.uses(session, services.settings.quotas, team.id)
+    return next(use for use in used if use.quota == quota)
 
 
 def _lifetime(services: Services) -> timedelta:

@@ -1,14 +1,15 @@
 """Routes of announcements and of questions to the organizers."""
 
 from http import HTTPStatus
+from typing import Annotated
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..messages import announcements, questions
 from ..texts import TEXT_LENGTH
 from ..views.messages import AnnouncementListView, AnnouncementView, QuestionListView, QuestionView
-from .access import OptionalPrincipalOf, PrincipalOf, RowNumber, ServicesOf
+from .access import ChangingServicesOf, OptionalPrincipalOf, OrganizerOf, RowNumber, ServicesOf, TeamOf
 from .problems import RESPONSES
 
 router = APIRouter(tags=["messages"], responses=RESPONSES)
@@ -39,6 +40,9 @@ class Answer(BaseModel):
     public: bool = Field(description="Whether everybody sees question and answer.")
 
 
+OnlyOpen = Annotated[bool, Query(alias="open", description="Only those that nobody has answered or decided.")]
+
+
 @router.get("/announcements")
 def list_announcements(services: ServicesOf) -> AnnouncementListView:
     """Return what the organizers say to everybody, newest first."""
@@ -47,7 +51,7 @@ def list_announcements(services: ServicesOf) -> AnnouncementListView:
 
 
 @router.post("/announcements", status_code=HTTPStatus.CREATED)
-def post_announcement(services: ServicesOf, principal: PrincipalOf, new: NewAnnouncement) -> AnnouncementView:
+def post_announcement(services: ChangingServicesOf, principal: OrganizerOf, new: NewAnnouncement) -> AnnouncementView:
     """Say something to everybody; for organizers."""
     with services.database.transaction() as session:
         made = announcements.publish(session, principal, title=new.title, text=new.text, notify=new.notify)
@@ -55,28 +59,32 @@ def post_announcement(services: ServicesOf, principal: PrincipalOf, new: NewAnno
 
 
 @router.delete("/announcements/{announcement_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
-def withdraw_announcement(services: ServicesOf, principal: PrincipalOf, announcement_id: RowNumber) -> None:
+def withdraw_announcement(services: ChangingServicesOf, principal: OrganizerOf, announcement_id: RowNumber) -> None:
     """Show an announcement to nobody from now on; for organizers."""
     with services.database.transaction() as session:
         announcements.withdraw(session, principal, announcement_id)
 
 
 @router.get("/questions")
-def list_questions(services: ServicesOf, principal: OptionalPrincipalOf) -> QuestionListView:
+def list_questions(
+    services: ServicesOf, principal: OptionalPrincipalOf, *, open_only: OnlyOpen = False
+) -> QuestionListView:
     """Return public questions with their answers, and those of the own team (all for an organizer), newest first."""
     with services.database.transaction() as session:
-        return QuestionListView(items=questions.visible(session, principal))
+        return QuestionListView(items=questions.visible(session, principal, open_only=open_only))
 
 
 @router.post("/questions", status_code=HTTPStatus.CREATED)
-def post_question(services: ServicesOf, principal: PrincipalOf, new: NewQuestion) -> QuestionView:
+def post_question(services: ChangingServicesOf, principal: TeamOf, new: NewQuestion) -> QuestionView:
     """Ask the organizers; for teams."""
     with services.database.transaction() as session:
         return questions.question_view(questions.ask(session, principal, new.text, public=new.public), principal)
 
 
 @router.put("/questions/{question_id}/answer")
-def put_answer(services: ServicesOf, principal: PrincipalOf, question_id: RowNumber, answer: Answer) -> QuestionView:
+def put_answer(
+    services: ChangingServicesOf, principal: OrganizerOf, question_id: RowNumber, answer: Answer
+) -> QuestionView:
     """Answer a question, or replace its answer; for organizers."""
     with services.database.transaction() as session:
         found = questions.answer(session, principal, question_id, answer.text, public=answer.public)
@@ -84,7 +92,7 @@ def put_answer(services: ServicesOf, principal: PrincipalOf, question_id: RowNum
 
 
 @router.delete("/questions/{question_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
-def hide_question(services: ServicesOf, principal: PrincipalOf, question_id: RowNumber) -> None:
+def hide_question(services: ChangingServicesOf, principal: OrganizerOf, question_id: RowNumber) -> None:
     """Hide a question: only its team sees it, and it needs no answer; for organizers."""
     with services.database.transaction() as session:
         questions.hide(session, principal, question_id)

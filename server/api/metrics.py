@@ -5,14 +5,15 @@ import secrets
 from concurrent.futures import ThreadPoolExecutor
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Request, Response, Security
 from fastapi.concurrency import run_in_threadpool
 from fastapi.security import HTTPAuthorizationCredentials
 from prometheus_client import CONTENT_TYPE_LATEST
 
-from ..errors import ProblemCode, ServiceError
+from ..errors import ProblemCode, ServiceError, token_missing
 from ..operations.exposition import Exposition
-from .access import bearer, get_principal, get_services
+from ..principals import Audience
+from .access import bearer, get_optional_principal, get_services
 
 _SCRAPES = ThreadPoolExecutor(1, "scrape")
 """Apart from the threads that answer requests, which all wait where the database does not answer."""
@@ -32,13 +33,16 @@ async def require_metrics_reader(
         given = credentials.credentials.encode()
         if secrets.compare_digest(given, expected.get_secret_value().encode()):
             return
-    if not (await run_in_threadpool(get_principal, request, credentials)).is_organizer:
+    principal = await run_in_threadpool(get_optional_principal, request, credentials)
+    if principal is None:
+        raise token_missing()
+    if not principal.is_organizer:
         raise ServiceError(ProblemCode.FORBIDDEN, "Metrics are for organizers and the holder of VITAC_METRICS_TOKEN.")
 
 
 @router.get(
     "/metrics",
-    dependencies=[Depends(require_metrics_reader)],
+    dependencies=[Security(require_metrics_reader, scopes=[Audience.ORGANIZERS])],
     response_class=Response,
     responses={200: {"content": {"text/plain": {}}, "description": "Metrics in Prometheus' text format."}},
 )

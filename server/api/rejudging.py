@@ -10,7 +10,7 @@ from ..competition.competition import Competition
 from ..rejudging import rejudging
 from ..rejudging.view import rejudgement_detail_view, rejudgement_view
 from ..views.rejudging import RejudgementDetailView, RejudgementView
-from .access import PrincipalOf, ServicesOf
+from .access import ChangingServicesOf, CompetitionOrganizerOf, ServicesOf
 from .problems import RESPONSES
 
 router = APIRouter(prefix="/rejudgements", tags=["rejudging"], responses=RESPONSES)
@@ -37,14 +37,16 @@ class Application(BaseModel):
 
 
 @router.get("")
-def get_rejudgements(services: ServicesOf, principal: PrincipalOf) -> list[RejudgementView]:
+def get_rejudgements(services: ServicesOf, principal: CompetitionOrganizerOf) -> list[RejudgementView]:
     """Return all rejudgements, newest first."""
     with services.database.transaction() as session:
         return [rejudgement_view(one) for one in rejudging.rejudgements(session, principal)]
 
 
 @router.post("", status_code=HTTPStatus.CREATED)
-def post_rejudgement(services: ServicesOf, principal: PrincipalOf, new: NewRejudgement) -> RejudgementDetailView:
+def post_rejudgement(
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, new: NewRejudgement
+) -> RejudgementDetailView:
     """Evaluate submissions again with the present evaluator; nobody but organizers sees it, no result changes."""
     with services.database.transaction() as session:
         competition = Competition.find_by_track(session, new.track, new.competition or principal.competition)
@@ -54,7 +56,9 @@ def post_rejudgement(services: ServicesOf, principal: PrincipalOf, new: NewRejud
 
 
 @router.get("/{rejudgement_id}")
-def get_rejudgement(services: ServicesOf, principal: PrincipalOf, rejudgement_id: UUID) -> RejudgementDetailView:
+def get_rejudgement(
+    services: ServicesOf, principal: CompetitionOrganizerOf, rejudgement_id: UUID
+) -> RejudgementDetailView:
     """Return which scores and ranks would change."""
     with services.database.transaction() as session:
         return rejudgement_detail_view(session, rejudging.find(session, principal, rejudgement_id))
@@ -62,7 +66,7 @@ def get_rejudgement(services: ServicesOf, principal: PrincipalOf, rejudgement_id
 
 @router.post("/{rejudgement_id}/apply")
 def apply_rejudgement(
-    services: ServicesOf, principal: PrincipalOf, rejudgement_id: UUID, application: Application
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, rejudgement_id: UUID, application: Application
 ) -> RejudgementDetailView:
     """Make the new results those of their submissions; refused if they are no longer those that were looked at."""
     with services.database.transaction() as session:
@@ -71,7 +75,7 @@ def apply_rejudgement(
 
 
 @router.post("/{rejudgement_id}/discard", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
-def discard_rejudgement(services: ServicesOf, principal: PrincipalOf, rejudgement_id: UUID) -> None:
+def discard_rejudgement(services: ChangingServicesOf, principal: CompetitionOrganizerOf, rejudgement_id: UUID) -> None:
     """Leave all present results as they are; what still waits or runs is cancelled."""
     with services.database.transaction() as session:
         rejudging.discard(session, principal, rejudgement_id)

@@ -24,10 +24,12 @@ from ..principals import Principal
 from ..services import Services
 from ..sharing import descriptions, public_pages
 from ..submissions import clearance, disqualification, listing, output, runs, sensors, upload
+from ..submissions.comparison import MAX_COMPARED, compare_results
 from ..submissions.model_card import model_card
 from ..submissions.watch import Changes, watch
 from ..teams.teams import REASON_LENGTH
 from ..texts import TEXT_LENGTH
+from ..views.comparisons import ComparisonView
 from ..views.logs import ActionMatchView
 from ..views.submissions import (
     DescriptionView,
@@ -39,11 +41,23 @@ from ..views.submissions import (
     SubmissionView,
 )
 from ..visibility import visible
-from .access import MAX_NUMBER, PrincipalOf, ReaderOf, ServicesOf
+from .access import (
+    MAX_NUMBER,
+    ChangingServicesOf,
+    CompetitionOrganizerOf,
+    OwnerOf,
+    PublicReaderOf,
+    ReaderOf,
+    ServicesOf,
+    SignedInOf,
+    SubmitterOf,
+    VisitorOf,
+)
 from .problems import RESPONSES
 from .streams import CountedStream, OpenStreams
 
 router = APIRouter(prefix="/submissions", tags=["submissions"], responses=RESPONSES)
+comparisons = APIRouter(prefix="/comparisons", tags=["submissions"], responses=RESPONSES)
 
 LOG_TYPE = SubmissionKind.LOG.form.content_types[0]
 PING_S = 15
@@ -104,7 +118,7 @@ async def post_submission(
     request: Request,
     response: Response,
     services: ServicesOf,
-    principal: PrincipalOf,
+    principal: SubmitterOf,
     *,
     track: Annotated[str | None, Query(description="Must agree with submission.yaml or the log's header.")] = None,
     competition: Annotated[
@@ -153,7 +167,7 @@ async def post_submission(
 @router.get("")
 def list_submissions(
     services: ServicesOf,
-    principal: PrincipalOf,
+    principal: SignedInOf,
     *,
     competition: Annotated[str | None, Query(description="Only submissions to the competition of this name.")] = None,
     track: str | None = None,
@@ -178,7 +192,7 @@ def list_submissions(
 
 
 @router.get("/{submission_id}")
-def get_submission(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> SubmissionView:
+def get_submission(services: ServicesOf, principal: PublicReaderOf, submission_id: UUID) -> SubmissionView:
     """Return a submission: state, place in the queue, progress, verdict, score.
 
     One that is public and complete is for everybody; every other one of another team is answered with 404.
@@ -190,7 +204,7 @@ def get_submission(services: ServicesOf, principal: ReaderOf, submission_id: UUI
 @router.get("/{submission_id}/episodes")
 def get_episodes(
     services: ServicesOf,
-    principal: ReaderOf,
+    principal: PublicReaderOf,
     submission_id: UUID,
     practice: Annotated[
         bool, Query(description="Episodes of the public list that was played beside a sealed one.")
@@ -204,7 +218,7 @@ def get_episodes(
 @router.get("/{submission_id}/output")
 def get_output(
     services: ServicesOf,
-    principal: PrincipalOf,
+    principal: ReaderOf,
     submission_id: UUID,
     *,
     task: Annotated[str | None, Query(description="One of the submission's tasks; the first by default.")] = None,
@@ -220,7 +234,7 @@ def get_output(
 
 
 @router.get("/{submission_id}/sensor")
-def get_sensor(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SensorView:
+def get_sensor(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> SensorView:
     """Return the sensor of a submission: its mesh, its document, and what sensing adds once both runs are complete."""
     with services.database.transaction() as session:
         return sensors.sensor(session, principal, submission_id)
@@ -231,7 +245,7 @@ def get_sensor(services: ServicesOf, principal: PrincipalOf, submission_id: UUID
     response_class=Response,
     responses={200: {"content": {"application/octet-stream": {}}, "description": "The file as it was uploaded."}},
 )
-def get_document(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> Response:
+def get_document(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> Response:
     """Return the design document, to be saved and never shown: nobody has looked at what is in it."""
     with services.database.transaction() as session:
         document = sensors.document(session, principal, submission_id)
@@ -239,7 +253,7 @@ def get_document(services: ServicesOf, principal: PrincipalOf, submission_id: UU
 
 
 @router.get("/{submission_id}/action-matches")
-def get_action_matches(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> list[ActionMatchView]:
+def get_action_matches(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> list[ActionMatchView]:
     """Return how many of a verified log's actions each later model of the team gives; none for all but a log."""
     with services.database.reading() as session:
         return action_matches.action_matches(session, principal, submission_id)
@@ -252,7 +266,7 @@ def get_action_matches(services: ServicesOf, principal: PrincipalOf, submission_
 )
 def get_log(
     services: ServicesOf,
-    principal: PrincipalOf,
+    principal: ReaderOf,
     submission_id: UUID,
     task: Annotated[
         str | None, Query(description="Name of the task; needed where the submission plays several.")
@@ -266,13 +280,15 @@ def get_log(
 
 
 @router.put("/{submission_id}/public")
-def put_public(services: ServicesOf, principal: PrincipalOf, submission_id: UUID, wanted: Publicity) -> SubmissionView:
+def put_public(
+    services: ChangingServicesOf, principal: OwnerOf, submission_id: UUID, wanted: Publicity
+) -> SubmissionView:
     """Let everybody see the result of a submission, once its evaluation is complete, or its team only."""
     return _show_changed(services, principal, submission_id, public_pages.set_public, public=wanted.public)
 
 
 @router.get("/{submission_id}/description")
-def get_description(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> DescriptionView:
+def get_description(services: ServicesOf, principal: PublicReaderOf, submission_id: UUID) -> DescriptionView:
     """Return what the team wrote about a result; others see nothing while teams are anonymous."""
     with services.database.reading() as session:
         return descriptions.find_description(session, principal, submission_id)
@@ -280,7 +296,7 @@ def get_description(services: ServicesOf, principal: ReaderOf, submission_id: UU
 
 @router.put("/{submission_id}/description")
 def put_description(
-    services: ServicesOf, principal: PrincipalOf, submission_id: UUID, wanted: Description
+    services: ChangingServicesOf, principal: OwnerOf, submission_id: UUID, wanted: Description
 ) -> DescriptionView:
     """Write about a public result of your team: a text, and links to code, paper and a place to discuss it."""
     with services.database.transaction() as session:
@@ -289,60 +305,70 @@ def put_description(
 
 
 @router.put("/{submission_id}/description/removal")
-def put_removal(services: ServicesOf, principal: PrincipalOf, submission_id: UUID, wanted: Removal) -> SubmissionView:
+def put_removal(
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID, wanted: Removal
+) -> SubmissionView:
     """Hide what a team wrote about a result from others (organizers only)."""
     return _show_changed(services, principal, submission_id, descriptions.remove, reason=wanted.reason)
 
 
 @router.delete("/{submission_id}/description/removal")
-def delete_removal(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
+def delete_removal(
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID
+) -> SubmissionView:
     """Let others see a removed description again (organizers only)."""
     return _show_changed(services, principal, submission_id, descriptions.restore)
 
 
 @router.get("/{submission_id}/card")
-def get_model_card(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> ModelCardView:
+def get_model_card(services: ServicesOf, principal: PublicReaderOf, submission_id: UUID) -> ModelCardView:
     """Return what a model is: its framework, size, observations and time, as far as the service knows them."""
     with services.database.reading() as session:
         return model_card(session, principal, submission_id)
 
 
 @router.post("/{submission_id}/cancel")
-def cancel_submission(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
+def cancel_submission(services: ChangingServicesOf, principal: OwnerOf, submission_id: UUID) -> SubmissionView:
     """End a queued or running evaluation. Finished episodes stay stored: uploading again takes it up."""
     return _show_changed(services, principal, submission_id, runs.cancel)
 
 
 @router.put("/{submission_id}/disqualification")
 def put_disqualification(
-    services: ServicesOf, principal: PrincipalOf, submission_id: UUID, wanted: Disqualification
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID, wanted: Disqualification
 ) -> SubmissionView:
     """Take a submission off all boards (organizers only); its team takes part as before."""
     return _show_changed(services, principal, submission_id, disqualification.disqualify, reason=wanted.reason)
 
 
 @router.delete("/{submission_id}/disqualification")
-def delete_disqualification(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
+def delete_disqualification(
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID
+) -> SubmissionView:
     """Put a disqualified submission back on the boards (organizers only)."""
     return _show_changed(services, principal, submission_id, disqualification.reinstate)
 
 
 @router.put("/{submission_id}/clearance")
 def put_clearance(
-    services: ServicesOf, principal: PrincipalOf, submission_id: UUID, wanted: Clearance
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID, wanted: Clearance
 ) -> SubmissionView:
     """Rank a submission that was found to be a copy (organizers only)."""
     return _show_changed(services, principal, submission_id, clearance.clear, reason=wanted.reason)
 
 
 @router.delete("/{submission_id}/clearance")
-def delete_clearance(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
+def delete_clearance(
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID
+) -> SubmissionView:
     """Let what was found of a cleared submission count again (organizers only)."""
     return _show_changed(services, principal, submission_id, clearance.withdraw)
 
 
 @router.post("/{submission_id}/requeue", status_code=HTTPStatus.ACCEPTED)
-def requeue_submission(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
+def requeue_submission(
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID
+) -> SubmissionView:
     """Start a new run of all episodes (organizers only). Earlier results stay."""
     return _show_changed(services, principal, submission_id, runs.run_again)
 
@@ -353,7 +379,7 @@ def requeue_submission(services: ServicesOf, principal: PrincipalOf, submission_
     responses={200: {"content": {"text/event-stream": {}}, "description": "Events `submission`, at last `end`."}},
 )
 async def follow_submission(
-    request: Request, services: ServicesOf, principal: PrincipalOf, submission_id: UUID
+    request: Request, services: ServicesOf, principal: ReaderOf, submission_id: UUID
 ) -> EventSourceResponse:
     """Return the submission as server-sent events: now, after each change, and `end` when its evaluation has ended."""
     # Before the stream begins, so that a foreign id is answered with 404 and not with an empty stream.
@@ -362,13 +388,24 @@ async def follow_submission(
     return CountedStream(streams, principal, _events(request, services, principal, submission_id), ping=PING_S)
 
 
+@comparisons.get("")
+def get_comparison(
+    services: ServicesOf,
+    principal: VisitorOf,
+    submission: Annotated[list[UUID], Query(min_length=1, max_length=MAX_COMPARED, description="Id of each.")],
+) -> ComparisonView:
+    """Return results beside each other; of submissions that you may not see, what leaderboards show of them."""
+    with services.database.reading() as session:
+        return compare_results(session, services.settings, principal, submission)
+
+
 def _show_changed(
     services: Services, principal: Principal, submission_id: UUID, change: Callable[..., object], **values: object
 ) -> SubmissionView:
     """Change a submission and return it as it is then."""
     with services.database.transaction() as session:
         change(session, principal, submission_id, **values)
-    with services.database.transaction() as session:
+        session.flush()
         return listing.get(session, services.settings, principal, submission_id)
 
 

@@ -2,24 +2,25 @@
 
 from datetime import timedelta
 from http import HTTPStatus
-from typing import Annotated, cast
+from typing import Annotated, Literal, cast
 from uuid import UUID
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.orm import Session
 
 from .. import tokens
 from ..db.models import ApiToken, Team
 from ..db.states import Quota, Role
+from ..errors import ProblemCode, ServiceError
 from ..members import registration
 from ..principals import CONSOLE, Principal
 from ..quotas import charge, stage_uses, uses
 from ..services import Services
 from ..teams import teams
 from ..teams.shown_names import ShownNames
-from ..views.teams import MeView, NewTokenView, QuotaView, RegisteredTeamView, TokenListView
-from .access import OptionalPrincipalOf, PrincipalOf, ServicesOf
+from ..views.teams import MeView, NewTokenView, OrganizerTeamView, QuotaView, RegisteredTeamView, TokenListView
+from .access import CaptainOf, ChangingServicesOf, OptionalPrincipalOf, OrganizerOf, ServicesOf, SignedInOf, SubmitterOf
 from .attempts import note_registration
 from .problems import RESPONSES
 
@@ -47,11 +48,17 @@ class NewToken(BaseModel):
     label: Label = Field(description="Distinguishes the tokens of a team.")
     expires_in_days: int | None = Field(default=None, ge=1, le=3650, description="The server's default if null.")
     team: str | None = Field(default=None, pattern=ONE_LINE, description="For organizers: whose token this is.")
+    role: Literal[Role.ORGANIZER, Role.JUDGE] | None = Field(
+        default=None, description="For organizers: of a token without a team. The label of a judge's is their name."
+    )
+    competition: str | None = Field(
+        default=None, max_length=100, description="The only competition that an organizer's token is for."
+    )
 
 
 @router.post("/teams", status_code=HTTPStatus.CREATED)
 def post_team(
-    request: Request, services: ServicesOf, principal: OptionalPrincipalOf, new: NewTeam
+    request: Request, services: ChangingServicesOf, principal: OptionalPrincipalOf, new: NewTeam
 ) -> RegisteredTeamView:
     """Register a team and give it its first token. The secret is shown this once."""
     if principal is None or not principal.is_organizer:
@@ -67,8 +74,23 @@ def post_team(
         )
 
 
+@router.get("/teams")
+def list_teams(
+    services: ServicesOf,
+    principal: OrganizerOf,  # noqa: ARG001 - says who may
+    *,
+    waiting: Annotated[bool, Query(description="Only teams that wait to be accepted.")] = False,
+    name: Annotated[str | None, Query(description="Only the team of this name or id.")] = None,
+) -> list[OrganizerTeamView]:
+    """List all teams."""
+    with services.database.transaction() as session:
+        listed = teams.waiting(session) if waiting else teams.list_teams(session)
+        found = listed if name is None else [teams.find(session, name)]
+        return [teams.organizer_team_view(session, team) for team in found]
+
+
 @router.post("/tokens", status_code=HTTPStatus.CREATED)
-def post_token(services: ServicesOf, principal: PrincipalOf, new: NewToken) -> NewTokenView:
+def post_token(services: ChangingServicesOf, principal: SubmitterOf, new: NewToken) -> NewTokenView:
     """Make a further token of the own team; an organizer's without `team` is an organizer's token."""
     with services.database.transaction() as session:
         owner = _owner_of_new_token(session, principal, new)
@@ -77,30 +99,31 @@ def post_token(services: ServicesOf, principal: PrincipalOf, new: NewToken) -> N
         issued = tokens.issue(
             session,
             principal,
-            role=Role.TEAM if owner is not None else Role.ORGANIZER,
+            role=Role.TEAM if owner is not None else new.role or Role.ORGANIZER,
             label=new.label,
             team=owner,
+            competition=new.competition,
             lifetime=_lifetime(services, new.expires_in_days),
         )
         return tokens.new_token_view(issued)
 
 
 @router.get("/tokens")
-def list_tokens(services: ServicesOf, principal: PrincipalOf) -> TokenListView:
+def list_tokens(services: ServicesOf, principal: SignedInOf) -> TokenListView:
     """Return the team's tokens, without secrets; all for an organizer."""
     with services.database.transaction() as session:
         return TokenListView(items=[tokens.token_view(token) for token in tokens.list_tokens(session, principal)])
 
 
 @router.delete("/tokens/{token_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
-def delete_token(services: ServicesOf, principal: PrincipalOf, token_id: UUID) -> None:
+def delete_token(services: ChangingServicesOf, principal: CaptainOf, token_id: UUID) -> None:
     """Revoke a token."""
     with services.database.transaction() as session:
         tokens.revoke(session, principal, token_id)
 
 
 @router.get("/me")
-def get_me(services: ServicesOf, principal: PrincipalOf) -> MeView:
+def get_me(services: ServicesOf, principal: SignedInOf) -> MeView:
     """Return who the token belongs to and until when it is good."""
     with services.database.transaction() as session:
         token = session.get(ApiToken, principal.token_id)
@@ -115,9 +138,15 @@ def get_me(services: ServicesOf, principal: PrincipalOf) -> MeView:
 
 
 def _owner_of_new_token(session: Session, principal: Principal, new: NewToken) -> Team | None:
+    if new.team is not None and new.role is not None:
+        raise ServiceError(ProblemCode.INVALID_REQUEST, "Give one of team and role: a team's token has no other role.")
+    if new.competition is not None and new.role is not Role.ORGANIZER:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST, "Only an organizer's token is for one competition: give its role, too."
+        )
     if new.team is not None:
         return teams.find_as_organizer(session, principal, new.team)
-    return None if principal.is_organizer else teams.own(session, principal)
+    return None if principal.is_organizer or new.role is not None else teams.own(session, principal)
 
 
 def _quotas(session: Session, services: Services, principal: Principal) -> list[QuotaView]:

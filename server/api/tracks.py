@@ -12,7 +12,7 @@ from ..leaderboards.shown import shown_leaderboard, shown_log_boards, shown_rank
 from ..tracks import load_known_track, track_file, track_view, track_views
 from ..views.leaderboards import LeaderboardView, LogBoardsView, TeamRanksView
 from ..views.tracks import TrackListView, TrackView
-from .access import MAX_NUMBER, ReaderOf, ServicesOf
+from .access import MAX_NUMBER, ServicesOf, VisitorOf
 from .conditional import answer
 from .problems import RESPONSES
 
@@ -63,7 +63,7 @@ def get_track_file(track: str) -> Response:
 def get_leaderboard(
     request: Request,
     services: ServicesOf,
-    principal: ReaderOf,
+    principal: VisitorOf,
     track: str,
     *,
     competition: str | None = None,
@@ -85,7 +85,7 @@ def get_leaderboard(
 @router.get("/leaderboards/{track}/ranks")
 def get_rank_history(
     services: ServicesOf,
-    principal: ReaderOf,
+    principal: VisitorOf,
     track: str,
     *,
     competition: str | None = None,
@@ -102,7 +102,7 @@ def get_rank_history(
 def get_log_boards(
     request: Request,
     services: ServicesOf,
-    principal: ReaderOf,
+    principal: VisitorOf,
     track: str,
     *,
     competition: str | None = None,

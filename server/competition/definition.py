@@ -251,10 +251,23 @@ def read_competition(path: Path) -> CompetitionDefinition:
         DocumentRejected: with one sentence for each thing that is wrong.
     """
     definition = read_yaml(CompetitionDefinition, path)
+    require_known_tracks(definition, path.name)
+    return definition
+
+
+def require_known_tracks(definition: CompetitionDefinition, origin: str) -> None:
+    """Check a competition against the tracks of this service.
+
+    Args:
+        definition: of the competition.
+        origin: name of its file, for the error message.
+
+    Raises:
+        DocumentRejected: with one sentence for each thing that is wrong.
+    """
     problems = [problem for name, track in definition.tracks.items() for problem in _problems(name, track)]
     if problems:
-        raise DocumentRejected(f"{path.name}: {' '.join(problems)}")
-    return definition
+        raise DocumentRejected(f"{origin}: {' '.join(problems)}")
 
 
 def _problems(name: str, track: TrackRules) -> Iterator[str]:

@@ -4,8 +4,9 @@ import select
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from copy import copy
 from functools import partial
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import msgspec
 import psycopg
@@ -76,6 +77,8 @@ class Database:
         event.listen(self.engine, "connect", partial(_limit_connection, limits))
         event.listen(self.engine, "checkin", _note_use)
         event.listen(self.engine, "checkout", _replace_if_dead)
+        self.is_trial = False
+        """Whether nothing is kept: what would be refused is refused, and then all is rolled back."""
         self._sessions = sessionmaker(self.engine, expire_on_commit=False)
         self._readers = sessionmaker(self.engine, autoflush=False)
 
@@ -84,6 +87,15 @@ class Database:
         """Return a session whose work is committed at the end of the block and rolled back on an error."""
         with self._sessions.begin() as session:
             yield session
+            if self.is_trial:
+                session.flush()
+                session.rollback()
+
+    def make_trial(self) -> Self:
+        """Return the same database, whose transactions are rolled back at the end of the block."""
+        trial = copy(self)
+        trial.is_trial = True
+        return trial
 
     @contextmanager
     def reading(self) -> Iterator[Session]:

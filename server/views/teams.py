@@ -28,6 +28,14 @@ class OrganizerTeamView(TeamView):
     refused_for: str | None = Field(description="Why it was not accepted; null: it was, or it waits.")
 
 
+class DisqualifiedView(OrganizerTeamView):
+    """A team that no longer takes part."""
+
+    is_in_final_results: bool = Field(
+        description="Whether it is struck through in final results; these can be decided again without it."
+    )
+
+
 class MemberView(View):
     """A member, as the team and organizers see it."""
 

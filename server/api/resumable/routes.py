@@ -23,7 +23,7 @@ from ...uploads.file_names import check_file_name
 from ...uploads.kinds import SERVED_KINDS
 from ...uploads.partial import UploadPlan
 from ...views.submissions import SubmissionView
-from ..access import PrincipalOf, ServicesOf
+from ..access import OwnerOf, ServicesOf, SubmitterOf
 from ..problems import RESPONSES, problem
 from . import protocol
 from .pieces import PieceReceiver
@@ -63,7 +63,7 @@ def post_upload(
     request: Request,
     response: Response,
     services: ServicesOf,
-    principal: PrincipalOf,
+    principal: SubmitterOf,
     tus_resumable: ProtocolVersion = None,  # noqa: ARG001 - these headers are read by `protocol`, and described here
     upload_length: Length = None,  # noqa: ARG001
     upload_metadata: Metadata = None,  # noqa: ARG001
@@ -95,7 +95,7 @@ def post_upload(
 def head_upload(
     response: Response,
     services: ServicesOf,
-    principal: PrincipalOf,
+    principal: OwnerOf,
     upload_id: UUID,
     tus_resumable: ProtocolVersion = None,  # noqa: ARG001
 ) -> None:
@@ -111,7 +111,7 @@ def head_upload(
 async def patch_upload(
     request: Request,
     services: ServicesOf,
-    principal: PrincipalOf,
+    principal: OwnerOf,
     upload_id: UUID,
     tus_resumable: ProtocolVersion = None,  # noqa: ARG001
     upload_offset: Offset = None,  # noqa: ARG001
@@ -152,7 +152,7 @@ async def patch_upload(
 @router.delete("/{upload_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
 def delete_upload(
     services: ServicesOf,
-    principal: PrincipalOf,
+    principal: OwnerOf,
     upload_id: UUID,
     tus_resumable: ProtocolVersion = None,  # noqa: ARG001
 ) -> None:
@@ -169,7 +169,7 @@ def delete_upload(
     },
 )
 def post_submission_of_upload(
-    request: Request, response: Response, services: ServicesOf, principal: PrincipalOf, upload_id: UUID
+    request: Request, response: Response, services: ServicesOf, principal: OwnerOf, upload_id: UUID
 ) -> SubmissionView:
     """Check a complete upload, as a body sent at once is checked, and start its evaluation. May be repeated."""
     with request.app.state.upload_limiter.one(principal.account, UPLOADS):
