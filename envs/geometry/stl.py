@@ -13,8 +13,14 @@ from ..untrusted_file import read_start
 _HEADER_BYTES = 80
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _LARGEST_FILE_BYTES = 64 * 2**20
-_VERTEX_WORD = re.compile(rb"(?<!\S)vertex(?!\S)")
-_VERTEX = re.compile(rb"(?<!\S)vertex\s+(\S+)\s+(\S+)\s+(\S+)")
+_VERTEX_WORD = re.compile(rb"(?<!\S)vertex(?!\S)", re.IGNORECASE)
+_VERTEX = re.compile(rb"(?<!\S)vertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
+_LOOP_WORD = re.compile(rb"(?<!\S)outer\s+loop(?!\S)", re.IGNORECASE)
+# The name of a solid may hold any words, and ends with its line or its first facet.
+_NAME = re.compile(rb"(?<!\S)(?:end)?solid(?!\S)[^\r\n]*?(?=(?<!\S)facet(?!\S)|[\r\n]|\Z)", re.IGNORECASE)
+_TEXT_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*solid(?!\S)", re.IGNORECASE)
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+_PADDING = b"\0\x1a\t\n\r "
 
 
 class StlError(VitacError):
@@ -60,7 +66,9 @@ def read_corners(path: Path, *, max_bytes: int | None = None, max_triangles: int
         TooManyTriangles: it has more triangles.
     """
     content = _content(path, _LARGEST_FILE_BYTES if max_bytes is None else max_bytes)
-    corners = _binary_corners(content)
+    if content.startswith(_UTF_16):
+        content = content.decode("utf-16", "replace").encode()
+    corners = _binary_corners(content, path)
     if corners is None:
         return _ascii_corners(content, path, max_triangles)
     _check_count(path, len(corners), max_triangles)
@@ -84,30 +92,47 @@ def _content(path: Path, max_bytes: int) -> bytes:
     return content
 
 
-def _binary_corners(content: bytes) -> NDArray[np.float32] | None:
-    """Return triangle corners, shape [f, 3, 3], or None where the length does not fit a binary file's count."""
-    if len(content) < _HEADER_BYTES + 4:
-        return None
+def _binary_corners(content: bytes, path: Path) -> NDArray[np.float32] | None:
+    """Return the triangles' corners of a binary file, shape [f, 3, 3], or None where it is text.
+
+    Fewer bytes than a triangle has, or only padding, may follow the last one.
+    """
+    records = content[_HEADER_BYTES + 4 :]
     count = int.from_bytes(content[_HEADER_BYTES : _HEADER_BYTES + 4], "little")
-    if count == 0 or len(content) != _HEADER_BYTES + 4 + count * _RECORD.itemsize:
+    expected = count * _RECORD.itemsize
+    fits = count > 0 and len(records) == expected
+    if not fits and _TEXT_START.match(content) and b"\0" not in content.rstrip(_PADDING):
         return None
-    records = np.frombuffer(content, dtype=_RECORD, offset=_HEADER_BYTES + 4)
-    corners: NDArray[np.float32] = records["corners"]
+    surplus = len(records) - expected
+    if count == 0 or surplus < 0 or (surplus >= _RECORD.itemsize and records[expected:].strip(_PADDING)):
+        raise StlError(
+            f"{path} is not an STL file that can be read: it has {len(content)} bytes and begins with "
+            f"{content[:12]!r}. Expected text from 'solid' on, or after a header of {_HEADER_BYTES} bytes the number "
+            f"of triangles, here {count}, and {_RECORD.itemsize} bytes for each, {_HEADER_BYTES + 4 + expected} in "
+            "all; is it truncated?"
+        )
+    corners: NDArray[np.float32] = np.frombuffer(records, dtype=_RECORD, count=count)["corners"]
     return corners
 
 
 def _ascii_corners(content: bytes, path: Path, max_triangles: int | None) -> NDArray[np.float64]:
-    if not content.lstrip().startswith(b"solid"):
-        raise StlError(
-            f"{path} is not an STL file: it neither starts with 'solid' (ASCII) nor has the length that the triangle "
-            f"count in a binary header demands (got {len(content)} bytes); is it truncated?"
-        )
-    announced = sum(1 for _ in _VERTEX_WORD.finditer(content))
+    text = _NAME.sub(b"", content)
+    announced = sum(1 for _ in _VERTEX_WORD.finditer(text))
     _check_count(path, announced // 3, max_triangles)
-    try:
-        values = [[float(word) for word in found.groups()] for found in _VERTEX.finditer(content)]
-    except ValueError as error:
-        raise StlError(f"{path}: a 'vertex' must be followed by three numbers ({error!s:.120}).") from error
-    if not values or len(values) % 3 or len(values) != announced:
-        raise StlError(f"{path}: expected a multiple of three vertices of three numbers, got {len(values)} vertices.")
+    values = [[_number(word, path) for word in vertex.groups()] for vertex in _VERTEX.finditer(text)]
+    loops = sum(1 for _ in _LOOP_WORD.finditer(text))
+    if not values or len(values) % 3 or len(values) != announced or loops not in (0, len(values) // 3):
+        raise StlError(
+            f"{path}: expected facets of three vertices with three numbers each, got {len(values)} such vertices after "
+            f"{announced} words 'vertex' in {loops} facets; export triangles, and the whole file."
+        )
     return np.array(values, dtype=np.float64).reshape(-1, 3, 3)
+
+
+def _number(word: bytes, path: Path) -> float:
+    """Return a number, with an exponent after e or, as Fortran writes it, d."""
+    try:
+        return float(word.lower().replace(b"d", b"e"))
+    except ValueError:
+        hint = "write decimal points, no commas" if b"," in word else "export it again"
+        raise StlError(f"{path}: expected three numbers after 'vertex', got {word!r:.60}; {hint}.") from None
