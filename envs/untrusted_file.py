@@ -1,4 +1,4 @@
-"""Reads a file that somebody else chose; called by the readers of STL, Gmsh and sensor.yaml files."""
+"""Finds and reads files that somebody else chose; called by the readers of STL, Gmsh, sensor and submission files."""
 
 import os
 import stat
@@ -17,6 +17,12 @@ def read_start(path: Path, max_bytes: int) -> bytes:
     """
     with open(path, "rb", opener=_open_without_blocking) as file:
         return file.read(max_bytes + 1)
+
+
+def find_spelling(folder: Path, name: str) -> Path:
+    """Return the file of a folder that has this name but for capitals; the path of this very name where none has."""
+    others = (path for path in folder.iterdir() if path.name.lower() == name) if folder.is_dir() else iter(())
+    return folder / name if (folder / name).exists() else min(others, default=folder / name)
 
 
 def _open_without_blocking(path: str, flags: int) -> int:

@@ -6,13 +6,14 @@ from pathlib import Path
 
 def note_ignored_folders(path: Path) -> None:
     """Print a note where a folder holds submissions for several tracks, of which the first is meant."""
+    from vitac.envs.untrusted_file import find_spelling
     from vitac.evaluator.submission.names import MANIFEST_NAME
     from vitac.evaluator.tracks import archive_folders
 
     found = (
         []
-        if (path / MANIFEST_NAME).is_file()
-        else [top for top in archive_folders() if (path / top / MANIFEST_NAME).is_file()]
+        if find_spelling(path, MANIFEST_NAME).is_file()
+        else [top for top in archive_folders() if find_spelling(path / top, MANIFEST_NAME).is_file()]
     )
     if len(found) > 1:
         print(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vitac.envs.errors import VitacError
+from vitac.envs.untrusted_file import find_spelling
 
 from .findings import Finding, Rule
 from .limits import SensorLimits, sensor_limits
@@ -96,8 +97,8 @@ def accepted_sensor(path: Path) -> SensorCheck:
 def _files(path: Path) -> tuple[SensorManifest, Path, Path | None]:
     if not path.is_dir():
         return SensorManifest(), path, None
-    own = path / MESH_NAME
-    return read_sensor(path), path / GEL_NAME, own if own.exists() else None
+    own = find_spelling(path, MESH_NAME)
+    return read_sensor(path), find_spelling(path, GEL_NAME), own if own.exists() else None
 
 
 def _reach(design: "SensorDesign") -> Finding:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from pydantic import Field, model_validator
 from vitac.envs.errors import VitacError
-from vitac.envs.untrusted_file import read_start
+from vitac.envs.untrusted_file import find_spelling, read_start
 
 from ..strict_model import DocumentRejected, StrictModel, parse_untrusted_yaml
 from .limits import sensor_limits
@@ -104,7 +104,7 @@ def read_sensor(folder: Path) -> SensorManifest:
         SensorRejected: it is missing, too large, not YAML, or a key or value is wrong.
     """
     try:
-        data = read_start(folder / SENSOR_NAME, _MAX_BYTES)
+        data = read_start(find_spelling(folder, SENSOR_NAME), _MAX_BYTES)
     except OSError as error:
         raise SensorRejected(f"Expected {SENSOR_NAME} in {folder}, but it cannot be read: {error.strerror}.") from error
     if len(data) > _MAX_BYTES:

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from vitac.envs.untrusted_file import find_spelling
+
 from .manifest import SENSOR_NAME, SensorRejected
 
 GEL_NAME: Final = "gel.stl"
@@ -38,7 +40,7 @@ def design_document(folder: Path) -> DesignDocument:
         SensorRejected: a file of the sensor or the document is missing, or there are several, or it is too large.
     """
     for name in (SENSOR_NAME, GEL_NAME):
-        if not (folder / name).is_file():
+        if not find_spelling(folder, name).is_file():
             raise SensorRejected(f"{name} is missing; put it beside submission.yaml.")
     found = sorted(_documents(folder))
     if len(found) != 1:
@@ -56,5 +58,6 @@ def design_document(folder: Path) -> DesignDocument:
 
 def _documents(folder: Path) -> Iterator[Path]:
     for path in folder.iterdir():
-        if path.suffix.lower() in DOCUMENT_SUFFIXES and path.stem.lower() != "readme" and path.is_file():
+        is_named = path.suffix.lower() in DOCUMENT_SUFFIXES and path.stem.lower() != "readme"
+        if is_named and not path.name.startswith(".") and path.is_file():
             yield path

@@ -17,13 +17,15 @@ from pathlib import Path
 from typing import IO, BinaryIO, Final
 
 from ..agent.limits import Limits
-from ..tracks import archive_folders
+from ..tracks import archive_folders, load_track
+from .manifest import MANIFEST_MAX_BYTES, parse_manifest
 from .names import (
     MANIFEST_NAME,
     ArchiveFault,
     ArchiveRejected,
     NamedEntry,
     check_names,
+    fixed_name,
     is_ignored,
     link,
     special_file,
@@ -41,11 +43,14 @@ _END_RECORD: Final = struct.Struct("<4s4H2LH")
 _END_SIGNATURE: Final = b"PK\x05\x06"
 _ZIP64_LOCATOR: Final = b"PK\x06\x07"
 _ZIP64_LOCATOR_BYTES: Final = 20
+_ZIP64_RECORD: Final = struct.Struct("<4sQ2H2L4Q")
+_ZIP64_SIGNATURE: Final = b"PK\x06\x06"
 _DIRECTORY_BYTES_PER_FILE: Final = 1536
 _START_SIGNATURES: Final = (b"PK\x03\x04", _END_SIGNATURE)
 _SHOWN_CHARACTERS: Final = 80
 _METHODS: Final = frozenset({zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED})
 _ENCRYPTED_FLAGS: Final = 0x1 | 0x40 | 0x2000
+_UTF_8_FLAG: Final = 0x800
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +89,7 @@ def unpack(source: Path | BinaryIO, destination: Path, limits: Limits | None = N
 
     Raises:
         ArchiveRejected: a rule is broken.
+        ManifestRejected: the files lie at the top of the archive, and their manifest does not say for which track.
     """
     limits = limits or Limits()
     with ExitStack() as exits:
@@ -145,13 +151,28 @@ class _Opened:
             raise too_many_files(self._limits)
         for info in infos:
             _check_file_type(info)
-        kept = [info for info in infos if not is_ignored(info.orig_filename.removesuffix("/"))]
-        names = (NamedEntry(path=info.orig_filename.removesuffix("/"), is_folder=_is_folder(info)) for info in kept)
-        check_names(names, self._limits)
-        files = [info for info in kept if not _is_folder(info)]
-        top = _top_folder({info.orig_filename.removesuffix("/") for info in kept})
-        self._check_sizes(files)
-        return top, [self._entry(info, top) for info in files]
+        kept = [(name, info) for name, info in zip(map(_name, infos), infos, strict=True) if not is_ignored(name)]
+        check_names((NamedEntry(path=name, is_folder=_is_folder(info)) for name, info in kept), self._limits)
+        files = {name: info for name, info in kept if not _is_folder(info)}
+        self._check_sizes([*files.values()])
+        manifests = [name for name in files if fixed_name(name) == MANIFEST_NAME]
+        if manifests and not {name.partition("/")[0] for name, _ in kept} & set(archive_folders()):
+            top, prefix = self._track_folder(files[manifests[0]]), ""
+        else:
+            top = _top_folder({name for name, _ in kept if not _is_beside(name)})
+            prefix = f"{top}/"
+        inside = [(name.removeprefix(prefix), info) for name, info in files.items() if name.startswith(prefix)]
+        return top, [self._entry(info, fixed_name(path)) for path, info in inside]
+
+    def _track_folder(self, manifest: zipfile.ZipInfo) -> str:
+        """Return the folder of the track that a manifest at the top of the archive names.
+
+        Raises:
+            ManifestRejected: it cannot be read, or names no track.
+        """
+        entry = self._entry(manifest, MANIFEST_NAME)
+        content = b"".join(entry.chunks()) if entry.n_bytes <= MANIFEST_MAX_BYTES else b" " * (MANIFEST_MAX_BYTES + 1)
+        return load_track(parse_manifest(content).track).folder
 
     def _check_sizes(self, files: list[zipfile.ZipInfo]) -> None:
         total = sum(info.file_size for info in files)
@@ -164,14 +185,14 @@ class _Opened:
                 f"{self._limits.archive_ratio:g} times as much; leave out what compresses like that.",
             )
 
-    def _entry(self, info: zipfile.ZipInfo, top: str) -> Entry:
+    def _entry(self, info: zipfile.ZipInfo, path: str) -> Entry:
         def open_entry() -> IO[bytes]:
             try:
                 return self._zip.open(info)
             except (zipfile.BadZipFile, ValueError, OSError, struct.error, NotImplementedError, RuntimeError) as error:
                 raise _damaged(f"{info.filename!r} cannot be read ({error})") from error
 
-        return Entry(path=info.orig_filename.removeprefix(f"{top}/"), n_bytes=info.file_size, open=open_entry)
+        return Entry(path=path, n_bytes=info.file_size, open=open_entry)
 
 
 def _check_ends(stream: BinaryIO, limits: Limits) -> int:
@@ -185,18 +206,46 @@ def _check_ends(stream: BinaryIO, limits: Limits) -> int:
     stream.seek(0)
     if stream.read(4) not in _START_SIGNATURES:
         raise ArchiveRejected(ArchiveFault.NOT_A_ZIP, "The file is not a zip archive; pack the folder as a zip.")
-    tail_start = max(0, packed_bytes - 0xFFFF - _END_RECORD.size - _ZIP64_LOCATOR_BYTES)
+    ends_bytes = _ZIP64_RECORD.size + _ZIP64_LOCATOR_BYTES + _END_RECORD.size
+    tail_start = max(0, packed_bytes - 0xFFFF - ends_bytes)
     stream.seek(tail_start)
     tail = stream.read()
     position = tail.rfind(_END_SIGNATURE)
     if position < 0 or len(tail) - position < _END_RECORD.size:
         raise _damaged("its end record is missing; the upload may be truncated")
     *_, entries, directory_bytes, _, _ = _END_RECORD.unpack_from(tail, position)
-    locator = tail[max(0, position - _ZIP64_LOCATOR_BYTES) : position]
-    too_large_directory = directory_bytes > limits.archive_files * _DIRECTORY_BYTES_PER_FILE
-    if locator.startswith(_ZIP64_LOCATOR) or too_large_directory or entries > limits.archive_files:
+    locator = position - _ZIP64_LOCATOR_BYTES
+    if tail[max(0, locator) :].startswith(_ZIP64_LOCATOR):
+        start = locator - _ZIP64_RECORD.size
+        if start < 0 or not tail[start:].startswith(_ZIP64_SIGNATURE):
+            raise _damaged("its end record for large archives (zip64) is missing")
+        *_, entries, directory_bytes, _ = _ZIP64_RECORD.unpack_from(tail, start)
+    if directory_bytes > limits.archive_files * _DIRECTORY_BYTES_PER_FILE or entries > limits.archive_files:
         raise too_many_files(limits)
     return packed_bytes
+
+
+def _name(info: zipfile.ZipInfo) -> str:
+    """Return the path of an entry, without a slash at its end.
+
+    Names without the flag for UTF-8 are in it all the same, as macOS writes them, or in an encoding that is not said.
+    """
+    name = info.orig_filename.removesuffix("/")
+    if name.isascii() or info.flag_bits & _UTF_8_FLAG:
+        return name
+    try:
+        return name.encode("cp437").decode("utf-8")
+    except UnicodeError:
+        raise ArchiveRejected(
+            ArchiveFault.BAD_CHARACTERS,
+            f"{name!r:.200} is not in UTF-8: the program that packed it used another encoding, such as GBK. Rename the "
+            "file with ASCII letters, or pack with `python -m zipfile -c mine.zip FOLDER`.",
+        ) from None
+
+
+def _is_beside(path: str) -> bool:
+    """Return whether a path at the top says what the archive is, beside the submission's folder."""
+    return "/" not in path and path.lower().partition(".")[0] in {"readme", "license"}
 
 
 def _is_folder(info: zipfile.ZipInfo) -> bool:
@@ -234,9 +283,7 @@ def _top_folder(paths: set[str]) -> str:
 
 
 def _mend(paths: set[str], names: set[str], allowed: Collection[str]) -> str:
-    """Return what to do about the two usual mistakes: no folder, or one too many."""
-    if MANIFEST_NAME in paths:
-        return f"; its files lie at the top: put them into a folder {' or '.join(allowed)} and pack that folder"
+    """Return what to do about a folder with another name, and about one too many."""
     top = next(iter(names), "")
     if len(names) != 1 or "/" in top:
         return ""

@@ -8,6 +8,7 @@ from typing import Annotated, Final
 
 from pydantic import AfterValidator, Field
 from vitac.envs.errors import VitacError
+from vitac.envs.untrusted_file import find_spelling
 
 from ..agent.verdicts import VerdictCode
 from ..strict_model import DocumentRejected, StrictModel, parse_untrusted_yaml
@@ -78,7 +79,7 @@ def load_manifest(submission_dir: Path) -> SubmissionManifest:
     Raises:
         ManifestRejected: it is missing, no file, too large, not YAML, or a key or value is wrong.
     """
-    path = submission_dir / MANIFEST_NAME
+    path = find_spelling(submission_dir, MANIFEST_NAME)
     try:
         with path.open("rb") as file:
             data = file.read(MANIFEST_MAX_BYTES + 1)

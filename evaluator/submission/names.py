@@ -10,12 +10,20 @@ from typing import Final
 from vitac.envs.errors import VitacError
 
 from ..agent.limits import Limits
+from ..sensors.manifest import SENSOR_NAME
+from ..sensors.package import GEL_NAME, MESH_NAME
 
 MANIFEST_NAME: Final = "submission.yaml"
+FIXED_NAMES: Final = (MANIFEST_NAME, SENSOR_NAME, GEL_NAME, MESH_NAME)
+"""Files that are found directly in the submission's folder, in small or capital letters."""
 IGNORED_FOLDERS: Final = frozenset(
-    {"__MACOSX", "__pycache__", ".git", ".mypy_cache", ".pytest_cache", ".ruff_cache", ".venv"}
+    {
+        *("__MACOSX", "__pycache__", ".git", ".idea", ".ipynb_checkpoints", ".mypy_cache"),
+        *(".pytest_cache", ".ruff_cache", ".venv", ".vscode"),
+    }
 )
-IGNORED_FILES: Final = frozenset({".DS_Store", "Thumbs.db"})
+IGNORED_FILES: Final = frozenset({".ds_store", "desktop.ini", "thumbs.db"})
+IGNORED_PREFIX: Final = "._"
 IGNORED_SUFFIXES: Final = (".pyc",)
 """Caches and desktop files; never unpacked, never part of a digest."""
 _NAMES_SHOWN: Final = 20
@@ -76,7 +84,13 @@ def is_ignored(path: str) -> bool:
     """Return whether a file is a cache or desktop file, which is not part of a submission."""
     parts = path.split("/")
     name = parts[-1]
-    return bool(IGNORED_FOLDERS.intersection(parts)) or name in IGNORED_FILES or name.endswith(IGNORED_SUFFIXES)
+    is_of_desktop = name.lower() in IGNORED_FILES or name.startswith(IGNORED_PREFIX)
+    return bool(IGNORED_FOLDERS.intersection(parts)) or is_of_desktop or name.endswith(IGNORED_SUFFIXES)
+
+
+def fixed_name(path: str) -> str:
+    """Return a path below the submission's folder with one of `FIXED_NAMES` as it is written there."""
+    return path.lower() if path.lower() in FIXED_NAMES else path
 
 
 def describe_contents(folder: Path) -> str:
@@ -132,8 +146,14 @@ def _check_path(path: str, limits: Limits) -> None:
     parts = path.split("/")
     if any(part in {"", ".", ".."} for part in parts):
         raise ArchiveRejected(ArchiveFault.PARENT_PATH, f"{shown} has a part '..', '.' or nothing; pack plain paths.")
-    if "\\" in path or any(unicodedata.category(character) in _BAD_CATEGORIES for character in path):
-        raise ArchiveRejected(ArchiveFault.BAD_CHARACTERS, f"{shown} has a backslash or control characters; rename it.")
+    if "\\" in path:
+        raise ArchiveRejected(
+            ArchiveFault.BAD_CHARACTERS,
+            f"{shown} has backslashes, as some programs of Windows write them in place of '/'; pack the folder with "
+            "Explorer, 7-Zip or `python -m zipfile -c mine.zip FOLDER`.",
+        )
+    if any(unicodedata.category(character) in _BAD_CATEGORIES for character in path):
+        raise ArchiveRejected(ArchiveFault.BAD_CHARACTERS, f"{shown} has control characters; rename it.")
     if len(parts) - 1 > limits.archive_depth:
         raise ArchiveRejected(ArchiveFault.TOO_DEEP, f"{shown} lies more than {limits.archive_depth} folders deep.")
     if len(path.encode()) > _PATH_MAX_BYTES or max(len(part.encode()) for part in parts) > _NAME_MAX_BYTES:

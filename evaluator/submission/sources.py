@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import IO
 
 from vitac.envs.errors import VitacError
+from vitac.envs.untrusted_file import find_spelling
 
 from ..agent.limits import Limits
 from ..tracks import archive_folders, load_track
@@ -23,7 +24,17 @@ from .manifest import (
     parse_manifest,
     renaming,
 )
-from .names import MANIFEST_NAME, NamedEntry, check_names, describe_contents, is_ignored, link, listed, special_file
+from .names import (
+    MANIFEST_NAME,
+    NamedEntry,
+    check_names,
+    describe_contents,
+    fixed_name,
+    is_ignored,
+    link,
+    listed,
+    special_file,
+)
 
 
 class NoSubmission(VitacError):
@@ -39,7 +50,7 @@ def find_submission(path: Path) -> Path:
     if not path.exists():
         raise NoSubmission(f"{path} does not exist; {describe_contents(path.parent)}.")
     for folder in (path, *(path / top for top in archive_folders())):
-        if (folder / MANIFEST_NAME).is_file():
+        if find_spelling(folder, MANIFEST_NAME).is_file():
             return folder
     mend = renaming(each.name for each in path.glob("*")) or _unknown_track(path)
     raise NoSubmission(f"Expected {MANIFEST_NAME} or a zip, {describe_contents(path)}; {mend}.")
@@ -165,7 +176,7 @@ def _walk(folder: Path, prefix: str) -> Iterator[Entry]:
         if item.is_dir():
             yield from _walk(Path(item.path), f"{path}/")
         elif item.is_file():
-            yield Entry(path=path, n_bytes=item.stat().st_size, open=partial(_open, item.path))
+            yield Entry(path=fixed_name(path), n_bytes=item.stat().st_size, open=partial(_open, item.path))
         else:
             raise special_file(path)
 

@@ -36,8 +36,8 @@ def zip_bytes(contents: Mapping[str | zipfile.ZipInfo, str | bytes]) -> bytes:
 
 
 def submission_zip(files: Mapping[str, str | bytes] = FILES, *, top: str = "Track_1") -> bytes:
-    """A well-formed zip of a submission's files."""
-    return zip_bytes({f"{top}/{name}": content for name, content in files.items()})
+    """A well-formed zip of a submission's files; without a top folder, of its content."""
+    return zip_bytes({f"{top}/{name}" if top else name: content for name, content in files.items()})
 
 
 def submission_folder(folder: Path, files: Mapping[str, str | bytes] = FILES) -> Path:

@@ -3,7 +3,7 @@ import socket
 from pathlib import Path
 
 import pytest
-from vitac.envs.untrusted_file import read_start
+from vitac.envs.untrusted_file import find_spelling, read_start
 
 
 def test_content_is_read_up_to_one_byte_past_the_limit(tmp_path: Path) -> None:
@@ -54,3 +54,11 @@ def test_no_descriptor_is_left_open(tmp_path: Path) -> None:
         with pytest.raises(OSError, match="no regular file"):
             read_start(tmp_path / "pipe", 10)
     assert len(list(Path("/proc/self/fd").iterdir())) <= before
+
+
+def test_a_file_is_found_in_any_capitals(tmp_path: Path) -> None:
+    (tmp_path / "Gel.STL").touch()
+    assert find_spelling(tmp_path, "gel.stl") == tmp_path / "Gel.STL"
+    (tmp_path / "gel.stl").touch()
+    assert find_spelling(tmp_path, "gel.stl") == tmp_path / "gel.stl"
+    assert find_spelling(tmp_path / "absent", "gel.stl") == tmp_path / "absent" / "gel.stl"

@@ -78,7 +78,10 @@ def test_reads_what_others_write(name: str, tmp_path: Path) -> None:
     ("content", "problem"),
     [
         (b"PK\x03\x04" + b"\1" * 200, r"begins with b'PK"),
-        (binary_stl(hole_surface(PegShape.CUBOID)) + b"x" * 50, r"number of triangles, here \d+, and 50 bytes for each"),
+        (
+            binary_stl(hole_surface(PegShape.CUBOID)) + b"x" * 50,
+            r"number of triangles, here \d+, and 50 bytes for each",
+        ),
         (b"solid\nfacet\nouter loop\nvertex 1,5 2 3\nvertex 0 0 0\nvertex 0 1 0\nendsolid", "decimal points"),
         (b"solid\n" + b"facet\nouter loop\n" + b"vertex 1 2 3\n" * 4 + b"endloop\n", "three vertices"),
         (b"solid\n" + (b"facet\nouter loop\n" + b"vertex 1 2 3\n" * 4) * 3, "12 such vertices .* in 3 facets"),

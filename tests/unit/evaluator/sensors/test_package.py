@@ -59,3 +59,9 @@ def test_size_of_a_document_is_limited_to_the_byte(folder: Path) -> None:
     os.truncate(document, package.MAX_DOCUMENT_BYTES + 1)
     with pytest.raises(SensorRejected, match=r"has 20971521 bytes, expected 1 to 20971520"):
         design_document(folder)
+
+
+def test_files_in_capitals_are_found_and_hidden_ones_are_no_document(tmp_path: Path) -> None:
+    for name in ("SENSOR.yaml", "gel.STL", "Design.MD", "._Design.md"):
+        (tmp_path / name).write_text("x")
+    assert design_document(tmp_path).path.name == "Design.MD"

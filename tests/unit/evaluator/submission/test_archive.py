@@ -12,10 +12,12 @@ from pathlib import Path
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from submissions import FILES, entry, submission_zip, zip_bytes
+from submissions import FILES, entry, submission_folder, submission_zip, zip_bytes
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.submission.archive import ArchiveFault, ArchiveRejected, Entry, unpack, write
+from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest
 from vitac.evaluator.submission.names import NamedEntry, check_names
+from vitac.evaluator.submission.sources import read_manifest_file, stage, submission_digest
 
 
 def rejected(data: bytes, folder: Path, limits: Limits | None = None) -> ArchiveRejected:
@@ -125,12 +127,38 @@ def test_rejects_huge_directory_before_reading_it(tmp_path: Path) -> None:
     assert rejected(bytes(data), tmp_path, limits).code is ArchiveFault.TOO_MANY_FILES
 
 
-def test_rejects_zip64_end_record(tmp_path: Path) -> None:
-    """A valid archive never needs one, and its directory could be of any size."""
+def with_zip64_end(data: bytes, *, entries: int, directory_bytes: int) -> bytes:
+    """The archive with the end record of large ones before its own, as streaming programs write it."""
+    end = data.rfind(b"PK\x05\x06")
+    directory_start = struct.unpack_from("<L", data, end + 16)[0]
+    record = struct.pack(
+        "<4sQ2H2L4Q", b"PK\x06\x06", 44, 45, 45, 0, 0, entries, entries, directory_bytes, directory_start
+    )
+    locator = struct.pack("<4sLQL", b"PK\x06\x07", 0, end, 1)
+    return data[:end] + record + locator + data[end : end + 8] + b"\xff" * 12 + data[end + 20 :]
+
+
+def test_a_small_archive_with_the_end_record_of_large_ones_is_read(tmp_path: Path) -> None:
+    data = submission_zip()
+    end = data.rfind(b"PK\x05\x06")
+    directory_bytes = struct.unpack_from("<L", data, end + 12)[0]
+    folder = unpack(io.BytesIO(with_zip64_end(data, entries=2, directory_bytes=directory_bytes)), tmp_path / "out")
+    assert (folder / "policy.py").read_text() == FILES["policy.py"]
+
+
+@pytest.mark.parametrize(("entries", "directory_bytes"), [(5001, 100), (2, 2**40), (2**63, 2**63)])
+def test_a_huge_directory_is_refused_in_the_end_record_of_large_archives_too(
+    entries: int, directory_bytes: int, tmp_path: Path
+) -> None:
+    data = with_zip64_end(submission_zip(), entries=entries, directory_bytes=directory_bytes)
+    assert rejected(data, tmp_path).code is ArchiveFault.TOO_MANY_FILES
+
+
+def test_a_locator_without_its_end_record_is_damaged(tmp_path: Path) -> None:
     data = submission_zip()
     end = data.rfind(b"PK\x05\x06")
     locator = struct.pack("<4sLQL", b"PK\x06\x07", 0, 0, 1)
-    assert rejected(data[:end] + locator + data[end:], tmp_path).code is ArchiveFault.TOO_MANY_FILES
+    assert rejected(data[:end] + locator + data[end:], tmp_path).code is ArchiveFault.DAMAGED
 
 
 def test_rejects_bomb_by_ratio(tmp_path: Path) -> None:
@@ -270,14 +298,13 @@ def test_damaged_archives_never_raise_anything_else(noise: bytes, position: int)
     data = submission_zip()
     position = min(position, len(data))
     damaged = data[:position] + noise + data[position + len(noise) :]
-    with tempfile.TemporaryDirectory() as folder, contextlib.suppress(ArchiveRejected):
+    with tempfile.TemporaryDirectory() as folder, contextlib.suppress(ArchiveRejected, ManifestRejected):
         unpack(io.BytesIO(damaged), Path(folder, "out"))
 
 
 @pytest.mark.parametrize(
     ("paths", "mend"),
     [
-        (["submission.yaml", "policy.py"], "put them into a folder Track_1"),
         (["mine/submission.yaml", "mine/policy.py"], "rename that folder"),
         (["mine/Track_1/submission.yaml", "mine/Track_1/policy.py"], "pack Track_1 itself"),
     ],
@@ -288,6 +315,72 @@ def test_usual_mistakes_about_the_top_folder_are_refused_with_their_mend(
     caught = rejected(zip_bytes(dict.fromkeys(paths, b"x")), tmp_path)
     assert caught.code is ArchiveFault.WRONG_TOP_FOLDER
     assert mend in caught.message
+
+
+STRAY = [
+    *(".DS_Store", "._policy.py", "Thumbs.db", "desktop.ini", ".idea/workspace.xml", ".vscode/settings.json"),
+    *(".ipynb_checkpoints/a-checkpoint.ipynb", "sub/.ipynb_checkpoints/b.py", "sub/._c.py", "__pycache__/policy.pyc"),
+]
+
+
+def test_what_desktops_and_editors_leave_is_no_part_of_a_submission(tmp_path: Path) -> None:
+    data = submission_zip(FILES | dict.fromkeys(STRAY, "x"))
+    with zipfile.ZipFile(buffer := io.BytesIO(data), "a") as archive:
+        for name in ["README.md", "readme.txt", "LICENSE", "__MACOSX/._Track_1", *STRAY]:
+            archive.writestr(name, "x")
+    folder = unpack(buffer, tmp_path / "out")
+    assert {path.name for path in folder.rglob("*")} == {*FILES}
+    own = submission_folder(tmp_path / "own", {**FILES, **dict.fromkeys(STRAY, "x")})
+    assert submission_digest(own) == submission_digest(folder)
+
+
+def test_a_zip_of_the_folders_content_is_that_of_the_track_that_its_manifest_names(tmp_path: Path) -> None:
+    data = submission_zip(FILES | {"README.md": "x", "weights/a.bin": "y", ".DS_Store": "z"}, top="")
+    folder = unpack(io.BytesIO(data), tmp_path / "out")
+    assert folder.name == "Track_1"
+    assert {path.name for path in folder.rglob("*.*")} == {*FILES, "README.md", "a.bin"}
+    (tmp_path / "mine.zip").write_bytes(data)
+    assert read_manifest_file(tmp_path / "mine.zip").track == "track_1"
+    assert submission_digest(tmp_path / "mine.zip") == submission_digest(folder)
+
+
+@pytest.mark.parametrize("manifest", ["x", "track: track_9\ntasks: [a]\nname: b\n", "track: [" * 9000, "a" * 17000])
+def test_a_zip_of_the_folders_content_without_a_track_is_refused(manifest: str, tmp_path: Path) -> None:
+    with pytest.raises(ManifestRejected):
+        unpack(io.BytesIO(zip_bytes({"submission.yaml": manifest})), tmp_path / "out")
+
+
+def test_files_of_a_submission_are_found_in_capitals(tmp_path: Path) -> None:
+    spelled = {"Submission.YAML": FILES["submission.yaml"], "SENSOR.yaml": "{}", "gel.STL": "x", "Policy.py": "y"}
+    folder = unpack(io.BytesIO(submission_zip(spelled)), tmp_path / "out")
+    assert {path.name for path in folder.iterdir()} == {"submission.yaml", "sensor.yaml", "gel.stl", "Policy.py"}
+    own = submission_folder(tmp_path / "own", spelled)
+    assert load_manifest(own).track == "track_1"
+    assert submission_digest(own) == submission_digest(folder)
+    assert {path.name for path in stage(own, tmp_path / "staged").iterdir()} == {path.name for path in folder.iterdir()}
+
+
+def test_one_file_in_two_spellings_is_refused(tmp_path: Path) -> None:
+    assert rejected(with_file("Track_1/Submission.YAML"), tmp_path).code is ArchiveFault.CASE_DUPLICATE
+
+
+def renamed(name: bytes) -> bytes:
+    """A zip with a file of this name, without the flag that it is in UTF-8."""
+    plain = b"Track_1/" + b"a" * len(name)
+    return with_file(plain.decode()).replace(plain, b"Track_1/" + name)
+
+
+def test_names_in_utf_8_without_its_flag_are_read(tmp_path: Path) -> None:
+    folder = unpack(io.BytesIO(renamed("poids_é.npz".encode())), tmp_path / "out")
+    assert (folder / "poids_é.npz").exists()
+
+
+@pytest.mark.parametrize(("name", "mend"), [("权重.npz".encode("gbk"), "such as GBK"), (b"a\\b.py", "backslashes")])
+def test_names_of_other_programs_are_refused_with_what_helps(name: bytes, mend: str, tmp_path: Path) -> None:
+    caught = rejected(renamed(name), tmp_path)
+    assert caught.code is ArchiveFault.BAD_CHARACTERS
+    assert mend in caught.message
+    assert "python -m zipfile" in caught.message
 
 
 def test_a_top_folder_with_any_name_is_shown_harmlessly(tmp_path: Path) -> None:
