@@ -19,8 +19,7 @@ import numpy as np
 from vitac.evaluator.episodes import episode
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.tracks import load_track
-from vitac.training.actors import critic_actor
-from vitac.training.collection import Networks
+from vitac.training.collection import Networks, critic_actor
 from vitac.training.episodes import TASK, TRUTHS, Actor, Moment, make_environment
 from vitac.training.files import load
 from vitac.training.learners import Learners

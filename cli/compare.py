@@ -96,7 +96,7 @@ def _evaluated(named: str, server: str | None, token_file: Path | None) -> Evalu
 def _from_file(named: str) -> Evaluated:
     """Read a log, or the report that `vitac evaluate --json` writes."""
     from pydantic import ValidationError
-    from vitac.evaluator.evaluation.report import EvaluationReport
+    from vitac.evaluator.evaluation.local import EvaluationReport
     from vitac.evaluator.logs.log import LogReader, is_log
     from vitac.evaluator.logs.packing import open_log
 

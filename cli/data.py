@@ -62,7 +62,7 @@ def export(
     processes: Processes = 1,
 ) -> None:
     """Play demonstrations again, compare every state, and write what was seen as a data set with a card."""
-    from vitac.training.demonstrations.demonstration import FILE
+    from vitac.training.demonstrations.collecting import FILE
     from vitac.training.demonstrations.exporting import Format
     from vitac.training.demonstrations.exporting import export as export_task
 
@@ -107,7 +107,7 @@ def check(
 
     A LeRobotDataset may be anybody's; `--replay` needs one that was exported here.
     """
-    from vitac.training.demonstrations.demonstration import FILE
+    from vitac.training.demonstrations.collecting import FILE
     from vitac.training.demonstrations.lerobot.checking import check_lerobot
     from vitac.training.demonstrations.replaying import read_folder
     from vitac.training.demonstrations.replaying import replay as replay_some
@@ -133,7 +133,7 @@ def card(
     folder: Annotated[Path, typer.Argument(callback=existing, help="Folder of a task's demonstrations or a data set.")],
 ) -> None:
     """Print what a data set is: who acted, from which starts, with which success, and its licence."""
-    from vitac.training.demonstrations.card import make_card_of
+    from vitac.training.demonstrations.exporting import make_card_of
 
     print(make_card_of(folder))
 

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
     from vitac.evaluator.episodes.records import EpisodeRecord
     from vitac.evaluator.evaluation.local import Evaluation
-    from vitac.evaluator.scoring.forces import ForceSummary
-    from vitac.evaluator.scoring.score import Rate
+    from vitac.evaluator.scoring.score import ForceSummary, Rate
     from vitac.evaluator.shards.host_process import HostProcess
     from vitac.evaluator.submission.manifest import SubmissionManifest
     from vitac.evaluator.tracks import Track
@@ -208,7 +207,7 @@ def _chosen_task(manifest: "SubmissionManifest", task: str | None) -> str:
 
 
 def _report(evaluation: "Evaluation", manifest: "SubmissionManifest", digest: str) -> str:
-    from vitac.evaluator.evaluation.report import EvaluationReport
+    from vitac.evaluator.evaluation.local import EvaluationReport
 
     return (
         EvaluationReport.from_evaluation(evaluation, name=manifest.name, digest=digest).model_dump_json(indent=1) + "\n"

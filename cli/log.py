@@ -139,7 +139,7 @@ def _check_text_log(log: Path, *, json: bool) -> None:
 @app.command()
 def diff(first: LogFile, second: LogFile, json: AsJson = False) -> None:
     """Print the first difference between two logs; exit code 0 if there is none, 1 otherwise."""
-    from vitac.evaluator.logs.differences import first_difference
+    from vitac.evaluator.logs.comparison import first_difference
 
     difference = first_difference(_read(first), _read(second))
     if json:
@@ -193,7 +193,7 @@ def match(
     from vitac.evaluator.agent.limits import Limits
     from vitac.evaluator.episodes.episode import make_environment
     from vitac.evaluator.episodes.reading import make_reading
-    from vitac.evaluator.logs.action_match import match_actions
+    from vitac.evaluator.logs.comparison import match_actions
     from vitac.evaluator.shards.policy import load_in_sandbox
     from vitac.evaluator.submission.manifest import load_manifest
     from vitac.evaluator.submission.sources import staged

@@ -13,8 +13,7 @@ from .terminal.output import print_table
 if TYPE_CHECKING:
     from vitac.station.description import StationDescription
     from vitac.station.eyes import Sight
-    from vitac.station.records import TrialRecord
-    from vitac.station.rehearsal import RehearsalReport
+    from vitac.station.rehearsal import RehearsalReport, TrialRecord
 
 STATION_MODULES = ("cv2", "pymodbus", "serial")
 """What every station and twin needs, some of it in a process of its own."""

@@ -39,8 +39,7 @@ def command(
     """
     from vitac.envs.assets import assets_dir_from_environment
     from vitac.evaluator.episodes.episode import make_environment
-    from vitac.evaluator.logs.recorded_files import read_recordings
-    from vitac.evaluator.logs.resimulation import report, resimulate_all
+    from vitac.evaluator.logs.resimulation import read_recordings, report, resimulate_all
     from vitac.evaluator.tracks import find_task
 
     from .terminal.compiling import compiling_shown

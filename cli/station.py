@@ -69,8 +69,7 @@ def twin(
 ) -> None:
     """Run twins of all devices, which behave by our physics, until Ctrl-C or SIGTERM."""
     from vitac.station.twin.bench import Bench
-    from vitac.station.twin.faults import FaultScript, read_faults
-    from vitac.station.twin.hidden import PUBLIC_SETTINGS, draw_hidden
+    from vitac.station.twin.hidden import PUBLIC_SETTINGS, FaultScript, draw_hidden, read_faults
     from vitac.station.twin.laboratory import playing_station
 
     from .service.stop_request import SUPERVISION_PERIOD_S, StopRequest
@@ -93,7 +92,7 @@ def twin(
 
 def _find_mounted(shape: str, *, fusion: bool) -> "Mounted":
     from vitac.station.description import StationTask
-    from vitac.station.fusion_trial import HOLES_Y_MM
+    from vitac.station.trials import HOLES_Y_MM
     from vitac.station.twin.grasp import Mounted
 
     if not fusion:
@@ -119,7 +118,7 @@ def track(
 ) -> None:
     """Print a track file for VITAC_TRACKS_DIR: the public starts of a shape, played on stations."""
     import yaml
-    from vitac.station.track import make_station_track
+    from vitac.station.description import make_station_track
 
     task, mounted = _find_mounted(shape, fusion=fusion)
     content = make_station_track(mounted, repeats, task=task)

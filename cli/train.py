@@ -86,8 +86,7 @@ def search(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json
     """Search the parameters of a policy for locks, or continue a search; the best becomes a submission."""
     _one_thread()
     from vitac.training.run import Folder, format_rate
-    from vitac.training.search.method import Search, best
-    from vitac.training.search.recipe import read_search_recipe
+    from vitac.training.search.method import Search, best, read_search_recipe
 
     searching = Search(recipe=read_search_recipe(recipe), folder=Folder(path=out), processes=processes, tell=_tell)
     with _going_on_later(out):
@@ -167,8 +166,7 @@ def curves(
     """Show success over env steps of trainings, several seeds of a method together."""
     from itertools import groupby
 
-    from vitac.training.curve_drawing import draw_curves
-    from vitac.training.curves import make_page, read_curves, write_curves
+    from vitac.training.curves import draw_curves, make_page, read_curves, write_curves
     from vitac.training.files import write_text
 
     found = read_curves(runs)

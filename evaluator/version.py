@@ -24,7 +24,7 @@ def evaluator_hash() -> str:
     """Return the SHA-256 [hex] of all that moves a score: our sources, and which NumPy, Numba and llvmlite.
 
     The same for a wheel and an editable installation of one tree, because only names and contents of files count. What
-    tracks and tasks from elsewhere add for themselves says `vitac.evaluator.tracks.versions`.
+    tracks and tasks from elsewhere add for themselves says `vitac.evaluator.tracks.registry`.
     """
     digest = hashlib.sha256()
     for distribution in _HASHED_DISTRIBUTIONS:

@@ -7,7 +7,7 @@ from typing import Final
 
 from pydantic import JsonValue
 from vitac.envs.errors import VitacError
-from vitac.evaluator.agent.isolation.interpreter import installed_packages
+from vitac.evaluator.agent.isolation.packages import installed_packages
 from vitac.evaluator.agent.session import Isolation
 from vitac.evaluator.agent.verdicts import PolicyFailed
 from vitac.evaluator.episodes.provenance import make_manifest
@@ -22,15 +22,14 @@ from vitac.evaluator.episodes.records import (
     canonical_json,
 )
 from vitac.evaluator.scoring.failures import is_broken
-from vitac.evaluator.shards.order import ShardOrder
+from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.shards.policy import load_in_sandbox
-from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.evaluator.tracks import Episode, Task
 from vitac.evaluator.tracks.cut import cut
 from vitac.evaluator.tracks.sealed import load_played_track, read_secret
 
-from .records import pack_actions
+from .rehearsal import pack_actions
 from .trial import Attempt
 from .trials import Player
 

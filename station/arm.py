@@ -7,11 +7,9 @@ from typing import Final
 from vitac.envs.errors import VitacError
 
 from .description import Place
-from .devices.device import DeviceFault
 from .devices.gripper import Grasp, GripperStatus
-from .devices.stage import Pose
-from .eyes import Sight
-from .opened import OpenStation
+from .devices.stage import DeviceFault, Pose
+from .eyes import OpenStation, Sight
 
 Offset = tuple[float, float, float]
 

@@ -19,12 +19,10 @@ from .description import (
     StationDescription,
 )
 from .description import TactileCamera as TactileCameraDescription
-from .devices import depth_camera, force_torque, gripper, stage, tactile_camera
-from .devices.device import DeviceInUse, DeviceNotFound, Identity
-from .devices.stage import Pose
-from .limits import CONTROL_PERIOD_S, LARGEST_RADIUS_MM, LARGEST_THETA_DEG, LimitPassed, check_grip, check_target
-from .perception.markers import cut_picture, find_markers
-from .perception.tracker import DROPPED_PICTURES
+from .devices import cameras, force_torque, gripper, stage
+from .devices.stage import DeviceInUse, DeviceNotFound, Identity, Pose
+from .guard import CONTROL_PERIOD_S, LARGEST_RADIUS_MM, LARGEST_THETA_DEG, LimitPassed, check_grip, check_target
+from .perception.markers import DROPPED_PICTURES, cut_picture, find_markers
 
 _BRAKING_S: Final = CONTROL_PERIOD_S / 2
 """What of it the stage has to slow down; the rest is for the reading and the command."""
@@ -103,7 +101,7 @@ def _until_failure(problems: Iterator[Problem]) -> Iterator[Problem]:
 def _check_tactile_camera(camera: TactileCameraDescription, between: Gripper) -> Iterator[Problem]:
     """Check a camera; count its markers unless a part is pressed onto the gel, as after an agent that was killed."""
     yield from _check_calibration(camera.serial_number, camera.calibration)
-    with tactile_camera.TactileCamera(camera.serial_number, stream=camera.stream) as opened:
+    with cameras.TactileCamera(camera.serial_number, stream=camera.stream) as opened:
         for _ in range(DROPPED_PICTURES):
             opened.read()
         found, expected = len(find_markers(cut_picture(opened.read()))), camera.calibration.markers
@@ -115,7 +113,7 @@ def _check_tactile_camera(camera: TactileCameraDescription, between: Gripper) ->
 
 def _check_depth_camera(camera: DepthCamera) -> Iterator[Problem]:
     yield from _check_calibration(camera.serial_number, camera.calibration)
-    with depth_camera.open_depth_camera(camera) as opened:
+    with cameras.open_depth_camera(camera) as opened:
         yield from _check_identity(opened.identify(), camera.serial_number, camera.firmware)
         measured, stored = camera.calibration, opened.intrinsics()
         for name in ("width", "height", "fx", "fy", "cx", "cy"):

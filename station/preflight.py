@@ -9,7 +9,7 @@ from pathlib import Path
 from vitac.envs.errors import VitacError
 
 from .devices.stage import StageState
-from .opened import OpenStation
+from .eyes import OpenStation
 
 _FOLLOWED_MARKERS = 0.9
 """Part of the calibrated markers that must be followed; less than `check` asks to find, for a moving gel loses some."""

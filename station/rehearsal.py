@@ -1,4 +1,7 @@
-"""Plays a submission's trials on a station and gives one result; called by `vitac evaluate --station`."""
+"""Plays a submission's trials on a station and gives one result, with the stored record of each trial.
+
+Called by `vitac evaluate --station`. Of all attempts of a trial at most the last one counts.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -6,26 +9,91 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self
 
-from pydantic import NonNegativeInt
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
 from vitac.envs.errors import VitacError
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.episodes.reading import make_reading
+from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.scoring.score import Rate, rate
 from vitac.evaluator.shards.policy import load_in_sandbox
 from vitac.evaluator.strict_model import StrictModel, Word, validate
 from vitac.evaluator.submission.manifest import load_manifest
-from vitac.evaluator.tracks import Task, Track
+from vitac.evaluator.tracks import Episode, Task, Track
 
 from .check import check_station
 from .description import StationDescription, StationTask, read_description
 from .outcome import TrialOutcome
-from .records import TrialRecord
+from .trial import Attempt
 from .trials import Player
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
-    from .twin.process import RunningTwin
+    from .twin.laboratory import RunningTwin
+
+Pair = tuple[float, float]
+
+
+def pack_actions(attempt: Attempt) -> NDArray[np.float32]:
+    """Return the actions of an attempt, shape [env steps, numbers of an action]."""
+    return np.array(attempt.actions, dtype=np.float32).reshape(len(attempt.actions), attempt.action_numbers)
+
+
+class AttemptRecord(StrictModel):
+    """One attempt at a trial; `encoders` and `movement_px` have an entry after the start and after each env step."""
+
+    outcome: TrialOutcome
+    reason: str = ""
+    actions: ActionSequence
+    encoders: tuple[tuple[float, float, float, float], ...] = ()
+    """Pose of the stage: x, y, z [mm], rotation [deg]."""
+    movement_px: tuple[Pair, ...] = ()
+    """Mean movement of the markers of the left and the right gel."""
+    thresholds_px: Pair
+    """Movement of both gels that is more than noise."""
+    policy_s: NonNegativeFloat
+    output: str = ""
+
+    @classmethod
+    def from_attempt(cls, attempt: Attempt) -> Self:
+        """Return the record of an attempt."""
+        return cls(
+            outcome=attempt.outcome,
+            reason=attempt.reason,
+            actions=ActionSequence.from_array(pack_actions(attempt)),
+            encoders=tuple(attempt.encoders),
+            movement_px=tuple(attempt.movement_px),
+            thresholds_px=attempt.thresholds_px,
+            policy_s=attempt.policy_s,
+            output=attempt.output,
+        )
+
+
+class TrialRecord(StrictModel):
+    """One trial. It has a result only if its last attempt counts."""
+
+    episode: PositiveInt
+    shape: Word
+    offset: tuple[float, ...]
+    attempts: tuple[AttemptRecord, ...] = Field(min_length=1)
+
+    @property
+    def outcome(self) -> TrialOutcome:
+        """How the last attempt ended."""
+        return self.attempts[-1].outcome
+
+    @classmethod
+    def from_attempts(cls, episode: Episode, attempts: list[Attempt]) -> Self:
+        """Return the record of a trial."""
+        return cls(
+            episode=episode.number,
+            shape=episode.shape,
+            offset=episode.offset,
+            attempts=tuple(AttemptRecord.from_attempt(each) for each in attempts),
+        )
+
 
 TWIN: Final = "twin"
 """Name of a twin of public settings, in place of a station's file."""
@@ -89,7 +157,7 @@ def refuse_wrong_devices(description: StationDescription) -> None:
 def _start_twin(task: StationTask) -> "AbstractContextManager[RunningTwin]":
     from .twin.grasp import Mounted
     from .twin.hidden import PUBLIC_SETTINGS
-    from .twin.process import twin_process
+    from .twin.laboratory import twin_process
 
     return twin_process(PUBLIC_SETTINGS, mounted=Mounted(task=task))
 

@@ -15,12 +15,9 @@ from vitac.evaluator.episodes.reading import Reading
 from vitac.evaluator.tracks import Episode, Task
 
 from .arm import Arm, NoPeg, Offset
-from .devices.device import DeviceFault
-from .devices.stage import Pose
-from .eyes import Sight
-from .guard import StationStopped
-from .limits import LARGEST_RADIUS_MM, LARGEST_THETA_DEG, LimitPassed
-from .opened import OpenStation
+from .devices.stage import DeviceFault, Pose
+from .eyes import OpenStation, Sight
+from .guard import LARGEST_RADIUS_MM, LARGEST_THETA_DEG, LimitPassed, StationStopped
 from .outcome import TrialOutcome
 from .perception.observation import NoMarkerFollowed, marker_flow
 from .perception.segmentation import NothingAtPrompt, SamMissing

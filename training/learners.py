@@ -5,14 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from .actors import ActorKind
-from .collection import Networks
+from .collection import ActorKind, Networks
 from .episodes import Episodes, joined
-from .learning.adam import FloatArray
-from .learning.assessor import Assessor, assessed
-from .learning.belief import fit_belief
 from .learning.critic import Critic
-from .learning.student import Student, make_histories, make_weights
+from .learning.network import FloatArray
+from .learning.student import Assessor, Student, assessed, fit_belief, make_histories, make_weights
 from .recipe import Recipe
 
 Known = Sequence[tuple[ActorKind, Episodes]]

@@ -8,10 +8,8 @@ from pydantic import Field, model_validator
 from vitac.envs.tasks.fidelity import Fidelity
 from vitac.evaluator.strict_model import StrictModel, read_yaml
 
-from .learning.assessor import AssessorPlan
-from .learning.critic import CriticPlan
-from .learning.fitted_value import Count
-from .learning.student import StudentPlan
+from .learning.critic import Count, CriticPlan
+from .learning.student import AssessorPlan, StudentPlan
 
 
 class Recipe(StrictModel):

@@ -17,16 +17,14 @@ import numpy as np
 from vitac.envs.errors import VitacError
 from vitac.envs.tasks.fidelity import Fidelity
 from vitac.evaluator.scoring.score import Rate, rate
-from vitac.evaluator.tracks.versions import differing_parts
+from vitac.evaluator.tracks.registry import differing_parts
 from vitac.evaluator.version import evaluator_parts, sources_hash
 
-from .actors import ActorKind
-from .charts import Charts
-from .collection import Batch, Networks, collect
+from .collection import ActorKind, Batch, Networks, collect
 from .episodes import Episodes
 from .files import load, not_saved, remove_leftovers, save, write_text
 from .learners import Learners
-from .log import Row, extend_log, read_log
+from .log import Charts, Row, extend_log, read_log
 from .progress import Progress
 from .recipe import Recipe
 from .streams import Use, refuse_official_streams

@@ -3,10 +3,10 @@
 from collections.abc import Collection, Iterator, Mapping
 
 from vitac.envs.tasks.definition import Family
-from vitac.evaluator.agent.isolation.interpreter import installed_packages
+from vitac.evaluator.agent.isolation.packages import installed_packages
 from vitac.evaluator.package_sets import package_differences, shown_sets
 from vitac.evaluator.tracks import Track, list_tracks, load_track
-from vitac.evaluator.tracks.versions import current_versions, find_version
+from vitac.evaluator.tracks.registry import current_versions, find_version
 from vitac.evaluator.version import evaluator_version
 from vitac.server.queue.declared import explain_other_tracks
 from vitac.server.queue.jobs import queue_name

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Protocol
 
 from sqlalchemy.orm import Session
-from vitac.evaluator.playback.order import CAMERAS_FILE, FILM_FILE, SCENE_FILE, STILL_FILE, PlaybackOrder
+from vitac.evaluator.playback.making import CAMERAS_FILE, FILM_FILE, SCENE_FILE, STILL_FILE, PlaybackOrder
 from vitac.evaluator.playback.process import PlaybackFailed
 from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.server.evaluations.lifecycle import RETRY_DELAY_S

@@ -14,8 +14,7 @@ from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice, FiguresPart
 from vitac.evaluator.scoring.failures import is_broken
-from vitac.evaluator.shards.order import ShardOrder
-from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.tracks.sealed import write_secret
 from vitac.server.competition.competition import find_stage
 from vitac.server.competition.sealing import find_secret

@@ -19,7 +19,7 @@ import yaml
 from numpy.typing import NDArray
 from vitac.envs.fem.model.settings import ContactModel
 from vitac.evaluator.episodes.episode import make_environment
-from vitac.evaluator.scoring.gain import paired_interval
+from vitac.evaluator.scoring.comparison import paired_interval
 from vitac.evaluator.scoring.score import wilson_interval
 from vitac.evaluator.tracks import Episode, Task, find_task
 

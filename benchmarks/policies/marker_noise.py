@@ -19,10 +19,9 @@ from trained_policy import figures, fresh_starts
 from vitac.envs.tactile.markers import MarkerSettings
 from vitac.evaluator.episodes import episode
 from vitac.evaluator.tracks import load_track
-from vitac.training.actors import random_actor
+from vitac.training.collection import random_actor
 from vitac.training.episodes import TASK, Episodes, make_environment, play
-from vitac.training.learning.belief import OFFSET, fit_belief
-from vitac.training.learning.student import student_inputs
+from vitac.training.learning.student import OFFSET, fit_belief, student_inputs
 from vitac.training.streams import Use, stream
 from vitac.training.submission.policy import belief_inputs
 

@@ -26,9 +26,8 @@ from vitac.envs.tactile.gel import GelCells, GelDimensions, structured_gel
 from vitac.evaluator.episodes.episode import Environment, make_environment, run_episode
 from vitac.evaluator.episodes.reading import Observation
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.evaluator.estimator.calibration import calibrate
-from vitac.evaluator.estimator.playing import EstimatorSession
-from vitac.evaluator.figures.reference import design_of_gel, reference_design
+from vitac.evaluator.estimator.calibration import EstimatorSession, calibrate
+from vitac.evaluator.figures.table import design_of_gel, reference_design
 from vitac.evaluator.sensors.made import read_design
 from vitac.evaluator.tracks import find_task
 

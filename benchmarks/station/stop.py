@@ -21,12 +21,11 @@ from vitac.station.description import GripperLimits, Limits, Workspace
 from vitac.station.devices.force_torque import ForceTorqueSensor
 from vitac.station.devices.gripper import Gripper
 from vitac.station.devices.stage import Pose, Stage
-from vitac.station.guard import Guard, StationStopped
-from vitac.station.limits import CONTROL_PERIOD_S
+from vitac.station.guard import CONTROL_PERIOD_S, Guard, StationStopped
 from vitac.station.twin.force_torque import ForceTorqueTwin, Values
 from vitac.station.twin.gripper import GripperTwin
+from vitac.station.twin.laboratory import Terminal
 from vitac.station.twin.stage import StageTwin
-from vitac.station.twin.terminal import Terminal
 
 SPEED_MM_S, ROTATION_DEG_S = 3.0, 4.0
 FAR_MM = 14.0

@@ -12,10 +12,9 @@ from collections.abc import Callable
 from time import process_time
 
 import numpy as np
-from vitac.station.perception.assignment import AssignedMarkerTracker
-from vitac.station.perception.tracker import DROPPED_PICTURES, MarkerTracker
-from vitac.station.twin.gel_picture import GelCamera
-from vitac.station.twin.pressed_gel import Press, PressedGel
+from vitac.station.perception.markers import DROPPED_PICTURES, AssignedMarkerTracker, MarkerTracker
+from vitac.station.twin.gel_view import Press, PressedGel
+from vitac.station.twin.pictures import GelCamera
 
 CAMERAS = {"640": GelCamera(), "3280": GelCamera(width=3280, height=2464)}
 """What OpenCV asks a camera for where nothing is set, and the whole sensor of a GelSight Mini."""

@@ -39,8 +39,7 @@ from vitac.cli.demo.team import team_token
 from vitac.cli.service.database import load_settings
 from vitac.server.db.models import EpisodeResult, Evaluation, Shard
 from vitac.server.db.states import EvaluationState, RepeatCause, ShardState
-from vitac.station.twin.faults import Fault, FaultScript, ScriptedFault
-from vitac.station.twin.hidden import draw_hidden
+from vitac.station.twin.hidden import Fault, FaultScript, ScriptedFault, draw_hidden
 
 EXAMPLE = Path("examples/peg_insertion_trained")
 STARTS = 10

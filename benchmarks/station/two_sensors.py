@@ -13,9 +13,8 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from time import monotonic, process_time
 
-from vitac.station.devices.tactile_camera import TactileCamera
-from vitac.station.perception.assignment import AssignedMarkerTracker
-from vitac.station.perception.tracker import MarkerTracker
+from vitac.station.devices.cameras import TactileCamera
+from vitac.station.perception.markers import AssignedMarkerTracker, MarkerTracker
 from vitac.station.twin.laboratory import twin_station
 
 Tracker = MarkerTracker | AssignedMarkerTracker

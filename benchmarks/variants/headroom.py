@@ -16,7 +16,7 @@ from typing import Any
 from one_at_a_time import POLICIES, sealed_task
 from players import Example, Planner
 from vitac.envs.tasks.quantities import Quantity
-from vitac.evaluator.scoring.by_draw import RateOfPart, rates_by_draw
+from vitac.evaluator.scoring.comparison import RateOfPart, rates_by_draw
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.tracks import Task
 from vitac.evaluator.tracks.sealed import make_commitment, read_secret

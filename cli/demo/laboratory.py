@@ -18,9 +18,8 @@ from ..service.process_tree import RunningService, running_service
 from ..service.web_server import bind_or_any
 
 if TYPE_CHECKING:
-    from vitac.station.twin.faults import FaultScript
-    from vitac.station.twin.hidden import HiddenSettings
-    from vitac.station.twin.process import RunningTwin
+    from vitac.station.twin.hidden import FaultScript, HiddenSettings
+    from vitac.station.twin.laboratory import RunningTwin
 
 TRACK: Final = "station"
 _NAME: Final = "twin"
@@ -78,7 +77,7 @@ def use_station_track(folder: Path, *, starts: int | None, repeats: int) -> None
     """Write the track of stations and name its folder in this process's environment; do so before tracks are read."""
     from vitac.envs.geometry.pegs import PegShape
     from vitac.evaluator.tracks.registry import TRACKS_FOLDER_VARIABLE
-    from vitac.station.track import make_station_track
+    from vitac.station.description import make_station_track
 
     folder.mkdir(parents=True, exist_ok=True)
     content = make_station_track(PegShape.CUBOID, repeats, starts=starts)
@@ -105,7 +104,7 @@ def running_laboratory(
         script: what breaks; nothing if None.
     """
     from vitac.station.twin.hidden import PUBLIC_SETTINGS
-    from vitac.station.twin.process import twin_process
+    from vitac.station.twin.laboratory import twin_process
 
     with ExitStack() as stack:
         twin = stack.enter_context(twin_process(hidden or PUBLIC_SETTINGS, script=script))

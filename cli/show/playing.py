@@ -203,7 +203,7 @@ def _belief_while_it_can_be_used(policy: "EpisodePolicy") -> "Belief":
 
 
 def _recording(task: "Task", number: int, path: Path) -> "Recording":
-    from vitac.evaluator.logs.recorded_files import read_recordings
+    from vitac.evaluator.logs.resimulation import read_recordings
 
     for recording in read_recordings(path, task):
         if recording.episode.number == number:

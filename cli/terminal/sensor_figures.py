@@ -1,8 +1,7 @@
 """Prints the figures of a sensor beside those of the reference gel. Called by `vitac sensor evaluate`."""
 
 from vitac.evaluator.figures.figures import SensorFigures
-from vitac.evaluator.figures.reference import reference_figures
-from vitac.evaluator.figures.table import make_rows
+from vitac.evaluator.figures.table import make_rows, reference_figures
 
 from .output import print_table
 

@@ -22,12 +22,18 @@ from .isolation.process_ids import ProcessIds
 from .isolation.sandbox import Sandbox
 from .isolation.shared_core import SharedCore
 from .isolation.tracing import TracedProcessGone
-from .limits import Limits
+from .limits import Limits, ShardTime, StartTimes, default_period_s
 from .loaded_copy import LoadedCopy
-from .protocol.action import checked_action, checked_belief
-from .protocol.frames import Answer, AnswerKind, Array, CloudSpec, Question, QuestionKind
-from .shard_time import ShardTime
-from .start_times import StartTimes, default_period_s
+from .protocol.frames import (
+    Answer,
+    AnswerKind,
+    Array,
+    CloudSpec,
+    Question,
+    QuestionKind,
+    checked_action,
+    checked_belief,
+)
 from .verdicts import PolicyFailed, SandboxFailed, VerdictCode
 
 _REPORT_DEADLINE_S: Final = 2.0

@@ -17,10 +17,9 @@ from ..agent.protocol.frames import CloudSpec
 from ..agent.session import Isolation
 from ..agent.verdicts import PolicyFailed
 from ..tracks import Episode, Task
-from .forces import ForceTrace
-from .picture_sample import PictureSample
 from .reading import Observation, Reading, make_reading
 from .records import ActionSequence, EpisodeOutcome, EpisodeRecord, FailureStage, PolicyFailure, Timings
+from .traces import ForceTrace, PictureSample
 
 if TYPE_CHECKING:
     from vitac.envs.tactile.design import SensorDesign

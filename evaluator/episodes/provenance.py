@@ -3,7 +3,7 @@
 from typing import Protocol
 
 from ..tracks import Task, Track
-from ..tracks.versions import compute_hash, find_version, list_parts
+from ..tracks.registry import compute_hash, find_version, list_parts
 from ..version import platform_class
 from .records import Manifest
 

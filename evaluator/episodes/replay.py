@@ -9,9 +9,8 @@ from pydantic import JsonValue
 
 from ..tracks import Episode
 from .episode import Environment, json_info
-from .forces import ForceTrace
-from .picture_sample import PictureSample
 from .records import ContactForces, EpisodeOutcome, SampledPicture, Timings
+from .traces import ForceTrace, PictureSample
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,17 +1,143 @@
-"""Calibrates the standard estimator to a sensor, at starts that no evaluation plays."""
+"""The standard estimator: what it reads from a marker flow, its fixed controller, and its calibration to a sensor.
 
-from collections.abc import Callable, Iterator
+It is calibrated at starts that no evaluation plays, and plays in our own process, because nothing of a team's runs in
+it. The controller weighs each regression's estimate by its variance, and moves the offset away.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from math import radians
 from pathlib import Path
-from typing import Any, Final, cast
+from time import process_time
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..agent.protocol.frames import CloudSpec
 from ..episodes.episode import Environment, make_environment
 from ..sensors.made import read_design
 from ..tracks import Task
-from .controller import Vector, append_motion, rotate_to_gripper
-from .features import compute_features
-from .regression import Coefficients, fit
+from .regression import Coefficients, fit, normal_equations, solve
+
+if TYPE_CHECKING:
+    from ..episodes.reading import Observation
+
+# How much less certain an estimate is after a motion [mm2, mm2, deg2].
+_MOTION_VARIANCE = 0.05
+Vector = Sequence[float]
+
+
+class Controller:
+    """Estimates the offset in the gripper's own frame over an episode, and answers with the motion that removes it.
+
+    Args:
+        coefficients: of the sensor.
+        action_scale: motion at an action of 1 [mm, mm, deg].
+    """
+
+    def __init__(self, coefficients: Coefficients, action_scale: Vector) -> None:
+        self._regressions = coefficients.regressions
+        self._scale = action_scale
+        self._env_steps = 0
+        self._last_motion = [0.0] * len(action_scale)
+        self._estimate: list[float] | None = None
+        self._variances: list[float] = []
+
+    def act(self, features: Vector) -> list[float]:
+        """Return the action, in [-1, 1], for the features of the next observation."""
+        estimate = self._updated(features)
+        action = [min(max(-value / scale, -1.0), 1.0) for value, scale in zip(estimate, self._scale, strict=True)]
+        self._last_motion = [value * scale for value, scale in zip(action, self._scale, strict=True)]
+        self._estimate = move_offset(estimate, self._last_motion)
+        self._env_steps += 1
+        return action
+
+    def _updated(self, features: Vector) -> list[float]:
+        """Return the estimate, old and new weighed by their variances (a scalar Kalman filter for each axis)."""
+        regression = self._regressions[min(self._env_steps, len(self._regressions) - 1)]
+        found = regression.predict(append_motion(features, self._last_motion, self._scale))
+        if self._estimate is None:
+            self._variances = list(regression.variances)
+            return found
+        estimate = []
+        for axis, (old, new) in enumerate(zip(self._estimate, found, strict=True)):
+            before = self._variances[axis] + _MOTION_VARIANCE
+            gain = before / (before + regression.variances[axis])
+            self._variances[axis] = (1.0 - gain) * before
+            estimate.append(old + gain * (new - old))
+        return estimate
+
+
+def append_motion(features: Vector, motion: Vector, scale: Vector) -> list[float]:
+    """Return the features with the last motion behind them, 1 where it was the longest."""
+    return [*features, *(value / unit for value, unit in zip(motion, scale, strict=True))]
+
+
+def rotate_to_gripper(offset: Vector) -> list[float]:
+    """Return an offset [mm, mm, deg] of the world's frame in that of the gripper."""
+    x, y, theta_deg = offset
+    return [*_turned(x, y, theta_deg), theta_deg]
+
+
+def move_offset(offset: Vector, motion: Vector) -> list[float]:
+    """Return an offset in the gripper's frame [mm, mm, deg] after a motion in that frame, in the new one."""
+    x, y, theta_deg = (value + change for value, change in zip(offset, motion, strict=True))
+    return [*_turned(x, y, motion[2]), theta_deg]
+
+
+def _turned(x: float, y: float, angle_deg: float) -> tuple[float, float]:
+    """Return x and y in a frame that is turned by an angle."""
+    from vitac.envs.deterministic_math import sine_cosine
+
+    sine, cosine = sine_cosine(radians(angle_deg))
+    return cosine * x + sine * y, cosine * y - sine * x
+
+
+# Half the picture, by which positions are scaled.
+_HALF_U_PX, _HALF_V_PX = 160.0, 120.0
+# Keeps the field defined where few markers are seen, or all on one line.
+_RIDGE = 0.1
+_TERMS = 6
+COUNT = 2 * 2 * _TERMS
+"""Two sensors, two directions, six terms."""
+
+
+def compute_features(marker_flow: NDArray[np.float32], *, at_rest: bool = False) -> list[float]:
+    """Return the coefficients of the motion of the markers in both pictures [pixel].
+
+    In each picture, motion is fitted by the terms 1, x, y, x^2, x y, y^2 of the reference position, which is 0 in the
+    middle and 1 at the rim; first all terms of u, then of v; first the left sensor.
+
+    Args:
+        marker_flow: shape [2, 2, m, 2] [pixel]; the last marker may be repeated to fill it.
+        at_rest: all markers are where they were in the reference.
+    """
+    if at_rest:
+        return [0.0] * COUNT
+    return [value for flow in marker_flow.astype(np.float64) for value in _field(*_distinct(flow))]
+
+
+def _distinct(flow: NDArray[np.float64]) -> tuple[list[list[float]], list[list[float]]]:
+    """Return reference and current positions without the repeats of the last marker."""
+    repeats = (flow == flow[:, -1:]).all(axis=(0, 2))
+    count = int(repeats.argmax()) + 1
+    reference, current = flow[:, :count].tolist()
+    return reference, current
+
+
+def _field(reference: list[list[float]], current: list[list[float]]) -> list[float]:
+    rows, motions = [], []
+    for (u, v), (u_now, v_now) in zip(reference, current, strict=True):
+        x, y = (u - _HALF_U_PX) / _HALF_U_PX, (v - _HALF_V_PX) / _HALF_V_PX
+        rows.append((1.0, x, y, x * x, x * y, y * y))
+        motions.append((u_now - u, v_now - v))
+    squares, products = normal_equations(rows, motions)
+    for term in range(_TERMS):
+        squares[term][term] += _RIDGE
+    found = solve(squares, products)
+    return [row[direction] for direction in range(2) for row in found]
+
 
 SEED: Final = 20_250_131
 """First number of the seed of every calibration start; lists of evaluations have other ones."""
@@ -101,3 +227,54 @@ def _action(offset: Vector, scale: Vector, random: np.random.Generator) -> list[
 
 def _floats(values: Any) -> list[float]:
     return [float(value) for value in values]
+
+
+class EstimatorPolicy:
+    """The estimator within one episode; attributes as `episodes.episode.Policy` says."""
+
+    channel_s = 0.0
+    output = ""
+
+    def __init__(self, controller: Controller, *, is_blind: bool) -> None:
+        self.cpu_s = 0.0
+        self._controller = controller
+        self._is_blind = is_blind
+
+    def act(self, observation: "Observation") -> NDArray[np.float32]:
+        """Return the action for an observation."""
+        started = process_time()
+        features = compute_features(cast(Any, observation["marker_flow"]), at_rest=self._is_blind)
+        action = np.array(self._controller.act(features), dtype=np.float32)
+        self.cpu_s += process_time() - started
+        return action
+
+
+class EstimatorSession:
+    """The estimator, calibrated to a sensor, between episodes.
+
+    Args:
+        coefficients: of the sensor.
+        action_scale: of the task [mm, mm, deg].
+        is_blind: it sees all markers at rest.
+    """
+
+    isolation = None
+
+    def __init__(self, coefficients: Coefficients, action_scale: Vector, *, is_blind: bool) -> None:
+        self._coefficients = coefficients
+        self._action_scale = action_scale
+        self._is_blind = is_blind
+
+    def begin_shard(self) -> None:
+        """Count nothing: the estimator has no limit on its time."""
+
+    @contextmanager
+    def episode(
+        self,
+        *,
+        task: str,  # noqa: ARG002 - as all sessions
+        action_shape: tuple[int, ...],  # noqa: ARG002
+        clouds: Sequence[CloudSpec] = (),  # noqa: ARG002
+    ) -> Iterator[EstimatorPolicy]:
+        """Return the estimator for one episode."""
+        yield EstimatorPolicy(Controller(self._coefficients, self._action_scale), is_blind=self._is_blind)

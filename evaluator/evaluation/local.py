@@ -8,7 +8,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Self
 
+from pydantic import Field
+
+from ..agent.isolation.packages import installed_packages
 from ..agent.limits import Limits
 from ..agent.session import Isolation
 from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure, RecordsDisagree, result_hash, sort_records
@@ -17,11 +21,11 @@ from ..figures.figures import FigureChoice, FiguresPart
 from ..scoring.failures import breaking_failure
 from ..scoring.score import Score, score
 from ..shards.host_process import HostProcess
-from ..shards.order import OnCalibration, ShardOrder
+from ..shards.order import OnCalibration, ShardEnd, ShardOrder, ShardResult
 from ..shards.process import ShardProcess, ShardProcesses
-from ..shards.result import ShardEnd, ShardResult
+from ..strict_model import StrictModel
 from ..submission_kinds import SubmissionKind
-from ..tracks import Task, Track
+from ..tracks import Task, Track, load_track
 from ..tracks.cut import Shard, cut
 from .stored_shards import StoredShards
 
@@ -236,3 +240,35 @@ def _common_manifest(results: Sequence[ShardResult]) -> Manifest:
     if any(result.manifest != first for result in results):
         raise RecordsDisagree("The shards were made with different evaluators; evaluate again.")
     return first
+
+
+class EvaluationReport(StrictModel):
+    """Everything about an evaluation; either `score` and `result_hash` or `failure` is there.
+
+    `packages` are the versions by name of all that the policy could import here; no hash covers them.
+    """
+
+    name: str
+    submission_digest: str
+    manifest: Manifest
+    isolation: Isolation | None
+    score: Score | None
+    result_hash: str | None
+    failure: PolicyFailure | None
+    packages: dict[str, str] = Field(default_factory=dict)
+    episodes: tuple[EpisodeRecord, ...]
+
+    @classmethod
+    def from_evaluation(cls, evaluation: Evaluation, *, name: str, digest: str) -> Self:
+        """Return the report on an evaluation of the submission of that name and digest."""
+        return cls(
+            name=name,
+            submission_digest=digest,
+            manifest=evaluation.manifest,
+            isolation=evaluation.isolation,
+            score=evaluation.score,
+            result_hash=evaluation.result_hash,
+            failure=evaluation.failure,
+            packages=dict(installed_packages(load_track(evaluation.manifest.track).packages).versions),
+            episodes=evaluation.records,
+        )

@@ -12,7 +12,7 @@ from ..estimator.regression import Coefficients
 from ..figures.figures import FigureChoice, SensorFigures, merged
 from ..figures.starts import measure_whole
 from ..figures.table import list_missing_rows
-from ..scoring.gain import SensingGain, sensing_gain
+from ..scoring.comparison import SensingGain, sensing_gain
 from ..scoring.score import Rate
 from ..sensors.check import accepted_sensor
 from ..sensors.made import MadeSensor, made_sensor

@@ -12,10 +12,9 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from ..episodes.records import EpisodeRecord
-from ..shards.order import ShardOrder
-from ..shards.result import ShardResult
+from ..shards.order import ShardOrder, ShardResult
 from ..strict_model import StrictModel
-from ..tracks.versions import find_version
+from ..tracks.registry import find_version
 from ..version import platform_class
 
 # A shard that was neither finished nor used again for this time [s] is removed.

@@ -9,7 +9,7 @@ from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure
 from ..scoring.failures import breaking_failure
 from ..tracks import Task, Track
 from ..tracks.cut import cut
-from ..tracks.versions import differing_parts, find_version, list_parts
+from ..tracks.registry import differing_parts, find_version, list_parts
 from .findings import Impossibility, ImpossibleReason
 from .log import LogHeader
 from .recordings import RecordingRejected, make_recording

@@ -10,7 +10,7 @@ from ..episodes.replay import resimulate
 from ..strict_model import StrictModel
 from ..tracks import Task, load_track
 from .packing import open_log
-from .recorded_files import read_recordings
+from .resimulation import read_recordings
 from .text_2025 import TextLogRejected, TextLogSummary, is_text_log, read_text_log, summarize
 from .text_2025.recordings import track_and_task_names
 

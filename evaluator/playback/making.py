@@ -5,26 +5,164 @@ No policy runs: the recorded actions go through the physics again, and every sta
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Final
 
+from pydantic import NonNegativeInt
 from vitac.envs.errors import VitacError
 from vitac.envs.maniskill.definition import is_maniskill
+from vitac.envs.tasks.definition import Family
 
 from ..episodes.episode import make_environment
 from ..episodes.records import EpisodeRecord
-from ..tracks import Task, load_track
-from .film import make_film
-from .order import CAMERAS_FILE, SCENE_FILE, STILL_FILE, NotPlayable, PlaybackMessage, PlaybackOrder
-from .recorded import find_start, require_same_end, require_same_state
+from ..sensors.made import MadeSensor
+from ..strict_model import StrictModel
+from ..tracks import Episode, Task, load_track
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
     from vitac.envs.drawing.playback import Playback
+    from vitac.envs.maniskill.env import ManiSkillEnv
+    from vitac.envs.maniskill.film import Moment
     from vitac.envs.tactile.design import SensorDesign
+
+FORMAT: Final = 3
+"""Number of the file format; playbacks in an older one are made again."""
+
+SCENE_FILE, CAMERAS_FILE, STILL_FILE, FILM_FILE = "scene.bin.gz", "cameras.bin.gz", "still.webp", "film.webp"
+
+
+class NotPlayable(VitacError):
+    """There are no playbacks of a task's episodes; the message says why."""
+
+
+def require_playable(task: Task) -> None:
+    """Refuse a task of which there are no playbacks, before one is asked for.
+
+    Raises:
+        NotPlayable: it is played on a station, or its states do not repeat, so what would be shown is not what was
+            scored.
+    """
+    if task.family is Family.STATION:
+        raise NotPlayable(f"There are no playbacks of {task.name}: it is played on a station, not in a simulation.")
+    if not task.definition.repeats:
+        raise NotPlayable(
+            f"There are no playbacks of {task.env_id} with these settings: its states do not repeat, so what would be "
+            "shown is not what was scored."
+        )
+
+
+class PlaybackOrder(StrictModel):
+    """What is to be made: the files of one finished episode, in a folder.
+
+    `list_seed` is that of a sealed list; None: the one in the track's file. `sensor` is a team's own; None: the
+    challenge's.
+    """
+
+    track: str
+    record: EpisodeRecord
+    list_seed: int | None = None
+    sensor: MadeSensor | None = None
+    folder: Path
+
+
+class PlaybackMessage(StrictModel):
+    """One line from the process: how many env steps are played, or why there is no playback, or that it is made."""
+
+    env_steps: NonNegativeInt | None = None
+    error: str | None = None
+    is_made: bool = False
+
+
+class StatesDiffer(VitacError):
+    """A re-simulated state is not the recorded one, so what would be shown is not what was scored."""
+
+
+def find_start(task: Task, record: EpisodeRecord, list_seed: int | None = None) -> Episode:
+    """Return where a recorded episode started, in the public list or in one with another seed."""
+    listed = task.episode_list
+    return Episode(
+        number=record.episode,
+        shape=record.shape,
+        offset=record.initial_offset,
+        offset_option=listed.offset_option,
+        list_seed=listed.list_seed if list_seed is None else list_seed,
+    )
+
+
+def require_same_state(found: str, record: EpisodeRecord, env_step: int) -> None:
+    """Compare a state hash with that of the record.
+
+    Raises:
+        StatesDiffer: it is another one, or the record ends before.
+    """
+    if env_step >= len(record.state_hashes) or found != record.state_hashes[env_step]:
+        raise StatesDiffer(
+            f"The state after env step {env_step} is not the recorded one: the episode was recorded with another "
+            "evaluator or on another platform class, so it cannot be shown here."
+        )
+
+
+def require_same_end(env_steps: int, record: EpisodeRecord) -> None:
+    """Compare where an episode has ended with its record.
+
+    Raises:
+        StatesDiffer: it ended elsewhere.
+    """
+    if env_steps != record.env_steps:
+        raise StatesDiffer(f"Expected {record.env_steps} env steps as recorded, got {env_steps}.")
+
+
+WIDTH_PX = 480
+
+
+def make_film(
+    task: Task, record: EpisodeRecord, on_step: Callable[[int], None], folder: Path, list_seed: int | None = None
+) -> None:
+    """Write the film of an episode and its last picture into a folder.
+
+    Raises:
+        ManiSkillMissing: a package or the driver that draws is missing.
+        StatesDiffer: a state is not the recorded one.
+    """
+    from vitac.envs.drawing.files import Destination, Frame
+    from vitac.envs.maniskill.env import ManiSkillEnv
+    from vitac.envs.maniskill.film import END_MS, ENV_STEP_MS, captioned, select_env_steps, shots
+
+    env = ManiSkillEnv(task.env_id, max_steps=task.max_steps, settings=dict(task.settings), draws=True)
+    moments = _as_recorded(env, task, record, on_step, list_seed)
+    every = select_env_steps(task.max_steps)
+    title = f"{task.title}, episode {record.episode}"
+    last: Frame | None = None
+
+    def frames() -> "Iterator[Frame]":
+        nonlocal last
+        for shot in shots(env, moments, lambda env_step: env_step % every == 0):
+            last = Frame(picture=captioned(shot, title, WIDTH_PX), name="still", duration_ms=ENV_STEP_MS)
+            yield last
+        require_same_end(shot.moment.env_step, record)
+
+    Destination.from_path(folder / FILM_FILE).write(frames(), end_ms=END_MS)
+    assert last is not None  # noqa: S101 - the start is drawn in any case
+    Destination.from_path(folder / STILL_FILE).write([last])
+
+
+def _as_recorded(
+    env: "ManiSkillEnv", task: Task, record: EpisodeRecord, on_step: Callable[[int], None], list_seed: int | None
+) -> "Iterator[Moment]":
+    """Play the recorded actions, and compare every state before it is drawn."""
+    from vitac.envs.maniskill.film import play
+
+    remaining = iter(record.actions.to_array())
+    options = find_start(task, record, list_seed).options
+    for moment in play(env, options=options, next_action=lambda _, __: next(remaining, None)):
+        require_same_state(env.state_hash(), record, moment.env_step)
+        on_step(moment.env_step)
+        yield moment
+
 
 OnStep = Callable[[int], None]
 """Gets the number of env steps that are played."""

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pydantic import ValidationError
 from vitac.envs.errors import VitacError
 
-from .order import PlaybackMessage, PlaybackOrder
+from .making import PlaybackMessage, PlaybackOrder
 
 COMMAND = (sys.executable, "-P", "-m", "vitac.evaluator.playback.making")
 

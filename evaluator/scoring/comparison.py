@@ -1,12 +1,18 @@
-"""Two evaluations of one episode list compared episode by episode; called by `vitac compare` and the pages."""
+"""Evaluations compared episode by episode: two of one list, a sensor and its blind run, and success against a draw."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from math import sqrt
 from typing import Protocol
 
+from pydantic import Field, NonNegativeInt, PositiveInt
 from vitac.envs.errors import VitacError
+from vitac.envs.tasks.quantities import Quantity
+
+from ..strict_model import StrictModel
+from .score import NORMAL_QUANTILE, Rate, rate
 
 
 class NothingToCompare(VitacError):
@@ -128,3 +134,100 @@ def mcnemar_p_value(only_first: int, only_second: int) -> float:
         tail += ways
         ways = ways * (differing - count) // (count + 1)  # binom(n, i + 1); each from the factorials takes seconds
     return min(1.0, float(Fraction(2 * tail, 2**differing)))
+
+
+class RunsDiffer(VitacError):
+    """A standard and a blind run are not of the same episodes; play both on the same list."""
+
+
+class SensingGain(StrictModel):
+    """Standard minus blind success rate, with its 95 % interval and the exact McNemar p-value."""
+
+    episodes: PositiveInt
+    standard_successes: NonNegativeInt
+    blind_successes: NonNegativeInt
+    gain: float = Field(ge=-1, le=1)
+    low: float = Field(ge=-1, le=1)
+    high: float = Field(ge=-1, le=1)
+    p_value: float = Field(ge=0, le=1)
+
+
+def sensing_gain(standard: Iterable[FinishedEpisode], blind: Iterable[FinishedEpisode]) -> SensingGain:
+    """Return the gain over the episodes of both runs.
+
+    Raises:
+        RunsDiffer: they are not of the same episodes.
+    """
+    seeing, unseeing = ({end.episode: end.success for end in ends} for ends in (standard, blind))
+    if not seeing or seeing.keys() != unseeing.keys():
+        raise RunsDiffer(f"Expected both runs on the same episodes, got {len(seeing)} and {len(unseeing)}.")
+    only_standard = sum(success and not unseeing[number] for number, success in seeing.items())
+    only_blind = sum(success and not seeing[number] for number, success in unseeing.items())
+    low, high = paired_interval(only_standard, only_blind, len(seeing))
+    return SensingGain(
+        episodes=len(seeing),
+        standard_successes=sum(seeing.values()),
+        blind_successes=sum(unseeing.values()),
+        gain=(only_standard - only_blind) / len(seeing),
+        low=low,
+        high=high,
+        p_value=mcnemar_p_value(only_standard, only_blind),
+    )
+
+
+def paired_interval(only_first: int, only_second: int, pairs: int) -> tuple[float, float]:
+    """Return the 95 % interval of the difference of two paired rates.
+
+    With half an episode added to each of the four kinds of pairs, b and c of n differ, and the interval is
+    (b - c) / n +- z sqrt(b + c - (b - c)^2 / n) / n.
+    A. Agresti and Y. Min, Simple improved confidence intervals for comparing matched proportions, Statistics in
+    Medicine 24 (2005) 729-740, section 3.
+
+    Args:
+        only_first: pairs in which only the first succeeds.
+        only_second: pairs in which only the second succeeds.
+        pairs: all of them.
+    """
+    first, second, n = only_first + 0.5, only_second + 0.5, pairs + 2.0
+    centre = (first - second) / n
+    half_width = NORMAL_QUANTILE * sqrt(first + second - (first - second) * (first - second) / n) / n
+    return max(-1.0, centre - half_width), min(1.0, centre + half_width)
+
+
+PARTS = 4
+"""Number of equal parts that a range is cut into."""
+
+
+class RateOfPart(StrictModel):
+    """Successes of the episodes whose quantity was drawn between two values."""
+
+    low: float
+    high: float
+    rate: Rate
+
+
+def rates_by_draw(
+    quantity: Quantity, limits: tuple[float, float], episodes: Iterable[tuple[float, bool]]
+) -> tuple[RateOfPart, ...]:
+    """Return the success rate of each part of a range, those without an episode left out.
+
+    Where both sides of the nominal value are equally hard, the parts are of the distance from it.
+
+    Args:
+        quantity: that was drawn.
+        limits: lowest and highest value that it can have.
+        episodes: its value in each, and whether it was solved.
+    """
+    if quantity.two_sided:
+        episodes = [(abs(value - quantity.nominal), solved) for value, solved in episodes]
+        limits = (0.0, max(abs(limit - quantity.nominal) for limit in limits))
+    low, high = limits
+    width = (high - low) / PARTS
+    solved: list[list[bool]] = [[] for _ in range(PARTS)]
+    for value, success in episodes:
+        solved[min(int((value - low) / width) if width else 0, PARTS - 1)].append(success)
+    return tuple(
+        RateOfPart(low=low + part * width, high=low + (part + 1) * width, rate=rate(sum(found), len(found)))
+        for part, found in enumerate(solved)
+        if found
+    )

@@ -18,9 +18,8 @@ from ..scoring.failures import is_broken
 from ..submission.manifest import load_manifest
 from ..tracks import Episode, Task, Track
 from ..tracks.cut import Shard
-from .order import ShardOrder
+from .order import ShardEnd, ShardOrder, ShardResult
 from .policy import LoadPolicy, load_in_sandbox, run_shard, secret_order
-from .result import ShardEnd, ShardResult
 
 if TYPE_CHECKING:
     from vitac.envs.maniskill.env import ManiSkillEnv

@@ -10,16 +10,14 @@ from vitac.envs.errors import VitacError
 from ..episodes.episode import make_environment
 from ..episodes.reading import make_reading
 from ..episodes.records import EpisodeRecord
-from ..estimator.calibration import calibrated
-from ..estimator.playing import EstimatorSession
+from ..estimator.calibration import EstimatorSession, calibrated
 from ..figures.figures import FigureChoice, FiguresPart, StartFigures
 from ..figures.starts import Measurement, measured_episodes
 from ..sensors.made import read_design
 from ..tracks import Player, Task, Track
 from ..tracks.cut import Shard
-from .order import ShardOrder
+from .order import ShardOrder, ShardResult
 from .policy import run_shard
-from .result import ShardResult
 
 _PROBLEM_CHARACTERS = 500
 

@@ -1,35 +1,160 @@
-"""Carries out orders for shards, one after the other, in a process of their own; called by `host`."""
+"""Carries out orders for shards, one after the other, in a process of their own; called by `host`.
 
-from collections.abc import Callable, Mapping
+Of an uploaded log and a 2025 text log the recorded actions are re-simulated; of the latter nothing can be verified,
+because the 2025 simulator does not reproduce itself.
+"""
+
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from types import MappingProxyType
 from typing import IO, TYPE_CHECKING
 
 from vitac.envs.errors import VitacError
 
-from ..agent.isolation.interpreter import installed_packages
-from ..episodes.episode import make_environment
+from ..agent.isolation.packages import installed_packages
+from ..episodes.episode import Environment, MakeEnvironment, make_environment
+from ..episodes.provenance import make_manifest
 from ..episodes.reading import make_reading
-from ..episodes.records import EpisodeRecord
+from ..episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord, Manifest
+from ..episodes.replay import Resimulated, resimulate
+from ..logs.checks import explain_impossible, must_agree
+from ..logs.findings import LogFinding
+from ..logs.log import LogReader
+from ..logs.packing import open_log
+from ..logs.recordings import Recording
+from ..logs.text_2025 import read_text_log, summarize
+from ..logs.text_2025.recordings import explain_not_resimulated, text_log_recordings
+from ..logs.verification import check_episode
 from ..sensors.made import read_design
 from ..submission.manifest import load_manifest
 from ..submission_kinds import SubmissionKind
 from ..tracks import Player, Task, Track
 from ..tracks.cut import Shard, cut
+from ..tracks.registry import find_version
 from ..tracks.sealed import load_played_track, read_secret
-from ..tracks.versions import find_version
 from .batch import run_batches
 from .estimator import run_estimator
-from .log import LogShard, resimulate_log
-from .order import ShardMessage, ShardOrder
-from .policy import load_in_sandbox, run_shard
-from .preparation import Preparation
-from .result import ShardResult
-from .text_log import resimulate_text_log
+from .order import ShardEnd, ShardMessage, ShardOrder, ShardResult
+from .policy import Preparation, load_in_sandbox, run_shard
 
 if TYPE_CHECKING:
     from vitac.envs.tactile.design import SensorDesign
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogShard:
+    """A shard of an uploaded log that is to be re-simulated.
+
+    Attributes:
+        log: the file, packed or not.
+        track: the track of the task.
+        task: what was played.
+        shard: which episodes.
+        skip: those of them that have a record already.
+        make_env: gives the environment.
+    """
+
+    log: Path
+    track: Track
+    task: Task
+    shard: Shard
+    skip: Collection[int] = ()
+    make_env: MakeEnvironment = make_environment
+
+    @property
+    def numbers(self) -> frozenset[int]:
+        """Episodes that are left to re-simulate."""
+        return self.shard.numbers - set(self.skip)
+
+    def result(self, manifest: Manifest, finding: LogFinding | None) -> ShardResult:
+        """Return what the shard ends with."""
+        end = ShardEnd.REFUTED if finding else ShardEnd.COMPLETE
+        return ShardResult(index=self.shard.index, end=end, manifest=manifest, isolation=None, finding=finding)
+
+
+def resimulate_log(part: LogShard, on_episode: Callable[[EpisodeRecord], None]) -> ShardResult:
+    """Re-simulate a shard of one of our logs, in the order of its episodes and until one diverges.
+
+    Args:
+        part: what is re-simulated.
+        on_episode: gets each record of the re-simulation that holds.
+
+    Raises:
+        LogRejected: the log cannot be read.
+    """
+    env = part.make_env(part.task, None, ())
+    manifest = make_manifest(part.track, part.task, env)
+    finding = _explain_impossible(part, manifest) or _first_divergence(part, env, manifest, on_episode)
+    return part.result(manifest, finding)
+
+
+def _explain_impossible(part: LogShard, manifest: Manifest) -> LogFinding | None:
+    """Return the upload was checked, but not against the mesh and the solver, which only an environment knows."""
+    with open_log(part.log) as stream:
+        reader = LogReader(stream)
+        found = explain_impossible(must_agree(manifest), part.task, reader.header, reader.records())
+    return LogFinding.impossible(found) if found else None
+
+
+def _first_divergence(
+    part: LogShard, env: Environment, manifest: Manifest, on_episode: Callable[[EpisodeRecord], None]
+) -> LogFinding | None:
+    with open_log(part.log) as stream:
+        reader = LogReader(stream)
+        for record in reader.records():
+            if record.episode not in part.numbers:
+                continue
+            checked = check_episode(env, part.task, manifest, reader.header, record)
+            if checked.finding:
+                return checked.finding
+            on_episode(checked.record)
+    return None
+
+
+def resimulate_text_log(part: LogShard, on_episode: Callable[[EpisodeRecord], None]) -> ShardResult:
+    """Re-simulate a shard of a text log.
+
+    Args:
+        part: what is re-simulated.
+        on_episode: gets each record of the re-simulation.
+
+    Raises:
+        TextLogRejected: the log cannot be read.
+    """
+    with open_log(part.log) as stream:
+        text_log = read_text_log(stream)
+    env = part.make_env(part.task.apply_text_log_settings(), None, ())
+    manifest = make_manifest(part.track, part.task, env)
+    script = summarize(text_log)[0]
+    impossible = explain_not_resimulated(text_log, script, part.task)
+    if impossible:
+        return part.result(manifest, LogFinding.impossible(impossible))
+    for recording in text_log_recordings(text_log, script, part.task):
+        if recording.episode.number in part.numbers:
+            on_episode(_record(part.task, recording, resimulate(env, recording.episode, recording.actions)))
+    return part.result(manifest, None)
+
+
+def _record(task: Task, recording: Recording, played: Resimulated) -> EpisodeRecord:
+    """Return the episode up to its end in our physics, or to that of the recorded actions if it has none there."""
+    steps = len(recording.actions) if played.end_step is None else played.end_step
+    return EpisodeRecord(
+        episode=recording.episode.number,
+        task=task.name,
+        shape=recording.episode.shape,
+        initial_offset=recording.episode.offset,
+        outcome=played.outcome or EpisodeOutcome.ACTIONS_ENDED,
+        env_steps=steps,
+        total_reward=played.total_reward,
+        actions=ActionSequence.from_array(recording.actions[:steps]),
+        state_hashes=played.state_hashes[: steps + 1],
+        infos=played.infos[:steps],
+        picture=played.picture,
+        forces=played.forces,
+        timings=played.timings,
+    )
 
 
 class OtherEvaluator(VitacError):

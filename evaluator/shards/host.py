@@ -29,18 +29,17 @@ from vitac.envs.errors import VitacError
 from vitac.envs.kernel_cache.progress import STARTED_LOG
 from vitac.envs.maniskill.definition import is_maniskill
 
-from ..agent.isolation.interpreter import installed_packages
+from ..agent.isolation.packages import installed_packages
 from ..episodes.episode import make_environment
 from ..estimator.calibration import STARTS, calibrated, is_calibrated, take
 from ..estimator.regression import Coefficients
 from ..sensors.made import read_design
 from ..tracks import Player, Task
-from ..tracks.registry import list_tracks, load_track
-from ..tracks.versions import compute_hash, list_parts
+from ..tracks.registry import compute_hash, list_parts, list_tracks, load_track
 from .execution import execute
 from .host_process import LOAD_ALL
 from .order import PROCESS_ID, ShardOrder, encode_waiting
-from .preparation import Preparation
+from .policy import Preparation
 
 _PR_SET_PDEATHSIG = 1
 _DESCRIPTORS_PER_SHARD = 2

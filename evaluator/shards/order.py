@@ -1,8 +1,9 @@
-"""The protocol with a shard's process: one order to it, one message for each line from it."""
+"""The protocol with the process of a shard: one order to it, a line for each message from it, and how its run ends."""
 
 import struct
 from collections.abc import Callable
 from contextlib import suppress
+from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
@@ -11,13 +12,42 @@ from vitac.envs.errors import VitacError
 from vitac.envs.maniskill.definition import is_maniskill
 
 from ..agent.limits import Limits
-from ..episodes.records import EpisodeRecord, PolicyFailure
+from ..agent.session import Isolation
+from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure
 from ..estimator.regression import Coefficients
-from ..figures.figures import FigureChoice
+from ..figures.figures import FigureChoice, FiguresPart
+from ..logs.findings import LogFinding
 from ..strict_model import StrictModel
 from ..submission_kinds import SubmissionKind
 from ..tracks import load_track
-from .result import ShardResult
+
+
+class ShardEnd(StrEnum):
+    """Why the run of a shard ended."""
+
+    COMPLETE = "complete"
+    """All its episodes have a record."""
+    BROKEN = "broken"
+    """The policy cannot be loaded or failed too often; the rest was not played."""
+    REFUTED = "refuted"
+    """What was re-simulated is not true; the finding says why, and the rest was not re-simulated."""
+
+
+class ShardResult(StrictModel):
+    """What the run of a shard ended with; its records went to `on_episode` one by one."""
+
+    index: int
+    end: ShardEnd
+    manifest: Manifest
+    isolation: Isolation | None
+    """How strongly the policy was isolated; None if it was not started or did not load."""
+    finding: LogFinding | None = None
+    """Why a log is not true; None for models and as long as the log holds."""
+    coefficients: Coefficients | None = None
+    """Coefficients of the standard estimator; None if it did not play."""
+    figures: FiguresPart | None = None
+    """This shard's part of the figures of a sensor; None where they were not asked for."""
+
 
 PROCESS_ID: Final = struct.Struct("<q")
 """How the process of a shard introduces itself before its first message; its pidfd comes along."""

@@ -19,8 +19,7 @@ from pydantic import ValidationError
 
 from ..episodes.records import EpisodeRecord
 from .host_process import HostProcess, ShardProcessFailed
-from .order import PROCESS_ID, OnCalibration, ShardMessage, ShardOrder, decode_waiting
-from .result import ShardResult
+from .order import PROCESS_ID, OnCalibration, ShardMessage, ShardOrder, ShardResult, decode_waiting
 
 IDLE_KEPT_S = 3.0
 """How long a process waits for another shard of its submission; meanwhile its policy takes memory."""

@@ -16,7 +16,7 @@ from vitac import envs, evaluator
 from vitac.envs.errors import VitacError
 from vitac.envs.kernel_cache.folders import shared_directory
 
-from ..agent.isolation import bubblewrap, interpreter, seccomp
+from ..agent.isolation import bubblewrap, packages, seccomp
 from ..agent.limits import GIB, MIB, Limits
 from ..sensors.made import MAX_BYTES, MadeSensor
 from ..sensors.making import MakingAnswer
@@ -59,7 +59,7 @@ def make_sensor(folder: Path, *, limits: Limits = LIMITS, wall_s: float = WALL_S
         filter_file = exits.enter_context(bubblewrap.open_data(seccomp.filter_program()))
         passwd = exits.enter_context(bubblewrap.open_data(bubblewrap.passwd_file(uid)))
         command = bubblewrap.tool_command(
-            tool, interpreter=interpreter.current(), limits=limits, uid=uid, seccomp=filter_file, passwd=passwd
+            tool, interpreter=packages.find_interpreter(), limits=limits, uid=uid, seccomp=filter_file, passwd=passwd
         )
         output = exits.enter_context(tempfile.TemporaryFile())
         errors = exits.enter_context(tempfile.TemporaryFile())

@@ -11,17 +11,36 @@ from typing import Any, Final, Self
 
 from pydantic import Field, PositiveInt, model_validator
 from vitac.envs.errors import VitacError
-from vitac.envs.maniskill.definition import is_maniskill
+from vitac.envs.maniskill.definition import find_definition, is_maniskill
 from vitac.envs.observable import Observable
 from vitac.envs.tasks.definition import ActionComponent, Family, TaskDefinition
 from vitac.envs.tasks.fidelity import FIDELITY, Fidelity
 from vitac.envs.tasks.quantities import Quantity, check_draws
+from vitac.envs.tasks.registry import task_definitions
 
 from ..package_sets import PackageSet
 from ..ranking import DEFAULT_RANKING, Ranking, make_ranking
 from ..strict_model import StrictModel, Word
 from ..submission_kinds import SubmissionKind
-from .families import environment_definition
+
+
+class UnknownEnvironment(VitacError):
+    """No environment has this id; the message lists those that there are."""
+
+
+def environment_definition(env_id: str, settings: Mapping[str, Any]) -> TaskDefinition:
+    """Return what is known of an environment, with settings that a track file gives.
+
+    Raises:
+        UnknownEnvironment: there is none of that id.
+        VitacError: it cannot be a task with these settings.
+    """
+    if is_maniskill(env_id):
+        return find_definition(env_id, settings)
+    if env_id not in task_definitions():
+        raise UnknownEnvironment(f"env_id is {env_id!r}, expected one of {', '.join(sorted(task_definitions()))}.")
+    return task_definitions()[env_id]
+
 
 TEXT_LOG_PROFILE: Final = "challenge-2025-log"
 """Name of the profile with the settings under which a task's 2025 text logs were made."""

@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.ranking import Ranking
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
-from vitac.evaluator.tracks.versions import find_version
+from vitac.evaluator.tracks.registry import find_version
 
 from ..db.models import CompetitionRow, Qualification, SealedList, Submission, Team
 from ..errors import ProblemCode, ServiceError

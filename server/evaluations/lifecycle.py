@@ -12,10 +12,10 @@ from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure, resul
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.scoring.failures import breaking_failure
 from vitac.evaluator.scoring.score import score
-from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.shards.order import ShardEnd, ShardResult
 from vitac.evaluator.tracks import ListKind, load_track
 from vitac.evaluator.tracks.cut import cut
-from vitac.evaluator.tracks.versions import compute_hash, find_version
+from vitac.evaluator.tracks.registry import compute_hash, find_version
 
 from ..competition.competition import find_stage
 from ..db.models import Evaluation, Shard, Submission

@@ -3,7 +3,7 @@
 from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks.versions import find_version
+from vitac.evaluator.tracks.registry import find_version
 
 from ..competition.stages import Stage
 from ..db.models import BoardResult, Evaluation, Submission, Team

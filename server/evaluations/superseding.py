@@ -13,7 +13,7 @@ from sqlalchemy import ColumnElement, Text, and_, func, literal, or_, select
 from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import list_tracks, load_track
-from vitac.evaluator.tracks.versions import current_versions, find_version
+from vitac.evaluator.tracks.registry import current_versions, find_version
 from vitac.evaluator.version import evaluator_version
 
 from ..audit import record

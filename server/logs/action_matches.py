@@ -12,7 +12,7 @@ from uuid import UUID
 from sqlalchemy import Select, bindparam, or_, select
 from sqlalchemy.orm import Session, defer, joinedload
 from vitac.evaluator.episodes.records import ActionSequence
-from vitac.evaluator.logs.action_match import EpisodeMatch, compare_actions
+from vitac.evaluator.logs.comparison import EpisodeMatch, compare_actions
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..cache import Cache

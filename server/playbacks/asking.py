@@ -13,9 +13,9 @@ from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeRecord, canonical_json
-from vitac.evaluator.playback.order import FORMAT, NotPlayable, require_playable
+from vitac.evaluator.playback.making import FORMAT, NotPlayable, require_playable
 from vitac.evaluator.tracks import load_track
-from vitac.evaluator.tracks.versions import find_version
+from vitac.evaluator.tracks.registry import find_version
 
 from ..db.advisory_locks import AdvisoryLock, wait_for_turn
 from ..db.models import EpisodeResult, Playback, Shard

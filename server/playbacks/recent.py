@@ -4,7 +4,7 @@ from uuid import UUID
 
 from sqlalchemy import and_, select
 from sqlalchemy.orm import Session
-from vitac.evaluator.tracks.versions import current_versions
+from vitac.evaluator.tracks.registry import current_versions
 
 from ..db.models import EpisodeResult, Playback, Submission
 from ..db.states import PlaybackState

@@ -9,7 +9,7 @@ from sqlalchemy import Select, and_, exists, func, select
 from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session, aliased, contains_eager
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.evaluator.tracks.versions import current_versions
+from vitac.evaluator.tracks.registry import current_versions
 
 from ..db.among import among_parameter
 from ..db.models import EpisodeResult, Evaluation, Playback, Submission

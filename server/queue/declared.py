@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from sqlalchemy import delete, exists, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import list_tracks
-from vitac.evaluator.tracks.versions import current_versions, find_version
+from vitac.evaluator.tracks.registry import current_versions, find_version
 from vitac.evaluator.version import evaluator_version
 
 from ..db.models import DeclaredEvaluator, Evaluation

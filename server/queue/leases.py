@@ -14,9 +14,9 @@ from sqlalchemy import Interval, cast, func, select, update
 from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
-from vitac.evaluator.shards.result import ShardResult
+from vitac.evaluator.shards.order import ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks.versions import find_version
+from vitac.evaluator.tracks.registry import find_version
 
 from .. import traces
 from ..db.models import Evaluation, Shard, SubmissionFile

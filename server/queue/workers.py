@@ -13,7 +13,7 @@ from sqlalchemy import ColumnElement, Select, and_, delete, func, select, update
 from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.description import SandboxDescription
-from vitac.evaluator.tracks.versions import find_evaluator
+from vitac.evaluator.tracks.registry import find_evaluator
 
 from ..audit import record
 from ..db.models import Shard, Worker

@@ -26,9 +26,8 @@ from vitac.evaluator.logs.verification import check_episode
 from vitac.evaluator.scoring.score import score
 from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.evaluator.tracks import Track, load_track
-from vitac.evaluator.tracks.registry import TRACKS_FOLDER_VARIABLE
+from vitac.evaluator.tracks.registry import TRACKS_FOLDER_VARIABLE, find_version
 from vitac.evaluator.tracks.sealed import load_played_track, make_commitment
-from vitac.evaluator.tracks.versions import find_version
 
 from ..transparency.entries import LogEntry
 from ..transparency.merkle import make_tree

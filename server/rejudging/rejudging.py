@@ -7,7 +7,7 @@ from uuid import UUID
 from sqlalchemy import delete, exists, select
 from sqlalchemy.orm import Session, aliased
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks.versions import find_version
+from vitac.evaluator.tracks.registry import find_version
 
 from .. import names
 from ..audit import record

@@ -4,7 +4,7 @@ from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
-from vitac.evaluator.tracks.versions import find_version
+from vitac.evaluator.tracks.registry import find_version
 
 from ..audit import record
 from ..db.models import Evaluation, Submission

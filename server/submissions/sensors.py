@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from uuid import UUID
 
 from sqlalchemy.orm import Session
-from vitac.evaluator.scoring.gain import RunsDiffer, SensingGain, sensing_gain
+from vitac.evaluator.scoring.comparison import RunsDiffer, SensingGain, sensing_gain
 from vitac.evaluator.tracks import Player, load_track
 
 from ..db.models import Submission, SubmissionFile

@@ -1,7 +1,7 @@
 """Scores of tasks as they are shown."""
 
 from pydantic import Field
-from vitac.evaluator.scoring.forces import ForceSummary
+from vitac.evaluator.scoring.score import ForceSummary
 
 from .base import View
 

@@ -6,7 +6,7 @@ from uuid import UUID
 from pydantic import Field
 from vitac.evaluator.episodes.records import ContactForces
 from vitac.evaluator.figures.figures import SensorFigures
-from vitac.evaluator.scoring.gain import SensingGain
+from vitac.evaluator.scoring.comparison import SensingGain
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from .base import View

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from time import monotonic
 from typing import Final, NamedTuple, Self
 
-from .device import DeviceFault, DeviceNotFound
+from .stage import DeviceFault, DeviceNotFound
 
 _HEAD: Final = b"\xaa\x55\x00\x1b"
 _FRAME: Final = struct.Struct("<4sH6fB")

@@ -6,7 +6,7 @@ from logging import NullHandler, getLogger
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from .device import DeviceFault, DeviceNotFound
+from .stage import DeviceFault, DeviceNotFound
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

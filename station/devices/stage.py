@@ -1,6 +1,7 @@
-"""Driver of the stage: GRBL 1.1 over a serial line. Positions are absolute, in mm and degrees.
+"""Driver of the stage, GRBL 1.1 over a serial line, and what all drivers share: identity, and how a device fails.
 
-One command is sent at a time and answered with `ok`; `?`, `!` and Ctrl-X are single bytes that GRBL obeys at any time.
+Positions are absolute, in mm and degrees. One command is sent at a time and answered with `ok`; `?`, `!` and Ctrl-X are
+single bytes that GRBL obeys at any time.
 """
 
 import os
@@ -16,10 +17,31 @@ from threading import Lock
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
-from .device import DeviceFault, DeviceInUse, DeviceNotFound, Identity
+from vitac.envs.errors import VitacError
 
 if TYPE_CHECKING:
     from serial import Serial
+
+
+class DeviceNotFound(VitacError):
+    """Nothing answers at the device's address; check cable, power and the address in the station's file."""
+
+
+class DeviceInUse(DeviceNotFound):
+    """Another program talks to the device, perhaps while it moves; end that one first."""
+
+
+class DeviceFault(VitacError):
+    """A device answers wrongly, reports a fault or stopped answering; the message says which and what to do."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identity:
+    """What a device reports about itself; None for what it does not report."""
+
+    serial_number: str | None = None
+    firmware: str | None = None
+
 
 _BAUD: Final = 115_200
 _ANSWER_S: Final = 1.0

@@ -1,11 +1,13 @@
-"""What a policy sees of the markers: as many rows as in simulation, whatever number the trackers follow."""
+"""What a policy sees of the markers, and whether the gel that carries them is torn or covered."""
+
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.errors import VitacError
 from vitac.envs.tactile.sizes import MARKER_COUNT
 
-from .tracker import MarkerFlow
+from .markers import MarkerFlow, Picture
 
 
 class NoMarkerFollowed(VitacError):
@@ -33,3 +35,26 @@ def _rows(side: str, flow: MarkerFlow, generator: np.random.Generator) -> NDArra
     if count >= MARKER_COUNT:
         rows = generator.choice(count, MARKER_COUNT, replace=False)
     return np.stack((flow.reference[rows], flow.current[rows])).astype(np.float32)
+
+
+Cells = NDArray[np.float32]
+
+DAMAGED_PART: Final = 0.05
+"""Part of the picture that may change so much; touch changes none (measured in tests/unit/station)."""
+_CELLS: Final = (16, 12)
+_CHANGE: Final = 0.5
+"""Of a cell's brightness."""
+_EVERY_PX: Final = 2
+
+
+def measure_brightness(picture: Picture) -> Cells:
+    """Return the brightness of each cell of a camera's picture, shape [12, 16]."""
+    import cv2
+
+    cells = cv2.resize(picture[::_EVERY_PX, ::_EVERY_PX], _CELLS, interpolation=cv2.INTER_AREA)
+    return np.asarray(np.mean(cells, axis=2, dtype=np.float32), dtype=np.float32)
+
+
+def find_changed_part(before: Cells, now: Cells) -> float:
+    """Return the part of a picture whose brightness has changed by half or more."""
+    return float((np.abs(now - before) >= _CHANGE * before).mean())

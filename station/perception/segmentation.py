@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vitac.envs.errors import VitacError
 from vitac.envs.vision.back_projection import rays
 
-from ..devices.depth_camera import ColourDepth, Intrinsics
+from ..devices.cameras import ColourDepth, Intrinsics
 
 Mask = NDArray[np.bool_]
 

@@ -14,8 +14,7 @@ from vitac.envs.errors import VitacError
 from vitac.envs.extras import explain_missing
 
 from ..eyes import Side, Sight
-from ..perception.markers import Picture, cut_picture
-from ..perception.tracker import MarkerFlow
+from ..perception.markers import MarkerFlow, Picture, cut_picture
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

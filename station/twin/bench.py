@@ -15,12 +15,11 @@ from vitac.envs.vision.camera import Sight
 
 from ..description import StationTask
 from .depth_pictures import DepthCameraTwin
-from .faults import Fault, FaultScript
 from .force_torque import ForceTorqueTwin
 from .gel_view import GelView, Picture
 from .grasp import CUBOID_PEG, Axes, HeldPeg, Mounted, Wrench, hold_peg
 from .gripper import GripperTwin
-from .hidden import HiddenSettings
+from .hidden import Fault, FaultScript, HiddenSettings
 from .pictures import CameraFault, CameraTwin
 from .stage import StageFault, StageTwin
 

@@ -1,13 +1,20 @@
-"""Twins of all devices of a station but the RGB-D camera, and the file that describes them."""
+"""Twins of all devices of a station, the file that describes them, and the process and serial lines that they use."""
 
+import os
+import select
+import tty
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cache
 from itertools import cycle
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Final
+from tempfile import TemporaryDirectory
+from threading import Thread
+from typing import Any, Final, Protocol, Self
 
 import numpy as np
 import yaml
@@ -17,11 +24,66 @@ from vitac.envs.vision.optics import COLOUR_INTRINSICS, HEIGHT_PX, WIDTH_PX
 from .bench import GARAGE, HOLE, Bench
 from .depth_pictures import UNITS_PER_M, DepthCameraTwin
 from .force_torque import ForceTorqueTwin
+from .gel_view import SMALL_CAMERA, marker_grid
+from .grasp import CUBOID_PEG, Mounted
 from .gripper import GripperTwin
+from .hidden import Fault, FaultScript, HiddenSettings
 from .pictures import CameraTwin
-from .pressed_gel import SMALL_CAMERA, marker_grid
 from .stage import StageTwin
-from .terminal import Terminal
+
+
+class SerialTwin(Protocol):
+    """A device at a serial line."""
+
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes from the line and return what the device answers at once."""
+
+
+class Terminal:
+    """A pseudo-terminal that passes bytes to a twin; use it in `with`.
+
+    Attributes:
+        port: the device file that a driver opens: a link of this terminal's own, since the number of a pseudo-terminal
+            that was closed is soon another program's.
+    """
+
+    def __init__(self, twin: SerialTwin) -> None:
+        """Open the terminal and begin to listen."""
+        self._twin = twin
+        self._controller, self._line = os.openpty()
+        tty.setraw(self._line)
+        self._folder = TemporaryDirectory(prefix="vitac-twin-")
+        link = Path(self._folder.name) / "port"
+        link.symlink_to(os.ttyname(self._line))
+        self.port = str(link)
+        self._wake_read, self._wake_write = os.pipe()
+        self._thread = Thread(target=self._listen, name=f"twin at {self.port}", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.unplug()
+
+    def unplug(self) -> None:
+        """Close the line, as when a USB cable is pulled; the driver's next call fails."""
+        if self._thread.is_alive():
+            os.write(self._wake_write, b"x")
+            self._thread.join()
+            self._folder.cleanup()
+            for descriptor in (self._controller, self._line, self._wake_read, self._wake_write):
+                os.close(descriptor)
+
+    def _listen(self) -> None:
+        while True:
+            ready, _, _ = select.select([self._controller, self._wake_read], [], [])
+            if self._wake_read in ready:
+                return
+            answer = self._twin.receive(os.read(self._controller, 4096))
+            if answer:
+                os.write(self._controller, answer)
+
 
 _PICTURES: Final = 3
 _LIMITS: Final[dict[str, Any]] = {
@@ -163,3 +225,77 @@ def _describe_stage(line: Terminal, stage: StageTwin) -> dict[str, Any]:
         "firmware": stage.firmware,
         "calibration": {"serial_number": stage.serial_number, "steps": steps},
     }
+
+
+@dataclass(frozen=True)
+class RunningTwin:
+    """A twin in a process.
+
+    Attributes:
+        description: what a station's file says of it.
+    """
+
+    description: dict[str, Any]
+    _line: Connection
+
+    def begin(self, fault: Fault, for_s: float) -> None:
+        """Break something for a while, by the twin's clock."""
+        self._line.send((fault, for_s))
+        self._line.recv()
+
+    def is_whole(self) -> bool:
+        """Say whether nothing is broken."""
+        return self._ask()[0]
+
+    def time_s(self) -> float:
+        """Return the twin's time."""
+        return self._ask()[1]
+
+    def begun(self) -> tuple[Fault, ...]:
+        """Return what has been broken so far."""
+        return self._ask()[2]
+
+    def _ask(self) -> tuple[bool, float, tuple[Fault, ...]]:
+        self._line.send(None)
+        is_whole, now_s, begun = self._line.recv()
+        return is_whole, now_s, begun
+
+
+@contextmanager
+def twin_process(
+    hidden: HiddenSettings,
+    *,
+    mounted: Mounted = CUBOID_PEG,
+    script: FaultScript | None = None,
+    period_s: float = 0.1,
+) -> Iterator[RunningTwin]:
+    """Start a twin that runs as fast as it can."""
+    context = get_context("spawn")
+    ours, theirs = context.Pipe()
+    arguments = (theirs, hidden, mounted, script or FaultScript(), period_s)
+    process = context.Process(target=_run, args=arguments, daemon=True)
+    process.start()
+    theirs.close()
+    try:
+        yield RunningTwin(ours.recv(), ours)
+    finally:
+        ours.close()
+        process.join()
+
+
+def _run(caller: Connection, hidden: HiddenSettings, mounted: Mounted, script: FaultScript, period_s: float) -> None:
+    """Run until the caller closes its end of the pipe or dies."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    bench = Bench(hidden=hidden, mounted=mounted, script=script, period_s=period_s, speed=None)
+    with playing_station(bench) as station:
+        caller.send(station.description)
+        while True:
+            try:
+                asked = caller.recv()
+            except EOFError:
+                return
+            if asked is not None:
+                bench.begin(*asked)
+            caller.send((bench.is_whole, bench.now_s, tuple(bench.begun)))

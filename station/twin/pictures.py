@@ -1,4 +1,4 @@
-"""Twin of a tactile camera: an HTTP server that sends pictures as motion JPEG, which OpenCV reads like a camera."""
+"""Pictures of a gel under three coloured lights, and the HTTP server that sends them as motion JPEG, like a camera."""
 
 import select
 import struct
@@ -128,3 +128,114 @@ def _is_closed(connection: socket) -> bool:
 
 def _unsent_bytes(connection: socket) -> int:
     return int(struct.unpack("i", ioctl(connection, _SIOCOUTQ, b"\0\0\0\0"))[0])
+
+
+_WIDTH_PX, _HEIGHT_PX = 320, 240
+_BORDER: Final = 7
+_MORE_ROWS_AT_THE_TOP: Final = 2
+_LIGHTS: Final = (  # direction in the picture, and colour (blue first)
+    ((1.0, 0.0), (120.0, 30.0, 20.0)),
+    ((-0.5, 0.87), (20.0, 110.0, 30.0)),
+    ((-0.5, -0.87), (30.0, 30.0, 120.0)),
+)
+_AMBIENT: Final = 70.0
+_SUBPIXEL_BITS: Final = 4
+SUBPIXELS: Final = 1 << _SUBPIXEL_BITS
+"""Markers are printed at places of as many parts of a pixel."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GelCamera:
+    """A camera behind a gel.
+
+    Attributes:
+        width: of its pictures [pixel].
+        height: of its pictures.
+        marker_radius_px: of a printed marker in the cut picture of 320 x 240.
+        darkness: part of the light that a marker swallows.
+        defocus_px: standard deviation of the blur in the cut picture.
+        noise: standard deviation of a colour's value.
+    """
+
+    width: int = 640
+    height: int = 480
+    marker_radius_px: float = 4.0
+    darkness: float = 0.75
+    defocus_px: float = 1.0
+    noise: float = 2.0
+
+    def picture(
+        self,
+        markers_px: NDArray[np.float64],
+        generator: np.random.Generator,
+        *,
+        darkness: NDArray[np.float64] | None = None,
+        tilt: tuple[float, float] = (0.0, 0.0),
+    ) -> NDArray[np.uint8]:
+        """Return a picture of the camera, blue first.
+
+        Args:
+            markers_px: centres in the cut picture, shape [n, 2] [pixel].
+            generator: draws the noise.
+            darkness: of each marker, shape [n]; a worn one is paler.
+            tilt: slope of the gel's face, which shifts the light.
+        """
+        shading = self._shading(tilt)
+        noise = self.noise * generator.standard_normal(shading.shape, dtype=np.float32)
+        return self.expose(self.print_markers(shading, markers_px, darkness), noise)
+
+    @staticmethod
+    def expose(lit: NDArray[np.float32], noise: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """Return a picture of what is seen, with noise, both of shape [height, width, 3]."""
+        import cv2
+
+        return np.asarray(cv2.add(lit, noise, dtype=cv2.CV_8U), dtype=np.uint8)
+
+    def print_markers(
+        self,
+        shading: NDArray[np.float32],
+        markers_px: NDArray[np.float64],
+        darkness: NDArray[np.float64] | None,
+    ) -> NDArray[np.float32]:
+        """Return a lit gel with its markers, without noise, shape [height, width, 3]."""
+        import cv2
+
+        light = np.ones((self.height, self.width), np.float32)
+        scale_x, scale_y = self._scales()
+        radius = round(self.marker_radius_px * scale_x * SUBPIXELS)
+        depths = np.full(len(markers_px), self.darkness) if darkness is None else darkness
+        for (u, v), depth in zip(self.from_cut(markers_px), depths, strict=True):
+            centre = (round(u * SUBPIXELS), round(v * SUBPIXELS))
+            cv2.circle(light, centre, radius, 1.0 - float(depth), -1, cv2.LINE_8, _SUBPIXEL_BITS)
+        blurred = cv2.GaussianBlur(light, (0, 0), self.defocus_px * scale_x, sigmaY=self.defocus_px * scale_y)
+        return np.asarray(cv2.multiply(shading, cv2.merge((blurred, blurred, blurred))), dtype=np.float32)
+
+    def from_cut(self, positions_px: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where positions of the cut picture are in the camera's, shape [n, 2] [pixel]."""
+        corner = (self.width // _BORDER, self.height // _BORDER + _MORE_ROWS_AT_THE_TOP)
+        moved: NDArray[np.float64] = (positions_px + 0.5) * self._scales() - 0.5 + corner
+        return moved
+
+    def _scales(self) -> tuple[float, float]:
+        columns = self.width - 2 * (self.width // _BORDER)
+        rows = self.height - 2 * (self.height // _BORDER) - _MORE_ROWS_AT_THE_TOP
+        return columns / _WIDTH_PX, rows / _HEIGHT_PX
+
+    def framed(self, surface: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return a cut picture with what the camera sees beyond its borders: the same as at them."""
+        import cv2
+
+        left, top = self.width // _BORDER, self.height // _BORDER + _MORE_ROWS_AT_THE_TOP
+        middle = cv2.resize(surface, (self.width - 2 * left, self.height - 2 * top + _MORE_ROWS_AT_THE_TOP))
+        bottom = top - _MORE_ROWS_AT_THE_TOP
+        framed = cv2.copyMakeBorder(middle, top, bottom, left, left, cv2.BORDER_REPLICATE)
+        return np.asarray(framed, dtype=np.float32)
+
+    def _shading(self, tilt: tuple[float, float]) -> NDArray[np.float32]:
+        x = np.linspace(-1, 1, self.width, dtype=np.float32)[None, :]
+        y = np.linspace(-1, 1, self.height, dtype=np.float32)[:, None]
+        shading = np.full((self.height, self.width, 3), _AMBIENT, np.float32)
+        for (along_x, along_y), colour in _LIGHTS:
+            towards = 0.5 + 0.25 * (along_x * (x + tilt[0]) + along_y * (y + tilt[1]))
+            shading += np.clip(towards, 0, 1)[..., None] * np.array(colour, np.float32)
+        return shading

@@ -18,7 +18,7 @@ from trajectories import trajectory_digest
 from vitac.envs.errors import VitacError
 from vitac.envs.tasks.options import ResetOptionsError
 from vitac.envs.tasks.task_env import ActionError
-from vitac.evaluator.tracks.families import environment_definition
+from vitac.evaluator.tracks.definition import environment_definition
 
 ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
 EVERY_TASKS_KEYS = {"marker_flow", "relative_motion"}

@@ -1,64 +1,11 @@
-"""The plan of the tree holds: few modules in a folder, and a folder for each family of names."""
+"""The plan of the tree holds: every folder is on its page, and imports are written in one way."""
 
 import ast
 import re
-import tomllib
-from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 PRODUCT = ("cli", "envs", "evaluator", "server", "station", "training", "web", "worker")
-CODE = (*PRODUCT, "benchmarks", "migrations", "tests")
-MAX_MODULES = 20
-MAX_SIBLINGS = 2
-# One file for each migration, and one for each attack: data, read by one runner.
-DATA = {Path("migrations/versions"), Path("tests/integration/sandbox/policies")}
-
-
-def folders(repository: Path, tops: tuple[str, ...]) -> Iterator[tuple[Path, list[str]]]:
-    """Yield every folder with modules, and the names of its modules and of the folders in it."""
-    for top in tops:
-        for folder in sorted({path.parent for path in (repository / top).rglob("*.py")}):
-            modules = [path.stem for path in folder.glob("*.py") if path.stem not in ("__init__", "conftest")]
-            yield folder.relative_to(repository), modules
-
-
-def families(names: list[str]) -> dict[str, list[str]]:
-    """Return the names by their first word, where more share it than may."""
-    found: dict[str, list[str]] = defaultdict(list)
-    for name in sorted(names):
-        found[name.partition("_")[0]].append(name)
-    return {word: members for word, members in found.items() if len(members) > MAX_SIBLINGS}
-
-
-def test_no_folder_has_more_modules_than_a_page_shows(repository: Path) -> None:
-    found = {folder: len(modules) for folder, modules in folders(repository, CODE)}
-    assert len(found) > 100
-    too_many = {str(folder): count for folder, count in found.items() if count > MAX_MODULES and folder not in DATA}
-    assert not too_many, f"expected at most {MAX_MODULES} modules in a folder; make a folder of some of them"
-
-
-def test_no_three_siblings_share_a_first_word(repository: Path) -> None:
-    inner = defaultdict(list)
-    for folder, _ in folders(repository, PRODUCT):
-        inner[folder.parent].append(folder.name)
-    found = {str(folder): families([*modules, *inner[folder]]) for folder, modules in folders(repository, PRODUCT)}
-    assert not {folder: words for folder, words in found.items() if words}, "make a folder of each family"
-
-
-@pytest.mark.parametrize(
-    ("names", "words"),
-    [
-        (["log_a", "log_b", "check"], []),
-        (["log_a", "log_b", "log"], ["log"]),
-        (["log_a", "log_b", "log_c", "key_a", "key_b", "key_c"], ["key", "log"]),
-        (["logs", "log_a", "log_b"], []),
-    ],
-)
-def test_families_are_seen(names: list[str], words: list[str]) -> None:
-    assert sorted(families(names)) == words
 
 
 def rows_of_the_page(repository: Path) -> dict[str, list[str]]:
@@ -79,26 +26,6 @@ def test_the_page_of_folders_names_every_folder(repository: Path) -> None:
     for folder, groups in rows.items():
         inner = {path.parent.name for path in (repository / folder).glob("*/*.py")}
         assert inner - set().union(*map(names_in, groups)) == set(), f"name them in the row of {folder}/"
-
-
-def test_the_page_of_folders_has_the_order_of_the_contracts(repository: Path) -> None:
-    rows = rows_of_the_page(repository)
-    settings = tomllib.loads((repository / "pyproject.toml").read_text())
-    compared = []
-    for contract in settings["tool"]["importlinter"]["contracts"]:
-        (container,) = contract.get("containers", [""])
-        folder = container.removeprefix("vitac.").replace(".", "/")
-        if folder in rows:
-            layers = [set(re.findall(r"\w+", layer)) for layer in contract["layers"]]
-            inner = {path.parent.name for path in (repository / folder).glob("*/*.py")}
-            in_row = [layer_of(layers, name) for group in rows[folder] for name in sorted(names_in(group) & inner)]
-            assert in_row == sorted(in_row), f"expected the row of {folder}/ in the order of its contract"
-            compared.append(folder)
-    assert {"cli", "envs", "envs/fem", "evaluator", "server", "station", "training", "web"} <= set(compared)
-
-
-def layer_of(layers: list[set[str]], name: str) -> int:
-    return next(number for number, layer in enumerate(layers) if name in layer)
 
 
 def imports_at_run_time(module: Path) -> Iterator[str]:

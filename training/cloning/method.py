@@ -17,22 +17,20 @@ from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
-from vitac.evaluator.scoring.gain import SensingGain, sensing_gain
+from vitac.evaluator.scoring.comparison import SensingGain, sensing_gain
 from vitac.evaluator.scoring.score import Rate, rate
 from vitac.evaluator.strict_model import StrictModel
 from vitac.evaluator.tracks import find_task
 
-from ..charts import Charts
 from ..files import load, remove_leftovers, save, write_bytes, write_text
-from ..log import Row, extend_log, read_log
+from ..log import Charts, Row, extend_log, read_log
 from ..pool import map_in_order
 from ..progress import Progress
 from ..run import Folder, Tell, claimed, format_rate
 from ..sensor import make_sensor
 from ..streams import Use, stream
 from . import policy
-from .network import Network
-from .playing import Played, Stage, join
+from .playing import Network, Played, Stage, join
 from .policy import MARKERS, PICTURE, FloatArray, make_windows
 
 FILE_EPISODES = 25

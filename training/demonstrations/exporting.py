@@ -1,22 +1,161 @@
-"""Makes a data set of demonstrations. Each is played again for it, so none is in a data set that does not replay."""
+"""Makes data sets of demonstrations, with their card; Minari's format stands here, LeRobot's in its folder.
+
+Each demonstration is played again for it, so none is in a data set that does not replay.
+"""
 
 import shutil
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from vitac.envs.errors import VitacError
+from vitac.envs.observable import Observable
+from vitac.evaluator.scoring.score import rate
 
 from ..files import write_text
 from ..pool import map_in_order
-from .card import make_card
-from .demonstration import Demonstration, read_demonstrations, read_source
-from .frames import Frames, choose_observables, make_observed_environment, play_again
+from ..streams import FIRST_STREAM, STREAMS_PER_SEED
+from .collecting import FILE, Demonstration, DemonstrationKind, Source, read_demonstrations, read_source
+from .frames import (
+    Frames,
+    Origin,
+    StoredEpisode,
+    choose_observables,
+    make_observed_environment,
+    play_again,
+    read_origin,
+    write_origin,
+)
 from .lerobot.layout import Version, list_features
 from .lerobot.writing import write_lerobot
-from .minari import write_minari
-from .origin import Origin, StoredEpisode, write_origin
+
+LICENCE = "Apache-2.0"
+
+_CARD = """---
+license: apache-2.0
+task_categories: [robotics]
+tags: [LeRobot, tactile, vitac-arena]
+configs:
+- config_name: default
+  data_files: data/*/*.parquet
+---
+# Demonstrations of {title}
+{description}
+
+An expert that knows the truth plays in the deterministic simulation of ViTac Arena. It sees what no policy sees
+(`privileged.*`), so its actions are more than a policy can know.
+
+| kind | episodes | successes | in % with 95 % interval |
+|---|---|---|---|
+{kinds}
+{left_out}
+- **Starts**: episode n starts with `reset(options={{"rng_seed": ({stream}, n)}})`, in no official list.
+- **Made with**: `{env_id}` as in the task `{task}` of `{track}`, evaluator {evaluator}, solver {solver}, mesh hash
+  {mesh}, on {platform}.
+- **Made by**: `vitac data collect {task} --successes {successes} --seed {seed} --out DIR`, then `vitac data export`.
+- **Replay**: `vitac data check FOLDER --replay {episodes}` plays them again and compares every state hash.
+- **Licence**: {licence}. No person's data and no recording of others is in it.
+
+| observed | shape | unit | meaning |
+|---|---|---|---|
+{observed}
+"""
+
+
+def make_card(origin: Origin, observables: Sequence[Observable[Any]]) -> str:
+    """Return the card, as Markdown with the header that Hugging Face reads."""
+    source, episodes = origin.source, origin.episodes
+    task, made = source.task, source.manifest
+    kinds = [_kind_row(kind, [each for each in episodes if each.kind is kind]) for kind in DemonstrationKind]
+    return _CARD.format(
+        title=task.title[0].lower() + task.title[1:],
+        description=task.description.strip(),
+        kinds="\n".join(row for row in kinds if row),
+        left_out="" if any(each.outcome != "success" for each in episodes) else "\nFailures are left out.\n",
+        stream=source.stream,
+        env_id=task.env_id,
+        task=made.task,
+        track=made.track,
+        evaluator=made.evaluator_version,
+        solver=made.solver_version,
+        mesh=made.mesh_hash,
+        platform=made.platform_class,
+        successes=sum(each.outcome == "success" for each in episodes),
+        seed=(source.stream - FIRST_STREAM) // STREAMS_PER_SEED,
+        episodes=len(episodes),
+        licence=LICENCE,
+        observed="\n".join(
+            f"| `{entry.name}`{' (privileged)' if entry.privileged else ''} | {entry.shape} | {entry.unit} | "
+            f"{entry.meaning} |"
+            for entry in observables
+        ),
+    )
+
+
+def make_card_of(folder: Path) -> str:
+    """Return the card of a folder with demonstrations, or that in a data set.
+
+    Raises:
+        CollectionRejected: its demonstrations are not what was written.
+        NotOurs: it is neither.
+    """
+    if not (folder / FILE).exists():
+        read_origin(folder)
+        return (folder / "README.md").read_text()
+    source = read_source(folder / FILE)
+    stored = tuple(StoredEpisode.of(each) for each in read_demonstrations(folder / FILE))
+    return make_card(Origin(source=source, episodes=stored), choose_observables(source.task, None))
+
+
+def _kind_row(kind: DemonstrationKind, episodes: Sequence[StoredEpisode]) -> str | None:
+    if not episodes:
+        return None
+    found = rate(sum(each.outcome == "success" for each in episodes), len(episodes))
+    percent = [f"{100 * part:.1f}" for part in (found.success_rate, found.interval.low, found.interval.high)]
+    return f"| {kind.value} | {found.episodes} | {found.successes} | {percent[0]} [{percent[1]}, {percent[2]}] |"
+
+
+def write_minari(folder: Path, source: Source, env: Any, frames: Iterator[Frames]) -> None:
+    """Write a data set, which `minari.MinariDataset(folder / "data")` reads.
+
+    Coloured pictures are stored as JPEG; all other values exactly. Infos hold the state hashes.
+    """
+    import minari
+    from minari.dataset.minari_storage import MinariStorage
+
+    task = source.manifest.task
+    storage = MinariStorage.new(
+        folder / "data", observation_space=env.observation_space, action_space=env.action_space, env_spec=env.spec
+    )
+    storage.update_metadata(
+        {
+            "dataset_id": f"vitac/{task}/expert-v0",
+            "minari_version": minari.__version__,
+            "algorithm_name": "expert with privileged state",
+            "author": {"ViTac Arena"},
+            "description": f"Demonstrations of {task}, licence {LICENCE}; README.md is their card.",
+        }
+    )
+    storage.update_episodes(_buffer(source, number, each) for number, each in enumerate(frames))
+
+
+def _buffer(source: Source, number: int, frames: Frames) -> Any:
+    from minari.data_collector import EpisodeBuffer
+
+    demonstration, length = frames.demonstration, len(frames.actions)
+    is_success = demonstration.is_success
+    return EpisodeBuffer(
+        id=number,
+        options={"rng_seed": [source.stream, demonstration.episode]},
+        observations=frames.observations,
+        actions=frames.actions,
+        rewards=frames.rewards.tolist(),
+        terminations=[is_success and step == length - 1 for step in range(length)],
+        truncations=[not is_success and step == length - 1 for step in range(length)],
+        infos={"state_hash": list(demonstration.state_hashes)},
+    )
 
 
 class FolderExists(VitacError):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..pool import map_in_order
-from .demonstration import FILE, Demonstration, Source, read_demonstrations, read_source
+from .collecting import FILE, Demonstration, Source, read_demonstrations, read_source
 from .frames import make_observed_environment, play_again
 from .lerobot.reading import read_lerobot
 

@@ -1,22 +1,173 @@
 """The critic: probability of success of an action where the truth is known, by fitted Q iteration.
 
 Several small networks, of which the lowest value counts (Fujimoto et al. 2018), learn from all episodes and their
-mirror images. The targets of a sweep are their own values of the best of random next actions (Ernst et al. 2005).
+mirror images. Ensembles and values fitted in sweeps are what assessor and student have, too.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import PositiveFloat
+from pydantic import Field, PositiveFloat
+from vitac.evaluator.strict_model import StrictModel
 
 from ..episodes import Episodes
-from .adam import FloatArray
-from .ensemble import Samples
-from .fitted_value import Count, FittedValue, FittingPlan
-from .network import probability
-from .symmetry import STATE, TURNABLE
+from .network import STATE, TURNABLE, FloatArray, Layout, Learner, Signs, logits, probability
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Samples:
+    """What an ensemble learns from, a row each.
+
+    Attributes:
+        inputs: shape [n, i].
+        actions: shape [n, 3].
+        turnable: whether half a turn changes nothing, shape [n].
+    """
+
+    inputs: FloatArray
+    actions: FloatArray
+    turnable: NDArray[np.bool_]
+
+
+class Ensemble:
+    """Networks that learn the probability of success of an action, each from weights of its own.
+
+    Args:
+        layout: of each network.
+        count: how many networks.
+        random: of the first weights.
+
+    Attributes:
+        learners: the networks.
+    """
+
+    def __init__(self, layout: Layout, count: int, random: np.random.Generator) -> None:
+        self.learners = [Learner(layout, random) for _ in range(count)]
+
+    def lowest(self, inputs: FloatArray, actions: FloatArray) -> FloatArray:
+        """Return the lowest log-odds of success of actions, shape [n, k]; see `network.logits`."""
+        return np.asarray(np.minimum.reduce(self._log_odds(inputs, actions)))
+
+    def mean(self, inputs: FloatArray, actions: FloatArray) -> FloatArray:
+        """Return the mean log-odds of success of actions, shape [n, k]; see `network.logits`."""
+        return np.asarray(np.mean(self._log_odds(inputs, actions), axis=0))
+
+    def epoch(
+        self,
+        samples: Samples,
+        targets: FloatArray,
+        signs: Signs,
+        random: np.random.Generator,
+        *,
+        batch: int,
+        rate: float,
+    ) -> float:
+        """Learn once from every sample, as it is or as a mirror or half a turn shows it, and return the mean loss.
+
+        Raises:
+            TrainingDiverged: the loss is no finite number.
+        """
+        losses = []
+        for learner in self.learners:
+            order = random.permutation(len(targets))
+            for start in range(0, len(order), batch):
+                rows = order[start : start + batch]
+                inputs, actions = signs.drawn(
+                    samples.inputs[rows], samples.actions[rows], samples.turnable[rows], random
+                )
+                losses.append(learner.learn(inputs, actions[:, None], targets[rows, None], rate=rate))
+        return float(np.mean(losses))
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return the state that learning continues from."""
+        return {
+            f"{number}.{name}": value
+            for number, each in enumerate(self.learners)
+            for name, value in each.adam.state().items()
+        }
+
+    def restore(self, state: Mapping[str, FloatArray]) -> None:
+        """Continue from a state."""
+        for number, each in enumerate(self.learners):
+            own = f"{number}."
+            each.adam.restore({name.removeprefix(own): value for name, value in state.items() if name.startswith(own)})
+
+    def _log_odds(self, inputs: FloatArray, actions: FloatArray) -> list[FloatArray]:
+        return [logits(each.parameters, inputs, actions) for each in self.learners]
+
+
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
+
+
+class FittingPlan(StrictModel):
+    """How a value is fitted, as recipes say it."""
+
+    networks: Count
+    """How many, of which the lowest value counts."""
+    hidden: Count
+    """Units of both layers."""
+    sweeps: Count
+    """Sweeps of targets each time."""
+    epochs: Count
+    """Passes over all samples in each sweep."""
+    batch: Count
+    """Samples of a gradient step."""
+    rate: PositiveFloat
+    """Learning rate."""
+    discount: Annotated[float, Field(gt=0.0, le=1.0)]
+    """Discount of an env step, so that sooner is better."""
+
+
+class FittedValue:
+    """Networks that tell how likely success is after an action.
+
+    Args:
+        plan: how they are fitted.
+        inputs: how many numbers they see beside the action.
+        signs: how these change in mirror images.
+        random: of the first weights.
+    """
+
+    def __init__(self, plan: FittingPlan, inputs: int, signs: Signs, random: np.random.Generator) -> None:
+        self._fitting, self._signs = plan, signs
+        self._ensemble = Ensemble(Layout(inputs=inputs, actions=3, hidden=plan.hidden), plan.networks, random)
+
+    def log_odds(self, inputs: FloatArray, actions: FloatArray) -> FloatArray:
+        """Return the log-odds of success after actions, shape [n, k]."""
+        return self._ensemble.lowest(inputs, actions)
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return the state that learning continues from."""
+        return self._ensemble.state()
+
+    def restore(self, state: Mapping[str, FloatArray]) -> None:
+        """Continue from a state."""
+        self._ensemble.restore(state)
+
+    def _fit(
+        self,
+        samples: Samples,
+        targets: Callable[[], FloatArray],
+        random: np.random.Generator,
+        after_sweep: Callable[[int, float], None],
+    ) -> None:
+        """Fit to the targets of each sweep, which are asked for at its beginning, shape [n].
+
+        Raises:
+            TrainingDiverged: a loss is no finite number.
+        """
+        plan = self._fitting
+        for sweep in range(plan.sweeps):
+            wanted = targets()
+            losses = [
+                self._ensemble.epoch(samples, wanted, self._signs, random, batch=plan.batch, rate=plan.rate)
+                for _ in range(plan.epochs)
+            ]
+            after_sweep(sweep, float(np.mean(losses)))
+
 
 STATE_SIZE = 15
 SHAPES = 3

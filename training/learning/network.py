@@ -1,15 +1,62 @@
-"""Small networks Q(input, action) in NumPy: two hidden layers, trained by Adam on the cross-entropy of a probability.
+"""Small networks Q(input, action) in NumPy, their optimiser, and the mirror images that they also learn from.
 
-Everything is float32 on one thread in a fixed order, so that a continued run has the bits of an uninterrupted one.
+Two hidden layers, trained by Adam (Kingma and Ba 2015) on the cross-entropy of a probability. Everything is float32 on
+one thread in a fixed order, so that a continued run has the bits of an uninterrupted one. Every peg with its hole is
+the same in the mirror with normal x; cuboid and bow tie are the same after half a turn too.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from vitac.envs.errors import VitacError
 
-from .adam import Adam, FloatArray, Parameters
+from ..submission.policy import MAX_STEPS
+
+FloatArray = NDArray[np.float32]
+Parameters = dict[str, FloatArray]
+
+_FIRST_DECAY, _SECOND_DECAY, _SMALLEST = 0.9, 0.999, 1e-8
+
+
+class Adam:
+    """The state of the optimiser of some parameters.
+
+    Attributes:
+        steps: gradient steps made so far.
+    """
+
+    def __init__(self, parameters: Parameters) -> None:
+        self.steps = 0
+        self._parameters = parameters
+        self._first = {name: np.zeros_like(value) for name, value in parameters.items()}
+        self._second = {name: np.zeros_like(value) for name, value in parameters.items()}
+
+    def descend(self, gradients: Mapping[str, FloatArray], rate: float) -> None:
+        """Change the parameters by one gradient step."""
+        self.steps += 1
+        size = rate * np.sqrt(1.0 - _SECOND_DECAY**self.steps) / (1.0 - _FIRST_DECAY**self.steps)
+        for name, gradient in gradients.items():
+            first, second = self._first[name], self._second[name]
+            first += (1.0 - _FIRST_DECAY) * (gradient - first)
+            second += (1.0 - _SECOND_DECAY) * (gradient * gradient - second)
+            self._parameters[name] -= (size * first / (np.sqrt(second) + _SMALLEST)).astype(np.float32)
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return parameters and state by name, from which learning continues."""
+        stored = {f"{group}.{name}": value.copy() for group, values in self._groups() for name, value in values.items()}
+        return stored | {"steps": np.array([self.steps], dtype=np.float32)}
+
+    def restore(self, state: Mapping[str, FloatArray]) -> None:
+        """Continue from a state."""
+        for group, values in self._groups():
+            for name in values:
+                values[name] = state[f"{group}.{name}"].copy()
+        self.steps = int(state["steps"][0])
+
+    def _groups(self) -> tuple[tuple[str, Parameters], ...]:
+        return ("p", self._parameters), ("m", self._first), ("v", self._second)
 
 
 class TrainingDiverged(VitacError):
@@ -131,3 +178,59 @@ def _gradients(
         "weight2": second.reshape(rows).T @ slope.reshape(-1, 1),
         "bias2": slope.reshape(-1, 1).sum(axis=0),
     }
+
+
+TURNABLE = (0, 2)
+"""Numbers of the shapes that look the same after half a turn: cuboid and bow tie."""
+_MIRROR_ACTION = np.array([-1, 1, -1], dtype=np.float32)
+_TURN_ACTION = np.array([-1, -1, 1], dtype=np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Signs:
+    """Signs by which the numbers of an input are multiplied.
+
+    Attributes:
+        mirror: in a mirror with normal x, shape [i].
+        turn: after half a turn about z, shape [i].
+    """
+
+    mirror: FloatArray
+    turn: FloatArray
+
+    def changed(
+        self, inputs: FloatArray, actions: FloatArray, flips: NDArray[np.bool_], turns: NDArray[np.bool_]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return inputs, shape [n, i], and actions, shape [n, 3] or [n, k, 3], the chosen ones mirrored or turned."""
+        inputs = np.where(flips[:, None], inputs * self.mirror, inputs)
+        inputs = np.where(turns[:, None], inputs * self.turn, inputs)
+        rows = flips.reshape(-1, *[1] * (actions.ndim - 1)), turns.reshape(-1, *[1] * (actions.ndim - 1))
+        actions = np.where(rows[0], actions * _MIRROR_ACTION, actions)
+        return inputs, np.where(rows[1], actions * _TURN_ACTION, actions)
+
+    def drawn(
+        self, inputs: FloatArray, actions: FloatArray, turnable: NDArray[np.bool_], random: np.random.Generator
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return inputs and actions, each half of the times mirrored, and turned where half a turn changes nothing."""
+        flips, turns = random.integers(2, size=(2, len(inputs))) == 1
+        return self.changed(inputs, actions, flips, turns & turnable)
+
+
+def both(first: Signs, second: Signs) -> Signs:
+    """Return the signs of two inputs side by side."""
+    return Signs(mirror=np.concatenate([first.mirror, second.mirror]), turn=np.concatenate([first.turn, second.turn]))
+
+
+def _signs(mirror: list[int], turn: list[int]) -> Signs:
+    return Signs(mirror=np.array(mirror, dtype=np.float32), turn=np.array(turn, dtype=np.float32))
+
+
+# x, y, theta; x, y in the gripper's axes; how far the peg is from its command: x, y, z, roll, pitch, yaw; env step;
+# shape, one of three
+STATE = _signs(
+    [-1, 1, -1, -1, 1, -1, 1, 1, 1, -1, -1, 1, 1, 1, 1], [-1, -1, 1, -1, -1, -1, -1, 1, -1, -1, 1, 1, 1, 1, 1]
+)
+# shift x, y, z and turn about x, y, z that were felt; the gripper's x, y, theta; whether theta is known
+_MOMENT = _signs([-1, 1, 1, 1, -1, -1, -1, 1, -1, 1], [-1, -1, 1, -1, -1, 1, -1, -1, 1, 1])
+_STEPS = _signs([1] * MAX_STEPS, [1] * MAX_STEPS)
+HISTORY = both(Signs(mirror=np.tile(_MOMENT.mirror, MAX_STEPS + 1), turn=np.tile(_MOMENT.turn, MAX_STEPS + 1)), _STEPS)

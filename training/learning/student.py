@@ -1,7 +1,12 @@
-"""The student: value of an action by what was felt so far, distilled from the critic's value of it.
+"""The student, its belief, and the assessor that judges its actions.
 
-It learns only from histories whose actions no truth has chosen: those of a privileged actor give the offset away by
-where the gripper has gone.
+The student is the value of an action by what was felt so far, distilled from the critic's value of it. It learns only
+from histories whose actions no truth has chosen: those of a privileged actor give the offset away by where the gripper
+has gone. Its belief is the offset that follows from its networks' first layers; no action depends on it.
+
+The assessor evaluates the student's policy by temporal differences: the value of the next action is that of the one
+which the student would take, by what it would have felt. So what an action tells about the hole has its value, which a
+critic that always knows the truth does not see (asymmetric actor-critic: Pinto et al. 2018, Baisero and Amato 2022).
 """
 
 from collections.abc import Callable, Mapping
@@ -14,13 +19,9 @@ from pydantic import PositiveFloat
 from vitac.evaluator.strict_model import StrictModel
 
 from ..episodes import Episodes
-from ..submission.policy import HISTORY_SIZE, history_features
-from .adam import FloatArray
-from .critic import stack_states
-from .ensemble import Ensemble
-from .fitted_value import Count
-from .network import Layout, Learner, probability
-from .symmetry import HISTORY, TURNABLE
+from ..submission.policy import HISTORY_SIZE, belief_inputs, history_features
+from .critic import STATE_SIZE, Count, Ensemble, FittedValue, FittingPlan, Samples, stack_states, transitions
+from .network import HISTORY, STATE, TURNABLE, FloatArray, Layout, Learner, both, probability
 
 
 class StudentPlan(StrictModel):
@@ -157,3 +158,106 @@ def student_inputs(episodes: Episodes) -> FloatArray:
         for length, end, action_end in zip(episodes.lengths, ends, action_ends, strict=True)
     ]
     return np.concatenate(inputs)
+
+
+_SIGNS = both(STATE, HISTORY)
+
+
+class AssessorPlan(FittingPlan):
+    """How an assessor is learned."""
+
+    networks: Count = 2
+    hidden: Count = 128
+    sweeps: Count = 6
+    epochs: Count = 2
+    batch: Count = 256
+    rate: PositiveFloat = 1e-3
+    discount: float = 0.98
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Assessed:
+    """What an assessor learns from: transitions with the student's inputs before and after them.
+
+    Attributes:
+        before: inputs before the actions.
+        felt: what the student knows after them, shape [n, HISTORY_SIZE].
+        after: inputs after them, shape [n, i].
+        reached: whether they led to success, shape [n].
+        last: whether the episode ended with them, shape [n].
+    """
+
+    before: Samples
+    felt: FloatArray
+    after: FloatArray
+    reached: NDArray[np.bool_]
+    last: NDArray[np.bool_]
+
+
+def assessed(episodes: Episodes) -> Assessed:
+    """Return what an assessor learns from episodes; whose they are does not matter."""
+    known, inputs, rows = transitions(episodes), student_inputs(episodes), episodes.observations
+    return Assessed(
+        before=Samples(
+            inputs=np.concatenate([known.before, inputs[rows]], axis=1), actions=known.actions, turnable=known.turnable
+        ),
+        felt=inputs[rows + 1],
+        after=np.concatenate([known.after, inputs[rows + 1]], axis=1),
+        reached=known.reached,
+        last=known.last,
+    )
+
+
+class Assessor(FittedValue):
+    """Networks that see the truth and what the student knows."""
+
+    def __init__(self, plan: AssessorPlan, random: np.random.Generator) -> None:
+        super().__init__(plan, STATE_SIZE + HISTORY_SIZE, _SIGNS, random)
+        self._plan = plan
+
+    def learn(
+        self,
+        known: Assessed,
+        next_actions: FloatArray,
+        random: np.random.Generator,
+        after_sweep: Callable[[int, float], None],
+    ) -> None:
+        """Learn the value of a student, starting from what is known.
+
+        Args:
+            known: all transitions that there are.
+            next_actions: what the student would do after each, shape [n, 3].
+            random: of the batches.
+            after_sweep: called with the number of each sweep and its mean loss.
+
+        Raises:
+            TrainingDiverged: a loss is no finite number.
+        """
+
+        def targets() -> FloatArray:
+            following = probability(self.log_odds(known.after, next_actions[:, None])[:, 0])
+            going_on = np.where(known.last, np.float32(0.0), np.float32(self._plan.discount) * following)
+            return np.where(known.reached, np.float32(1.0), going_on)
+
+        self._fit(known.before, targets, random, after_sweep)
+
+
+OFFSET = slice(0, 3)
+"""Where a row of `Episodes.truths` has the offset [mm, mm, deg]."""
+_RIDGE = 3e-4
+"""Weight of small weights beside the mean square error, for inputs that hardly differ."""
+
+
+def fit_belief(weights: Mapping[str, FloatArray], episodes: Episodes) -> FloatArray:
+    """Return the weights of the belief, shape [inputs, 3].
+
+    Args:
+        weights: of the student's networks, as `submission.policy.values` takes them.
+        episodes: whose actions no truth has chosen.
+    """
+    looked = episodes.observations
+    inputs = belief_inputs(weights, student_inputs(episodes)[looked]).astype(np.float64)
+    offsets = episodes.truths[looked, OFFSET].astype(np.float64)
+    squares = inputs.T @ inputs / len(inputs)
+    found = np.linalg.solve(squares + _RIDGE * np.eye(len(squares)), inputs.T @ offsets / len(inputs))
+    return np.asarray(found, dtype=np.float32)

@@ -27,9 +27,9 @@ from vitac.envs.tactile.design import SensorDesign
 from vitac.envs.tasks.fidelity import Fidelity, find_fidelity
 from vitac.evaluator.tracks import load_track
 
-from ..charts import Charts
 from ..files import Arrays, FileDamaged, load, save, write_bytes, write_text
 from ..learning.network import TrainingDiverged
+from ..log import Charts
 from ..progress import Progress
 from ..run import OtherRun, Tell, claimed
 from ..sensor import make_sensor

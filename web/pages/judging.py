@@ -6,8 +6,7 @@ from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
 from vitac.evaluator.figures.figures import SensorFigures
-from vitac.evaluator.figures.reference import reference_figures
-from vitac.evaluator.figures.table import FigureRow, make_rows
+from vitac.evaluator.figures.table import FigureRow, make_rows, reference_figures
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.judging import judging as marking
 from vitac.server.judging.sheet import sheets

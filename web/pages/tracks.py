@@ -7,7 +7,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from vitac.envs.maniskill import scenes
 from vitac.envs.maniskill.definition import PREFIX, is_maniskill
-from vitac.evaluator.agent.protocol.action import ACTION_TYPES
+from vitac.evaluator.agent.protocol.frames import ACTION_TYPES
 from vitac.evaluator.tracks import Task
 
 from ..limits import limit_rows, size

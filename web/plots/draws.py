@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vitac.evaluator.scoring.by_draw import rates_by_draw
+from vitac.evaluator.scoring.comparison import rates_by_draw
 from vitac.evaluator.tracks import load_track
 
 from ..rendering import percent
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from markupsafe import Markup
     from vitac.envs.tasks.quantities import Quantity
-    from vitac.evaluator.scoring.by_draw import RateOfPart
+    from vitac.evaluator.scoring.comparison import RateOfPart
     from vitac.server.views.submissions import EpisodeView
 
 _WIDTH, _HEIGHT = 300, 190

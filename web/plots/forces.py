@@ -5,7 +5,7 @@ from statistics import median
 
 from markupsafe import Markup
 from vitac.evaluator.episodes.records import ContactForces, ForceFigures
-from vitac.evaluator.scoring.forces import summarize_forces
+from vitac.evaluator.scoring.score import summarize_forces
 from vitac.server.views.submissions import EpisodeView
 
 from .axis import Axis, below

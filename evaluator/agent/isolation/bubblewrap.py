@@ -15,7 +15,7 @@ from vitac.envs.vision import back_projection
 
 from ..limits import Limits
 from ..verdicts import SandboxFailed
-from .interpreter import Interpreter
+from .packages import Interpreter
 
 OWN_PROCESSES: Final = 3
 """Processes of ours in a sandbox at once: the first, the loader or an episode's, the loaded copy."""

@@ -8,6 +8,7 @@ import signal
 import socket
 import struct
 import subprocess
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,11 +18,48 @@ from ...package_sets import PackageSet
 from ..limits import Limits
 from ..protocol.channel import Channel
 from ..verdicts import SandboxFailed
-from . import bubblewrap, cgroup, interpreter, process_tree, seccomp
+from . import bubblewrap, cgroup, packages, process_tree, seccomp
 from .bubblewrap import UserIsolation
 from .cgroup import MemoryIsolation
 from .output import OutputTail
-from .watchdog import MemoryWatchdog
+
+_INTERVAL_S: Final = 0.1
+
+
+class MemoryWatchdog:
+    """Kills the processes of a sandbox that together hold more resident memory than allowed."""
+
+    def __init__(self, first_pid: int, *, memory_bytes: int) -> None:
+        self._first_pid = first_pid
+        self._memory_bytes = memory_bytes
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="memory-watchdog", daemon=True)
+        self.spared_pid = 0
+        """The loaded copy, which holds nothing that the episode's process does not hold as well."""
+        self.kills = 0
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def look(self) -> None:
+        """Look once."""
+        pids = [pid for pid in process_tree.descendants(self._first_pid) if pid != self.spared_pid]
+        # The first sum counts shared pages for everyone who shares them, but is quick; the second is exact.
+        for size_of in (process_tree.resident_bytes, process_tree.proportional_bytes):
+            if sum(map(size_of, pids)) <= self._memory_bytes:
+                return
+        self.kills += 1
+        process_tree.kill_descendants(self._first_pid, spared_pid=self.spared_pid)
+
+    def _watch(self) -> None:
+        while not self._stop.wait(_INTERVAL_S):
+            self.look()
+
 
 _STATUS: Final = struct.Struct("<ii")
 _START_DEADLINE_S: Final = 20.0
@@ -169,7 +207,7 @@ class Sandbox:
         command = bubblewrap.command(
             program=bubblewrap.find_program(),
             submission=self._submission,
-            interpreter=interpreter.current(self._packages),
+            interpreter=packages.find_interpreter(self._packages),
             limits=self.limits,
             uid=uid,
             descriptors=descriptors,

@@ -1,10 +1,14 @@
-"""Checks of a 2025 text log against itself and the published rules (challenge-facts 6, 7, 13)."""
+"""Checks of a 2025 text log, its summary, and its conversion to JSON lines."""
 
 from collections.abc import Iterator, Sequence
+from datetime import datetime
 from math import cos, hypot, isclose, radians, sin
+from typing import Any, Final
 
+from ...strict_model import StrictModel
+from .messages import TextLogRejected
 from .reader import TextEpisode, TextLog, TextStep
-from .scripts import PegRules, Script, Start, is_printed
+from .scripts import PegRules, Script, Start, find_script, is_printed
 
 
 def check(log: TextLog, script: Script) -> list[str]:
@@ -212,3 +216,104 @@ def _plain(value: object) -> object:
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     return value
+
+
+WHY_RATES_DIFFER: Final = (
+    "Claimed and re-simulated rate differ systematically: in the 2025 simulator the same actions lead to other states, "
+    "from the first env step on. That it stops after 5 Newton iterations explains about a quarter of it."
+)
+
+
+class TextLogSummary(StrictModel):
+    """What a log says, what it claims in its last lines, and what is wrong with it."""
+
+    task: str
+    track: str
+    team: str
+    script_md5: str | None
+    era: str | None = None
+    """Which books it was made with, where there have been several, recognised from its numbers."""
+    episodes: int
+    successes: int
+    success_rate: float
+    claimed_success_rate: float | None
+    claimed_average_steps: float | None
+    problems: tuple[str, ...]
+
+
+def summarize(log: TextLog) -> tuple[Script, TextLogSummary]:
+    """Return the script that wrote a log, and the log's summary.
+
+    Raises:
+        TextLogRejected: its environment is not that of any known script.
+    """
+    script = find_script(log.environment)
+    if script is None:
+        raise TextLogRejected("The environment in the header is not that of any task of the 2025 challenge.")
+    successes = sum(episode.success is True for episode in log.episodes)
+    return script, TextLogSummary(
+        task=script.task,
+        track=script.track,
+        team=log.team or "",
+        script_md5=log.script_md5,
+        era=script.era(hole_top(log, script)),
+        episodes=len(log.episodes),
+        successes=successes,
+        success_rate=successes / len(log.episodes) if log.episodes else 0.0,
+        claimed_success_rate=log.claimed_success_rate,
+        claimed_average_steps=log.claimed_average_steps,
+        problems=(*log.problems, *check(log, script)),
+    )
+
+
+_INFO_KEYS = (
+    "surface_diff_m",
+    "tactile_movement_too_large",
+    "too_many_steps",
+    "error_too_large",
+    "peg_relative_z_mm",
+    "is_success",
+    "relative_motion_mm_deg",
+    "gt_offset_mm_deg",
+)
+
+
+def to_json_lines(log: TextLog, script: Script) -> Iterator[dict[str, Any]]:
+    """Yield one JSON object for each episode that is also in the list, with the start that has its number there.
+
+    `result` is None where the log has none, as at a log's end that was cut off.
+    """
+    starts = script.starts(hole_top(log, script))
+    for episode, start in tests_of_list(log, starts):
+        yield _episode(episode, start, script)
+
+
+def _episode(episode: TextEpisode, start: Start, script: Script) -> dict[str, Any]:
+    results = {True: "SUCCESS", False: "FAIL", None: None}
+    content: dict[str, Any] = {
+        "episode": episode.number,
+        "task": script.task,
+        "shape_index": start.shape_index,
+        "repeat_index": start.repeat_index,
+        "offset_index": start.offset_index,
+        "initial_offset": list(episode.initial_offset or start.offset),
+        "steps": [_step(step) for step in episode.steps],
+        "result": results[episode.success],
+        "t_start": episode.started.isoformat(timespec="milliseconds"),
+        "shape": start.shape,
+        "reset_s": _seconds(episode.started, episode.reset_ended),
+        "wall_s": _seconds(episode.started, episode.ended),
+    }
+    return content | ({"choose_left": start.shape_index} if script.hole_tops_mm else {})
+
+
+def _step(step: TextStep) -> dict[str, Any]:
+    content: dict[str, Any] = {"n": step.n, "action": list(step.action), "wall_s": _seconds(step.started, step.ended)}
+    if step.info:
+        content |= {"offset_obs": list(step.offset or ()), "info_steps": step.info.get("steps")}
+        content |= {key: step.info[key] for key in _INFO_KEYS if key in step.info} | {"reward": step.reward}
+    return content
+
+
+def _seconds(start: datetime, end: datetime | None) -> float | None:
+    return round((end - start).total_seconds(), 3) if end else None

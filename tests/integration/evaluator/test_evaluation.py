@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from vitac.envs.errors import VitacError
-from vitac.evaluator.agent.isolation import interpreter
+from vitac.evaluator.agent.isolation import packages
 from vitac.evaluator.agent.session import PolicySession
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 from vitac.evaluator.episodes.episode import make_environment
@@ -259,11 +259,11 @@ def test_a_package_installed_beside_the_evaluator_is_not_there_for_policies_and_
     (site / "IPython" / "__init__.py").touch()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: ipython\nVersion: 9.18.1\n")
     (info / "RECORD").write_text("IPython/__init__.py,,\nipython-9.18.1.dist-info/METADATA,,\n")
-    folders = interpreter._package_folders()
-    monkeypatch.setattr(interpreter, "_package_folders", lambda: (*folders, site))
+    folders = packages._package_folders()
+    monkeypatch.setattr(packages, "_package_folders", lambda: (*folders, site))
     monkeypatch.setattr(sys, "path", [*sys.path, str(site)])
     assert find_spec("IPython") is not None
-    assert "ipython" not in interpreter.installed_packages().versions
+    assert "ipython" not in packages.installed_packages().versions
     with pytest.raises(PolicyFailed, match="ModuleNotFoundError"):
         import_in_sandbox(tmp_path, "IPython")
     import_in_sandbox(tmp_path, "numpy")

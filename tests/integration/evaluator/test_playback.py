@@ -9,7 +9,7 @@ from unpacked_files import unpack
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome
 from vitac.evaluator.episodes.replay import resimulate
-from vitac.evaluator.playback.order import SCENE_FILE, STILL_FILE, PlaybackOrder
+from vitac.evaluator.playback.making import SCENE_FILE, STILL_FILE, PlaybackOrder
 from vitac.evaluator.playback.process import making
 from vitac.evaluator.tracks import find_task
 

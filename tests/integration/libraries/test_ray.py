@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 from vitac.envs.tasks.fidelity import Fidelity
-from vitac.training.actors import ActorKind
-from vitac.training.collection import Batch, collect
+from vitac.training.collection import ActorKind, Batch, collect
 from vitac.training.demonstrations.collecting import collect as collect_demonstrations
 from vitac.training.pool import map_in_order
 from vitac.training.streams import Use

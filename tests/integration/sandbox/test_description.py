@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from vitac.evaluator.agent import description
 from vitac.evaluator.agent.description import describe_sandbox
-from vitac.evaluator.agent.isolation.interpreter import installed_packages
+from vitac.evaluator.agent.isolation.packages import installed_packages
 from vitac.evaluator.agent.session import PolicySession
 from vitac.evaluator.agent.verdicts import PolicyFailed, SandboxFailed
 

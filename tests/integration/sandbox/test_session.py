@@ -19,9 +19,8 @@ from submissions import submission_folder
 from vitac.evaluator.agent.isolation import cgroup
 from vitac.evaluator.agent.isolation.cgroup import MemoryIsolation
 from vitac.evaluator.agent.isolation.process_tree import descendants
-from vitac.evaluator.agent.limits import MIB, Limits
+from vitac.evaluator.agent.limits import MIB, Limits, StartTimes
 from vitac.evaluator.agent.session import EpisodeIsolation, EpisodePolicy, PolicySession
-from vitac.evaluator.agent.start_times import StartTimes
 from vitac.evaluator.agent.verdicts import PolicyFailed, SandboxFailed, VerdictCode
 from worker_fakes import eventually
 

@@ -25,10 +25,9 @@ from vitac.server.db.models import EpisodeResult, Shard, Station, Worker
 from vitac.server.db.states import ShardState
 from vitac.server.principals import CONSOLE
 from vitac.server.stations import stations
-from vitac.station.track import make_station_track
+from vitac.station.description import make_station_track
 from vitac.station.twin.hidden import PUBLIC_SETTINGS
-from vitac.station.twin.laboratory import TwinStation, twin_station
-from vitac.station.twin.process import twin_process
+from vitac.station.twin.laboratory import TwinStation, twin_process, twin_station
 from worker_fakes import eventually
 
 MAIN = "import sys; from vitac.cli.main import main; main(sys.argv[1:])"

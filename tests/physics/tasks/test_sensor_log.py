@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from vitac.envs.fem.model.settings import SolverSettings
 from vitac.envs.scene.grasped_scene import PhysicsSettings
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
-from vitac.evaluator.logs.recorded_files import read_recordings
 from vitac.evaluator.logs.recordings import Recording
+from vitac.evaluator.logs.resimulation import read_recordings
 from vitac.evaluator.tracks import load_track
 
 FloatArray = NDArray[np.float64]

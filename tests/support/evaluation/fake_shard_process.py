@@ -18,8 +18,7 @@ from vitac.evaluator.agent.verdicts import SandboxFailed
 from vitac.evaluator.estimator import calibration
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.shards import execution, host
-from vitac.evaluator.shards.order import ShardOrder
-from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.submission.manifest import SubmissionManifest
 from vitac.evaluator.tracks import Task
 from vitac.evaluator.tracks.cut import Shard

@@ -10,7 +10,7 @@ from vitac.evaluator.episodes.episode import Environment, make_environment
 from vitac.evaluator.episodes.provenance import make_manifest
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
 from vitac.evaluator.episodes.replay import resimulate
-from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.shards.order import ShardEnd, ShardResult
 from vitac.evaluator.tracks import find_task
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult, Submission

@@ -26,10 +26,10 @@ from vitac.evaluator.episodes.records import (
 )
 from vitac.evaluator.logs.findings import Divergence, LogFinding
 from vitac.evaluator.scoring.score import Score, rate
-from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.shards.order import ShardEnd, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, find_task
-from vitac.evaluator.tracks.versions import compute_hash, find_version
+from vitac.evaluator.tracks.registry import compute_hash, find_version
 from vitac.evaluator.version import evaluator_hash, evaluator_version, platform_class
 from vitac.server import tokens
 from vitac.server.cache import Cache

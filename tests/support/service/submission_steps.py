@@ -12,7 +12,7 @@ from service_factories import (
     shard_ids,
     store,
 )
-from vitac.evaluator.shards.result import ShardEnd
+from vitac.evaluator.shards.order import ShardEnd
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission, Worker

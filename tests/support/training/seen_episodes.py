@@ -5,11 +5,10 @@ from pathlib import Path
 
 import numpy as np
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, Manifest
-from vitac.training.demonstrations.demonstration import Demonstration, DemonstrationKind, Source
-from vitac.training.demonstrations.frames import Frames
+from vitac.training.demonstrations.collecting import Demonstration, DemonstrationKind, Source
+from vitac.training.demonstrations.frames import Frames, Origin, StoredEpisode, write_origin
 from vitac.training.demonstrations.lerobot.layout import Feature, Version, list_features
 from vitac.training.demonstrations.lerobot.writing import write_lerobot
-from vitac.training.demonstrations.origin import Origin, StoredEpisode, write_origin
 
 FPS = 4.0
 CAMERA = "observation.images.view"

@@ -7,8 +7,8 @@ from typing import Any
 from uuid import UUID
 
 from own_sensors import GELS, write_sensor
-from vitac.evaluator.figures.reference import reference_figures
-from vitac.evaluator.scoring.gain import SensingGain
+from vitac.evaluator.figures.table import reference_figures
+from vitac.evaluator.scoring.comparison import SensingGain
 from vitac.evaluator.sensors.appearance import appearance
 from vitac.evaluator.sensors.check import accepted_sensor
 from vitac.evaluator.sensors.made import MadeSensor, made_sensor

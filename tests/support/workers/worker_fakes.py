@@ -11,8 +11,7 @@ from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FiguresPart
 from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.host_process import ShardProcessFailed
-from vitac.evaluator.shards.order import ShardOrder
-from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
 

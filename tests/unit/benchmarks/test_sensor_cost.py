@@ -13,7 +13,7 @@ from own_sensors import write_sensor
 from sensors import cost
 from vitac.envs.fem.scene.scene import StepStatus
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.evaluator.figures.reference import reference_design
+from vitac.evaluator.figures.table import reference_design
 
 MARKERS = 5
 

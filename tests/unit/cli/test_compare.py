@@ -10,7 +10,7 @@ from vitac.cli import compare
 from vitac.cli import main as cli
 from vitac.cli.client.http import Client
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
-from vitac.evaluator.evaluation.report import EvaluationReport
+from vitac.evaluator.evaluation.local import EvaluationReport
 from vitac.evaluator.logs.log import LogHeader, write_log
 
 A, B = "11111111-1111-1111-1111-111111111111", "22222222-2222-2222-2222-222222222222"

@@ -9,7 +9,7 @@ from vitac.cli import main as cli
 from vitac.cli.evaluate import Progress, parse_episodes
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import result_hash
-from vitac.evaluator.evaluation.report import EvaluationReport
+from vitac.evaluator.evaluation.local import EvaluationReport
 from vitac.evaluator.logs.log import LogReader
 
 pytestmark = pytest.mark.usefixtures("one_fake_host")

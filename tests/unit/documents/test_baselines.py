@@ -26,7 +26,7 @@ from toy_peg import ToyPeg
 from trained_policy import figures, fresh_starts, played, public_starts
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.tracks import load_track
-from vitac.training.actors import random_actor
+from vitac.training.collection import random_actor
 from vitac.training.episodes import play
 from vitac.training.streams import Use, stream
 

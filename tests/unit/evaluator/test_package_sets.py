@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 from vitac.evaluator import package_sets
-from vitac.evaluator.agent.isolation.interpreter import installed_packages
+from vitac.evaluator.agent.isolation.packages import installed_packages
 from vitac.evaluator.package_sets import (
     PackageSet,
     UnknownPackageSet,

@@ -8,7 +8,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from vitac.evaluator import tracks
-from vitac.evaluator.strict_yaml import UNTRUSTED_MAX_DEPTH, UNTRUSTED_MAX_NODES, UniqueKeyLoader, UntrustedLoader
+from vitac.evaluator.strict_model import UNTRUSTED_MAX_DEPTH, UNTRUSTED_MAX_NODES, UniqueKeyLoader, UntrustedLoader
 
 BOTH = pytest.mark.parametrize("loader", [UniqueKeyLoader, UntrustedLoader])
 PLAIN = st.recursive(

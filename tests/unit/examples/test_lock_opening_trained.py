@@ -13,8 +13,8 @@ from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.evaluator.tracks import load_track
 from vitac.training.export import LARGEST_BYTES
+from vitac.training.search.method import read_search_recipe
 from vitac.training.search.policy import ACTIONS, FEATURES
-from vitac.training.search.recipe import read_search_recipe
 from vitac.training.streams import Use, stream
 
 TASK = "lock-opening"

@@ -9,14 +9,13 @@ import pytest
 from vitac.evaluator.strict_model import validate
 from vitac.station.check import Rule, check_station
 from vitac.station.description import StationDescription
-from vitac.station.devices.depth_camera import Intrinsics
-from vitac.station.devices.device import Identity
+from vitac.station.devices.cameras import Intrinsics
 from vitac.station.devices.gripper import Gripper
-from vitac.station.devices.stage import Stage
+from vitac.station.devices.stage import Identity, Stage
 from vitac.station.twin.force_torque import ForceTorqueFault
+from vitac.station.twin.gel_view import SMALL_CAMERA, marker_grid
 from vitac.station.twin.gripper import GripperFault
 from vitac.station.twin.laboratory import TwinStation
-from vitac.station.twin.pressed_gel import SMALL_CAMERA, marker_grid
 
 
 def problems(twins: TwinStation) -> dict[str, list[tuple[Rule, str]]]:
@@ -139,7 +138,7 @@ def test_depth_camera_is_compared_with_what_it_has_stored(
             self.intrinsics = lambda: Intrinsics(width=640, height=480, fx=focal_px, fy=610.0, cx=318.0, cy=242.0)
             self.read = lambda: None
 
-    monkeypatch.setattr("vitac.station.devices.depth_camera.DepthCamera", Camera)
+    monkeypatch.setattr("vitac.station.devices.cameras.DepthCamera", Camera)
     measured = {"width": 640, "height": 480, "fx": 612, "fy": 611, "cx": 320, "cy": 240}
     twins.description["depth_camera"] = {
         "serial_number": "821312061234",

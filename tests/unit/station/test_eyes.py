@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vitac.station.devices.device import DeviceFault
+from vitac.station.devices.stage import DeviceFault
 from vitac.station.eyes import Eyes, Side
-from vitac.station.perception.tracker import DROPPED_PICTURES
-from vitac.station.twin.pressed_gel import SMALL_CAMERA, marker_grid
+from vitac.station.perception.markers import DROPPED_PICTURES
+from vitac.station.twin.gel_view import SMALL_CAMERA, marker_grid
 
 Picture = np.ndarray
 

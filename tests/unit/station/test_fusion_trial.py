@@ -15,13 +15,13 @@ from vitac.evaluator.strict_model import validate
 from vitac.evaluator.tracks import Episode, load_track
 from vitac.station.check import check_station
 from vitac.station.description import Prompts, StationDescription, StationTask
-from vitac.station.fusion_trial import FusionTrial
-from vitac.station.opened import OpenStation, open_station
+from vitac.station.eyes import OpenStation, open_station
 from vitac.station.outcome import TrialOutcome
 from vitac.station.trial import Attempt
+from vitac.station.trials import FusionTrial
 from vitac.station.twin.grasp import Mounted
 from vitac.station.twin.hidden import HiddenSettings
-from vitac.station.twin.process import twin_process
+from vitac.station.twin.laboratory import twin_process
 
 TASK = load_track("track_2").tasks["fusion-insertion"]
 START = (0.0, 6.0, 0.0, 3.0, 1.0)

@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from vitac.evaluator.strict_model import validate
 from vitac.station.description import StationDescription
-from vitac.station.devices.device import DeviceFault
 from vitac.station.devices.force_torque import ForceTorqueSensor
 from vitac.station.devices.gripper import Gripper
-from vitac.station.devices.stage import Pose, Stage, StageState
-from vitac.station.guard import Guard, StationStopped
-from vitac.station.limits import LimitPassed
+from vitac.station.devices.stage import DeviceFault, Pose, Stage, StageState
+from vitac.station.guard import Guard, LimitPassed, StationStopped
 from vitac.station.twin.force_torque import ForceTorqueFault
 from vitac.station.twin.laboratory import TwinStation
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from vitac.station.devices.stage import Pose
-from vitac.station.limits import feed_of
+from vitac.station.guard import feed_of
 
 PLACES = st.floats(-50, 50).map(lambda value: round(value, 3))
 POSES = st.builds(Pose, PLACES, PLACES, PLACES, PLACES)

@@ -9,7 +9,7 @@ import pytest
 from vitac.station.devices.force_torque import Wrench
 from vitac.station.devices.gripper import Grasp, GripperStatus
 from vitac.station.devices.stage import StageState
-from vitac.station.perception.tracker import MarkerFlow
+from vitac.station.perception.markers import MarkerFlow
 from vitac.station.preflight import PreflightRefused, check_held, check_ready
 
 

@@ -16,14 +16,12 @@ from vitac.evaluator.episodes.reading import Observation, make_reading
 from vitac.evaluator.strict_model import validate
 from vitac.evaluator.tracks import Episode, load_track
 from vitac.station.description import StationDescription
-from vitac.station.opened import NoProcedure, OpenStation, open_station
+from vitac.station.eyes import NoProcedure, OpenStation, open_station
 from vitac.station.outcome import TrialOutcome
 from vitac.station.trial import Attempt, Trial
 from vitac.station.twin.bench import HOLE
-from vitac.station.twin.faults import Fault
-from vitac.station.twin.hidden import HiddenSettings
-from vitac.station.twin.laboratory import TwinStation
-from vitac.station.twin.process import RunningTwin, twin_process
+from vitac.station.twin.hidden import Fault, HiddenSettings
+from vitac.station.twin.laboratory import RunningTwin, TwinStation, twin_process
 
 TASK = load_track("track_1").tasks["peg-insertion"]
 START = (2.0, -1.5, 3.0)

@@ -11,17 +11,14 @@ import pytest
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 from vitac.evaluator.episodes.reading import make_reading
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.evaluator.shards.order import ShardOrder
-from vitac.evaluator.shards.result import ShardEnd
+from vitac.evaluator.shards.order import ShardEnd, ShardOrder
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Episode, load_track
 from vitac.station import agent, trials
 from vitac.station.agent import StationShard, StationShards, TrialNotPlayed, make_record
-from vitac.station.devices.device import DeviceNotFound
-from vitac.station.devices.stage import Pose
+from vitac.station.devices.stage import DeviceNotFound, Pose
 from vitac.station.outcome import ATTEMPTS, TrialOutcome
-from vitac.station.records import TrialRecord
-from vitac.station.rehearsal import RehearsalReport
+from vitac.station.rehearsal import RehearsalReport, TrialRecord
 from vitac.station.trial import Attempt
 from vitac.station.trials import Player
 

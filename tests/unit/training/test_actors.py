@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from toy_peg import ToyPeg
-from vitac.training.actors import MOTION, ActorKind, critic_actor, guided_actor, random_actor, student_actor
+from vitac.training.collection import MOTION, ActorKind, critic_actor, guided_actor, random_actor, student_actor
 from vitac.training.episodes import Moment, play
 from vitac.training.learning.critic import Critic, CriticPlan, stack_states
 from vitac.training.learning.network import Layout, new_parameters

@@ -6,7 +6,7 @@ from types import ModuleType, SimpleNamespace
 from typing import Any, BinaryIO
 
 import pytest
-from vitac.training.charts import FOLDER, Charts
+from vitac.training.log import FOLDER, Charts
 
 ROW = {"round": 2, "env_steps": 90, "student": {"episodes": 10, "interval": {"low": 0.25}}}
 
@@ -53,7 +53,7 @@ def tensorboard(monkeypatch: pytest.MonkeyPatch) -> None:
         made = ModuleType(name)
         vars(made).update(content)
         monkeypatch.setitem(sys.modules, name, made)
-    monkeypatch.setattr("vitac.training.charts.find_spec", lambda _: object())
+    monkeypatch.setattr("vitac.training.log.find_spec", lambda _: object())
 
 
 def lines(run: Path) -> list[str]:
@@ -140,7 +140,7 @@ def test_a_broken_tensorboard_is_told_once(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_nothing_is_written_without_tensorboard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vitac.training.charts.find_spec", lambda _: None)
+    monkeypatch.setattr("vitac.training.log.find_spec", lambda _: None)
     with Charts(tmp_path, print) as charts:
         charts.add_row(1, ROW)
         charts.add_loss(1, "critic", 0.5)

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from toy_peg import ToyPeg
-from vitac.training.actors import ActorKind
-from vitac.training.collection import FILE_EPISODES, Batch, Networks, _versions, collect
+from vitac.training.collection import FILE_EPISODES, ActorKind, Batch, Networks, _versions, collect
 from vitac.training.episodes import TASK
 from vitac.training.learning.critic import Critic, CriticPlan
 from vitac.training.learning.student import Student, StudentPlan, make_weights

@@ -5,8 +5,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
-from vitac.training.curve_drawing import draw_curves
-from vitac.training.curves import Curve, NoCurve, Point, make_page, read_curves, write_curves
+from vitac.training.curves import Curve, NoCurve, Point, draw_curves, make_page, read_curves, write_curves
 
 
 def curve(seed: int, *successes: int, method: str = "train clone", wanted: int | None = None) -> Curve:

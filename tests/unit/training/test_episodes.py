@@ -106,7 +106,7 @@ def test_an_episode_ends_at_success_or_when_its_steps_are_used_up() -> None:
 
 
 def test_an_episode_is_the_same_whatever_was_played_before() -> None:
-    from vitac.training.actors import random_actor
+    from vitac.training.collection import random_actor
 
     alone, among = play(ToyPeg(), random_actor, 5, [7]), play(ToyPeg(), random_actor, 5, [3, 7])
     for name, array in alone.arrays().items():

@@ -5,12 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 from toy_peg import ToyPeg
-from vitac.training.actors import ActorKind, guided_actor, random_actor
+from vitac.training.collection import ActorKind, guided_actor, random_actor
 from vitac.training.episodes import play
 from vitac.training.learners import Known, Learners
-from vitac.training.learning.assessor import AssessorPlan
 from vitac.training.learning.critic import CriticPlan
-from vitac.training.learning.student import StudentPlan
+from vitac.training.learning.student import AssessorPlan, StudentPlan
 from vitac.training.recipe import Recipe
 
 RECIPE = Recipe(

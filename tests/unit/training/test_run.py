@@ -14,12 +14,11 @@ from toy_peg import ToyPeg
 from vitac.envs.tasks.fidelity import Fidelity
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.version import evaluator_parts
-from vitac.training.charts import FOLDER, Charts
 from vitac.training.files import FileDamaged
-from vitac.training.learning.assessor import AssessorPlan
 from vitac.training.learning.critic import CriticPlan
 from vitac.training.learning.network import Learner, TrainingDiverged
-from vitac.training.learning.student import StudentPlan
+from vitac.training.learning.student import AssessorPlan, StudentPlan
+from vitac.training.log import FOLDER, Charts
 from vitac.training.recipe import Recipe
 from vitac.training.run import Folder, OtherRun, RoundResult, Run, best, format_rate, read_results
 from vitac.training.streams import StreamRefused, Use, stream
@@ -339,7 +338,7 @@ def test_charts_that_cannot_be_written_do_not_stop_a_run(tmp_path: Path, monkeyp
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("vitac.training.charts.find_spec", lambda _: object())
+    monkeypatch.setattr("vitac.training.log.find_spec", lambda _: object())
     monkeypatch.setattr(Charts, "_write", fail)
     lines: list[str] = []
     assert [result.number for result in run(tmp_path, lines=lines).go()] == [1, 2]

@@ -6,7 +6,7 @@ from vitac.envs.maniskill.abilities import Abilities
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.isolation.packages import PolicyPackages
 from vitac.evaluator.package_sets import PackageSet, locked_versions
-from vitac.evaluator.tracks.versions import find_version
+from vitac.evaluator.tracks.registry import find_version
 from vitac.evaluator.version import evaluator_version
 from vitac.server.queue.declared import explain_other_evaluator, explain_other_tracks
 from vitac.server.queue.jobs import queue_name

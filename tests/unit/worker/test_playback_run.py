@@ -9,7 +9,7 @@ import pytest
 from asked_playbacks import Played, played
 from shown_sensors import a_made_sensor
 from sqlalchemy import text
-from vitac.evaluator.playback.order import CAMERAS_FILE, SCENE_FILE, PlaybackOrder
+from vitac.evaluator.playback.making import CAMERAS_FILE, SCENE_FILE, PlaybackOrder
 from vitac.evaluator.playback.process import MakingBroke, PlaybackFailed
 from vitac.server.db.models import Playback
 from vitac.server.db.states import PlaybackState

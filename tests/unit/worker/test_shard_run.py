@@ -33,8 +33,7 @@ from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FiguresPart
 from vitac.evaluator.package_sets import digest_of_packages
 from vitac.evaluator.shards.host_process import ShardProcessFailed
-from vitac.evaluator.shards.order import ShardOrder
-from vitac.evaluator.shards.result import ShardResult
+from vitac.evaluator.shards.order import ShardOrder, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.competition import sealing
 from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission, SubmissionFile

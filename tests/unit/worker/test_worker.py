@@ -11,9 +11,8 @@ from service_factories import make_principal, make_record, make_upload, shard_id
 from sqlalchemy import select, text
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord
-from vitac.evaluator.playback.order import SCENE_FILE, PlaybackOrder
-from vitac.evaluator.shards.order import ShardOrder
-from vitac.evaluator.shards.result import ShardResult
+from vitac.evaluator.playback.making import SCENE_FILE, PlaybackOrder
+from vitac.evaluator.shards.order import ShardOrder, ShardResult
 from vitac.server.db.models import EpisodeResult, Playback, Shard, Submission
 from vitac.server.db.states import EvaluationState, PlaybackState, ShardState, WorkerOrder
 from vitac.server.evaluations import lifecycle

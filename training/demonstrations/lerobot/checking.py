@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .layout import INDICES, INFO, STATS, Version, format_path
-from .video import measure_video
+from .writing import measure_video
 
 _TIME_TOLERANCE_S = 1e-4
 """How far a time may be from its frame; that of LeRobot."""

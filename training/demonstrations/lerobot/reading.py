@@ -12,8 +12,8 @@ from vitac.envs.errors import VitacError
 from vitac.evaluator.episodes.records import ActionSequence
 
 from ...files import write_bytes
-from ..demonstration import FILE, Demonstration, Source, make_line
-from ..origin import ORIGIN, NotOurs, Origin, StoredEpisode, read_origin
+from ..collecting import FILE, Demonstration, Source, make_line
+from ..frames import ORIGIN, NotOurs, Origin, StoredEpisode, read_origin
 from .checking import check_lerobot
 from .layout import INFO, STATE_HASH, Version, format_path
 

@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
+from vitac.envs.errors import VitacError
 
 from ...files import write_text
-from ..demonstration import Source
+from ..collecting import Source
 from ..frames import Frames
 from .layout import (
     FILES_OF_A_CHUNK,
@@ -16,16 +18,122 @@ from .layout import (
     STATE_HASH,
     STATS,
     Feature,
+    Total,
     Version,
+    as_lists,
+    describe_episode,
     format_path,
     make_info,
 )
-from .statistics import Total, as_lists, describe_episode
-from .tables import make_column, write_table, write_tasks
-from .video import VideoFile
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+
+def make_column(values: Any, feature: Feature) -> "pa.Array":
+    """Return the entries of a column: numbers, lists of a fixed length, or lists of lists where it has more axes."""
+    import pyarrow as pa
+
+    if feature.dtype == "string":
+        return pa.array(values, pa.string())
+    array = np.asarray(values, dtype=feature.dtype)
+    column = pa.array(array.reshape(-1))
+    if feature.shape == (1,):
+        return column
+    if len(feature.shape) == 1:
+        return pa.FixedSizeListArray.from_arrays(column, feature.shape[0])
+    for length in reversed(feature.shape):
+        offsets = np.arange(0, len(column) + 1, length, dtype=np.int32)
+        column = pa.ListArray.from_arrays(offsets, column)
+    return column
+
+
+def write_table(path: Path, parts: Sequence[Mapping[str, Any]]) -> None:
+    """Write a table of parts with the same columns, or of rows."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if isinstance(next(iter(parts[0].values())), pa.Array):
+        table = pa.concat_tables(pa.table(dict(part)) for part in parts)
+    else:
+        table = pa.Table.from_pylist([dict(part) for part in parts])
+    parquet.write_table(table.combine_chunks(), path)
+
+
+def write_tasks(path: Path, tasks: Sequence[str]) -> None:
+    """Write the tasks as version 3.0 has them: a data frame of pandas whose index is the text."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    index = "__index_level_0__"
+    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), index: pa.array(tasks, pa.string())})
+    described: list[dict[str, Any]] = [
+        {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64"},
+        {"name": None, "field_name": index, "pandas_type": "unicode", "numpy_type": "object"},
+    ]
+    pandas: dict[str, Any] = {
+        "index_columns": [index],
+        "column_indexes": [],
+        "columns": [{**each, "metadata": None} for each in described],
+        "pandas_version": "2.0.0",
+    }
+    parquet.write_table(table.replace_schema_metadata({"pandas": json.dumps(pandas)}), path)
+
+
+_CODEC = "mp4v"
+
+
+class VideoNotWritten(VitacError):
+    """OpenCV cannot write a video here; install its own build, with FFmpeg."""
+
+
+class VideoFile:
+    """A video that is written.
+
+    Args:
+        path: of the file.
+        fps: pictures per second.
+        size: height and width [px].
+
+    Raises:
+        VideoNotWritten: OpenCV cannot.
+    """
+
+    def __init__(self, path: Path, *, fps: float, size: tuple[int, int]) -> None:
+        import cv2
+
+        path.parent.mkdir(parents=True, exist_ok=True)
+        code = cv2.VideoWriter.fourcc(*_CODEC)
+        self._writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, code, fps, size[::-1])
+        if not self._writer.isOpened():
+            raise VideoNotWritten(
+                f"{path} cannot be written, because OpenCV has no encoder for {_CODEC}; expected "
+                "opencv-python-headless. Install that."
+            )
+
+    def add(self, pictures: Iterable[NDArray[np.uint8]]) -> None:
+        """Add pictures in red, green and blue, shape [h, w, 3] each."""
+        for picture in pictures:
+            self._writer.write(np.ascontiguousarray(picture[..., ::-1]))
+
+    def close(self) -> None:
+        """Write what is left."""
+        self._writer.release()
+
+
+def measure_video(path: Path) -> tuple[int, float]:
+    """Return the number of pictures and the pictures per second; 0 pictures where it is no video."""
+    import cv2
+
+    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        count = 0
+        while video.isOpened() and video.grab():
+            count += 1
+        return count, float(video.get(cv2.CAP_PROP_FPS))
+    finally:
+        video.release()
 
 
 def write_lerobot(

@@ -13,7 +13,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from vitac.envs.maniskill.definition import is_maniskill
 from vitac.envs.tasks.definition import Family
-from vitac.evaluator.playback.order import NotPlayable, require_playable
+from vitac.evaluator.playback.making import NotPlayable, require_playable
 from vitac.evaluator.tracks import Task, load_track
 from vitac.server.api.attempts import get_client_address
 from vitac.server.db.models import EpisodeResult

@@ -10,8 +10,7 @@ from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from vitac.evaluator.figures.figures import SensorFigures
-from vitac.evaluator.figures.reference import reference_figures, reference_looks
-from vitac.evaluator.figures.table import make_rows
+from vitac.evaluator.figures.table import make_rows, reference_figures, reference_looks
 from vitac.evaluator.sensors.appearance import Appearance, appearance
 from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.server.principals import Principal

@@ -1,6 +1,5 @@
 import pytest
-from vitac.evaluator.agent.limits import Limits
-from vitac.evaluator.agent.shard_time import ShardTime
+from vitac.evaluator.agent.limits import Limits, ShardTime
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 
 

@@ -1,7 +1,7 @@
 from itertools import accumulate
 
 import pytest
-from vitac.evaluator.agent.start_times import StartTimes, default_period_s
+from vitac.evaluator.agent.limits import StartTimes, default_period_s
 from vitac.evaluator.agent.verdicts import SandboxFailed
 
 

@@ -4,8 +4,8 @@ import pytest
 from evaluation_records import make_manifest, make_record
 from fake_scene import report
 from vitac.envs.fem.scene.scene import StepStatus
-from vitac.evaluator.episodes.forces import OVER_FORCE_N, ForceTrace
 from vitac.evaluator.episodes.records import ContactForces, EpisodeRecord, result_hash
+from vitac.evaluator.episodes.traces import OVER_FORCE_N, ForceTrace
 
 
 def info(*forces_n: float, status: StepStatus = StepStatus.CONVERGED) -> dict[str, Any]:

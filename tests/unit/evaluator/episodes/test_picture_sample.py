@@ -1,7 +1,7 @@
 import hashlib
 
-from vitac.evaluator.episodes.picture_sample import PictureSample
 from vitac.evaluator.episodes.records import SampledPicture
+from vitac.evaluator.episodes.traces import PictureSample
 from vitac.evaluator.tracks import Episode
 
 

@@ -7,8 +7,7 @@ import pytest
 from own_sensors import design, write_sensor
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.estimator import calibration
-from vitac.evaluator.estimator.calibration import SEED, calibrate, calibrated
-from vitac.evaluator.estimator.features import COUNT
+from vitac.evaluator.estimator.calibration import COUNT, SEED, calibrate, calibrated
 from vitac.evaluator.tracks import list_tracks, load_track
 
 TASK = load_track("track_3").tasks["sensor-standard"]

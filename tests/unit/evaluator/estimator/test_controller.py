@@ -2,7 +2,7 @@ from collections.abc import Sequence
 from math import cos, radians, sin
 
 import pytest
-from vitac.evaluator.estimator.controller import Controller, append_motion, move_offset, rotate_to_gripper
+from vitac.evaluator.estimator.calibration import Controller, append_motion, move_offset, rotate_to_gripper
 from vitac.evaluator.estimator.regression import Coefficients, Regression
 
 SCALE = (2.0, 2.0, 4.0)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from vitac.evaluator.estimator.features import COUNT, compute_features
+from vitac.evaluator.estimator.calibration import COUNT, compute_features
 
 
 def flow(motion: NDArray[np.float64] | tuple[float, float], markers: int = 40, total: int = 128) -> NDArray[np.float32]:

@@ -1,6 +1,5 @@
 import numpy as np
-from vitac.evaluator.estimator.features import COUNT
-from vitac.evaluator.estimator.playing import EstimatorSession
+from vitac.evaluator.estimator.calibration import COUNT, EstimatorSession
 from vitac.evaluator.estimator.regression import Coefficients, Regression
 
 SCALE = (2.0, 2.0, 4.0)

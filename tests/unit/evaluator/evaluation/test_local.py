@@ -9,8 +9,7 @@ from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.evaluation.local import Evaluation, evaluate
 from vitac.evaluator.evaluation.stored_shards import FinishedShard
 from vitac.evaluator.shards.host_process import ShardProcessFailed
-from vitac.evaluator.shards.order import ShardOrder
-from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import UnknownEpisodes
 

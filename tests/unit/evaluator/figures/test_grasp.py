@@ -2,7 +2,7 @@ import numpy as np
 import own_sensors
 import pytest
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
-from vitac.evaluator.figures.grasp import START, grasp_figures, smallest_det_f
+from vitac.evaluator.figures.starts import START, grasp_figures, smallest_det_f
 
 
 def grasped(name: str, *, indentation_mm: float) -> PegInsertionEnv:

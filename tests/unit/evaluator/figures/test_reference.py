@@ -1,12 +1,7 @@
 import numpy as np
 import pytest
 from vitac.evaluator.figures.figures import FORMAT, Variation
-from vitac.evaluator.figures.reference import (
-    make_reference_looks,
-    reference_design,
-    reference_figures,
-    reference_looks,
-)
+from vitac.evaluator.figures.table import make_reference_looks, reference_design, reference_figures, reference_looks
 from vitac.evaluator.figures.touch import touch_figures
 
 

@@ -6,8 +6,7 @@ import pytest
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.estimator.calibration import calibrate
 from vitac.evaluator.figures.figures import StartFigures, Variation
-from vitac.evaluator.figures.grasp import grasp_figures
-from vitac.evaluator.figures.starts import Measurement, measured_episodes, refined_design
+from vitac.evaluator.figures.starts import Measurement, grasp_figures, measured_episodes, refined_design
 from vitac.evaluator.tracks import Task, load_track
 
 TASK = load_track("track_3").tasks["sensor-blind"]

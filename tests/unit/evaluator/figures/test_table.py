@@ -1,5 +1,4 @@
-from vitac.evaluator.figures.reference import reference_figures
-from vitac.evaluator.figures.table import list_missing_rows, make_rows
+from vitac.evaluator.figures.table import list_missing_rows, make_rows, reference_figures
 
 
 def test_every_figure_has_a_value_beside_that_of_the_reference_gel() -> None:

@@ -7,8 +7,7 @@ import pytest
 from measured_figures import GRASP
 from vitac.envs.tactile.design import SensorDesign
 from vitac.evaluator.figures.figures import FiguresPart, SensorFigures, TouchFigures, merged
-from vitac.evaluator.figures.reference import reference_figures
-from vitac.evaluator.figures.table import make_rows
+from vitac.evaluator.figures.table import make_rows, reference_figures
 from vitac.evaluator.figures.touch import touch_figures
 
 

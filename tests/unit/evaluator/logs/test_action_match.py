@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 from vitac.evaluator.episodes.episode import run_episode
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
-from vitac.evaluator.logs.action_match import ActionMatch, EpisodeMatch, compare_actions, match_actions
+from vitac.evaluator.logs.comparison import ActionMatch, EpisodeMatch, compare_actions, match_actions
 
 TASK = small_track().tasks["peg-insertion"]
 

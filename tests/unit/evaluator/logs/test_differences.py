@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from evaluation_records import make_manifest, make_record
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
-from vitac.evaluator.logs.differences import LogDifference, first_difference
+from vitac.evaluator.logs.comparison import LogDifference, first_difference
 from vitac.evaluator.logs.log import LogHeader
 
 HEADER = LogHeader(team="Touch", manifest=make_manifest())

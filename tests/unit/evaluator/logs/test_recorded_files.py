@@ -11,8 +11,8 @@ import pytest
 from evaluation_records import make_manifest, make_record
 from text_log_writer import text_log
 from vitac.evaluator.logs.log import MAX_LINE_BYTES, LogHeader, LogRejected, write_log
-from vitac.evaluator.logs.recorded_files import read_recordings
 from vitac.evaluator.logs.recordings import Recording, RecordingRejected, make_recording
+from vitac.evaluator.logs.resimulation import read_recordings
 from vitac.evaluator.logs.text_2025 import TextLogRejected, read_text_log, summarize, to_json_lines
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.tracks import find_task

@@ -22,7 +22,7 @@ from vitac.evaluator.logs.findings import VerificationResult, comparable
 from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.logs.verification import Verification, verify
 from vitac.evaluator.scoring.score import score
-from vitac.evaluator.tracks.families import environment_definition
+from vitac.evaluator.tracks.definition import environment_definition
 from vitac.evaluator.version import PLATFORM_CLASSES, platform_class
 
 TRACK = small_track(offsets=1)

@@ -11,11 +11,18 @@ from resimulated_record import resimulated_record
 from vitac.envs.maniskill.env import ManiSkillMissing
 from vitac.envs.maniskill.film import Shot
 from vitac.evaluator.episodes.records import EpisodeRecord
-from vitac.evaluator.playback import film
-from vitac.evaluator.playback.film import WIDTH_PX, make_film
-from vitac.evaluator.playback.making import make
-from vitac.evaluator.playback.order import FILM_FILE, STILL_FILE, NotPlayable, PlaybackOrder, require_playable
-from vitac.evaluator.playback.recorded import StatesDiffer
+from vitac.evaluator.playback import making
+from vitac.evaluator.playback.making import (
+    FILM_FILE,
+    STILL_FILE,
+    WIDTH_PX,
+    NotPlayable,
+    PlaybackOrder,
+    StatesDiffer,
+    make,
+    make_film,
+    require_playable,
+)
 from vitac.evaluator.tracks import Task, find_task
 
 
@@ -105,7 +112,7 @@ def test_without_a_driver_the_refusal_says_what_to_install(
 
     monkeypatch.setattr("vitac.envs.maniskill.env.made", no_driver)
     with pytest.raises(ManiSkillMissing, match="no Vulkan driver"):
-        film.make_film(task, record, lambda _: None, tmp_path)
+        making.make_film(task, record, lambda _: None, tmp_path)
 
 
 def test_what_does_not_repeat_has_no_playbacks(task: Task) -> None:

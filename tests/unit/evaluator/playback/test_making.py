@@ -14,9 +14,18 @@ from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.playback import making
-from vitac.evaluator.playback.making import make, replay, serve
-from vitac.evaluator.playback.order import CAMERAS_FILE, SCENE_FILE, STILL_FILE, NotPlayable, PlaybackOrder
-from vitac.evaluator.playback.recorded import StatesDiffer, find_start
+from vitac.evaluator.playback.making import (
+    CAMERAS_FILE,
+    SCENE_FILE,
+    STILL_FILE,
+    NotPlayable,
+    PlaybackOrder,
+    StatesDiffer,
+    find_start,
+    make,
+    replay,
+    serve,
+)
 from vitac.evaluator.sensors.check import accepted_sensor
 from vitac.evaluator.sensors.made import made_sensor
 from vitac.evaluator.tracks import find_task

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from evaluation_records import make_record
 from vitac.evaluator.playback import process
-from vitac.evaluator.playback.order import PlaybackOrder
+from vitac.evaluator.playback.making import PlaybackOrder
 from vitac.evaluator.playback.process import MakingBroke, PlaybackFailed, making
 
 ORDER = PlaybackOrder(track="track_1", record=make_record(), folder=Path("/nowhere"))

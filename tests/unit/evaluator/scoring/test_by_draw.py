@@ -1,7 +1,7 @@
 """Success against a quantity that was drawn for every episode."""
 
 from vitac.envs.tasks.insertion.interface import INSERTION_QUANTITIES
-from vitac.evaluator.scoring.by_draw import rates_by_draw
+from vitac.evaluator.scoring.comparison import rates_by_draw
 
 CLEARANCE, BESIDE = (
     next(quantity for quantity in INSERTION_QUANTITIES if quantity.name == name)

@@ -1,7 +1,6 @@
 from evaluation_records import make_record
 from recorded_forces import some_forces
-from vitac.evaluator.scoring.forces import summarize_forces
-from vitac.evaluator.scoring.score import score
+from vitac.evaluator.scoring.score import score, summarize_forces
 
 
 def test_medians_are_over_the_episodes_that_have_forces() -> None:

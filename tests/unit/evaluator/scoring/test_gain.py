@@ -3,7 +3,7 @@ from evaluation_records import make_record
 from hypothesis import given
 from hypothesis import strategies as st
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
-from vitac.evaluator.scoring.gain import RunsDiffer, paired_interval, sensing_gain
+from vitac.evaluator.scoring.comparison import RunsDiffer, paired_interval, sensing_gain
 
 
 def runs(text: str) -> list[EpisodeRecord]:

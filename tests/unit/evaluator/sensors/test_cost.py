@@ -1,5 +1,5 @@
 import pytest
-from vitac.evaluator.figures.reference import reference_figures
+from vitac.evaluator.figures.table import reference_figures
 from vitac.evaluator.sensors.cost import expected_cpu_s
 
 

@@ -26,9 +26,8 @@ from vitac.evaluator.logs.verification import verify
 from vitac.evaluator.scoring.failures import breaking_failure
 from vitac.evaluator.shards.batch import MachineTooSmall, run_batches
 from vitac.evaluator.shards.execution import execute
-from vitac.evaluator.shards.order import ShardMessage, ShardOrder
-from vitac.evaluator.shards.preparation import Preparation
-from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.shards.order import ShardEnd, ShardMessage, ShardOrder, ShardResult
+from vitac.evaluator.shards.policy import Preparation
 from vitac.evaluator.strict_model import parse_yaml
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Track

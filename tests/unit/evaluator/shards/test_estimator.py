@@ -11,8 +11,7 @@ from vitac.evaluator.figures import starts
 from vitac.evaluator.figures.figures import FigureChoice, StartFigures, Variation
 from vitac.evaluator.figures.starts import Measurement
 from vitac.evaluator.shards import estimator
-from vitac.evaluator.shards.order import ShardOrder
-from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Episode, load_track
 from vitac.evaluator.tracks.cut import cut

@@ -10,8 +10,8 @@ from vitac.evaluator.episodes.provenance import make_manifest
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.logs.log import LogHeader, write_log
-from vitac.evaluator.shards.log import LogShard, resimulate_log
-from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.shards.execution import LogShard, resimulate_log
+from vitac.evaluator.shards.order import ShardEnd, ShardResult
 from vitac.evaluator.tracks.cut import cut
 
 TRACK = small_track(shard_size=6)

@@ -9,9 +9,8 @@ from evaluation_fakes import FakeEnvironment, FakeSession, cannot_load, small_tr
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.verdicts import PolicyFailed, SandboxFailed
 from vitac.evaluator.shards import execution
-from vitac.evaluator.shards.order import ShardOrder
-from vitac.evaluator.shards.preparation import Preparation
-from vitac.evaluator.shards.result import ShardResult
+from vitac.evaluator.shards.order import ShardOrder, ShardResult
+from vitac.evaluator.shards.policy import Preparation
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 TASK = small_track().tasks["peg-insertion"]

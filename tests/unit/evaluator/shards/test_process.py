@@ -12,9 +12,8 @@ from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.shards import process as shard_process
 from vitac.evaluator.shards.host_process import HostProcess, ShardProcessFailed
-from vitac.evaluator.shards.order import OnCalibration, ShardOrder
+from vitac.evaluator.shards.order import OnCalibration, ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.shards.process import ShardProcess, ShardProcesses
-from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks import load_track
 from worker_fakes import eventually
 

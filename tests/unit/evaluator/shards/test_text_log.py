@@ -12,9 +12,8 @@ from vitac.evaluator.logs.findings import ImpossibleReason
 from vitac.evaluator.logs.text_2025 import read_text_log, summarize
 from vitac.evaluator.logs.text_2025.recordings import explain_not_resimulated, text_log_recordings
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
-from vitac.evaluator.shards.log import LogShard
-from vitac.evaluator.shards.result import ShardEnd, ShardResult
-from vitac.evaluator.shards.text_log import resimulate_text_log
+from vitac.evaluator.shards.execution import LogShard, resimulate_text_log
+from vitac.evaluator.shards.order import ShardEnd, ShardResult
 from vitac.evaluator.tracks import Task, load_track
 from vitac.evaluator.tracks.cut import cut
 

@@ -9,7 +9,7 @@ from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.strict_model import DocumentRejected, parse_yaml
 from vitac.evaluator.tracks import Track, load_track
-from vitac.evaluator.tracks.families import UnknownEnvironment, environment_definition
+from vitac.evaluator.tracks.definition import UnknownEnvironment, environment_definition
 from vitac.evaluator.tracks.sealed import sealed_track
 
 

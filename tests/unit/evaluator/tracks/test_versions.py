@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 from vitac.envs.tasks import registry
-from vitac.evaluator.tracks import load_track, versions
-from vitac.evaluator.tracks.versions import (
+from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks import registry as tracks_registry
+from vitac.evaluator.tracks.registry import (
     compute_hash,
     current_versions,
     differing_parts,
@@ -79,7 +80,7 @@ def test_a_track_changes_with_its_file_and_with_the_package_of_its_task(
     before, parts = find_version("switch"), list_parts("switch")
     file = own_package / "__init__.py" if changed == "package" else own_tracks / "switch.yaml"
     file.write_text(file.read_text() + "\n# another\n")
-    versions._parts_of_file.cache_clear()
+    tracks_registry._parts_of_file.cache_clear()
     assert load_track("switch").name == "switch"
     assert find_version("switch") != before
     expected = own_package.name if changed == "package" else "switch.yaml"

@@ -16,7 +16,7 @@ from vitac.envs.errors import VitacError
 from vitac.evaluator.agent.verdicts import SandboxFailed
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice, FiguresPart, SensorFigures, Variation
-from vitac.evaluator.playback.order import SCENE_FILE, PlaybackOrder
+from vitac.evaluator.playback.making import SCENE_FILE, PlaybackOrder
 from vitac.evaluator.sensors.made import read_design, read_made_sensor
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.submission.sensor import SensorNotMade

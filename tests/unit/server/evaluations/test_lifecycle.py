@@ -25,7 +25,7 @@ from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, FailureStage, result_hash
 from vitac.evaluator.package_sets import digest_of_packages
 from vitac.evaluator.scoring.score import score
-from vitac.evaluator.shards.result import ShardEnd
+from vitac.evaluator.shards.order import ShardEnd
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult
 from vitac.server.db.states import EvaluationState, ShardState

@@ -17,7 +17,7 @@ from service_factories import (
 from sqlalchemy import select
 from submission_steps import SETTINGS, refused
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
-from vitac.evaluator.shards.result import ShardEnd
+from vitac.evaluator.shards.order import ShardEnd
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 from vitac.server.competition.sealing import seal

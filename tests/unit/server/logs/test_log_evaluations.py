@@ -34,7 +34,7 @@ from vitac.evaluator.logs.findings import Divergence, Impossibility, ImpossibleR
 from vitac.evaluator.logs.log import LogReader
 from vitac.evaluator.logs.text_2025 import WHY_RATES_DIFFER
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
-from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.shards.order import ShardEnd, ShardResult
 from vitac.evaluator.version import evaluator_version
 from vitac.server.competition import sealing
 from vitac.server.db.engine import Database

@@ -8,7 +8,7 @@ from sqlalchemy import delete, null, select, update
 from sqlalchemy.orm import Session
 from submission_steps import refused
 from vitac.evaluator import version
-from vitac.evaluator.tracks import Track, UnknownTrack, versions
+from vitac.evaluator.tracks import Track, UnknownTrack, registry
 from vitac.evaluator.version import evaluator_version
 from vitac.server.audit import newest_entries
 from vitac.server.competition.competition import Competition
@@ -73,7 +73,7 @@ def test_the_boards_stay_as_they_are_after_an_upgrade_of_the_evaluator(
     final: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = evaluator_version()
-    for module in (version, versions):
+    for module in (version, registry):
         monkeypatch.setattr(module, "evaluator_hash", lambda: "f" * 64)
     assert evaluator_version() != before
     with final.transaction() as session:
@@ -136,7 +136,7 @@ def test_a_team_disqualified_after_the_end_stays_until_the_results_are_finalized
     with final.transaction() as session:
         before = archive_view(session)
         disqualify(session, CONSOLE, teams.find(session, "Ants"), "two accounts")
-    for module in (version, versions):
+    for module in (version, registry):
         monkeypatch.setattr(module, "evaluator_hash", lambda: "f" * 64)
     with final.transaction() as session:
         submit_late(session)

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vitac.station.devices.depth_camera import DepthCamera, StreamedDepthCamera
-from vitac.station.devices.device import DeviceFault, DeviceNotFound, Identity
+from vitac.station.devices.cameras import DepthCamera, StreamedDepthCamera
+from vitac.station.devices.stage import DeviceFault, DeviceNotFound, Identity
 from vitac.station.twin.depth_pictures import DepthCameraTwin
 
 

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 import pytest
-from vitac.station.devices.device import DeviceFault, DeviceNotFound
 from vitac.station.devices.force_torque import ForceTorqueSensor, Wrench
+from vitac.station.devices.stage import DeviceFault, DeviceNotFound
 from vitac.station.twin.force_torque import ForceTorqueFault, ForceTorqueTwin
 
 PRESSED = (1.5, -2.25, 40.0, 0.125, 0.25, -0.5)

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from vitac.station.devices.device import DeviceFault, DeviceNotFound
 from vitac.station.devices.gripper import Grasp, Gripper
+from vitac.station.devices.stage import DeviceFault, DeviceNotFound
 from vitac.station.twin.gripper import GripperFault, GripperTwin, checksum
-from vitac.station.twin.terminal import Terminal
+from vitac.station.twin.laboratory import Terminal
 
 
 @pytest.fixture

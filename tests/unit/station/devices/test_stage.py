@@ -3,10 +3,9 @@
 from collections.abc import Iterator
 
 import pytest
-from vitac.station.devices.device import DeviceFault, DeviceNotFound, Identity
-from vitac.station.devices.stage import Pose, Stage, StageState, StageStatus
+from vitac.station.devices.stage import DeviceFault, DeviceNotFound, Identity, Pose, Stage, StageState, StageStatus
+from vitac.station.twin.laboratory import Terminal
 from vitac.station.twin.stage import StageFault, StageTwin
-from vitac.station.twin.terminal import Terminal
 
 TARGET = Pose(10.0, -5.0, 2.5, 15.0)
 

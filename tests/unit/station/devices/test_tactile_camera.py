@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from vitac.station.devices.device import DeviceFault, DeviceNotFound
-from vitac.station.devices.tactile_camera import TactileCamera, find_camera
+from vitac.station.devices.cameras import TactileCamera, find_camera
+from vitac.station.devices.stage import DeviceFault, DeviceNotFound
 from vitac.station.twin.pictures import CameraFault, CameraTwin
 
 SERIAL = "28F0-GX7F"

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from vitac.station.perception.assignment import AssignedMarkerTracker
-from vitac.station.perception.tracker import MarkerTracker
-from vitac.station.twin.pressed_gel import SMALL_CAMERA, Press, PressedGel
+from vitac.station.perception.markers import AssignedMarkerTracker, MarkerTracker
+from vitac.station.twin.gel_view import SMALL_CAMERA, Press, PressedGel
 
 DAZZLED = PressedGel(press=Press(shear_px=(14, 6), still=11, pictures=30), camera=SMALL_CAMERA, dazzled=12)
 
@@ -38,7 +37,7 @@ def test_centres_are_nearer_to_the_truth() -> None:
 def test_two_markers_that_want_the_same_centre_are_both_paired(monkeypatch: pytest.MonkeyPatch) -> None:
     """The nearest centre of the first marker is the second's; together they are served by shifting both."""
     places = iter([[[50.0, 50.0], [70.0, 50.0]], [[61.0, 50.0], [81.0, 50.0]]])
-    monkeypatch.setattr("vitac.station.perception.assignment.find_centres", lambda _: np.array(next(places)))
+    monkeypatch.setattr("vitac.station.perception.markers.find_centres", lambda _: np.array(next(places)))
     tracker = AssignedMarkerTracker(_seen=10)
     tracker.see(np.zeros((14, 14, 3), np.uint8))
     flow = tracker.see(np.zeros((14, 14, 3), np.uint8))
@@ -48,7 +47,7 @@ def test_two_markers_that_want_the_same_centre_are_both_paired(monkeypatch: pyte
 
 def test_starts_again_on_request_and_without_markers_sees_none(monkeypatch: pytest.MonkeyPatch) -> None:
     places = iter([[[50.0, 50.0]], [[52.0, 50.0]], np.empty((0, 2)), [[60.0, 50.0]]])
-    monkeypatch.setattr("vitac.station.perception.assignment.find_centres", lambda _: np.array(next(places)))
+    monkeypatch.setattr("vitac.station.perception.markers.find_centres", lambda _: np.array(next(places)))
     tracker, picture = AssignedMarkerTracker(_seen=10), np.zeros((14, 14, 3), np.uint8)
     tracker.see(picture)
     tracker.start_again()

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 from vitac.station.perception import markers
-from vitac.station.perception.assignment import find_centres
-from vitac.station.perception.markers import cut_picture, find_markers
-from vitac.station.twin.gel_picture import GelCamera
-from vitac.station.twin.pressed_gel import marker_grid
+from vitac.station.perception.markers import cut_picture, find_centres, find_markers
+from vitac.station.twin.gel_view import marker_grid
+from vitac.station.twin.pictures import GelCamera
 
 CAMERAS = [GelCamera(), GelCamera(width=800, height=600), GelCamera(defocus_px=2.0, noise=5.0)]
 

@@ -4,8 +4,8 @@ import gymnasium
 import numpy as np
 import pytest
 from vitac.envs.tactile.markers import MarkerSettings, tracked
+from vitac.station.perception.markers import MarkerFlow
 from vitac.station.perception.observation import NoMarkerFollowed, marker_flow
-from vitac.station.perception.tracker import MarkerFlow
 
 
 def flow(count: int) -> MarkerFlow:

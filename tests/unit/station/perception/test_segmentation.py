@@ -10,7 +10,7 @@ import pytest
 from visible_scenes import STARTS, fusion_scene
 from vitac.envs.vision.camera import DepthMode, Sight
 from vitac.envs.vision.surfaces import Label
-from vitac.station.devices.depth_camera import ColourDepth, Intrinsics
+from vitac.station.devices.cameras import ColourDepth, Intrinsics
 from vitac.station.perception.segmentation import NothingAtPrompt, SamMissing, make_segmenter, object_points_m, segment
 
 INTRINSICS = Intrinsics(width=60, height=40, fx=50.0, fy=50.0, cx=30.0, cy=20.0)

@@ -4,9 +4,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-from vitac.station.perception.assignment import AssignedMarkerTracker
-from vitac.station.perception.tracker import MarkerFlow, MarkerTracker
-from vitac.station.twin.pressed_gel import SMALL_CAMERA, Press, PressedGel
+from vitac.station.perception.markers import AssignedMarkerTracker, MarkerFlow, MarkerTracker
+from vitac.station.twin.gel_view import SMALL_CAMERA, Press, PressedGel
 
 PICTURE = np.zeros((14, 14, 3), np.uint8)
 APART = np.array([[50.0, 50.0], [100.0, 50.0], [150.0, 50.0]])

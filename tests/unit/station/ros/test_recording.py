@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 from vitac.station.eyes import Side, Sight
-from vitac.station.perception.markers import cut_picture
-from vitac.station.perception.tracker import MarkerFlow
+from vitac.station.perception.markers import MarkerFlow, cut_picture
 from vitac.station.ros.messages import RosVersion, messages, read_flow
-from vitac.station.ros.recording import RecordingExists, recording
+from vitac.station.ros.relay import RecordingExists, recording
 
 TIME_NS = 1_700_000_000_123_456_789
 

@@ -4,14 +4,12 @@ import struct
 
 import numpy as np
 import pytest
-from vitac.station.perception.assignment import find_centres
-from vitac.station.perception.markers import cut_picture
-from vitac.station.perception.surface import DAMAGED_PART, find_changed_part, measure_brightness
+from vitac.station.perception.markers import cut_picture, find_centres
+from vitac.station.perception.observation import DAMAGED_PART, find_changed_part, measure_brightness
 from vitac.station.twin.bench import GARAGE, HOLE, PEG_AT, Backlash, Bench
-from vitac.station.twin.faults import Fault, FaultScript, ScriptedFault
 from vitac.station.twin.force_torque import ForceTorqueFault
 from vitac.station.twin.gripper import GripperFault, checksum
-from vitac.station.twin.hidden import PUBLIC_SETTINGS, HiddenSettings, draw_hidden
+from vitac.station.twin.hidden import PUBLIC_SETTINGS, Fault, FaultScript, HiddenSettings, ScriptedFault, draw_hidden
 from vitac.station.twin.pictures import CameraFault
 from vitac.station.twin.stage import StageFault
 

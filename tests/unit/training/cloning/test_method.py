@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 from toy_peg import ToyPeg
-from vitac.evaluator.scoring.gain import SensingGain
+from vitac.evaluator.scoring.comparison import SensingGain
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.evaluator.tracks import find_task
-from vitac.training.charts import FOLDER
 from vitac.training.cloning import playing
 from vitac.training.cloning.method import Plan, Round, best, clone
 from vitac.training.demonstrations import expert
 from vitac.training.demonstrations.expert import NoExpert
+from vitac.training.log import FOLDER
 from vitac.training.run import OtherRun
 from vitac.training.sensor import SensorMismatch
 from vitac.training.streams import Use, stream

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from vitac.training.cloning.network import Network, compute_gradients
+from vitac.training.cloning.playing import Network, compute_gradients
 from vitac.training.cloning.policy import compute_layers
 from vitac.training.learning.network import TrainingDiverged
 

@@ -4,10 +4,12 @@ from pathlib import Path
 
 import pytest
 from vitac.evaluator.tracks import find_task
-from vitac.training.demonstrations.collecting import collect, count_outcomes, list_tasks
-from vitac.training.demonstrations.demonstration import (
+from vitac.training.demonstrations.collecting import (
     CollectionRejected,
     DemonstrationKind,
+    collect,
+    count_outcomes,
+    list_tasks,
     read_demonstrations,
     read_source,
 )

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from vitac.cli.main import main
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.training.demonstrations.collecting import collect
-from vitac.training.demonstrations.demonstration import FILE, make_line, read_demonstrations, read_source
+from vitac.training.demonstrations.collecting import FILE, collect, make_line, read_demonstrations, read_source
 from vitac.training.demonstrations.exporting import FolderExists, Format, export
 from vitac.training.demonstrations.frames import DemonstrationDiffers
 from vitac.training.demonstrations.replaying import read_folder, replay

@@ -2,11 +2,10 @@
 
 import numpy as np
 from toy_peg import ToyPeg
-from vitac.training.actors import guided_actor, random_actor
+from vitac.training.collection import guided_actor, random_actor
 from vitac.training.episodes import Episodes, joined, play
-from vitac.training.learning.assessor import Assessed, Assessor, AssessorPlan, assessed
 from vitac.training.learning.critic import STATE_SIZE, transitions
-from vitac.training.learning.student import student_inputs
+from vitac.training.learning.student import Assessed, Assessor, AssessorPlan, assessed, student_inputs
 from vitac.training.submission.policy import HISTORY_SIZE
 
 PLAN = AssessorPlan(networks=1, hidden=32, sweeps=6, epochs=4, batch=64, rate=3e-3)

@@ -2,10 +2,9 @@
 
 import numpy as np
 from toy_peg import ToyPeg
-from vitac.training.actors import guided_actor, random_actor
+from vitac.training.collection import guided_actor, random_actor
 from vitac.training.episodes import Episodes, play
-from vitac.training.learning.belief import OFFSET, fit_belief
-from vitac.training.learning.student import Student, StudentPlan, make_weights, student_inputs
+from vitac.training.learning.student import OFFSET, Student, StudentPlan, fit_belief, make_weights, student_inputs
 from vitac.training.submission.policy import HISTORY_SIZE, belief_inputs
 
 HIDDEN = 16

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from toy_peg import ToyPeg
-from vitac.training.actors import critic_actor, guided_actor, random_actor
+from vitac.training.collection import critic_actor, guided_actor, random_actor
 from vitac.training.episodes import Episodes, joined, play
 from vitac.training.learning.critic import STATE_SIZE, Critic, CriticPlan, stack_states, transitions
 

@@ -1,9 +1,8 @@
 """Several networks for one value."""
 
 import numpy as np
-from vitac.training.learning.ensemble import Ensemble, Samples
-from vitac.training.learning.network import Layout, logits
-from vitac.training.learning.symmetry import Signs
+from vitac.training.learning.critic import Ensemble, Samples
+from vitac.training.learning.network import Layout, Signs, logits
 
 LAYOUT = Layout(inputs=2, actions=3, hidden=16)
 SIGNS = Signs(mirror=np.array([-1, 1], dtype=np.float32), turn=np.array([1, 1], dtype=np.float32))

@@ -2,11 +2,8 @@
 
 import numpy as np
 import pytest
-from vitac.training.learning.adam import FloatArray
-from vitac.training.learning.ensemble import Samples
-from vitac.training.learning.fitted_value import FittedValue, FittingPlan
-from vitac.training.learning.network import TrainingDiverged, probability
-from vitac.training.learning.symmetry import Signs
+from vitac.training.learning.critic import FittedValue, FittingPlan, Samples
+from vitac.training.learning.network import FloatArray, Signs, TrainingDiverged, probability
 
 INPUTS = 4
 STAYS = Signs(mirror=np.ones(INPUTS, dtype=np.float32), turn=np.ones(INPUTS, dtype=np.float32))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from toy_peg import ToyPeg
-from vitac.training.actors import ActorKind, guided_actor, random_actor, student_actor
+from vitac.training.collection import ActorKind, guided_actor, random_actor, student_actor
 from vitac.training.episodes import joined, play
 from vitac.training.learning.critic import Critic, CriticPlan
 from vitac.training.learning.student import (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from vitac.training.learning.critic import STATE_SIZE, stack_states
-from vitac.training.learning.symmetry import HISTORY, STATE, TURNABLE, Signs, both
+from vitac.training.learning.network import HISTORY, STATE, TURNABLE, Signs, both
 from vitac.training.submission.policy import HISTORY_SIZE, History, felt_motion
 
 ALL, NONE = np.array([True]), np.array([False])

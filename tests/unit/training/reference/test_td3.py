@@ -23,9 +23,9 @@ from toy_touch import ToyTouch  # noqa: E402
 from vitac.envs.tasks.fidelity import Fidelity  # noqa: E402
 from vitac.evaluator.submission.manifest import load_manifest  # noqa: E402
 from vitac.evaluator.tracks import find_task  # noqa: E402
-from vitac.training.charts import Charts  # noqa: E402
 from vitac.training.files import FileDamaged, NotSaved, load, save  # noqa: E402
 from vitac.training.learning.network import TrainingDiverged  # noqa: E402
+from vitac.training.log import Charts  # noqa: E402
 from vitac.training.reference import td3  # noqa: E402
 from vitac.training.reference.policy import PointNet, read_state  # noqa: E402
 from vitac.training.reference.td3 import (  # noqa: E402

@@ -10,8 +10,8 @@ import pytest
 from toy_lock import ToyLock
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.submission.manifest import load_manifest
-from vitac.training.charts import FOLDER, Charts
 from vitac.training.files import NotSaved, load
+from vitac.training.log import FOLDER, Charts
 from vitac.training.run import Folder, OtherRun, read_results
 from vitac.training.search import method, policy
 from vitac.training.search.method import (
@@ -23,11 +23,11 @@ from vitac.training.search.method import (
     Generation,
     NothingSolved,
     Search,
+    SearchRecipe,
     best,
     play,
 )
 from vitac.training.search.policy import ACTIONS, FEATURES
-from vitac.training.search.recipe import SearchRecipe
 from vitac.training.streams import Use, stream
 
 RECIPE = SearchRecipe(task="lock-opening", seed=4, generations=4, candidates=40, kept=6, episodes=6, chosen_by=8)

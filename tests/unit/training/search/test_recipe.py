@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from vitac.evaluator.strict_model import DocumentRejected
-from vitac.training.search.recipe import SearchRecipe, read_search_recipe
+from vitac.training.search.method import SearchRecipe, read_search_recipe
 
 
 def read(tmp_path: Path, text: str) -> SearchRecipe:

@@ -10,7 +10,7 @@ from page_service import FixedData, a_site, an_application
 from PIL import Image
 from recorded_forces import some_forces
 from visits import sign_in
-from vitac.evaluator.scoring.forces import summarize_forces
+from vitac.evaluator.scoring.score import summarize_forces
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import list_tracks, load_track
 from vitac.server.leaderboards.baselines import list_baselines

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from vitac.evaluator.agent.isolation import bubblewrap
 from vitac.evaluator.agent.isolation.bubblewrap import Descriptors, UserIsolation
-from vitac.evaluator.agent.isolation.interpreter import Interpreter, current
+from vitac.evaluator.agent.isolation.packages import Interpreter, find_interpreter
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.verdicts import SandboxFailed
 
@@ -24,7 +24,7 @@ def command(tmp_path: Path, limits: Limits | None = None) -> list[str]:
     return bubblewrap.command(
         program=Path("/usr/bin/bwrap"),
         submission=tmp_path,
-        interpreter=current(),
+        interpreter=find_interpreter(),
         limits=limits or Limits(),
         uid=bubblewrap.choose_uid(),
         descriptors=DESCRIPTORS,
@@ -165,13 +165,15 @@ def test_a_tool_of_ours_has_no_more_rights_than_a_policy(as_user: UserIsolation,
     limits = Limits(start_cpu_s=7.5)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("VITAC_BWRAP", str(program))
-        found = bubblewrap.tool_command(tool, interpreter=current(), limits=limits, uid=4711, seccomp=8, passwd=9)
+        found = bubblewrap.tool_command(
+            tool, interpreter=find_interpreter(), limits=limits, uid=4711, seccomp=8, passwd=9
+        )
     own = found[: found.index("--")]
     descriptors = Descriptors(channel=3, status=4, seccomp=8, passwd=9, info=5)
     policy = bubblewrap.command(
         program=program,
         submission=folder,
-        interpreter=current(),
+        interpreter=find_interpreter(),
         limits=limits,
         uid=4711,
         descriptors=descriptors,

@@ -3,16 +3,16 @@ import sysconfig
 from pathlib import Path
 
 import pytest
-from vitac.evaluator.agent.isolation import interpreter
+from vitac.evaluator.agent.isolation import packages
 
 from .test_packages import install
 
 
-def python_at(prefix: Path, monkeypatch: pytest.MonkeyPatch, packages: Path) -> interpreter.Interpreter:
+def python_at(prefix: Path, monkeypatch: pytest.MonkeyPatch, folder: Path) -> packages.Interpreter:
     monkeypatch.setattr(sys, "base_prefix", str(prefix))
     monkeypatch.setattr(sys, "_base_executable", str(prefix / "bin" / "python3"), raising=False)
-    monkeypatch.setattr(sysconfig, "get_path", lambda key: str(packages))
-    return interpreter.current()
+    monkeypatch.setattr(sysconfig, "get_path", lambda key: str(folder))
+    return packages.find_interpreter()
 
 
 def test_python_outside_usr_is_bound_to_a_neutral_place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

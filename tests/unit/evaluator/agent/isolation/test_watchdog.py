@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 from vitac.evaluator.agent.isolation import process_tree
-from vitac.evaluator.agent.isolation.watchdog import MemoryWatchdog
+from vitac.evaluator.agent.isolation.sandbox import MemoryWatchdog
 
 MEGABYTE = 1 << 20
 SHARES_WITH_CHILDREN = f"""

@@ -2,7 +2,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vitac.evaluator.agent.protocol.action import checked_action, checked_belief
+from vitac.evaluator.agent.protocol.frames import checked_action, checked_belief
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 
 

@@ -5,7 +5,7 @@ from datetime import datetime, timedelta
 from typing import Any
 
 import pytest
-from vitac.evaluator.logs.text_2025.conversion import to_json_lines
+from vitac.evaluator.logs.text_2025.checks import to_json_lines
 from vitac.evaluator.logs.text_2025.reader import TextEpisode, TextLog, TextStep
 from vitac.evaluator.logs.text_2025.scripts import Script, all_scripts
 

@@ -3,10 +3,10 @@
 from datetime import datetime
 
 import pytest
+from vitac.evaluator.logs.text_2025.checks import summarize
 from vitac.evaluator.logs.text_2025.messages import TextLogRejected
 from vitac.evaluator.logs.text_2025.reader import TextEpisode, TextLog
 from vitac.evaluator.logs.text_2025.scripts import Script, all_scripts
-from vitac.evaluator.logs.text_2025.summary import summarize
 
 PEG, LOCK, FUSION, TRACK_3 = all_scripts()
 

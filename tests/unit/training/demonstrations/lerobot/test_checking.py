@@ -10,7 +10,7 @@ import pytest
 from seen_episodes import CAMERA, write_data_set
 from vitac.training.demonstrations.lerobot.checking import check_lerobot
 from vitac.training.demonstrations.lerobot.layout import INFO, Version
-from vitac.training.demonstrations.lerobot.video import VideoFile
+from vitac.training.demonstrations.lerobot.writing import VideoFile
 
 pytest.importorskip("pyarrow", reason="needs the extra `data`")
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 from seen_episodes import SOURCE, write_data_set
-from vitac.training.demonstrations.demonstration import read_demonstrations, read_source
+from vitac.training.demonstrations.collecting import read_demonstrations, read_source
+from vitac.training.demonstrations.frames import ORIGIN, NotOurs, read_origin, write_origin
 from vitac.training.demonstrations.lerobot.layout import Version
 from vitac.training.demonstrations.lerobot.reading import DataSetBroken, import_lerobot
-from vitac.training.demonstrations.origin import ORIGIN, NotOurs, read_origin, write_origin
 
 pytest.importorskip("pyarrow", reason="needs the extra `data`")
 
