@@ -2,7 +2,8 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,7 +113,8 @@ class GraspedScene:
         gel: mesh of both gels.
         held: the held part, where it was placed.
         fixed: the fixed part.
-        others: further parts, fixed or movable. Pictures show the fixed ones.
+        others: further parts: rigid ones, fixed or movable, and gels, whose driven nodes stay where they are. Pictures
+            show the fixed ones.
         physics: materials and stepping.
         ipc_steps: solved so far.
         solved: every IPC step so far converged.
@@ -128,7 +130,7 @@ class GraspedScene:
         physics: PhysicsSettings,
         sensors: tuple[TactileSensor, TactileSensor],
         clocks: Clocks,
-        others: Sequence[RigidBody] = (),
+        others: Sequence[RigidBody | GelBody] = (),
     ) -> None:
         self.gel, self.held, self.fixed, self.physics = gripper.gel, held, fixed, physics
         self.others = tuple(others)
@@ -136,10 +138,16 @@ class GraspedScene:
         self._clocks = clocks
         self._gripper = gripper
         self._sensors = sensors
+        gels = [part for part in self.others if isinstance(part, GelBody)]
+        bodies = [held, fixed, *(part for part in self.others if isinstance(part, RigidBody))]
+        self._still_m = [placed(gel.mesh.rest_position_m, gel)[gel.mesh.driven_nodes] for gel in gels]
+        # The physics numbers gels first; at each of its numbers that of `pair_forces`.
+        is_rigid = [False] * SENSOR_COUNT + [True, True] + [isinstance(part, RigidBody) for part in self.others]
+        self._numbers = np.argsort(is_rigid, kind="stable")
         with clocks.physics:
             self._scene = Scene(
-                gels=[self._placed_gel(index) for index in range(SENSOR_COUNT)],
-                bodies=[held, fixed, *self.others],
+                gels=[*(self._placed_gel(index) for index in range(SENSOR_COUNT)), *gels],
+                bodies=bodies,
                 time_step_s=physics.time_step_s,
                 contact=physics.contact,
                 solver=physics.solver,
@@ -151,6 +159,10 @@ class GraspedScene:
         self._last_flow = (-1, np.zeros((0,), np.float32))
         self._measured = _Measurements()
         self._seen_m: list[list[FloatArray]] = []
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy or a pickle needs; what draws after every IPC step looks at this scene only."""
+        return {**vars(self), "after_ipc_step": None}
 
     @property
     def camera(self) -> CameraIntrinsics:
@@ -218,12 +230,14 @@ class GraspedScene:
         return self._measured.held_m[vertices]
 
     def other_vertices_m(self, index: int) -> FloatArray:
-        """Return the world positions of all vertices of one of the other parts [m], shape [v, 3]."""
-        return self._scene.body_vertices_m(2 + index)
+        """Return the world positions of all vertices or nodes of one of the other parts [m], shape [v, 3]."""
+        number = int(np.flatnonzero(self._numbers == SENSOR_COUNT + 2 + index)[0])
+        gels = SENSOR_COUNT + len(self._still_m)
+        return self._scene.gel_positions_m(number) if number < gels else self._scene.body_vertices_m(number - gels)
 
     def fixed_surface(self) -> SurfaceMesh:
         """Return the surfaces of all parts that never move, as one in the world."""
-        parts = [self.fixed, *(part for part in self.others if part.fixed)]
+        parts = [self.fixed, *(part for part in self.others if isinstance(part, RigidBody) and part.fixed)]
         first = np.cumsum([0, *(len(part.mesh.vertices_m) for part in parts)])
         return SurfaceMesh(
             vertices_m=np.concatenate([placed(part.mesh.vertices_m, part) for part in parts]),
@@ -253,8 +267,12 @@ class GraspedScene:
         return np.concatenate([gels.sum(axis=0, keepdims=True), gels])
 
     def pair_forces(self) -> PairForces:
-        """Return the forces of contacts in the last IPC step: bodies 0 and 1 are the gels, then held and fixed part."""
-        return self._scene.contact_forces()
+        """Return the forces of contacts in the last IPC step.
+
+        Bodies 0 and 1 are the gripper's gels, then come the held part, the fixed one, and the others in their order.
+        """
+        pairs = self._scene.contact_forces()
+        return pairs._replace(bodies=self._numbers[pairs.bodies])
 
     def force_on_held_n(self, body: int) -> FloatArray:
         """Return the force of one body, numbered as in `pair_forces`, on the held part in the last IPC step [N]."""
@@ -312,7 +330,9 @@ class GraspedScene:
     def _step_towards(self, pose: GripperPose) -> None:
         self._measured = _Measurements()
         with self._clocks.physics:
-            report = self._scene.step(driven_targets_m=self._gripper.driven_targets_m(pose))
+            report = self._scene.step(driven_targets_m=[*self._gripper.driven_targets_m(pose), *self._still_m])
+        if self._still_m:  # Only the gripper's gels hold the part.
+            report = replace(report, gel_forces_n=report.gel_forces_n[:SENSOR_COUNT])
         self.ipc_steps += 1
         self._reports.append(report)
         self._last_report = report

@@ -164,10 +164,9 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         if observation_keys is not None:
             own = chosen_observables(own, observation_keys)
         self._meshes = Meshes(assets_dir, gel=gel, sensor=sensor, is_coarse=self.fidelity is Fidelity.TRAINING)
-        nodes = self._meshes.sensing_node_count()
-        self._observables: tuple[Observable[SceneT], ...] = tuple(
-            entry.with_nodes(nodes) for entry in (*own, *observables)
-        )
+        self._observed_keys = tuple(entry.name for entry in own)
+        self._further_observables = tuple(observables)
+        self._observables = self._list_observables()
         self._shapes: tuple[Any, ...] = chosen_shapes(self.env_id, self.shape_type, shapes)
         self._randomization = find_randomization(randomization)
         self._draws = check_draws(self.env_id, draws or {}, self.task.quantities)
@@ -188,6 +187,21 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         self._episode_random: np.random.Generator | None = None
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(self.task.actions),), np.float32)
         self.observation_space = _observation_space(self._observables)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy or a pickle needs; the task's observables are read by functions without a name."""
+        return {name: value for name, value in vars(self).items() if name != "_observables"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take over a state; the episode in it goes on here with the same bits as there."""
+        vars(self).update(state)
+        self._observables = self._list_observables()
+
+    def _list_observables(self) -> tuple[Observable[SceneT], ...]:
+        own = {entry.name: entry for entry in (*self.task.observables, *self.task.optional_observables)}
+        nodes = self._meshes.sensing_node_count()
+        chosen = (*(own[key] for key in self._observed_keys), *self._further_observables)
+        return tuple(entry.with_nodes(nodes) for entry in chosen)
 
     @property
     def env_id(self) -> str:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial, reduce
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
@@ -40,6 +40,17 @@ class ForkedVectorEnv(AsyncVectorEnv):
         self._load(env_id, arguments)
         copies = [partial(_wrapped, env_id, env_wrappers, arguments)] * num_envs
         super().__init__(copies, context="fork", autoreset_mode=autoreset_mode)
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be pickled or copied, as the processes would have to be.
+
+        Raises:
+            TypeError: always.
+        """
+        raise TypeError(
+            "Environments in processes of their own cannot be copied or pickled. Copy a single environment, or make "
+            'them in this process by `gymnasium.make_vec(..., vectorization_mode="sync")`.'
+        )
 
     @staticmethod
     def _load(env_id: str, arguments: dict[str, Any]) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from math import sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,6 +176,15 @@ class Scene:
         self._memory = empty_memory()
         self._last_start: tuple[FloatArray, ContactMemory] | None = None
         self._refuse_overlap()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy or a pickle needs: all but the scratch, whose arrays share memory."""
+        return {name: value for name, value in vars(self).items() if name != "_workspace"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take over a state, with scratch of its own."""
+        vars(self).update(state)
+        self._workspace = new_workspace(self._model.system, len(self._x))
 
     def step(self, *, driven_targets_m: Sequence[FloatArray]) -> StepReport:
         """Advance one time step while the driven nodes of each gel move to their targets [m], shapes [d, 3].

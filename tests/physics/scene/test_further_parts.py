@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from vitac.envs.assets import Meshes
-from vitac.envs.fem.model.bodies import RigidBody
+from vitac.envs.fem.model.bodies import GelBody, RigidBody
 from vitac.envs.geometry.solid import prism_faces, rectangle, solid_from_faces
 from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, fixed_at_origin
 from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
@@ -21,7 +21,7 @@ def box(width_mm: float, low_mm: float, high_mm: float, name: str) -> RigidBody:
     return RigidBody(mesh=mesh, rotation=np.eye(3), translation_m=np.zeros(3))
 
 
-def gripped(loose: RigidBody) -> GraspedScene:
+def gripped(*others: RigidBody | GelBody) -> GraspedScene:
     meshes = Meshes()
     pose = GripperPose(
         x_m=0.0, y_m=0.0, z_m=31e-3, angle_rad=0.0, half_opening_m=(15.0 + highest_mm(meshes.gel()) + 0.1) * 1e-3
@@ -30,7 +30,7 @@ def gripped(loose: RigidBody) -> GraspedScene:
         gripper=Gripper(mounts=UPRIGHT_MOUNTS, gel=meshes.gel(), pose=pose),
         held=box(30.0, HELD_AT_MM, 46.0, "finger"),
         fixed=fixed_at_origin(box(60.0, -5.0, 0.0, "table").mesh, friction=0.5),
-        others=(loose,),
+        others=others,
         physics=PhysicsSettings(),
         sensors=meshes.sensors(MarkerSettings()),
         clocks=Clocks(physics=Stopwatch(), markers=Stopwatch()),
@@ -53,3 +53,30 @@ def test_a_loose_part_is_pushed_onto_the_table_and_then_pushes_back() -> None:
     assert (scene.force_on_held_n(3) == 0.0).all(), "the finger does not touch the table"
     scene.restore(start)
     assert (scene.other_vertices_m(0) == before).all()
+
+
+def test_forces_are_right_with_a_gel_between_the_held_part_and_the_table() -> None:
+    soft = GelBody(
+        mesh=Meshes().gel(),
+        rotation=np.eye(3),
+        translation_m=np.array([0.0, 0.0, 3.5e-3]),
+        youngs_modulus_pa=3e5,
+        poisson_ratio=0.3,
+        density_kg_m3=1000.0,
+        friction=0.5,
+    )
+    scene = gripped(soft, box(10.0, 60.0, 61.0, "far away"))
+    before = scene.other_vertices_m(0)
+    scene.take_reports()
+    scene.move_to(scene.pose.moved(z_m=-1.0e-3), ipc_steps=4)
+    assert scene.solved
+    after = scene.other_vertices_m(0)
+    assert (after[soft.mesh.driven_nodes] == before[soft.mesh.driven_nodes]).all()
+    assert np.abs(after - before).max() > 1e-4
+    assert scene.other_vertices_m(1)[:, 2].min() == pytest.approx(60e-3)
+    push_n = scene.force_on_held_n(LOOSE_BODY)
+    assert push_n[2] > 0.5
+    assert scene.contact_forces_n().shape == (3, 3)
+    assert scene.contact_forces_n()[0] == pytest.approx(push_n, abs=1e-3)
+    assert scene.peak_part_force_n() == pytest.approx(np.linalg.norm(push_n), rel=1e-3)
+    assert (scene.force_on_held_n(5) == 0.0).all()

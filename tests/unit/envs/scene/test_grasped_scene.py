@@ -54,7 +54,8 @@ def test_further_parts_follow_the_others_and_the_fixed_ones_are_one_surface(fake
 def test_force_of_one_body_on_the_held_part_counts_contacts_either_way(
     fake_scenes: list[FakeScene], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = scene()
+    mesh = peg_mesh(Meshes(), PegShape.CUBOID)
+    made = scene(RigidBody(mesh=mesh, rotation=np.eye(3), translation_m=np.array([0.1, 0.0, 0.0])))
     bodies, forces_n = np.array([[2, 3], [3, 2], [0, 2], [2, 4]]), np.arange(1.0, 5.0)[:, None] * np.eye(1, 3, 2)
     monkeypatch.setattr(fake_scenes[0], "contact_forces", lambda: PairForces(bodies, np.zeros((4, 3)), forces_n))
     assert [made.force_on_held_n(body).tolist() for body in (3, 4)] == [[0.0, 0.0, 1.0 - 2.0], [0.0, 0.0, 4.0]]
