@@ -33,16 +33,15 @@ from vitac.evaluator.scoring.score import Rate, Score, rate
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, Task, load_track
 from vitac.evaluator.version import evaluator_hash, evaluator_version
-from vitac.server import tokens
-from vitac.server.db.models import EpisodeResult, Evaluation, Submission
-from vitac.server.db.states import EvaluationState, Role
+from vitac.server.accounts import teams, tokens
+from vitac.server.database.models import EpisodeResult, Evaluation, Submission
+from vitac.server.database.states import EvaluationState, Role
 from vitac.server.evaluations.episode_store import EpisodeKey
 from vitac.server.evaluations.scores import store_scores
 from vitac.server.logs.claims import LogClaim
 from vitac.server.principals import CONSOLE
 from vitac.server.services import Services, open_services
 from vitac.server.settings import load_settings
-from vitac.server.teams import teams
 from vitac.web import application
 from vitac.web.session.signer import COOKIE, SessionSigner, begin
 

@@ -27,13 +27,12 @@ from sqlalchemy import select, text
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord, Timings
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_version, platform_class
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Shard, Worker
-from vitac.server.db.states import WorkerState
+from vitac.server.database.engine import Database
+from vitac.server.database.metrics import Instruments, TotalsWriter
+from vitac.server.database.models import Shard, Worker
+from vitac.server.database.states import WorkerState
 from vitac.server.evaluations.episode_store import store_episodes
 from vitac.server.evaluations.lifecycle import fail_by_machines
-from vitac.server.metrics.instruments import Instruments
-from vitac.server.metrics.totals import TotalsWriter
 from vitac.server.operations.exposition import Exposition
 from vitac.server.queue import leases, workers
 from vitac.server.queue.sweep import sweep

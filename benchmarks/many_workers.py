@@ -24,9 +24,9 @@ from database import LEASE_S, postgres_time, register
 from procrastinate.jobs import Status
 from sqlalchemy import select, text
 from vitac.evaluator.version import evaluator_version
-from vitac.server.db.models import Base, Shard
-from vitac.server.db.states import ShardState, WorkerState
-from vitac.server.housekeeping import Housekeeping
+from vitac.server.database.models import Base, Shard
+from vitac.server.database.states import ShardState, WorkerState
+from vitac.server.operations.housekeeping import Housekeeping
 from vitac.server.queue import leases, workers
 from vitac.server.queue.jobs import enqueue_shards, make_worker_app, queue_name
 from vitac.server.services import Services, open_services

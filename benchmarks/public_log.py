@@ -15,8 +15,8 @@ from statistics import median, quantiles
 from time import perf_counter, process_time
 
 from sqlalchemy import insert
-from vitac.server.db.engine import Database
-from vitac.server.db.models import ReceiptRow, TreeNode
+from vitac.server.database.engine import Database
+from vitac.server.database.models import ReceiptRow, TreeNode
 from vitac.server.receipts.log_audit import audit_log
 from vitac.server.services import open_services
 from vitac.server.settings import load_settings

@@ -30,10 +30,10 @@ from uuid import UUID
 from service import PEG_INSERTION, newest, service, upload, wait_until
 from sqlalchemy import func, select
 from vitac.evaluator.version import evaluator_version
-from vitac.server import tokens
-from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Worker
-from vitac.server.db.schema import newest_revision
-from vitac.server.db.states import EvaluationState, Role, WorkerOrder, WorkerState
+from vitac.server.accounts import tokens
+from vitac.server.database.models import EpisodeResult, Evaluation, Shard, Worker
+from vitac.server.database.schema import newest_revision
+from vitac.server.database.states import EvaluationState, Role, WorkerOrder, WorkerState
 from vitac.server.principals import CONSOLE
 from vitac.server.queue import workers
 from vitac.server.services import Services

@@ -32,18 +32,18 @@ from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.scoring.score import score
 from vitac.evaluator.shards.process import IDLE_KEPT_S
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.db.models import Evaluation, Shard, Worker
-from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState, Role
+from vitac.server.accounts import teams
+from vitac.server.database.models import Evaluation, Shard, Worker
+from vitac.server.database.states import TERMINAL_EVALUATION_STATES, EvaluationState, Role
 from vitac.server.evaluations.episode_store import EpisodeKey, read_stored_records, store_episodes
 from vitac.server.evaluations.history import newest_evaluation
-from vitac.server.housekeeping import Housekeeping
+from vitac.server.operations.housekeeping import Housekeeping
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.queue import leases, workers
 from vitac.server.queue.jobs import withdraw_jobs
 from vitac.server.services import Services, open_services
 from vitac.server.settings import load_settings
 from vitac.server.submissions import creation, listing, runs
-from vitac.server.teams import teams
 from vitac.server.uploads.acceptance import accept
 from vitac.server.uploads.intake import ReceivedFile
 from vitac.worker.record_store import TOGETHER_S

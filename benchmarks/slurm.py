@@ -23,8 +23,8 @@ from typing import Any
 
 from service import PEG_INSERTION, newest, running_shards, service, upload, wait_until
 from sqlalchemy import func, select
-from vitac.server.db.models import Worker
-from vitac.server.db.states import EvaluationState
+from vitac.server.database.models import Worker
+from vitac.server.database.states import EvaluationState
 from vitac.server.services import Services
 
 SCRIPT = Path(__file__).parents[1] / "docs" / "slurm" / "worker.sbatch"

@@ -16,8 +16,8 @@ from time import perf_counter
 from sqlalchemy import select, text
 from sqlalchemy.orm import Session
 from vitac.evaluator.version import evaluator_version
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Shard
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Shard
 from vitac.server.evaluations.lifecycle import fail_by_machines
 from vitac.server.queue.jobs import enqueue_shards, forget_jobs_of_ended_shards, queue_name, withdraw_jobs
 from vitac.server.queue.sweep import sweep

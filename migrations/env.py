@@ -1,4 +1,4 @@
-"""Alembic's entry: runs the migrations on the connection that `vitac.server.db.schema` passes in."""
+"""Alembic's entry: runs the migrations on the connection that `vitac.server.database.schema` passes in."""
 
 from alembic import context
 from sqlalchemy import Connection, MetaData

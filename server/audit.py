@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from .db.models import AuditEntry
+from .database.models import AuditEntry
 from .views.teams import AuditEntryView
 
 if TYPE_CHECKING:

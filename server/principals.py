@@ -5,7 +5,7 @@ from datetime import datetime
 from enum import StrEnum
 from uuid import UUID
 
-from .db.states import Role
+from .database.states import Role
 from .errors import ProblemCode, ServiceError, not_found
 
 

@@ -5,11 +5,11 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Self
 
-from .db.availability import DatabaseUnreachable, once_available
-from .db.engine import Database
-from .db.schema import upgrade
-from .metrics.instruments import Instruments
-from .postgres.embedded import EmbeddedPostgres
+from .database.availability import DatabaseUnreachable, once_available
+from .database.embedded import EmbeddedPostgres
+from .database.engine import Database
+from .database.metrics import Instruments
+from .database.schema import upgrade
 from .settings import Settings
 from .storage.blobs import BlobStore
 from .traces import require_packages

@@ -9,7 +9,7 @@ from uuid import UUID
 from sqlalchemy.orm import Session, joinedload
 from vitac.evaluator.tracks import ListKind
 
-from .db.models import Evaluation, Submission
+from .database.models import Evaluation, Submission
 from .errors import ProblemCode, ServiceError, not_found
 from .principals import Principal
 from .tracks import known_task

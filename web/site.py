@@ -17,10 +17,10 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 from vitac.envs.errors import VitacError
-from vitac.server import tokens
+from vitac.server.accounts import tokens
 from vitac.server.api.conditional import answer
 from vitac.server.cache import Cache
-from vitac.server.competition.view import list_public_rankings
+from vitac.server.competitions.view import list_public_rankings
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.limiter import WindowLimiter
 from vitac.server.principals import VISITOR, Principal

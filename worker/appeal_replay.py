@@ -16,8 +16,8 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.sealed import write_secret
 from vitac.server.appeals import appeals
-from vitac.server.competition.sealing import find_secret, played_track
-from vitac.server.db.models import Submission
+from vitac.server.competitions.sealing import find_secret, played_track
+from vitac.server.database.models import Submission
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import Principal
 from vitac.server.services import Services

@@ -11,9 +11,9 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.version import evaluator_version, platform_class
-from vitac.server.db.models import Worker
-from vitac.server.db.schema import explain_other_schema
-from vitac.server.db.states import WorkerOrder, WorkerState
+from vitac.server.database.models import Worker
+from vitac.server.database.schema import explain_other_schema
+from vitac.server.database.states import WorkerOrder, WorkerState
 from vitac.server.queue import workers
 from vitac.server.queue.declared import declared_versions, explain_left_work, explain_other_evaluator
 from vitac.server.services import Services

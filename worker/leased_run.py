@@ -16,7 +16,7 @@ from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.queue.leases import LeaseLost
 from vitac.server.services import Services
 from vitac.server.storage.blobs import StoredFileLost
-from vitac.server.storage.disk_space import has_space, is_disk_full
+from vitac.server.storage.scratch import has_space, is_disk_full
 
 DATABASE_PATIENCE_S = 600.0
 """So long a worker keeps what it has while the database is away."""

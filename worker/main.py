@@ -12,13 +12,13 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.shards.process import ShardProcesses
-from vitac.server.db.availability import DatabaseUnreachable
-from vitac.server.db.states import WorkerOrder, WorkerState
-from vitac.server.housekeeping import Housekeeping
+from vitac.server.database.availability import DatabaseUnreachable
+from vitac.server.database.states import WorkerOrder, WorkerState
+from vitac.server.operations.housekeeping import Housekeeping
 from vitac.server.queue.declared import declared_versions, explain_left_work, explain_other_evaluator
 from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
-from vitac.server.storage.disk_space import is_disk_full
+from vitac.server.storage.scratch import is_disk_full
 
 from .alive import sign_of_life
 from .heartbeat import START_PATIENCE_S, Heartbeat

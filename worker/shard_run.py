@@ -16,9 +16,9 @@ from vitac.evaluator.figures.figures import FigureChoice, FiguresPart
 from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.tracks.sealed import write_secret
-from vitac.server.competition.competition import find_stage
-from vitac.server.competition.sealing import find_secret
-from vitac.server.db.models import Submission
+from vitac.server.competitions.competition import find_stage
+from vitac.server.competitions.sealing import find_secret
+from vitac.server.database.models import Submission
 from vitac.server.errors import ServiceError
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episodes, stored_episodes
 from vitac.server.evaluations.lifecycle import finish_shard, report_broken_machine

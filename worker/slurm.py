@@ -12,7 +12,7 @@ from pathlib import Path
 
 from sqlalchemy.exc import DBAPIError
 from vitac.envs.errors import VitacError
-from vitac.server.db.availability import DatabaseUnreachable
+from vitac.server.database.availability import DatabaseUnreachable
 from vitac.server.queue.depth import count_open_work
 from vitac.server.services import Services
 

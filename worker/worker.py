@@ -15,8 +15,8 @@ from procrastinate.exceptions import ProcrastinateException
 from sqlalchemy.exc import DBAPIError
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.playback.process import making
-from vitac.server.db.states import WorkerOrder
-from vitac.server.metrics.instruments import RetryReason
+from vitac.server.database.metrics import RetryReason
+from vitac.server.database.states import WorkerOrder
 from vitac.server.playbacks import work
 from vitac.server.queue import leases
 from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD, make_worker_app

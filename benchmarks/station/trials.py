@@ -37,8 +37,8 @@ from vitac.cli.demo.laboratory import (
 )
 from vitac.cli.demo.team import team_token
 from vitac.cli.service.database import load_settings
-from vitac.server.db.models import EpisodeResult, Evaluation, Shard
-from vitac.server.db.states import EvaluationState, RepeatCause, ShardState
+from vitac.server.database.models import EpisodeResult, Evaluation, Shard
+from vitac.server.database.states import EvaluationState, RepeatCause, ShardState
 from vitac.station.twin.hidden import Fault, FaultScript, ScriptedFault, draw_hidden
 
 EXAMPLE = Path("examples/peg_insertion_trained")

@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.progress import Progress
-from vitac.server.backup import backup
-from vitac.server.backup import restore as restoring
-from vitac.server.backup.archive import BackupDescription
+from vitac.server.operations import backup
+from vitac.server.operations import restore as restoring
+from vitac.server.operations.archive import BackupDescription
 
 from ..service.database import load_settings, open_service
 from ..terminal.output import AsJson, print_record

@@ -5,7 +5,7 @@ from uuid import UUID
 
 import typer
 from sqlalchemy.orm import Session
-from vitac.server.db.states import EvaluationState
+from vitac.server.database.states import EvaluationState
 from vitac.server.evaluations import listing, superseding
 from vitac.server.principals import CONSOLE
 from vitac.server.submissions import runs

@@ -4,10 +4,10 @@ from typing import Annotated
 from uuid import UUID
 
 import typer
-from vitac.server.competition.competition import Competition
-from vitac.server.judging.judging import declare_conflict, find_rubric, give_marks, judged
+from vitac.server.accounts.tokens import is_judge
+from vitac.server.competitions.competition import Competition
+from vitac.server.decisions.judging import declare_conflict, find_rubric, give_marks, judged
 from vitac.server.principals import CONSOLE
-from vitac.server.tokens import is_judge
 from vitac.server.views.judging import JudgedTeamView
 
 from ..service.database import transaction

@@ -5,7 +5,7 @@ from uuid import UUID
 
 import typer
 from sqlalchemy.orm import Session
-from vitac.server.notices import outbox
+from vitac.server.accounts import outbox
 from vitac.server.principals import CONSOLE
 from vitac.server.views.notices import NoticeView
 

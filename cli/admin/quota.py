@@ -5,11 +5,10 @@ from typing import Annotated
 
 import typer
 from sqlalchemy.orm import Session
-from vitac.server import quotas
-from vitac.server.db.states import Quota
+from vitac.server.accounts import quotas, teams
+from vitac.server.accounts.quotas import uses
+from vitac.server.database.states import Quota
 from vitac.server.principals import CONSOLE
-from vitac.server.quotas import uses
-from vitac.server.teams import teams
 from vitac.server.views.teams import QuotaView
 
 from ..service.database import load_settings

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 import typer
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.competition.competition import Competition
-from vitac.server.publishing.exporting import export_receipts
+from vitac.server.competitions.competition import Competition
+from vitac.server.decisions.exporting import export_receipts
 from vitac.server.receipts.witnesses import list_witness_views
 from vitac.server.transparency.log import read_log_state
 

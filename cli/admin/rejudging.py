@@ -5,11 +5,11 @@ from uuid import UUID
 
 import typer
 from sqlalchemy.orm import Session
-from vitac.server.competition.competition import Competition
+from vitac.server.competitions.competition import Competition
+from vitac.server.decisions import rejudging
+from vitac.server.decisions.rejudging import rejudgements
+from vitac.server.decisions.rejudging_comparison import comparison
 from vitac.server.principals import CONSOLE
-from vitac.server.rejudging import rejudging
-from vitac.server.rejudging.comparison import comparison
-from vitac.server.rejudging.rejudging import rejudgements
 from vitac.server.views.rejudging import RejudgedSubmissionView
 
 from ..service.database import transaction

@@ -5,11 +5,11 @@ from uuid import UUID
 
 import typer
 from sqlalchemy.orm import Session
-from vitac.server.db.states import EvaluationState
+from vitac.server.database.states import EvaluationState
 from vitac.server.evaluations.archive_copies import compare_archives, list_archive_copies
 from vitac.server.evaluations.near_copies import list_near_copies
+from vitac.server.leaderboards import descriptions
 from vitac.server.principals import CONSOLE
-from vitac.server.sharing import descriptions
 from vitac.server.submissions import clearance, disqualification, listing, runs
 from vitac.server.views.evaluations import ArchiveCopyView, NearCopyView
 from vitac.server.views.submissions import SubmissionView

@@ -4,13 +4,12 @@ from typing import Annotated
 
 import typer
 from sqlalchemy.orm import Session
-from vitac.server.competition.competition import Competition
-from vitac.server.competition.view import disqualified_since_the_end
-from vitac.server.members import members
-from vitac.server.members.registration import NewTeam, register
+from vitac.server.accounts import members, merging, teams
+from vitac.server.accounts.registration import NewTeam, register
+from vitac.server.competitions.competition import Competition
+from vitac.server.competitions.view import disqualified_since_the_end
+from vitac.server.operations.team_data import erase, export
 from vitac.server.principals import CONSOLE
-from vitac.server.team_data import erase, export
-from vitac.server.teams import merging, teams
 from vitac.server.views.teams import OrganizerTeamView
 
 from ..service.database import load_settings, transaction

@@ -6,10 +6,9 @@ from uuid import UUID
 
 import typer
 from sqlalchemy.orm import Session
-from vitac.server import tokens
-from vitac.server.db.states import Role
+from vitac.server.accounts import teams, tokens
+from vitac.server.database.states import Role
 from vitac.server.principals import CONSOLE
-from vitac.server.teams import teams
 from vitac.server.views.teams import TokenView
 
 from ..service.database import load_settings

@@ -5,7 +5,7 @@ from uuid import UUID
 
 import typer
 from sqlalchemy.orm import Session
-from vitac.server.db.states import WorkerOrder
+from vitac.server.database.states import WorkerOrder
 from vitac.server.principals import CONSOLE
 from vitac.server.queue import workers
 from vitac.server.views.workers import WorkerView

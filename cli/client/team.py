@@ -4,7 +4,7 @@ import sys
 from typing import Annotated
 
 import typer
-from vitac.server.db.states import NoticeKind
+from vitac.server.database.states import NoticeKind
 
 from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, print_json, print_pairs, print_records

@@ -30,7 +30,7 @@ from .display import INDENT, DemoDisplay
 from .team import TEAM, TOKEN_FILE, team_token
 
 if TYPE_CHECKING:
-    from vitac.server.db.models import Worker
+    from vitac.server.database.models import Worker
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "peg_insertion_trained"
 MAX_SLOTS = 4
@@ -206,7 +206,7 @@ class Demo:
         Raises:
             DemoRefused: it does not start, or its sandbox is not safe.
         """
-        from vitac.server.db.states import WorkerState
+        from vitac.server.database.states import WorkerState
 
         deadline = time.monotonic() + WORKER_START_LIMIT_S
         while time.monotonic() < deadline:

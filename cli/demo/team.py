@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sqlalchemy.orm import Session
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 
 if TYPE_CHECKING:
-    from vitac.server.db.models import Team
+    from vitac.server.database.models import Team
 
 TEAM = "demo"
 TOKEN_FILE = "demo-token"  # noqa: S105 - a file's name
@@ -29,7 +29,7 @@ def team_token(database: Database, state_dir: Path) -> str:
 
 
 def _is_valid(session: Session, secret: str) -> bool:
-    from vitac.server import tokens
+    from vitac.server.accounts import tokens
     from vitac.server.errors import ServiceError
 
     try:
@@ -39,8 +39,8 @@ def _is_valid(session: Session, secret: str) -> bool:
 
 
 def _issue(session: Session) -> str:
-    from vitac.server import tokens
-    from vitac.server.db.states import Role
+    from vitac.server.accounts import tokens
+    from vitac.server.database.states import Role
     from vitac.server.principals import CONSOLE
 
     issued = tokens.issue(
@@ -50,9 +50,9 @@ def _issue(session: Session) -> str:
 
 
 def _find_or_register(session: Session) -> "Team":
+    from vitac.server.accounts import teams
     from vitac.server.errors import ProblemCode, ServiceError
     from vitac.server.principals import CONSOLE
-    from vitac.server.teams import teams
 
     try:
         return teams.find(session, TEAM)

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from sqlalchemy.orm import Session
-from vitac.server.db.availability import failures_explained
+from vitac.server.database.availability import failures_explained
 from vitac.server.services import Services
 from vitac.server.settings import Settings
 

@@ -6,7 +6,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import IO
 
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 from vitac.server.services import Services
 from vitac.server.settings import Settings
 
@@ -80,7 +80,7 @@ def running_service(
 @contextmanager
 def _housekeeping(services: Services) -> Iterator[None]:
     """Sweep and prune while the block runs: one process does it for all that answer requests."""
-    from vitac.server.housekeeping import Housekeeping
+    from vitac.server.operations.housekeeping import Housekeeping
 
     housekeeping = Housekeeping(services)
     housekeeping.start()

@@ -53,7 +53,7 @@ def slurm(
 
 def _scale_until_stopped(scaler: "SlurmScaler", every_s: float) -> None:
     """Scale again and again; jobs that end at once are submitted at ever longer intervals."""
-    from vitac.server.db.availability import DatabaseUnreachable
+    from vitac.server.database.availability import DatabaseUnreachable
     from vitac.worker.slurm import SlurmError
 
     last, pause_s = None, every_s

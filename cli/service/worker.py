@@ -44,7 +44,7 @@ def command(
     if parent is not None:
         exit_with_parent(parent)
     with no_collections():
-        from vitac.server.db.availability import DatabaseUnreachable
+        from vitac.server.database.availability import DatabaseUnreachable
         from vitac.worker.main import run
         from vitac.worker.stay import ONCE_WAITS_S, Stay, WorkerRefused
 

@@ -5,7 +5,7 @@ from typing import Annotated, Final
 from fastapi import Depends, Header, Path, Request, Security
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer, SecurityScopes
 
-from .. import tokens
+from ..accounts import tokens
 from ..errors import token_missing
 from ..principals import VISITOR, Audience, Principal
 from ..services import Services

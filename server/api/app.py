@@ -11,10 +11,10 @@ from fastapi.concurrency import run_in_threadpool
 from starlette.routing import BaseRoute
 
 from .. import traces
-from ..housekeeping import Housekeeping
+from ..accounts.sending import NoticeSender
 from ..limiter import ConcurrencyLimiter, SignInLimiters, WindowLimiter
-from ..notices.sending import NoticeSender
 from ..operations.exposition import Exposition
+from ..operations.housekeeping import Housekeeping
 from ..services import Services, open_services
 from ..settings import Settings
 from ..submissions.watch import Changes

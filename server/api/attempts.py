@@ -3,8 +3,8 @@
 from fastapi import Request
 from starlette.requests import HTTPConnection
 
+from ..accounts import teams
 from ..limiter import client_key
-from ..teams import teams
 
 
 def get_client_address(connection: HTTPConnection) -> str:

@@ -15,18 +15,16 @@ from starlette.background import BackgroundTask
 from vitac.evaluator.strict_model import DocumentRejected
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..advancement import advancement
-from ..competition import applying, freezing, sealing
-from ..competition.competition import Competition
-from ..competition.definition import CompetitionDefinition, require_known_tracks
-from ..competition.view import competition_list_view, competition_view, disqualified_since_the_end
+from ..accounts.teams import REASON_LENGTH
+from ..competitions import applying, sealing
+from ..competitions.competition import Competition
+from ..competitions.definition import CompetitionDefinition, require_known_tracks
+from ..competitions.view import competition_list_view, competition_view, disqualified_since_the_end
 from ..confirmations import Concern, compute_revision, require_shown
+from ..decisions import advancement, finishing
+from ..decisions.exporting import export_receipts
+from ..decisions.publishing import archive_view, result_files
 from ..errors import ProblemCode, ServiceError
-from ..prizes import finishing
-from ..publishing.archive import archive_view
-from ..publishing.exporting import export_receipts
-from ..publishing.publishing import result_files
-from ..teams.teams import REASON_LENGTH
 from ..views.competition import AdvancementView, ArchiveView, CompetitionListView, CompetitionView
 from .access import ChangingServicesOf, CompetitionOrganizerOf, ServicesOf
 from .problems import RESPONSES
@@ -181,14 +179,14 @@ def confirm_advancement(
 def freeze(services: ChangingServicesOf, principal: CompetitionOrganizerOf, competition: str) -> None:
     """Freeze the boards of a competition for everybody but its organizers."""
     with services.database.transaction() as session:
-        freezing.freeze(session, principal, competition)
+        applying.freeze_boards(session, principal, competition)
 
 
 @router.post("/competitions/{competition}/unfreeze", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
 def unfreeze(services: ChangingServicesOf, principal: CompetitionOrganizerOf, competition: str) -> None:
     """Show all results on the boards of a competition again."""
     with services.database.transaction() as session:
-        freezing.unfreeze(session, principal, competition)
+        applying.unfreeze_boards(session, principal, competition)
 
 
 @router.post("/competitions/{competition}/finalize")

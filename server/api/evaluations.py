@@ -7,7 +7,7 @@ from uuid import UUID
 from fastapi import APIRouter, Query
 from pydantic import BaseModel
 
-from ..db.states import EvaluationState
+from ..database.states import EvaluationState
 from ..evaluations import listing, superseding
 from ..evaluations.archive_copies import compare_archives, list_archive_copies
 from ..evaluations.near_copies import list_near_copies

@@ -9,7 +9,7 @@ from typing import TypeVar
 from fastapi import APIRouter, Response
 from sqlalchemy.exc import DBAPIError
 
-from ..db.schema import explain_other_schema
+from ..database.schema import explain_other_schema
 from ..errors import ServiceError
 from ..queue.workers import workers_alive
 from ..services import Services

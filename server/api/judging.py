@@ -7,11 +7,11 @@ from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.orm import Session
 
-from ..competition.competition import Competition
-from ..competition.definition import Judging
-from ..judging import judging
+from ..accounts.tokens import is_judge
+from ..competitions.competition import Competition
+from ..competitions.definition import Judging
+from ..decisions import judging
 from ..principals import Principal
-from ..tokens import is_judge
 from ..views.judging import JudgedTeamView
 from .access import ChangingServicesOf, CompetitionOrganizerOf, JudgeOf, ServicesOf
 from .problems import RESPONSES

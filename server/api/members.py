@@ -9,19 +9,17 @@ from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.orm import Session
 
-from .. import quotas, team_data, tokens
-from ..competition.competition import Competition
-from ..competition.view import disqualified_since_the_end
-from ..db.models import Team
-from ..db.states import NoticeKind, Quota
+from ..accounts import members, merging, passwords, quotas, teams, tokens, webhooks
+from ..accounts.passwords import MAX_LENGTH, MIN_LENGTH
+from ..accounts.shown_names import ShownNames
+from ..competitions.competition import Competition
+from ..competitions.view import disqualified_since_the_end
+from ..database.models import Team
+from ..database.states import NoticeKind, Quota
 from ..errors import not_found
-from ..members import members, passwords
-from ..members.passwords import MAX_LENGTH, MIN_LENGTH
-from ..notices import addresses, webhooks
+from ..operations import team_data
 from ..principals import CONSOLE, Principal
 from ..services import Services
-from ..teams import merging, teams
-from ..teams.shown_names import ShownNames
 from ..views.notices import NewWebhookView, WebhookListView
 from ..views.team_data import TeamDataView
 from ..views.teams import (
@@ -300,7 +298,7 @@ def add_webhook(
     inside = services.settings.webhooks_may_lead_inside
     if not inside:
         leave_place(request)
-        addresses.require_public(new.address)
+        webhooks.require_public(new.address)
     with services.database.transaction() as session:
         team = _team(session, principal, team_id)
         return webhooks.add(session, principal, team, new.address, inside_allowed=inside)

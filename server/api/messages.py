@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..messages import announcements, questions
+from ..accounts import messages
 from ..texts import TEXT_LENGTH
 from ..views.messages import AnnouncementListView, AnnouncementView, QuestionListView, QuestionView
 from .access import ChangingServicesOf, OptionalPrincipalOf, OrganizerOf, RowNumber, ServicesOf, TeamOf
@@ -19,7 +19,7 @@ class NewAnnouncement(BaseModel):
     """What organizers say to everybody."""
 
     model_config = ConfigDict(extra="forbid")
-    title: str = Field(min_length=2, max_length=announcements.TITLE_LENGTH)
+    title: str = Field(min_length=2, max_length=messages.TITLE_LENGTH)
     text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Plain text.")
     notify: bool = Field(default=False, description="Whether it is sent to all teams, too.")
 
@@ -47,14 +47,14 @@ OnlyOpen = Annotated[bool, Query(alias="open", description="Only those that nobo
 def list_announcements(services: ServicesOf) -> AnnouncementListView:
     """Return what the organizers say to everybody, newest first."""
     with services.database.transaction() as session:
-        return AnnouncementListView(items=announcements.shown(session))
+        return AnnouncementListView(items=messages.list_announcements(session))
 
 
 @router.post("/announcements", status_code=HTTPStatus.CREATED)
 def post_announcement(services: ChangingServicesOf, principal: OrganizerOf, new: NewAnnouncement) -> AnnouncementView:
     """Say something to everybody; for organizers."""
     with services.database.transaction() as session:
-        made = announcements.publish(session, principal, title=new.title, text=new.text, notify=new.notify)
+        made = messages.publish_announcement(session, principal, title=new.title, text=new.text, notify=new.notify)
         return AnnouncementView.model_validate(made, from_attributes=True)
 
 
@@ -62,7 +62,7 @@ def post_announcement(services: ChangingServicesOf, principal: OrganizerOf, new:
 def withdraw_announcement(services: ChangingServicesOf, principal: OrganizerOf, announcement_id: RowNumber) -> None:
     """Show an announcement to nobody from now on; for organizers."""
     with services.database.transaction() as session:
-        announcements.withdraw(session, principal, announcement_id)
+        messages.withdraw_announcement(session, principal, announcement_id)
 
 
 @router.get("/questions")
@@ -71,14 +71,16 @@ def list_questions(
 ) -> QuestionListView:
     """Return public questions with their answers, and those of the own team (all for an organizer), newest first."""
     with services.database.transaction() as session:
-        return QuestionListView(items=questions.visible(session, principal, open_only=open_only))
+        return QuestionListView(items=messages.list_questions(session, principal, open_only=open_only))
 
 
 @router.post("/questions", status_code=HTTPStatus.CREATED)
 def post_question(services: ChangingServicesOf, principal: TeamOf, new: NewQuestion) -> QuestionView:
     """Ask the organizers; for teams."""
     with services.database.transaction() as session:
-        return questions.question_view(questions.ask(session, principal, new.text, public=new.public), principal)
+        return messages.make_question_view(
+            messages.ask_question(session, principal, new.text, public=new.public), principal
+        )
 
 
 @router.put("/questions/{question_id}/answer")
@@ -87,12 +89,12 @@ def put_answer(
 ) -> QuestionView:
     """Answer a question, or replace its answer; for organizers."""
     with services.database.transaction() as session:
-        found = questions.answer(session, principal, question_id, answer.text, public=answer.public)
-        return questions.question_view(found, principal)
+        found = messages.answer_question(session, principal, question_id, answer.text, public=answer.public)
+        return messages.make_question_view(found, principal)
 
 
 @router.delete("/questions/{question_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
 def hide_question(services: ChangingServicesOf, principal: OrganizerOf, question_id: RowNumber) -> None:
     """Hide a question: only its team sees it, and it needs no answer; for organizers."""
     with services.database.transaction() as session:
-        questions.hide(session, principal, question_id)
+        messages.hide_question(session, principal, question_id)

@@ -8,9 +8,9 @@ from uuid import UUID
 from fastapi import APIRouter, Path, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from ..accounts import outbox
 from ..audit import entry_view, newest_entries
-from ..db.states import WorkerOrder
-from ..notices import outbox
+from ..database.states import WorkerOrder
 from ..queue import workers
 from ..stations import stations
 from ..views.notices import NoticeView

@@ -14,10 +14,10 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 from vitac.evaluator.tracks import UnknownTask, UnknownTrack
 
-from ..db.engine import has_no_free_connection, is_cancelled, is_connection_loss
+from ..database.engine import has_no_free_connection, is_cancelled, is_connection_loss
 from ..errors import TRACK_REMOVED, ProblemCode, ServiceError, storage_full
 from ..settings import Settings
-from ..storage.disk_space import has_space, is_disk_full
+from ..storage.scratch import has_space, is_disk_full
 
 logger = structlog.get_logger(__name__)
 

@@ -6,9 +6,9 @@ from uuid import UUID
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..competition.competition import Competition
-from ..rejudging import rejudging
-from ..rejudging.view import rejudgement_detail_view, rejudgement_view
+from ..competitions.competition import Competition
+from ..decisions import rejudging
+from ..decisions.rejudging import rejudgement_detail_view, rejudgement_view
 from ..views.rejudging import RejudgementDetailView, RejudgementView
 from .access import ChangingServicesOf, CompetitionOrganizerOf, ServicesOf
 from .problems import RESPONSES

@@ -10,10 +10,10 @@ from fastapi.concurrency import run_in_threadpool
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.types import Receive, Scope, Send
 
-from ..db.states import Quota
+from ..accounts.quotas import exceeded, find_limit
+from ..database.states import Quota
 from ..limiter import ConcurrencyLimiter
 from ..principals import Principal
-from ..quotas import exceeded, find_limit
 from ..services import Services
 from .attempts import get_client_address
 

@@ -15,19 +15,19 @@ from pydantic import BaseModel, ConfigDict, Field
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..db.states import EvaluationState
+from ..accounts.teams import REASON_LENGTH
+from ..database.states import EvaluationState
 from ..errors import ProblemCode, ServiceError
+from ..leaderboards import descriptions, public_pages
 from ..limiter import UPLOADS
 from ..logs import action_matches
 from ..logs.export import export_log
 from ..principals import Principal
 from ..services import Services
-from ..sharing import descriptions, public_pages
 from ..submissions import clearance, disqualification, listing, output, runs, sensors, upload
 from ..submissions.comparison import MAX_COMPARED, compare_results
 from ..submissions.model_card import model_card
 from ..submissions.watch import Changes, watch
-from ..teams.teams import REASON_LENGTH
 from ..texts import TEXT_LENGTH
 from ..views.comparisons import ComparisonView
 from ..views.logs import ActionMatchView

@@ -9,16 +9,14 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.orm import Session
 
-from .. import tokens
-from ..db.models import ApiToken, Team
-from ..db.states import Quota, Role
+from ..accounts import registration, teams, tokens
+from ..accounts.quotas import charge, stage_uses, uses
+from ..accounts.shown_names import ShownNames
+from ..database.models import ApiToken, Team
+from ..database.states import Quota, Role
 from ..errors import ProblemCode, ServiceError
-from ..members import registration
 from ..principals import CONSOLE, Principal
-from ..quotas import charge, stage_uses, uses
 from ..services import Services
-from ..teams import teams
-from ..teams.shown_names import ShownNames
 from ..views.teams import MeView, NewTokenView, OrganizerTeamView, QuotaView, RegisteredTeamView, TokenListView
 from .access import CaptainOf, ChangingServicesOf, OptionalPrincipalOf, OrganizerOf, ServicesOf, SignedInOf, SubmitterOf
 from .attempts import note_registration

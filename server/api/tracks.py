@@ -6,9 +6,8 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
-from ..leaderboards.made_boards import PAGE_ENTRIES, MadeBoard
-from ..leaderboards.search import MAX_TEXT, BoardSearch, Rows
-from ..leaderboards.shown import shown_leaderboard, shown_log_boards, shown_rank_history
+from ..leaderboards.board_cache import PAGE_ENTRIES, MadeBoard
+from ..leaderboards.reading import MAX_TEXT, BoardSearch, Rows, shown_leaderboard, shown_log_boards, shown_rank_history
 from ..tracks import load_known_track, track_file, track_view, track_views
 from ..views.leaderboards import LeaderboardView, LogBoardsView, TeamRanksView
 from ..views.tracks import TrackListView, TrackView

@@ -8,15 +8,15 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session, joinedload, selectinload
 from vitac.evaluator.episodes.records import EpisodeRecord
 
+from ..accounts import teams
 from ..audit import record
-from ..competition.competition import Competition, find_stage
-from ..db.models import Appeal, AppealReplay, EpisodeResult, Evaluation, Rejudgement, Submission
-from ..db.states import TERMINAL_EVALUATION_STATES, AppealState
+from ..competitions.competition import Competition, find_stage
+from ..database.models import Appeal, AppealReplay, EpisodeResult, Evaluation, Rejudgement, Submission
+from ..database.states import TERMINAL_EVALUATION_STATES, AppealState
 from ..errors import ProblemCode, ServiceError, not_found
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation
 from ..principals import Principal
-from ..teams import teams
 from ..texts import clean_text
 from ..views.appeals import AppealReplayView, AppealView
 from ..visibility import changeable, decide_sight

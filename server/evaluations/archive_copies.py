@@ -11,7 +11,7 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session, joinedload, undefer
 from vitac.evaluator.submission.likeness import ArchiveLikeness, ArchiveSketch, compare_sketches
 
-from ..db.models import ArchiveCopy, Submission
+from ..database.models import ArchiveCopy, Submission
 from ..principals import Principal
 from ..views.evaluations import ArchiveCopyView, NearCopyView
 

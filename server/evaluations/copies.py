@@ -18,10 +18,10 @@ from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..db.among import among_parameter
-from ..db.models import ALL_TASKS, BoardResult, EpisodeResult, Evaluation, LogCopy, NearCopy, Submission, Team
-from ..db.states import EvaluationState
-from ..teams.shown_names import ShownNames
+from ..accounts.shown_names import ShownNames
+from ..database.engine import among_parameter
+from ..database.models import ALL_TASKS, BoardResult, EpisodeResult, Evaluation, LogCopy, NearCopy, Submission, Team
+from ..database.states import EvaluationState
 from ..views.evaluations import CopyView
 from .episode_store import EpisodeKey
 

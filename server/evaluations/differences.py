@@ -11,8 +11,8 @@ from sqlalchemy import ScalarSelect, func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
-from ..db.among import among
-from ..db.models import EpisodeDifference, Evaluation, Shard
+from ..database.engine import among
+from ..database.models import EpisodeDifference, Evaluation, Shard
 from ..queue.leases import Lease
 from ..views.evaluations import DifferingEpisodeView
 

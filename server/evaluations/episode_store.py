@@ -12,8 +12,8 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure, digest_of_stored
 from vitac.evaluator.tracks import ListKind
 
-from ..competition.competition import find_stage
-from ..db.models import EpisodeResult, Evaluation, Submission
+from ..competitions.competition import find_stage
+from ..database.models import EpisodeResult, Evaluation, Submission
 from ..principals import Principal
 from ..queue.leases import Lease, lock_held, note_progress
 from ..tracks import known_track

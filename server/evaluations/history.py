@@ -12,9 +12,9 @@ from sqlalchemy import ScalarSelect, Select, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, defer, undefer
 from sqlalchemy.orm.attributes import set_committed_value
 
-from ..db.among import among_parameter
-from ..db.models import Evaluation, Submission
-from ..db.states import EvaluationState
+from ..database.engine import among_parameter
+from ..database.models import Evaluation, Submission
+from ..database.states import EvaluationState
 
 ValueT = TypeVar("ValueT")
 

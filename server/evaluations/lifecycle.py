@@ -17,11 +17,11 @@ from vitac.evaluator.tracks import ListKind, load_track
 from vitac.evaluator.tracks.cut import cut
 from vitac.evaluator.tracks.registry import compute_hash, find_version
 
-from ..competition.competition import find_stage
-from ..db.models import Evaluation, Shard, Submission
-from ..db.row_locks import lock_evaluation
-from ..db.states import OPEN_SHARD_STATES, EvaluationState, NoticeKind, ShardState
-from ..notices.outbox import announce_evaluation
+from ..accounts.outbox import announce_evaluation
+from ..competitions.competition import find_stage
+from ..database.locks import lock_evaluation
+from ..database.models import Evaluation, Shard, Submission
+from ..database.states import OPEN_SHARD_STATES, EvaluationState, NoticeKind, ShardState
 from ..queue.jobs import enqueue_shards, queue_name, withdraw_jobs
 from ..queue.leases import Lease, end_shard, hand_back, lock_held
 from ..queue.turns import next_turn

@@ -5,8 +5,8 @@ from uuid import UUID
 from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session, defer, joinedload
 
-from ..db.models import Evaluation, Shard, Submission
-from ..db.states import EvaluationState
+from ..database.models import Evaluation, Shard, Submission
+from ..database.states import EvaluationState
 from ..errors import not_found
 from ..principals import CONSOLE
 from ..queue.workers import fleet

@@ -19,7 +19,7 @@ from sqlalchemy.orm import Session, defer, joinedload
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.scoring.near_copies import Likeness, Trace, compare_traces, make_trace
 
-from ..db.models import ActionTrace, Evaluation, NearCopy, Submission
+from ..database.models import ActionTrace, Evaluation, NearCopy, Submission
 from ..principals import Principal
 from ..views.evaluations import NearCopyView
 from .copies import mark_copy

@@ -9,9 +9,9 @@ from uuid import UUID
 from sqlalchemy import case, func, select
 from sqlalchemy.orm import Session
 
-from ..db.models import EpisodeResult, Evaluation, Shard, Submission
-from ..db.states import ACTIVE_EVALUATION_STATES, OPEN_SHARD_STATES, EvaluationState
-from ..db.stored_episodes import ON_EITHER_LIST
+from ..database.models import EpisodeResult, Evaluation, Shard, Submission
+from ..database.states import ACTIVE_EVALUATION_STATES, OPEN_SHARD_STATES, EvaluationState
+from ..database.stored_episodes import ON_EITHER_LIST
 from ..tracks import known_task
 from ..views.evaluations import ProgressView, TaskProgressView
 from .episode_store import played_keys

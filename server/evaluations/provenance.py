@@ -8,10 +8,10 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import Manifest
 from vitac.evaluator.package_sets import digest_of_packages
 
-from ..db.among import among
-from ..db.models import Evaluation, Shard, Submission
-from ..db.row_locks import lock_evaluation
-from ..db.states import ShardState
+from ..database.engine import among
+from ..database.locks import lock_evaluation
+from ..database.models import Evaluation, Shard, Submission
+from ..database.states import ShardState
 from ..queue.leases import Lease, store_packages_digest
 
 

@@ -5,9 +5,9 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks.registry import find_version
 
-from ..competition.stages import Stage
-from ..db.models import BoardResult, Evaluation, Submission, Team
-from ..db.states import ACTIVE_EVALUATION_STATES
+from ..competitions.stages import Stage
+from ..database.models import BoardResult, Evaluation, Submission, Team
+from ..database.states import ACTIVE_EVALUATION_STATES
 from ..errors import ProblemCode, ServiceError
 from .history import select_newest
 from .verdicts import ServiceVerdict

@@ -12,8 +12,8 @@ from vitac.evaluator.scoring.lists import better_on_public_p_value
 from vitac.evaluator.scoring.score import CombinedScore, Interval, Rate, Score, combine, score
 from vitac.evaluator.tracks import Track
 
-from ..competition.competition import find_stage
-from ..db.models import ALL_TASKS, BoardResult, Evaluation, Submission
+from ..competitions.competition import find_stage
+from ..database.models import ALL_TASKS, BoardResult, Evaluation, Submission
 from ..receipts.receipt import CombinedResult
 from ..tracks import known_track
 from ..views.scores import PlayedScoreView, PracticeScoreView, ShapeScoreView, TaskScoreView

@@ -17,10 +17,9 @@ from vitac.evaluator.tracks.registry import current_versions, find_version
 from vitac.evaluator.version import evaluator_version
 
 from ..audit import record
-from ..db.advisory_locks import AdvisoryLock, try_lock
-from ..db.models import Evaluation, Submission, Worker
-from ..db.row_locks import try_lock_evaluation, unless_held
-from ..db.states import ACTIVE_EVALUATION_STATES, EvaluationState
+from ..database.locks import AdvisoryLock, try_lock, try_lock_evaluation, unless_held
+from ..database.models import Evaluation, Submission, Worker
+from ..database.states import ACTIVE_EVALUATION_STATES, EvaluationState
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
 from ..queue.declared import declared_versions, explain_other_evaluator, read_outdated_rule

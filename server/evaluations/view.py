@@ -12,8 +12,8 @@ from vitac.evaluator.package_sets import digest_of_packages
 from vitac.evaluator.tracks import ListKind
 
 from ..cache import Cache
-from ..db.models import EpisodeResult, Evaluation
-from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
+from ..database.models import EpisodeResult, Evaluation
+from ..database.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
 from ..principals import Principal
 from ..queue.workers import WorkersAlive
 from ..tracks import known_task

@@ -1,1 +1,1 @@
-"""Leaderboards of tracks and tasks, and the boards of logs."""
+"""Leaderboards: who is ranked where, which results everybody may see, and boards as they are read."""

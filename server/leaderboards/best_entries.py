@@ -16,11 +16,11 @@ from vitac.evaluator.ranking import Ranking
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
 
-from ..competition.stages import CountedResults, Stage
-from ..db.models import ALL_TASKS, BoardResult, Team
+from ..competitions.stages import CountedResults, Stage
+from ..database.models import ALL_TASKS, BoardResult, Team
 from ..tracks import is_reference, known_track
 from ..views.submissions import RankView
-from .changes import kept_until_change
+from .board_cache import kept_until_change
 
 _EVER = datetime.max.replace(tzinfo=UTC)
 

@@ -1,16 +1,106 @@
-"""What a team has reached with its submissions so far; called by the pages."""
+"""The ranks of a board's first teams over time; called by the boards as they are shown."""
 
+from bisect import bisect_left, insort
+from collections.abc import Collection, Mapping, Sequence
+from datetime import datetime
 from functools import cache
 from typing import Any
+from uuid import UUID
 
 from sqlalchemy import Select, Text, bindparam, func, select, tuple_
 from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.orm import Session
 
-from ..db.models import BoardResult, Evaluation, Submission
+from ..database.models import ALL_TASKS, BoardResult, Evaluation, Submission, Team
 from ..principals import Principal
-from ..views.leaderboards import PastResultView
+from ..views.leaderboards import DatedRankView, LeaderboardEntryView, PastResultView, TeamRanksView
 from ..visibility import visible
+from .best_entries import Board, takes_part
+from .board_cache import kept_until_change
+
+TEAMS = 8
+"""Number of teams whose ranks are followed."""
+
+Ranks = Mapping[UUID, Sequence[DatedRankView]]
+"""By the evaluation of the team's present entry, each change of its rank."""
+
+
+def rank_history(session: Session, board: Board, entries: Collection[LeaderboardEntryView]) -> list[TeamRanksView]:
+    """Return each change of the ranks of a board's first teams.
+
+    Args:
+        session: of the transaction.
+        board: which one.
+        entries: as it shows them, with the names of their teams.
+    """
+    ranks = kept_until_change(session, ("rank history", board), lambda: _follow(_read(session, board)))
+    return [
+        TeamRanksView(team=entry.team, submission_id=entry.submission_id, ranks=list(ranks[entry.evaluation_id]))
+        for entry in entries
+        if entry.evaluation_id in ranks
+    ]
+
+
+def _read(session: Session, board: Board) -> Sequence[BoardResult]:
+    """Return all results that the board ranked at some time, in the order in which they were complete."""
+    query = (
+        select(BoardResult)
+        .join(Team, Team.id == BoardResult.team_id)
+        .where(
+            BoardResult.competition == board.competition,
+            BoardResult.track == board.track,
+            BoardResult.stage == board.stage,
+            BoardResult.kind == board.kind,
+            BoardResult.board == (board.task or ALL_TASKS),
+            BoardResult.evaluator_version == board.evaluator_version,
+            BoardResult.finished_at <= board.until,
+            ~BoardResult.is_disqualified,
+            ~BoardResult.is_copy,
+            takes_part(),
+        )
+        .order_by(BoardResult.finished_at, BoardResult.evaluation_id)
+    )
+    return session.scalars(query).all()
+
+
+def _follow(results: Sequence[BoardResult]) -> Ranks:
+    """Return the changes of ranks of the teams that are first at the end."""
+    final: dict[UUID, tuple[Any, ...]] = {}
+    for result in results:
+        key = _key(result)
+        final[result.team_id] = min(key, final.get(result.team_id, key))
+    first = sorted(final, key=final.__getitem__)[:TEAMS]
+    changes: dict[UUID, list[DatedRankView]] = {team: [] for team in first}
+    best: dict[UUID, tuple[Any, ...]] = {}
+    order: list[tuple[Any, ...]] = []
+    for result in results:
+        key, before = _key(result), best.get(result.team_id)
+        if before is not None and before <= key:
+            continue
+        if before is not None:
+            order.pop(bisect_left(order, before))
+        insort(order, key)
+        best[result.team_id] = key
+        _note(changes, best, order, result.finished_at)
+    return {final[team][-1]: changes[team] for team in first}
+
+
+def _note(
+    changes: Mapping[UUID, list[DatedRankView]],
+    best: Mapping[UUID, tuple[Any, ...]],
+    order: Sequence[tuple[Any, ...]],
+    at: datetime,
+) -> None:
+    for team, noted in changes.items():
+        rank = bisect_left(order, best[team]) + 1 if team in best else None
+        if rank is not None and (not noted or noted[-1].rank != rank):
+            noted.append(DatedRankView(at=at, rank=rank))
+
+
+def _key(result: BoardResult) -> tuple[Any, ...]:
+    """Return what a result is ordered by, low first, the id last, as the boards have it."""
+    return (*result.sort_key, result.evaluation_id)
+
 
 MAX_RESULTS = 500
 

@@ -16,22 +16,21 @@ from vitac.evaluator.logs.text_2025 import WHY_RATES_DIFFER
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Track
 
-from ..competition.stages import CountedResults, Stage
-from ..db.models import BoardResult, Evaluation, Team
+from ..accounts import teams
+from ..accounts.shown_names import ShownNames
+from ..competitions.stages import CountedResults, Stage
+from ..database.models import BoardResult, Evaluation, Team
 from ..evaluations.copies import find_copies
 from ..evaluations.scores import score_views
 from ..logs.claims import LogClaim
 from ..logs.view import read_verification
 from ..principals import VISITOR
-from ..teams import teams
-from ..teams.shown_names import ShownNames
 from ..tracks import load_known_track
 from ..views.evaluations import CopyView
 from ..views.leaderboards import LogBoardsView, LogBoardView, LogEntryView, TextLogEntryView
 from ..visibility import played_list_kind
 from .best_entries import BestEntry, Board, best_entries, takes_part
-from .changes import kept_until_change
-from .made_boards import MadeBoard, MadeBoards, compute_revision
+from .board_cache import MadeBoard, MadeBoards, compute_revision, kept_until_change
 from .standings import completed_evaluations, made_entries, unranked
 
 _WHAT_IS_RANKED = (

@@ -1,6 +1,7 @@
 """Standings of a track and of its tasks: reads completed evaluations only, ranks them by the evaluator's rule."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -12,8 +13,10 @@ from sqlalchemy.orm import Session, defer, selectinload
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, Track
 
-from ..competition.stages import CountedResults, Stage
-from ..db.models import Evaluation, Submission
+from ..accounts import teams
+from ..accounts.shown_names import ShownNames
+from ..competitions.stages import CountedResults, Stage
+from ..database.models import Evaluation, Submission
 from ..evaluations.copies import find_copies
 from ..evaluations.scores import (
     bounds,
@@ -24,17 +27,69 @@ from ..evaluations.scores import (
     task_views,
 )
 from ..principals import CONSOLE, VISITOR
-from ..teams import teams
-from ..teams.shown_names import ShownNames
 from ..tracks import is_reference, load_known_track, require_task
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView, LogEntryView
 from ..visibility import played_list_kind
 from .baselines import list_baselines
 from .best_entries import BestEntry, Board, best_entries
-from .changes import kept_until_change
-from .made_boards import MadeBoard, MadeBoards, compute_revision
-from .outdated import explain_unranked
-from .rank_ranges import rank_ranges
+from .board_cache import MadeBoard, MadeBoards, compute_revision, kept_until_change
+
+
+def explain_unranked(
+    made_by: Collection[str], counted: CountedResults, track: str, *, kind: SubmissionKind, of: int
+) -> str | None:
+    """Return why entries of a board have no rank, and what brings it back; None where all were made by its evaluator.
+
+    Args:
+        made_by: the evaluator version of each entry without a rank that another one made.
+        counted: which results the board ranks.
+        track: of the board.
+        kind: of the entries.
+        of: how many entries there are.
+    """
+    if not made_by:
+        return None
+    count = f"{len(made_by)} of {of} entries {'has' if len(made_by) == 1 else 'have'} no rank"
+    made = f"evaluator {' or '.join(sorted(set(made_by)))} made {'it' if len(made_by) == 1 else 'them'}"
+    return (
+        f"{count}: {made}, and this board ranks results of evaluator {counted.evaluator_version}, as results of two "
+        f"evaluators are not comparable. {_remedy(counted, track, kind)}"
+    )
+
+
+def explain_unranked_submission(made_by: str, counted: CountedResults, track: str) -> str | None:
+    """Return why a scored model has no rank, and what brings it back; None where its board ranks it."""
+    if made_by == counted.evaluator_version or counted.final_since is not None:
+        return None
+    return (
+        f"It has no rank: evaluator {made_by} made its result, and the board ranks results of evaluator "
+        f"{counted.evaluator_version}, as results of two evaluators are not comparable. "
+        f"{_remedy(counted, track, SubmissionKind.MODEL)}"
+    )
+
+
+def _remedy(counted: CountedResults, track: str, kind: SubmissionKind) -> str:
+    if counted.final_since is not None:
+        return "The results are final, and stay as they are."
+    again = "A submission gets a rank once it is evaluated again"
+    if not kind.form.runs_policy:
+        return f"{again}: upload a log of the present evaluator."
+    return f"{again}: organizers do so with `vitac admin rejudge start --track {track} --reason REASON`, then `apply`."
+
+
+def rank_ranges(intervals: Sequence[tuple[float, float]]) -> list[tuple[int, int]]:
+    """Return the first and last rank that each entry could have, given the 95 % intervals of all success rates.
+
+    Ahead for certain is only who is above the whole interval, behind for certain who is below it. Entries of equal rank
+    ranges cannot be distinguished by this number of episodes.
+
+    Args:
+        intervals: low and high end of each entry.
+    """
+    lows, highs = sorted(low for low, _ in intervals), sorted(high for _, high in intervals)
+    n = len(intervals)
+    return [(1 + n - bisect_right(lows, high), n - bisect_left(highs, low)) for low, high in intervals]
+
 
 EntryT = TypeVar("EntryT", LeaderboardEntryView, LogEntryView)
 

@@ -16,8 +16,8 @@ from vitac.evaluator.logs.comparison import EpisodeMatch, compare_actions
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..cache import Cache
-from ..db.models import EpisodeResult, Evaluation, Submission
-from ..db.states import EvaluationState
+from ..database.models import EpisodeResult, Evaluation, Submission
+from ..database.states import EvaluationState
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation
 from ..principals import Principal

@@ -6,13 +6,13 @@ from uuid import UUID
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.log import LogHeader, write_log
 
-from ..db.states import EvaluationState
+from ..accounts.shown_names import ShownNames
+from ..database.states import EvaluationState
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.episode_store import EpisodeKey, read_stored_records
 from ..evaluations.history import newest_evaluation
 from ..evaluations.provenance import read_provenance
 from ..principals import Principal
-from ..teams.shown_names import ShownNames
 from ..visibility import require_episodes, visible
 
 

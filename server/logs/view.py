@@ -10,8 +10,8 @@ from vitac.evaluator.logs.findings import LogFinding, VerificationResult, explai
 from vitac.evaluator.logs.text_2025 import WHY_RATES_DIFFER
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..db.models import Evaluation, Shard, Submission
-from ..db.states import EvaluationState
+from ..database.models import Evaluation, Shard, Submission
+from ..database.states import EvaluationState
 from ..evaluations.verdicts import REFUTING_RESULTS
 from ..tracks import known_task
 from ..views.logs import DivergenceView, LogView

@@ -1,1 +1,1 @@
-"""The state of the whole service, for Prometheus and for the organizers' page."""
+"""The state of the service for its operators: desk, metrics, backups, housekeeping, a team's data."""

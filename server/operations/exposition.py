@@ -14,9 +14,8 @@ from prometheus_client.metrics_core import Metric
 from prometheus_client.samples import Sample
 from sqlalchemy.exc import DBAPIError
 
-from ..db.states import WorkerState
-from ..metrics.instruments import Instruments
-from ..metrics.totals import SeriesKey, list_samples, totals
+from ..database.metrics import Instruments, SeriesKey, list_samples, totals
+from ..database.states import WorkerState
 from ..queue.workers import Disk, measure_disk
 from ..receipts.witnesses import list_witness_views
 from ..services import Services

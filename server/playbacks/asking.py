@@ -17,18 +17,18 @@ from vitac.evaluator.playback.making import FORMAT, NotPlayable, require_playabl
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.registry import find_version
 
-from ..db.advisory_locks import AdvisoryLock, wait_for_turn
-from ..db.models import EpisodeResult, Playback, Shard
-from ..db.states import OPEN_PLAYBACK_STATES, PlaybackState, ShardState
+from ..accounts.shown_names import ShownNames
+from ..database.locks import AdvisoryLock, wait_for_turn
+from ..database.models import EpisodeResult, Playback, Shard
+from ..database.states import OPEN_PLAYBACK_STATES, PlaybackState, ShardState
 from ..errors import ProblemCode, ServiceError, not_found
 from ..evaluations.episode_store import find_shown_key
 from ..evaluations.history import newest_evaluation
+from ..leaderboards.public_pages import readable
 from ..principals import VISITOR, Principal
 from ..queue.jobs import enqueue_playback, queue_name
 from ..queue.workers import fleet
 from ..settings import Settings
-from ..sharing.public_pages import readable
-from ..teams.shown_names import ShownNames
 from ..tracks import find_playback_family
 from ..views.playbacks import PlaybackView, ShownEpisodeView
 from .story import tell_story

@@ -6,11 +6,11 @@ from sqlalchemy import and_, or_, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeOutcome
 
-from ..db.models import EpisodeResult, Submission
+from ..accounts.shown_names import ShownNames
+from ..database.models import EpisodeResult, Submission
 from ..errors import ProblemCode, ServiceError
+from ..leaderboards.public_pages import readable
 from ..principals import Principal
-from ..sharing.public_pages import readable
-from ..teams.shown_names import ShownNames
 from ..views.playbacks import EpisodeChoiceView
 from .asking import find_episode
 

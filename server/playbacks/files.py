@@ -5,8 +5,8 @@ from enum import StrEnum
 from sqlalchemy import delete
 from sqlalchemy.orm import Session
 
-from ..db.engine import Database
-from ..db.models import EpisodeResult, Playback
+from ..database.engine import Database
+from ..database.models import EpisodeResult, Playback
 from ..errors import not_found
 from ..storage.blobs import BlobStore, StoredFileLost
 from .asking import find_playback

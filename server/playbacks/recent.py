@@ -6,12 +6,12 @@ from sqlalchemy import and_, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks.registry import current_versions
 
-from ..db.models import EpisodeResult, Playback, Submission
-from ..db.states import PlaybackState
+from ..database.models import EpisodeResult, Playback, Submission
+from ..database.states import PlaybackState
 from ..errors import ProblemCode, ServiceError
+from ..leaderboards.public_pages import public_among
 from ..principals import VISITOR
 from ..settings import Settings
-from ..sharing.public_pages import public_among
 from ..views.playbacks import PublicEpisodeView, ShownEpisodeView
 from .asking import shown_episode
 

@@ -11,15 +11,15 @@ from sqlalchemy.orm import Session, aliased, contains_eager
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks.registry import current_versions
 
-from ..db.among import among_parameter
-from ..db.models import EpisodeResult, Evaluation, Playback, Submission
-from ..db.states import EvaluationState
+from ..database.engine import among_parameter
+from ..database.models import EpisodeResult, Evaluation, Playback, Submission
+from ..database.states import EvaluationState
 from ..errors import ServiceError
 from ..evaluations.episode_store import find_shown_key
 from ..evaluations.history import newest_evaluation, select_newest
+from ..leaderboards.public_pages import public_among, readable
 from ..principals import CONSOLE, VISITOR, Principal
 from ..settings import Settings
-from ..sharing.public_pages import public_among, readable
 from ..views.playbacks import StillView
 from .asking import ask, playback_key
 

@@ -13,9 +13,9 @@ from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord
 
-from ..competition.sealing import derive_list_seed
-from ..db.models import EpisodeResult, Playback, Submission, SubmissionFile, Worker
-from ..db.states import OPEN_PLAYBACK_STATES, FileRole, PlaybackState, WorkerState
+from ..competitions.sealing import derive_list_seed
+from ..database.models import EpisodeResult, Playback, Submission, SubmissionFile, Worker
+from ..database.states import OPEN_PLAYBACK_STATES, FileRole, PlaybackState, WorkerState
 from ..queue.jobs import enqueue_playback, forget_jobs_of_ended_playbacks, has_waiting_playback_job
 from ..queue.leases import LeaseLost, lease_end
 from ..settings import Settings

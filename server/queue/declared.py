@@ -11,8 +11,8 @@ from vitac.evaluator.tracks import list_tracks
 from vitac.evaluator.tracks.registry import current_versions, find_version
 from vitac.evaluator.version import evaluator_version
 
-from ..db.models import DeclaredEvaluator, Evaluation
-from ..db.states import ACTIVE_EVALUATION_STATES
+from ..database.models import DeclaredEvaluator, Evaluation
+from ..database.states import ACTIVE_EVALUATION_STATES
 from ..settings import OutdatedRule
 
 OWN_SOURCES = ""

@@ -3,8 +3,8 @@
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from ..db.models import Playback, Shard
-from ..db.states import OPEN_SHARD_STATES, PlaybackState
+from ..database.models import Playback, Shard
+from ..database.states import OPEN_SHARD_STATES, PlaybackState
 
 
 def count_open_work(session: Session) -> int:

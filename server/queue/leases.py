@@ -19,9 +19,9 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks.registry import find_version
 
 from .. import traces
-from ..db.models import Evaluation, Shard, SubmissionFile
-from ..db.row_locks import lock_evaluation
-from ..db.states import EvaluationState, FileRole, RepeatCause, ShardState
+from ..database.locks import lock_evaluation
+from ..database.models import Evaluation, Shard, SubmissionFile
+from ..database.states import EvaluationState, FileRole, RepeatCause, ShardState
 from ..tracks import find_family
 from .jobs import RETRY_PRIORITY, enqueue_shards, queue_name
 from .repeats import make_repeat

@@ -3,8 +3,8 @@
 from datetime import UTC, datetime
 from typing import Any
 
-from ..db.models import Shard
-from ..db.states import RepeatCause
+from ..database.models import Shard
+from ..database.states import RepeatCause
 from ..views.evaluations import RepeatView
 
 

@@ -15,10 +15,9 @@ from sqlalchemy import ColumnElement, Interval, Select, cast, func, select, text
 from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
 
-from ..db.advisory_locks import AdvisoryLock, try_lock
-from ..db.models import Evaluation, Shard, Submission
-from ..db.row_locks import try_lock_evaluation, unless_held
-from ..db.states import RepeatCause, ShardState
+from ..database.locks import AdvisoryLock, try_lock, try_lock_evaluation, unless_held
+from ..database.models import Evaluation, Shard, Submission
+from ..database.states import RepeatCause, ShardState
 from ..settings import Settings
 from ..tracks import find_family
 from .jobs import (

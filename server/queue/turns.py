@@ -9,8 +9,8 @@ from uuid import UUID
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from ..db.models import Evaluation, Submission
-from ..db.states import ACTIVE_EVALUATION_STATES, EvaluationState
+from ..database.models import Evaluation, Submission
+from ..database.states import ACTIVE_EVALUATION_STATES, EvaluationState
 
 
 def next_turn(session: Session, team_id: UUID) -> int:

@@ -16,8 +16,8 @@ from vitac.evaluator.agent.description import SandboxDescription
 from vitac.evaluator.tracks.registry import find_evaluator
 
 from ..audit import record
-from ..db.models import Shard, Worker
-from ..db.states import ShardState, WorkerOrder, WorkerState
+from ..database.models import Shard, Worker
+from ..database.states import ShardState, WorkerOrder, WorkerState
 from ..errors import ProblemCode, ServiceError, not_found
 from ..principals import Principal
 from ..settings import Settings

@@ -7,6 +7,7 @@ board, as `vitac evaluate --log` writes it, `sensors/EVALUATION.json` the sensor
 a team's own, and `tracks/TRACK.yaml` the file of a track that does not come with the evaluator.
 """
 
+import hashlib
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,12 +18,13 @@ from uuid import UUID
 
 from pydantic import BaseModel, Field, ValidationError
 from vitac.envs.errors import VitacError
+from vitac.evaluator.episodes.records import canonical_json
 from vitac.evaluator.logs.packing import MAX_UNPACKED_BYTES
 from vitac.evaluator.sensors.made import MAX_BYTES as MAX_SENSOR_BYTES
 from vitac.evaluator.strict_model import StrictModel, explain
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..transparency.entries import LogEntry, Sha256
+from ..transparency.entries import FinalBoard, LogEntry, Sha256
 from ..views.leaderboards import LeaderboardView
 from .receipt import (
     MODELS,
@@ -231,3 +233,24 @@ def _parsed(model: type[ModelT], content: bytes, origin: str) -> ModelT:
         return model.model_validate_json(content)
     except ValidationError as error:
         raise ExportRejected(f"{origin}: {explain(model, error)}") from error
+
+
+_FIELDS = ("rank", "submission_id", "evaluation_id", "success_rate", "mean_steps", "result_hash")
+
+
+def hash_board(board: LeaderboardView) -> str:
+    """Return the SHA-256 [hex] over what a board says of its entries, whatever names of teams it shows."""
+    entries = [entry.model_dump(mode="json", include=set(_FIELDS)) for entry in board.entries]
+    return hashlib.sha256(canonical_json({"entries": entries})).hexdigest()
+
+
+def make_final_board(competition: str, board: LeaderboardView, at: datetime) -> FinalBoard:
+    """Return what the log says of a board."""
+    return FinalBoard(
+        issued_at=at,
+        competition=competition,
+        track=board.track,
+        stage=board.stage or "",
+        entries=len(board.entries),
+        board_sha256=hash_board(board),
+    )

@@ -11,8 +11,8 @@ from sqlalchemy import Select, and_, func, or_, select
 from sqlalchemy.orm import Session, defer
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..competition.stages import Stage
-from ..db.models import Cosignature, Evaluation, ReceiptRow, Submission
+from ..competitions.stages import Stage
+from ..database.models import Cosignature, Evaluation, ReceiptRow, Submission
 from ..transparency.entries import EntryKind, LogEntry
 from ..transparency.log import append, make_checkpoint, parse_entry, read_log_key, read_tree
 from ..transparency.merkle import Tree

@@ -8,9 +8,9 @@ from sqlalchemy import func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
-from ..competition.competition import Competition
-from ..competition.stages import Stage
-from ..db.models import CompetitionRow, Cosignature, ReceiptRow
+from ..competitions.competition import Competition
+from ..competitions.stages import Stage
+from ..database.models import CompetitionRow, Cosignature, ReceiptRow
 from ..errors import ProblemCode, ServiceError
 from ..transparency.log import count_entries, make_checkpoint, parse_entry, read_log_key, read_tree
 from ..transparency.notes import Checkpoint, NoteRejected, Signature, VerifierKey

@@ -15,8 +15,8 @@ from sqlalchemy.orm import Session
 
 from .. import names
 from ..audit import record
-from ..db.models import Station, Worker
-from ..db.states import WorkerState
+from ..database.models import Station, Worker
+from ..database.states import WorkerState
 from ..errors import ProblemCode, ServiceError, not_found
 from ..principals import Principal
 from ..settings import Settings

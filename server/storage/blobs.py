@@ -16,7 +16,7 @@ from obstore.store import LocalStore, ObjectStore, from_url
 
 from ..errors import ProblemCode, ServiceError, SettingsError, storage_full
 from ..settings import Settings
-from .disk_space import is_disk_full
+from .scratch import is_disk_full
 
 if TYPE_CHECKING:
     from obstore.store import RetryConfig

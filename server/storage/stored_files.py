@@ -7,9 +7,9 @@ from pathlib import Path
 from sqlalchemy import exists, select
 from sqlalchemy.orm import Session
 
-from ..db.advisory_locks import AdvisoryLock, wait_for_turn
-from ..db.engine import Database
-from ..db.models import Submission, SubmissionFile
+from ..database.engine import Database
+from ..database.locks import AdvisoryLock, wait_for_turn
+from ..database.models import Submission, SubmissionFile
 from ..errors import ProblemCode, ServiceError
 from .blobs import BlobStore
 

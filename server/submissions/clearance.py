@@ -7,12 +7,12 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from .. import names
+from ..accounts.teams import REASON_LENGTH
 from ..audit import record
-from ..db.models import Submission
+from ..database.models import Submission
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.copies import list_completed, mark_copy
 from ..principals import Principal
-from ..teams.teams import REASON_LENGTH
 from ..visibility import visible
 
 

@@ -15,13 +15,13 @@ from vitac.envs.tasks.definition import Family
 from vitac.evaluator.scoring.comparison import NothingToCompare, compare
 from vitac.evaluator.scoring.score import rate
 
-from ..db.models import Submission
+from ..database.models import Submission
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.history import newest_evaluation
-from ..leaderboards.shown import shown_leaderboard
+from ..leaderboards.public_pages import readable
+from ..leaderboards.reading import shown_leaderboard
 from ..principals import Principal
 from ..settings import Settings
-from ..sharing.public_pages import readable
 from ..tracks import find_family, known_task
 from ..views.comparisons import (
     ComparedEndView,

@@ -7,8 +7,8 @@ from uuid import UUID
 
 from sqlalchemy.orm import Session
 
-from ..competition.competition import Competition
-from ..db.models import PartialUpload
+from ..competitions.competition import Competition
+from ..database.models import PartialUpload
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
 from ..services import Services

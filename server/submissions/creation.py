@@ -6,20 +6,20 @@ from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
+from ..accounts import teams
+from ..accounts.outbox import announce_evaluation
+from ..accounts.quotas import charge, check, check_stage
 from ..audit import record
-from ..competition.competition import Competition, choose_competition
-from ..competition.stages import Stage
-from ..db.models import Submission, Team
-from ..db.states import NoticeKind, Quota
-from ..db.stored_uploads import WAS_CANCELLED
+from ..competitions.competition import Competition, choose_competition
+from ..competitions.stages import Stage
+from ..database.models import Submission, Team
+from ..database.states import NoticeKind, Quota
+from ..database.stored_uploads import WAS_CANCELLED
 from ..errors import ProblemCode, ServiceError
 from ..evaluations import lifecycle
-from ..notices.outbox import announce_evaluation
 from ..principals import Principal
-from ..quotas import charge, check, check_stage
 from ..receipts.issuing import issue_for_submission
 from ..settings import Quotas
-from ..teams import teams
 from ..uploads.checked_upload import CheckedUpload
 from ..uploads.file_names import check_file_name
 from .disqualification import require_qualified

@@ -7,11 +7,11 @@ from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
 from .. import names
+from ..accounts.teams import REASON_LENGTH
 from ..audit import record
-from ..db.models import BoardResult, Submission
+from ..database.models import BoardResult, Submission
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
-from ..teams.teams import REASON_LENGTH
 from ..visibility import visible
 
 

@@ -12,9 +12,9 @@ from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FiguresPart, SensorFigures, merged
 from vitac.evaluator.tracks import Player, load_track
 
-from ..competition.sealing import played_track
-from ..db.models import Evaluation, Submission, SubmissionFile
-from ..db.states import FileRole
+from ..competitions.sealing import played_track
+from ..database.models import Evaluation, Submission, SubmissionFile
+from ..database.states import FileRole
 from ..queue.leases import Lease
 from ..uploads.checked_upload import UploadedFile
 

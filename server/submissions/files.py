@@ -7,9 +7,9 @@ from sqlalchemy import Connection, delete, select, union
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
-from ..db.models import Submission, SubmissionFile, Team
-from ..db.states import FileRole
-from ..db.stored_uploads import WAS_CANCELLED
+from ..database.models import Submission, SubmissionFile, Team
+from ..database.states import FileRole
+from ..database.stored_uploads import WAS_CANCELLED
 from ..uploads.checked_upload import UploadedFile
 
 

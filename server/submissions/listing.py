@@ -7,16 +7,16 @@ from uuid import UUID
 from sqlalchemy import ColumnElement, null, select, tuple_
 from sqlalchemy.orm import Session, joinedload
 
+from ..accounts import teams
 from ..cache import Cache
-from ..competition.competition import Competition
-from ..db.models import EpisodeResult, Evaluation, Submission
-from ..db.states import EvaluationState
+from ..competitions.competition import Competition
+from ..database.models import EpisodeResult, Evaluation, Submission
+from ..database.states import EvaluationState
 from ..evaluations.episode_store import EpisodeKey, find_shown_key
 from ..evaluations.history import histories, newest_evaluation, newest_state
+from ..leaderboards.public_pages import readable
 from ..principals import Principal
 from ..settings import Settings
-from ..sharing.public_pages import readable
-from ..teams import teams
 from ..tracks import known_track
 from ..views.submissions import EpisodeView, SubmissionListView, SubmissionView
 from ..visibility import visible

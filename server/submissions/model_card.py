@@ -6,13 +6,13 @@ from sqlalchemy import Float, func, select
 from sqlalchemy.orm import Session
 
 from ..cache import Cache
-from ..db.models import EpisodeResult, Evaluation
-from ..db.states import EvaluationState
+from ..database.models import EpisodeResult, Evaluation
+from ..database.states import EvaluationState
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.episode_store import EpisodeKey, find_shown_key
 from ..evaluations.history import newest_evaluation
+from ..leaderboards.public_pages import readable
 from ..principals import Principal
-from ..sharing.public_pages import readable
 from ..views.submissions import ArchiveContents, ModelCardView
 
 _times: Cache[UUID, float] = Cache(at_most=1024)

@@ -8,7 +8,7 @@ from sqlalchemy import Row, Select, func, or_, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeOutcome, PolicyFailure
 
-from ..db.models import EpisodeResult, Evaluation
+from ..database.models import EpisodeResult, Evaluation
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation

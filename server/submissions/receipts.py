@@ -5,7 +5,7 @@ from uuid import UUID
 
 from sqlalchemy.orm import Session
 
-from ..competition.competition import Competition
+from ..competitions.competition import Competition
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
 from ..receipts import issuing

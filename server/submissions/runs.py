@@ -7,10 +7,10 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.tracks.registry import find_version
 
 from ..audit import record
-from ..db.models import Evaluation, Submission
-from ..db.row_locks import lock_evaluation
-from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
-from ..db.stored_uploads import WAS_CANCELLED
+from ..database.locks import lock_evaluation
+from ..database.models import Evaluation, Submission
+from ..database.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
+from ..database.stored_uploads import WAS_CANCELLED
 from ..errors import ProblemCode, ServiceError
 from ..evaluations import lifecycle
 from ..evaluations.history import all_runs, newest_evaluation

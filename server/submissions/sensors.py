@@ -7,8 +7,8 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.scoring.comparison import RunsDiffer, SensingGain, sensing_gain
 from vitac.evaluator.tracks import Player, load_track
 
-from ..db.models import Submission, SubmissionFile
-from ..db.states import EvaluationState, FileRole
+from ..database.models import Submission, SubmissionFile
+from ..database.states import EvaluationState, FileRole
 from ..errors import not_found
 from ..evaluations.history import newest_evaluation
 from ..principals import Principal

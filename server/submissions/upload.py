@@ -9,7 +9,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..principals import Principal
 from ..services import Services
-from ..storage.disk_space import require_room
+from ..storage.scratch import require_room
 from ..storage.stored_files import require_stored
 from ..tracks import load_known_track
 from ..uploads import intake

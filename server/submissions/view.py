@@ -9,22 +9,22 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..competition.competition import find_stage
-from ..competition.stages import Stage
-from ..db.models import Evaluation, Submission
-from ..db.states import EvaluationState
+from ..accounts.shown_names import ShownNames
+from ..accounts.teams import team_view
+from ..competitions.competition import find_stage
+from ..competitions.stages import Stage
+from ..database.models import Evaluation, Submission
+from ..database.states import EvaluationState
 from ..evaluations.copies import find_copies
 from ..evaluations.scores import counted_tasks
 from ..evaluations.view import EvaluationRows, evaluation_view, summary_view
 from ..leaderboards.best_entries import Board, PlacesOfBoards, places
-from ..leaderboards.outdated import explain_unranked_submission
+from ..leaderboards.descriptions import show_description
+from ..leaderboards.standings import explain_unranked_submission
 from ..logs.view import make_finding_views
 from ..principals import Principal
 from ..queue.workers import Fleet, fleet
 from ..settings import Settings
-from ..sharing.descriptions import show_description
-from ..teams.shown_names import ShownNames
-from ..teams.teams import team_view
 from ..tracks import find_family
 from ..uploads.kinds import SERVED_KINDS
 from ..views.evaluations import CopyView

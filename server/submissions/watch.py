@@ -14,8 +14,8 @@ import psycopg
 import structlog
 from psycopg.conninfo import make_conninfo
 
-from ..db.engine import Database
-from ..db.states import TERMINAL_EVALUATION_STATES
+from ..database.engine import Database
+from ..database.states import TERMINAL_EVALUATION_STATES
 from ..principals import Principal
 from ..settings import Settings
 from ..views.submissions import SubmissionView

@@ -10,8 +10,8 @@ from sqlalchemy import func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
-from ..db.advisory_locks import AdvisoryLock, wait_for_turn
-from ..db.models import Cosignature, ReceiptKey, ReceiptRow, TreeNode
+from ..database.locks import AdvisoryLock, wait_for_turn
+from ..database.models import Cosignature, ReceiptKey, ReceiptRow, TreeNode
 from ..errors import ProblemCode, ServiceError
 from .entries import Content, LogEntry
 from .merkle import TILE_WIDTH, Tree, hash_complete

@@ -6,7 +6,7 @@ from typing import Any
 
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..db.states import FileRole
+from ..database.states import FileRole
 
 
 @dataclass(frozen=True, kw_only=True)

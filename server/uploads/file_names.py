@@ -5,7 +5,7 @@ import unicodedata
 
 from vitac.evaluator.tracks import load_track
 
-from ..competition.stages import Stage
+from ..competitions.stages import Stage
 from ..errors import ProblemCode, ServiceError
 
 MAX_CHARACTERS = 255

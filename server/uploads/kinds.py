@@ -10,7 +10,7 @@ from types import MappingProxyType
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..db.models import Evaluation, Submission
+from ..database.models import Evaluation, Submission
 from ..errors import ProblemCode
 from ..logs.view import log_view
 from ..settings import Settings

@@ -10,10 +10,10 @@ from vitac.evaluator.logs.packing import UnpackFailed, open_log
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Task, Track, list_tracks, load_track
 
+from ..accounts.teams import name_key
 from ..errors import ProblemCode, ServiceError
 from ..logs.claims import LogClaim
 from ..settings import Settings
-from ..teams.teams import name_key
 from .checked_upload import CheckedUpload
 from .intake import ReceivedFile
 

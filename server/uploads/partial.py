@@ -16,13 +16,13 @@ from sqlalchemy import case, delete, func, select, update
 from sqlalchemy.orm import Session, joinedload
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..db.models import PartialUpload, Team, UploadPart
+from ..accounts import teams
+from ..database.models import PartialUpload, Team, UploadPart
 from ..errors import ProblemCode, ServiceError, not_found
 from ..principals import Principal
 from ..services import Services
 from ..settings import Settings
-from ..storage.disk_space import require_room
-from ..teams import teams
+from ..storage.scratch import require_room
 from .intake import FILE_NAME, ReceivedFile, check_announced_size
 from .kinds import SERVED_KINDS
 

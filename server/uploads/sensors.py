@@ -10,7 +10,7 @@ from vitac.evaluator.sensors.manifest import SensorRejected
 from vitac.evaluator.sensors.package import DesignDocument, design_document
 from vitac.evaluator.submission.sensor import SensorNotMade, make_sensor
 
-from ..db.states import FileRole
+from ..database.states import FileRole
 from ..errors import ProblemCode, ServiceError
 from .checked_upload import UploadedFile
 

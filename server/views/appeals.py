@@ -5,7 +5,7 @@ from uuid import UUID
 
 from pydantic import Field
 
-from ..db.states import AppealState
+from ..database.states import AppealState
 from .base import View
 
 

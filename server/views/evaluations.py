@@ -6,7 +6,7 @@ from uuid import UUID
 from pydantic import Field
 from vitac.evaluator.tracks import ListKind
 
-from ..db.states import EvaluationState, RepeatCause, ShardState
+from ..database.states import EvaluationState, RepeatCause, ShardState
 from .base import View
 from .scores import PlayedScoreView, PracticeScoreView, TaskScoreView
 

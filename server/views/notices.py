@@ -5,7 +5,7 @@ from uuid import UUID
 
 from pydantic import Field
 
-from ..db.states import NoticeChannel, NoticeKind
+from ..database.states import NoticeChannel, NoticeKind
 from .base import View
 
 

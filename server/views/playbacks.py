@@ -5,7 +5,7 @@ from uuid import UUID
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeOutcome
 
-from ..db.states import PlaybackState
+from ..database.states import PlaybackState
 from .base import View
 
 

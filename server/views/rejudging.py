@@ -5,7 +5,7 @@ from uuid import UUID
 
 from pydantic import Field
 
-from ..db.states import EvaluationState
+from ..database.states import EvaluationState
 from .base import View
 
 

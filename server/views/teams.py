@@ -6,7 +6,7 @@ from uuid import UUID
 
 from pydantic import Field
 
-from ..db.states import MemberRole, NoticeKind, Quota, Role
+from ..database.states import MemberRole, NoticeKind, Quota, Role
 from .base import View
 
 

@@ -6,7 +6,7 @@ from uuid import UUID
 from pydantic import Field
 from vitac.envs.tasks.definition import Family
 
-from ..db.states import WorkerOrder, WorkerState
+from ..database.states import WorkerOrder, WorkerState
 from .base import View
 
 

@@ -25,7 +25,7 @@ from service_client import serving
 from site_under_test import SiteUnderTest
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.db.states import EvaluationState, Role
+from vitac.server.database.states import EvaluationState, Role
 from vitac.server.views.evaluations import VerdictView
 from vitac.server.views.leaderboards import LeaderboardView
 from vitac.server.views.submissions import EpisodeOutputView

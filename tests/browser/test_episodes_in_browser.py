@@ -18,7 +18,7 @@ from real_browser import NO_WEBGL, SOFTWARE_WEBGL, launched
 from service_client import serving
 from site_under_test import SiteUnderTest
 from starlette.responses import HTMLResponse
-from vitac.server.db.states import EvaluationState, PlaybackState
+from vitac.server.database.states import EvaluationState, PlaybackState
 from vitac.web.pages.episodes.page import player_script
 from waiting import resize, until, wait_for_rest
 

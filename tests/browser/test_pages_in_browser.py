@@ -22,7 +22,7 @@ from page_fixtures import (
 from page_service import FixedData
 from playwright.sync_api import Browser, Page, Route, expect
 from site_under_test import SiteUnderTest
-from vitac.server.db.states import EvaluationState, WorkerState
+from vitac.server.database.states import EvaluationState, WorkerState
 from vitac.server.views.submissions import SubmissionView
 from vitac.web.pages.sandbox import sandbox
 from waiting import answered, resize, until

@@ -10,15 +10,12 @@ from checked_pages import BOARD, COMPETITION, PAGES_OF_ROLES
 from cli_service import CliService, cli_service
 from playwright.sync_api import Page, expect
 from service_factories import make_principal, make_secret, play_all, submit
-from vitac.server import tokens
+from vitac.server.accounts import members, messages, teams, tokens
 from vitac.server.appeals import appeals
-from vitac.server.db.states import Role
-from vitac.server.members import members
-from vitac.server.messages import announcements, questions
+from vitac.server.database.states import Role
+from vitac.server.decisions import rejudging
+from vitac.server.leaderboards.public_pages import set_public
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.rejudging import rejudging
-from vitac.server.sharing.public_pages import set_public
-from vitac.server.teams import teams
 from waiting import answered, resize
 
 from competitions import make_competition, open_now, put_in_place, shown_stage
@@ -66,8 +63,8 @@ def secrets(service: CliService) -> dict[str, str]:
         members.join(session, members.NewMember(code=members.invite(session, team, own)[1], name="Ann"), WEEK)
         members.invite(session, team, own)
         submission, shared = submit(session, team), submit(session, team, "shared")
-        announcements.publish(session, CONSOLE, title="News", text="All is well.", notify=False)
-        questions.ask(session, team, "May we ask?", public=True)
+        messages.publish_announcement(session, CONSOLE, title="News", text="All is well.", notify=False)
+        messages.ask_question(session, team, "May we ask?", public=True)
         teams.register(session, CONSOLE, name="Waiting", waits=True)
         other = make_secret(session, make_principal(session, "Bears"))
     for played in (submission, shared):

@@ -9,7 +9,7 @@ from playwright.sync_api import Browser, Locator, Page, expect
 from real_browser import NO_WEBGL, SOFTWARE_WEBGL, launched
 from shown_sensors import a_shown_sensor
 from site_under_test import SiteUnderTest
-from vitac.server.db.states import EvaluationState
+from vitac.server.database.states import EvaluationState
 from waiting import resize, wait_for_rest
 
 pytestmark = pytest.mark.slow

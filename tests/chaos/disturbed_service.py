@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import psycopg
-from vitac.server.postgres.cluster import Cluster
+from vitac.server.database.cluster import Cluster
 
 VITAC = "import sys; from vitac.cli.main import main; main(sys.argv[1:])"
 TRACKS = Path(__file__).with_name("tracks")

@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 import yaml
-from vitac.server.db.roles import service_role
-from vitac.server.postgres.cluster import MAX_CONNECTIONS
+from vitac.server.database.cluster import MAX_CONNECTIONS
+from vitac.server.database.schema import service_role
 from vitac.server.settings import Settings
 
 SERVICE_KEYS = {

@@ -58,7 +58,7 @@ def test_inside_a_top_folder_imports_are_relative(repository: Path) -> None:
 def test_every_query_of_the_command_line_is_a_function_of_the_server(repository: Path) -> None:
     modules = sorted((repository / "cli").rglob("*.py"))
     assert len(modules) > 50
-    queries = ("sqlalchemy", "psycopg", "vitac.server.db.models")
+    queries = ("sqlalchemy", "psycopg", "vitac.server.database.models")
     found = {
         str(module): name
         for module in modules

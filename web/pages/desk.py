@@ -9,12 +9,11 @@ from sqlalchemy.orm import Session
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
+from vitac.server.accounts import messages, teams
 from vitac.server.appeals import appeals
-from vitac.server.db.models import Team
-from vitac.server.desk.desk import read_desk
-from vitac.server.messages import announcements, questions
+from vitac.server.database.models import Team
+from vitac.server.operations.desk import read_desk
 from vitac.server.principals import Principal
-from vitac.server.teams import teams
 
 from ..site import get_site, page, require_viewer
 from .addresses import board_address
@@ -49,7 +48,9 @@ def _team(session: Session, by: Principal, fields: Mapping[str, str]) -> Team:
 
 
 def _answer(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
-    return questions.answer(session, by, read_number(fields, "id"), fields.get("text", ""), public="public" in fields)
+    return messages.answer_question(
+        session, by, read_number(fields, "id"), fields.get("text", ""), public="public" in fields
+    )
 
 
 def _rule(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
@@ -59,7 +60,7 @@ def _rule(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
 
 def _announce(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
     title, text = fields.get("title", ""), fields.get("text", "")
-    return announcements.publish(session, by, title=title, text=text, notify="notify" in fields)
+    return messages.publish_announcement(session, by, title=title, text=text, notify="notify" in fields)
 
 
 CHANGES: Mapping[str, Change] = {
@@ -68,9 +69,9 @@ CHANGES: Mapping[str, Change] = {
         session, by, _team(session, by, fields), fields.get("reason", "")
     ),
     "answer": _answer,
-    "hide": lambda session, by, fields: questions.hide(session, by, read_number(fields, "id")),
+    "hide": lambda session, by, fields: messages.hide_question(session, by, read_number(fields, "id")),
     "rule": _rule,
     "announce": _announce,
-    "withdraw": lambda session, by, fields: announcements.withdraw(session, by, read_number(fields, "id")),
+    "withdraw": lambda session, by, fields: messages.withdraw_announcement(session, by, read_number(fields, "id")),
 }
 """What the forms of the page do, by the last part of their address."""

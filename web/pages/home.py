@@ -8,16 +8,16 @@ from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
 from vitac.evaluator.tracks import Track, load_track
-from vitac.server.competition.view import competition_view
-from vitac.server.db.states import EvaluationState
+from vitac.server.accounts import messages
+from vitac.server.competitions.view import competition_view
+from vitac.server.database.states import EvaluationState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.progress import count_open
-from vitac.server.leaderboards.shown import shown_leaderboard, shown_rank_history
-from vitac.server.messages import announcements
+from vitac.server.leaderboards.public_pages import public_among
+from vitac.server.leaderboards.reading import shown_leaderboard, shown_rank_history
 from vitac.server.playbacks.recent import newest_public_episode
 from vitac.server.playbacks.stills import find_stills
 from vitac.server.principals import VISITOR
-from vitac.server.sharing.public_pages import public_among
 from vitac.server.tracks import is_challenge_track
 from vitac.server.views.competition import CompetitionView
 from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
@@ -67,7 +67,7 @@ def _front(session: Session, site: Site) -> Front:
         public=public,
         stills=find_stills(session, VISITOR, public),
         cup=cup,
-        said=announcements.shown(session)[:ANNOUNCEMENTS],
+        said=messages.list_announcements(session)[:ANNOUNCEMENTS],
         episode=newest_public_episode(session, site.services.settings),
     )
 

@@ -7,9 +7,9 @@ from starlette.requests import Request
 from starlette.responses import Response
 from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.figures.table import FigureRow, make_rows, reference_figures
+from vitac.server.decisions import judging as marking
+from vitac.server.decisions.sheet import sheets
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.judging import judging as marking
-from vitac.server.judging.sheet import sheets
 from vitac.server.principals import Principal
 
 from ..site import get_site, page, require_viewer

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
-from vitac.server.messages import announcements, questions
+from vitac.server.accounts.messages import ask_question, list_announcements, list_questions
 from vitac.server.principals import Principal
 from vitac.server.views.messages import AnnouncementView, QuestionView
 
@@ -21,7 +21,7 @@ async def messages(request: Request) -> Response:
     by = viewer.principal if viewer is not None else None
 
     def read(session: Session) -> tuple[list[AnnouncementView], list[QuestionView]]:
-        return announcements.shown(session), questions.visible(session, by)
+        return list_announcements(session), list_questions(session, by)
 
     said, asked = await get_site(request).ask(read)
     return page(request, "messages.html", viewer=viewer, section=ADDRESS, said=said, asked=asked)
@@ -31,6 +31,6 @@ async def ask(request: Request) -> Response:
     """Ask the organizers."""
 
     def asked(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
-        return questions.ask(session, by, fields.get("text", ""), public="public" in fields)
+        return ask_question(session, by, fields.get("text", ""), public="public" in fields)
 
     return await act(request, asked, back=ADDRESS)

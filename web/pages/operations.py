@@ -2,8 +2,8 @@
 
 from starlette.requests import Request
 from starlette.responses import Response
+from vitac.server.database.metrics import totals
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.metrics.totals import totals
 from vitac.server.operations import state
 from vitac.server.queue.workers import measure_disk
 

@@ -6,11 +6,11 @@ from typing import Any
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
-from vitac.server.competition.competition import Competition
-from vitac.server.db.models import Rejudgement
+from vitac.server.competitions.competition import Competition
+from vitac.server.database.models import Rejudgement
+from vitac.server.decisions import rejudging
+from vitac.server.decisions.rejudging import rejudgement_detail_view, rejudgement_view
 from vitac.server.principals import Principal
-from vitac.server.rejudging import rejudging
-from vitac.server.rejudging.view import rejudgement_detail_view, rejudgement_view
 
 from ..site import get_site, page, require_viewer
 from .forms import act, read_id

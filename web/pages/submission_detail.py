@@ -7,10 +7,10 @@ from uuid import UUID
 from sqlalchemy.orm import Session
 from vitac.server.evaluations.history import histories
 from vitac.server.leaderboards.history import past_results
+from vitac.server.leaderboards.public_pages import readable
 from vitac.server.logs.action_matches import read_matches
 from vitac.server.principals import Principal
 from vitac.server.settings import Settings
-from vitac.server.sharing.public_pages import readable
 from vitac.server.submissions import listing, output
 from vitac.server.submissions.model_card import make_card
 from vitac.server.submissions.view import submission_views

@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 from sqlalchemy.orm import Session
-from vitac.server.advancement.advancement import confirm as confirm_teams
-from vitac.server.advancement.advancement import propose as propose_teams
-from vitac.server.advancement.advancement import qualified_revision, qualified_teams
-from vitac.server.competition.competition import Competition
+from vitac.server.competitions.competition import Competition
+from vitac.server.decisions.advancement import confirm as confirm_teams
+from vitac.server.decisions.advancement import propose as propose_teams
+from vitac.server.decisions.advancement import qualified_revision, qualified_teams
 from vitac.server.principals import CONSOLE
 
 from ...service.database import transaction

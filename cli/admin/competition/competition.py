@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 from sqlalchemy.orm import Session
-from vitac.server.competition.applying import Change, list_concerns, list_warnings
-from vitac.server.competition.applying import apply as apply_definition
-from vitac.server.competition.competition import Competition
-from vitac.server.competition.definition import read_competition
-from vitac.server.competition.sealing import reveal as reveal_list
-from vitac.server.competition.sealing import sealed_lists
+from vitac.server.competitions.applying import Change, list_concerns, list_warnings
+from vitac.server.competitions.applying import apply as apply_definition
+from vitac.server.competitions.competition import Competition
+from vitac.server.competitions.definition import read_competition
+from vitac.server.competitions.sealing import reveal as reveal_list
+from vitac.server.competitions.sealing import sealed_lists
 from vitac.server.confirmations import Concern
 from vitac.server.principals import CONSOLE
 

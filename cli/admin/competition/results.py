@@ -6,16 +6,16 @@ from typing import Annotated
 
 import typer
 from sqlalchemy.orm import Session
-from vitac.server.competition import freezing
-from vitac.server.competition.competition import Competition
-from vitac.server.competition.view import disqualified_since_the_end
+from vitac.server.competitions import applying
+from vitac.server.competitions.competition import Competition
+from vitac.server.competitions.view import disqualified_since_the_end
 from vitac.server.confirmations import Concern
+from vitac.server.decisions.finishing import Winner, concerns_at_end, finalize_again, prizes_without_winner
+from vitac.server.decisions.finishing import finalize as finalize_results
+from vitac.server.decisions.finishing import reopen as reopen_results
+from vitac.server.decisions.finishing import winners as all_winners
+from vitac.server.decisions.publishing import publish as publish_results
 from vitac.server.principals import CONSOLE
-from vitac.server.prizes.finishing import Winner, concerns_at_end, finalize_again, prizes_without_winner
-from vitac.server.prizes.finishing import finalize as finalize_results
-from vitac.server.prizes.finishing import reopen as reopen_results
-from vitac.server.prizes.finishing import winners as all_winners
-from vitac.server.publishing.publishing import publish as publish_results
 
 from ...service.database import transaction
 from ...terminal.output import AsJson, percent, print_json, print_records, warn
@@ -31,14 +31,14 @@ COLUMNS = ("track", "place", "team", "amount", "currency", "rank", "success_rate
 @change(app, done="boards are frozen")
 def freeze(session: Session, competition: CompetitionName = None) -> dict[str, object]:
     """Freeze the boards of all stages for everybody but organizers; `unfreeze` ends it."""
-    freezing.freeze(session, CONSOLE, competition)
+    applying.freeze_boards(session, CONSOLE, competition)
     return {"frozen": True}
 
 
 @change(app, question="Show all results on the boards again?", done="boards show all results")
 def unfreeze(session: Session, competition: CompetitionName = None) -> dict[str, object]:
     """Show all results again."""
-    freezing.unfreeze(session, CONSOLE, competition)
+    applying.unfreeze_boards(session, CONSOLE, competition)
     return {"frozen": False}
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from vitac.server.competition.own_tracks import CORES, check_track
+from vitac.server.competitions.own_tracks import CORES, check_track
 
 from ...terminal.compiling import compiling_shown
 from ...terminal.output import AsJson, print_json, print_table

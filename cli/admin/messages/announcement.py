@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 from sqlalchemy.orm import Session
-from vitac.server.messages import announcements
+from vitac.server.accounts import messages
 from vitac.server.principals import CONSOLE
 from vitac.server.views.messages import AnnouncementView
 
@@ -22,14 +22,14 @@ def publish(
     notify: Annotated[bool, typer.Option("--notify", help="Send it to all teams, too.")] = False,
 ) -> AnnouncementView:
     """Show an announcement to everybody."""
-    made = announcements.publish(session, CONSOLE, title=title, text=text, notify=notify)
+    made = messages.publish_announcement(session, CONSOLE, title=title, text=text, notify=notify)
     return AnnouncementView.model_validate(made, from_attributes=True)
 
 
 @list_records(app, "id", "published_at", "title", none="No announcement.")
 def list_announcements(session: Session) -> Sequence[AnnouncementView]:
     """List the announcements that everybody sees."""
-    return announcements.shown(session)
+    return messages.list_announcements(session)
 
 
 @change(app, done="announcement {announcement} is withdrawn")
@@ -38,5 +38,5 @@ def withdraw(
     announcement: Annotated[int, typer.Argument(min=1, max=2_147_483_647, help="Number of the announcement.")],
 ) -> dict[str, object]:
     """Withdraw an announcement: nobody sees it any longer."""
-    announcements.withdraw(session, CONSOLE, announcement)
+    messages.withdraw_announcement(session, CONSOLE, announcement)
     return {"id": announcement, "withdrawn": True}

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 from sqlalchemy.orm import Session
-from vitac.server.messages import questions
+from vitac.server.accounts import messages
 from vitac.server.principals import CONSOLE
 from vitac.server.views.messages import QuestionView
 
@@ -21,7 +21,7 @@ def list_questions(
     open_only: Annotated[bool, typer.Option("--open", help="Only questions without an answer.")] = False,
 ) -> list[QuestionView]:
     """List the questions of all teams, newest first."""
-    return questions.visible(session, CONSOLE, open_only=open_only)
+    return messages.list_questions(session, CONSOLE, open_only=open_only)
 
 
 @change(app)
@@ -32,11 +32,13 @@ def answer(
     public: Annotated[bool, typer.Option("--public/--private", help="Let everybody see question and answer.")] = False,
 ) -> QuestionView:
     """Answer a question, or replace its answer."""
-    return questions.question_view(questions.answer(session, CONSOLE, question, text, public=public), CONSOLE)
+    return messages.make_question_view(
+        messages.answer_question(session, CONSOLE, question, text, public=public), CONSOLE
+    )
 
 
 @change(app, done="question {question} is hidden")
 def hide(session: Session, question: QuestionNumber) -> dict[str, object]:
     """Hide a question: only its team sees it, and it needs no answer."""
-    questions.hide(session, CONSOLE, question)
+    messages.hide_question(session, CONSOLE, question)
     return {"id": question, "hidden": True}

@@ -18,7 +18,7 @@ from starlette.requests import HTTPConnection, Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from ...db.states import Role
+from ...database.states import Role
 from ...errors import ProblemCode, ServiceError
 from ..attempts import get_client_address
 from ..problems import problem

@@ -9,12 +9,12 @@ from fastapi import APIRouter, Header, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ...db.models import PartialUpload
+from ...database.models import PartialUpload
 from ...errors import ProblemCode, ServiceError
 from ...limiter import UPLOADS
 from ...principals import Principal
 from ...services import Services
-from ...storage.disk_space import require_room
+from ...storage.scratch import require_room
 from ...submissions import completion, creation, listing
 from ...tracks import load_known_track
 from ...uploads import partial

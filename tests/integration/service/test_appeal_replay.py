@@ -30,9 +30,9 @@ from vitac.evaluator.tracks import Task, load_track
 from vitac.evaluator.tracks.cut import Shard, cut
 from vitac.evaluator.tracks.sealed import new_secret, sealed_track
 from vitac.server.appeals import appeals
-from vitac.server.competition.sealing import seal
-from vitac.server.db.models import Appeal, BoardResult, EpisodeResult, Evaluation
-from vitac.server.db.states import Role
+from vitac.server.competitions.sealing import seal
+from vitac.server.database.models import Appeal, BoardResult, EpisodeResult, Evaluation
+from vitac.server.database.states import Role
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE, Principal

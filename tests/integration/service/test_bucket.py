@@ -14,7 +14,7 @@ from databases import opened_database
 from s3_server import S3Server, s3_server
 from service_client import make_archive, problem_of, running_service
 from service_factories import make_settings
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 from vitac.server.errors import ServiceError
 from vitac.server.storage.blobs import PART_BYTES, BlobStore, StoredFileLost, make_key
 from worker_fakes import eventually

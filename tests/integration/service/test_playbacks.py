@@ -17,7 +17,7 @@ from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.tracks import find_task
-from vitac.server.db.states import PlaybackState
+from vitac.server.database.states import PlaybackState
 from vitac.server.playbacks.files import PlaybackFile, find_digest, read
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore

@@ -18,14 +18,14 @@ from sqlalchemy.orm import Session
 from starlette.routing import Route
 from vitac.cli.service.web_server import WebServer, bind, format_address
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.db.models import EpisodeResult, Submission
+from vitac.server.database.models import EpisodeResult, Submission
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.leaderboards import public_pages
 from vitac.server.logs.claims import LogClaim
 from vitac.server.playbacks import asking
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.services import Services
-from vitac.server.sharing import public_pages
 from vitac.server.storage.blobs import BlobStore
 from vitac.server.submissions import creation
 from vitac.web.application import create

@@ -21,8 +21,8 @@ from vitac.cli.client.http import Client
 from vitac.cli.client.submit import packed
 from vitac.cli.demo.laboratory import TRACK, made_for_station
 from vitac.envs.geometry.pegs import PegShape
-from vitac.server.db.models import EpisodeResult, Shard, Station, Worker
-from vitac.server.db.states import ShardState
+from vitac.server.database.models import EpisodeResult, Shard, Station, Worker
+from vitac.server.database.states import ShardState
 from vitac.server.principals import CONSOLE
 from vitac.server.stations import stations
 from vitac.station.description import make_station_track

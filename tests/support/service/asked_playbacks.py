@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from service_factories import TASK, make_principal, make_settings, play, shard_ids, submit
-from vitac.server.db.engine import Database
-from vitac.server.db.models import EpisodeResult, Playback, Submission
+from vitac.server.database.engine import Database
+from vitac.server.database.models import EpisodeResult, Playback, Submission
 from vitac.server.playbacks.asking import ask, find_episode, find_playback
 from vitac.server.principals import Principal
 

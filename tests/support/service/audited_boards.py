@@ -12,8 +12,8 @@ from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
 from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.shards.order import ShardEnd, ShardResult
 from vitac.evaluator.tracks import find_task
-from vitac.server.db.engine import Database
-from vitac.server.db.models import EpisodeResult, Submission
+from vitac.server.database.engine import Database
+from vitac.server.database.models import EpisodeResult, Submission
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.episode_store import row_values
 

@@ -17,12 +17,12 @@ from service_client import serving
 from service_factories import make_principal, make_secret, make_settings, play_all, sha256, submit
 from typer.testing import CliRunner, Result
 from vitac.cli.main import build_app
-from vitac.server.db.engine import Database
-from vitac.server.db.states import Role
+from vitac.server.accounts import teams
+from vitac.server.database.engine import Database
+from vitac.server.database.states import Role
 from vitac.server.principals import Principal
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
-from vitac.server.teams import teams
 from vitac.web.application import create
 
 from competitions import make_competition, put_in_place

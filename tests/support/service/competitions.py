@@ -7,10 +7,10 @@ from typing import Any
 import yaml
 from service_factories import TRACK
 from sqlalchemy.orm import Session
-from vitac.server.competition.competition import Competition
-from vitac.server.competition.definition import CompetitionDefinition
-from vitac.server.competition.stages import Stage
-from vitac.server.db.models import CompetitionRow
+from vitac.server.competitions.competition import Competition
+from vitac.server.competitions.definition import CompetitionDefinition
+from vitac.server.competitions.stages import Stage
+from vitac.server.database.models import CompetitionRow
 from vitac.server.leaderboards.standings import leaderboard
 
 FIRST, SECOND = "stage1", "stage2"

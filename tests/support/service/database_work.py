@@ -6,7 +6,7 @@ from typing import Any
 
 from sqlalchemy import event, text
 from sqlalchemy.orm import Session
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 
 ROWS_READ = """
     SELECT relname, coalesce(seq_tup_read, 0) + coalesce(idx_tup_fetch, 0) AS rows_read

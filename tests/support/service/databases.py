@@ -17,10 +17,10 @@ import psycopg
 from psycopg import sql
 from psycopg.conninfo import conninfo_to_dict
 from sqlalchemy import Connection, Engine, create_engine
-from vitac.server.db import engine
-from vitac.server.db.engine import Database
-from vitac.server.db.schema import upgrade
-from vitac.server.postgres.embedded import EmbeddedPostgres
+from vitac.server.database import engine
+from vitac.server.database.embedded import EmbeddedPostgres
+from vitac.server.database.engine import Database
+from vitac.server.database.schema import upgrade
 
 TEMPLATE = "vitac_template"
 FAST = ("fsync=off", "synchronous_commit=off", "full_page_writes=off")

@@ -5,9 +5,9 @@ from uuid import uuid4
 
 from sqlalchemy import select, text
 from sqlalchemy.orm import Session
-from vitac.server.competition.sealing import seal
-from vitac.server.db.engine import Database
-from vitac.server.db.models import (
+from vitac.server.competitions.sealing import seal
+from vitac.server.database.engine import Database
+from vitac.server.database.models import (
     ActionTrace,
     Announcement,
     Appeal,
@@ -41,7 +41,15 @@ from vitac.server.db.models import (
     Webhook,
     Worker,
 )
-from vitac.server.db.states import AppealState, FileRole, NoticeChannel, NoticeKind, PlaybackState, Quota, WorkerState
+from vitac.server.database.states import (
+    AppealState,
+    FileRole,
+    NoticeChannel,
+    NoticeKind,
+    PlaybackState,
+    Quota,
+    WorkerState,
+)
 from vitac.server.principals import CONSOLE
 
 from competitions import make_competition, put_in_place, stored_stage

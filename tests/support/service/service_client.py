@@ -23,8 +23,8 @@ from service_factories import TASK, TRACK, make_principal, make_secret, make_set
 from sqlalchemy import text
 from sqlalchemy.orm import Session
 from vitac.server.api.app import create_app
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Team
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Team
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings

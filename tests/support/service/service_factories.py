@@ -31,24 +31,23 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, find_task
 from vitac.evaluator.tracks.registry import compute_hash, find_version
 from vitac.evaluator.version import evaluator_hash, evaluator_version, platform_class
-from vitac.server import tokens
+from vitac.server.accounts import teams, tokens
 from vitac.server.cache import Cache
-from vitac.server.db.engine import Database
-from vitac.server.db.models import BoardResult, EpisodeResult, Evaluation, Shard, Submission, Team
-from vitac.server.db.states import EvaluationState, Role, ShardState
+from vitac.server.database.engine import Database
+from vitac.server.database.models import BoardResult, EpisodeResult, Evaluation, Shard, Submission, Team
+from vitac.server.database.states import EvaluationState, Role, ShardState
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.episode_store import row_values, store_episodes
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.scores import store_scores
-from vitac.server.leaderboards import changes, log_boards, standings
-from vitac.server.leaderboards.made_boards import MadeBoards
+from vitac.server.leaderboards import board_cache, log_boards, standings
+from vitac.server.leaderboards.board_cache import MadeBoards
 from vitac.server.logs.claims import LogClaim
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease
 from vitac.server.settings import Settings
 from vitac.server.submissions import creation
-from vitac.server.teams import teams
 from vitac.server.uploads.checked_upload import CheckedUpload
 
 TRACK = "track_1"
@@ -73,7 +72,7 @@ def make_settings(**values: Any) -> Settings:
 
 def forget_boards() -> None:
     """Lets this process read all boards anew: also those of a copy of a database, and after changes without a note."""
-    changes._cache = Cache(at_most=200)
+    board_cache._cache = Cache(at_most=200)
     standings._made_boards = MadeBoards()
     log_boards._made_boards = MadeBoards()
 

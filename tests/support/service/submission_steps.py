@@ -14,9 +14,9 @@ from service_factories import (
 )
 from vitac.evaluator.shards.order import ShardEnd
 from vitac.evaluator.version import evaluator_version
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Submission, Worker
-from vitac.server.db.states import WorkerState
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Submission, Worker
+from vitac.server.database.states import WorkerState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.queue import workers

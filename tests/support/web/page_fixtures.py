@@ -13,7 +13,7 @@ from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.scoring.score import CombinedScore, Score, combine, rate
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, load_track
-from vitac.server.db.states import EvaluationState, Role, WorkerOrder, WorkerState
+from vitac.server.database.states import EvaluationState, Role, WorkerOrder, WorkerState
 from vitac.server.evaluations.scores import played_score
 from vitac.server.principals import Principal
 from vitac.server.views.competition import (

@@ -22,32 +22,28 @@ from page_fixtures import a_leaderboard, an_operations_view, name_of, some_episo
 from played_episodes import FixedPlaybacks
 from vitac.evaluator.agent.description import SandboxDescription
 from vitac.evaluator.tracks import load_track
-from vitac.server import quotas, tokens
+from vitac.server.accounts import members, messages, quotas, registration, teams, tokens
 from vitac.server.api import problems
 from vitac.server.api.app import set_limiters
 from vitac.server.appeals import appeals
-from vitac.server.competition import view as competition
-from vitac.server.db.states import EvaluationState
+from vitac.server.competitions import view as competition
+from vitac.server.database import metrics
+from vitac.server.database.states import EvaluationState
+from vitac.server.decisions import publishing
 from vitac.server.errors import ProblemCode, ServiceError, not_found, token_missing
 from vitac.server.evaluations import progress
-from vitac.server.leaderboards import shown
+from vitac.server.leaderboards import descriptions, public_pages, reading
 from vitac.server.limiter import WindowLimiter
-from vitac.server.members import members, registration
-from vitac.server.messages import announcements
-from vitac.server.metrics import totals
 from vitac.server.operations import state
 from vitac.server.playbacks import asking, comparisons, files, recent, stills
 from vitac.server.principals import VISITOR, Principal
-from vitac.server.publishing import archive
 from vitac.server.queue import workers
 from vitac.server.receipts.receipt import Receipt
 from vitac.server.services import Services
 from vitac.server.settings import Registration, load_settings
-from vitac.server.sharing import descriptions, public_pages
 from vitac.server.submissions import comparison, listing, output, receipts, runs, sensors, upload
 from vitac.server.submissions.upload import AnnouncedUpload
 from vitac.server.submissions.watch import Changes
-from vitac.server.teams import teams
 from vitac.server.transparency.notes import make_log_key
 from vitac.server.views.comparisons import ComparisonView
 from vitac.server.views.competition import (
@@ -338,14 +334,14 @@ for _module, _name, _data_of in (
     (members, "sign_in", lambda data: data.sign_in),
     (registration, "register", lambda data: data.register),
     (teams, "find_lock_date", lambda data: lambda: data.locked_since),
-    (shown, "shown_leaderboard", lambda data: data.leaderboard),
-    (shown, "shown_log_boards", lambda data: data.log_boards),
+    (reading, "shown_leaderboard", lambda data: data.leaderboard),
+    (reading, "shown_log_boards", lambda data: data.log_boards),
     (competition, "competition_view", lambda data: data.competition),
     (competition, "competition_list_view", lambda _: lambda: CompetitionListView(items=[])),
     (competition, "list_choices", lambda _: list),
     (competition, "list_public_rankings", lambda data: lambda: data.public_rankings),
     (competition, "track_stages", lambda data: data.stages),
-    (archive, "archive_view", lambda data: data.archive),
+    (publishing, "archive_view", lambda data: data.archive),
     (public_pages, "public_among", lambda data: data.public_among),
     (public_pages, "set_public", lambda data: data.set_public),
     (descriptions, "descriptions_among", lambda data: data.descriptions_among),
@@ -353,7 +349,7 @@ for _module, _name, _data_of in (
     (listing, "get", lambda data: data.get),
     (listing, "list_submissions", lambda data: data.submissions),
     (progress, "count_open", lambda data: lambda: Counter(each.evaluation.state for each in data.found)),
-    (shown, "shown_rank_history", lambda data: lambda *_, **__: data.ranks),
+    (reading, "shown_rank_history", lambda data: lambda *_, **__: data.ranks),
     (appeals, "takes_appeals", lambda data: lambda *_: data.takes_appeals),
     (comparison, "compare_results", lambda data: data.compare),
     (output, "episode_outputs", lambda data: data.output),
@@ -367,14 +363,14 @@ for _module, _name, _data_of in (
     (stills, "find_stills", lambda data: lambda _, ids: dict.fromkeys(ids, data.stills[0]) if data.stills else {}),
     (comparisons, "list_choices", lambda _: lambda *_, **__: ()),
     (recent, "newest_public_episode", lambda data: lambda _: data.public_one),
-    (announcements, "shown", lambda data: lambda: data.said),
+    (messages, "shown", lambda data: lambda: data.said),
     (files, "find_digest", lambda data: lambda place, file: (place, file)),
     (files, "read", lambda data: lambda _, key: data.file_at(*key)),
     (sensors, "document", lambda data: data.document),
     (sensor_pages, "_shown_sensor", lambda data: lambda *given: _sensor(data, *given)),
     (runs, "cancel", lambda data: data.cancel),
     (state, "operations", lambda data: lambda *_: data.service),
-    (totals, "totals", lambda data: dict),
+    (metrics, "totals", lambda data: dict),
     (workers, "sandboxes", lambda data: lambda _: data.described),
     (quotas, "find_limit", lambda data: lambda *_: 100),
     (upload, "receive", lambda data: data.receive),

@@ -15,7 +15,7 @@ from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import find_task
-from vitac.server.db.states import PlaybackState
+from vitac.server.database.states import PlaybackState
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 from vitac.server.playbacks.files import PlaybackFile
 from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView, StillView, StoryMomentView

@@ -8,10 +8,9 @@ from typing import Any
 from cli_service import CliService
 from httpx import Client, Cookies, Response
 from service_factories import make_secret
-from vitac.server import tokens
-from vitac.server.db.states import Role
+from vitac.server.accounts import teams, tokens
+from vitac.server.database.states import Role
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.teams import teams
 
 FORM_TOKEN = re.compile(r'name="form_token" value="([^"]+)"')
 

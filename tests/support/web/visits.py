@@ -3,7 +3,7 @@
 from asgi_browser import AsgiBrowser
 from page_fixtures import LOCK, TASK, a_submission, a_visitor
 from page_service import SIGNER, FixedData
-from vitac.server.db.states import EvaluationState, Role
+from vitac.server.database.states import EvaluationState, Role
 from vitac.server.views.evaluations import VerdictView
 from vitac.server.views.submissions import SubmissionView
 from vitac.web.session import signer

@@ -11,9 +11,9 @@ from service_factories import make_record, play
 from sqlalchemy import select
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.version import evaluator_version, platform_class
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Evaluation, Shard, Worker
-from vitac.server.db.states import EvaluationState, WorkerState
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Evaluation, Shard, Worker
+from vitac.server.database.states import EvaluationState, WorkerState
 from vitac.server.settings import load_settings
 
 ISOLATION = "user: root, memory: cgroup-v1, episodes: frozen-copy"

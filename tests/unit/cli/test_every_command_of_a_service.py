@@ -13,8 +13,8 @@ from cli_service import CliService, evaluated_submission, submission_folder
 from sqlalchemy import select
 from vitac.cli.client.http import Client
 from vitac.cli.main import NOUNS, build_app
-from vitac.server import tokens
-from vitac.server.db.models import Member
+from vitac.server.accounts import tokens
+from vitac.server.database.models import Member
 
 from competitions import make_competition, open_now, put_in_place
 

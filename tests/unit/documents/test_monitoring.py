@@ -12,7 +12,7 @@ import yaml
 from databases import opened_database
 from prometheus_client.parser import text_string_to_metric_families
 from service_factories import make_settings
-from vitac.server.metrics.totals import TotalsWriter
+from vitac.server.database.metrics import TotalsWriter
 from vitac.server.operations.exposition import Exposition
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.competition.definition import (
+from vitac.server.competitions.definition import (
     Advancement,
     CompetitionDefinition,
     Judging,

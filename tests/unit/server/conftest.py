@@ -4,8 +4,8 @@ import pytest
 from databases import opened_database
 from quota_clock import QuotaClock
 from service_factories import make_principal
-from vitac.server import quotas
-from vitac.server.db.engine import Database
+from vitac.server.accounts import quotas
+from vitac.server.database.engine import Database
 from vitac.server.principals import Principal
 
 

@@ -3,7 +3,7 @@
 from uuid import UUID
 
 import pytest
-from vitac.server.db.states import Role
+from vitac.server.database.states import Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import CONSOLE, Principal
 

@@ -5,8 +5,8 @@ import pytest
 from databases import state_directory
 from sqlalchemy.exc import OperationalError
 from vitac.server import services
-from vitac.server.db.availability import DatabaseUnreachable
-from vitac.server.db.engine import Database
+from vitac.server.database.availability import DatabaseUnreachable
+from vitac.server.database.engine import Database
 from vitac.server.services import open_services
 from vitac.server.settings import load_settings
 

@@ -11,7 +11,7 @@ from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTrace
 from opentelemetry.trace import NonRecordingSpan, SpanContext, TraceFlags, use_span
 from service_factories import claim, make_principal, shard_ids, submit
 from vitac.server import traces
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 
 TRACE, SPAN = 0x1234_5678_9ABC_DEF0_1234_5678_9ABC_DEF0, 0x1234_5678_9ABC_DEF0
 

@@ -10,9 +10,9 @@ import pytest
 from service_factories import LOCK, TASK, TRACK, make_principal, submit
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, load_track
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Evaluation
-from vitac.server.db.states import Role
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Evaluation
+from vitac.server.database.states import Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.visibility import (

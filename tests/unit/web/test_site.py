@@ -9,7 +9,7 @@ from uuid import UUID
 import pytest
 from starlette.requests import Request
 from starlette.responses import Response
-from vitac.server.db.states import Role
+from vitac.server.database.states import Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import VISITOR, Principal
 from vitac.web import site

@@ -9,7 +9,7 @@ from service_client import make_archive
 from service_factories import TASK, make_principal, make_record, make_settings, play_all, submit
 from submission_steps import refused
 from vitac.server.appeals import appeals
-from vitac.server.db.models import Submission
+from vitac.server.database.models import Submission
 from vitac.server.errors import ProblemCode
 from vitac.server.principals import CONSOLE
 from vitac.server.services import Services

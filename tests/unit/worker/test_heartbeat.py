@@ -3,8 +3,8 @@ import threading
 import pytest
 from sqlalchemy import text
 from structlog.testing import capture_logs
-from vitac.server.db.schema import newest_revision
-from vitac.server.db.states import WorkerState
+from vitac.server.database.schema import newest_revision
+from vitac.server.database.states import WorkerState
 from vitac.server.services import Services
 from vitac.worker.heartbeat import Heartbeat
 from vitac.worker.isolation import IsolationReport

@@ -12,10 +12,10 @@ from sqlalchemy import select, text
 from vitac.evaluator.agent.isolation.packages import PolicyPackages
 from vitac.evaluator.package_sets import PackageSet, locked_versions
 from vitac.evaluator.version import evaluator_version
-from vitac.server import housekeeping
-from vitac.server.db.models import Worker
-from vitac.server.db.states import EvaluationState, ShardState, WorkerState
+from vitac.server.database.models import Worker
+from vitac.server.database.states import EvaluationState, ShardState, WorkerState
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.operations import housekeeping
 from vitac.server.playbacks import work
 from vitac.server.queue.declared import OWN_SOURCES, declare, versions_here
 from vitac.server.queue.workers import workers_alive

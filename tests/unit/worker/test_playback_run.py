@@ -11,8 +11,8 @@ from shown_sensors import a_made_sensor
 from sqlalchemy import text
 from vitac.evaluator.playback.making import CAMERAS_FILE, SCENE_FILE, PlaybackOrder
 from vitac.evaluator.playback.process import MakingBroke, PlaybackFailed
-from vitac.server.db.models import Playback
-from vitac.server.db.states import PlaybackState
+from vitac.server.database.models import Playback
+from vitac.server.database.states import PlaybackState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.lifecycle import RETRY_DELAY_S
 from vitac.server.playbacks import work

@@ -35,9 +35,9 @@ from vitac.evaluator.package_sets import digest_of_packages
 from vitac.evaluator.shards.host_process import ShardProcessFailed
 from vitac.evaluator.shards.order import ShardOrder, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.competition import sealing
-from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission, SubmissionFile
-from vitac.server.db.states import EvaluationState, Role, ShardState
+from vitac.server.competitions import sealing
+from vitac.server.database.models import EpisodeResult, Evaluation, Shard, Submission, SubmissionFile
+from vitac.server.database.states import EvaluationState, Role, ShardState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.episode_store import store_episodes
 from vitac.server.evaluations.history import newest_evaluation

@@ -5,8 +5,8 @@ import time
 import pytest
 from service_factories import make_principal, make_upload
 from sqlalchemy import func, select
-from vitac.server.db.models import Shard, Submission, Worker
-from vitac.server.db.states import EvaluationState, ShardState, WorkerState
+from vitac.server.database.models import Shard, Submission, Worker
+from vitac.server.database.states import EvaluationState, ShardState, WorkerState
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.services import Services
 from vitac.server.submissions import creation

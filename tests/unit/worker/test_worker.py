@@ -13,14 +13,14 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.playback.making import SCENE_FILE, PlaybackOrder
 from vitac.evaluator.shards.order import ShardOrder, ShardResult
-from vitac.server.db.models import EpisodeResult, Playback, Shard, Submission
-from vitac.server.db.states import EvaluationState, PlaybackState, ShardState, WorkerOrder
+from vitac.server.database.metrics import SeriesKey, totals
+from vitac.server.database.models import EpisodeResult, Playback, Shard, Submission
+from vitac.server.database.states import EvaluationState, PlaybackState, ShardState, WorkerOrder
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.episode_store import store_episodes
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import EpisodesMissing, finish_shard
-from vitac.server.housekeeping import Housekeeping
-from vitac.server.metrics.totals import SeriesKey, totals
+from vitac.server.operations.housekeeping import Housekeeping
 from vitac.server.principals import CONSOLE
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease

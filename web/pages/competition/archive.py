@@ -6,9 +6,9 @@ from uuid import UUID
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
-from vitac.server.publishing.archive import archive_view
-from vitac.server.sharing.descriptions import descriptions_among
-from vitac.server.sharing.public_pages import public_among
+from vitac.server.decisions.publishing import archive_view
+from vitac.server.leaderboards.descriptions import descriptions_among
+from vitac.server.leaderboards.public_pages import public_among
 from vitac.server.views.competition import ArchiveView
 from vitac.server.views.submissions import DescriptionView
 

@@ -8,9 +8,9 @@ from functools import partial
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
-from vitac.server.competition import freezing
-from vitac.server.competition.view import competition_list_view, competition_view
-from vitac.server.messages import announcements
+from vitac.server.accounts import messages
+from vitac.server.competitions import applying
+from vitac.server.competitions.view import competition_list_view, competition_view
 from vitac.server.views.competition import CompetitionView
 from vitac.server.views.messages import AnnouncementView
 
@@ -48,7 +48,7 @@ async def competition(request: Request) -> Response:
 
     def read(session: Session) -> tuple[CompetitionView, Sequence[AnnouncementView], int]:
         shown = competition_view(session, competition)
-        return shown, announcements.shown(session), len(competition_list_view(session).items)
+        return shown, messages.list_announcements(session), len(competition_list_view(session).items)
 
     found, said, n_competitions = await get_site(request).read(read)
     viewer = await get_viewer(request)
@@ -86,7 +86,9 @@ async def freeze(request: Request) -> Response:
     """Freeze the boards for everybody but organizers."""
     competition = read_competition_name(request)
     return await act(
-        request, lambda session, by, _: freezing.freeze(session, by, competition), back=competition_address(competition)
+        request,
+        lambda session, by, _: applying.freeze_boards(session, by, competition),
+        back=competition_address(competition),
     )
 
 
@@ -95,6 +97,6 @@ async def unfreeze(request: Request) -> Response:
     competition = read_competition_name(request)
     return await act(
         request,
-        lambda session, by, _: freezing.unfreeze(session, by, competition),
+        lambda session, by, _: applying.unfreeze_boards(session, by, competition),
         back=competition_address(competition),
     )

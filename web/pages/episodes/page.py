@@ -16,10 +16,10 @@ from vitac.envs.tasks.definition import Family
 from vitac.evaluator.playback.making import NotPlayable, require_playable
 from vitac.evaluator.tracks import Task, load_track
 from vitac.server.api.attempts import get_client_address
-from vitac.server.db.models import EpisodeResult
-from vitac.server.db.states import OPEN_PLAYBACK_STATES, PlaybackState
+from vitac.server.database.models import EpisodeResult
+from vitac.server.database.states import OPEN_PLAYBACK_STATES, PlaybackState
 from vitac.server.errors import ServiceError
-from vitac.server.leaderboards.shown import shown_leaderboard
+from vitac.server.leaderboards.reading import shown_leaderboard
 from vitac.server.playbacks import asking, comparisons, files
 from vitac.server.playbacks.asking import NOBODY_DRAWS
 from vitac.server.playbacks.files import PlaybackFile

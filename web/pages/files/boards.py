@@ -2,7 +2,7 @@
 
 from starlette.requests import Request
 from starlette.responses import Response
-from vitac.server.leaderboards.shown import shown_leaderboard, shown_log_boards
+from vitac.server.leaderboards.reading import shown_leaderboard, shown_log_boards
 from vitac.server.views.leaderboards import LeaderboardEntryView, LogBoardsView, LogEntryView
 
 from ...site import get_principal, get_site, get_viewer

@@ -9,9 +9,9 @@ from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
 from vitac.evaluator.tracks import Track
-from vitac.server.leaderboards.shown import shown_leaderboard, shown_rank_history
-from vitac.server.sharing.descriptions import descriptions_among
-from vitac.server.sharing.public_pages import public_among
+from vitac.server.leaderboards.descriptions import descriptions_among
+from vitac.server.leaderboards.public_pages import public_among
+from vitac.server.leaderboards.reading import shown_leaderboard, shown_rank_history
 from vitac.server.views.leaderboards import BaselineView, LeaderboardEntryView, LeaderboardView, TeamRanksView
 from vitac.server.views.scores import TaskRateView, TaskScoreView
 

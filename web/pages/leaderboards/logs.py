@@ -6,8 +6,8 @@ from typing import Any
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
-from vitac.server.leaderboards.shown import shown_log_boards
-from vitac.server.sharing.public_pages import public_among
+from vitac.server.leaderboards.public_pages import public_among
+from vitac.server.leaderboards.reading import shown_log_boards
 
 from ...site import get_principal, get_site, get_viewer, page
 from ..addresses import AskedBoard, board_address

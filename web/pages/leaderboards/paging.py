@@ -6,7 +6,7 @@ from typing import Generic, TypeVar
 from urllib.parse import urlencode
 
 from starlette.requests import Request
-from vitac.server.leaderboards.search import BoardSearch
+from vitac.server.leaderboards.reading import BoardSearch
 from vitac.server.views.leaderboards import BoardEntryView
 
 PAGE_ENTRIES = 50

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from sqlalchemy.orm import Session
 from starlette.exceptions import HTTPException
 from vitac.evaluator.tracks import Track
-from vitac.server.competition.view import competition_list_view, track_stages
+from vitac.server.competitions.view import competition_list_view, track_stages
 from vitac.server.errors import ServiceError
 from vitac.server.tracks import is_challenge_track, load_known_track
 from vitac.server.views.competition import StageView

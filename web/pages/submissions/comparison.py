@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.tracks import load_track
-from vitac.server.leaderboards.shown import shown_leaderboard
+from vitac.server.leaderboards.reading import shown_leaderboard
 from vitac.server.submissions.comparison import MAX_COMPARED, compare_results
 from vitac.server.submissions.listing import list_submissions
 from vitac.server.views.comparisons import ComparedEndView, ComparedEpisodeView, ComparedResultView, ComparisonView

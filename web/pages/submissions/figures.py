@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.server.db.states import EvaluationState
+from vitac.server.database.states import EvaluationState
 from vitac.server.views.leaderboards import PastResultView
 from vitac.server.views.scores import TaskScoreView
 from vitac.server.views.submissions import EpisodeView, SubmissionView

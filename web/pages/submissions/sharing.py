@@ -11,9 +11,9 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.tracks import load_track
 from vitac.server.api.conditional import answer
-from vitac.server.db.states import EvaluationState
+from vitac.server.database.states import EvaluationState
+from vitac.server.leaderboards import descriptions, public_pages
 from vitac.server.principals import VISITOR, Principal
-from vitac.server.sharing import descriptions, public_pages
 from vitac.server.submissions import clearance
 from vitac.server.views.submissions import SubmissionView
 

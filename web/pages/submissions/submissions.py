@@ -15,8 +15,8 @@ from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import UnknownTrack, load_track
 from vitac.server.api.streams import CountedStream, OpenStreams
 from vitac.server.appeals.appeals import takes_appeals
-from vitac.server.competition.view import competition_list_view, track_stages
-from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
+from vitac.server.competitions.view import competition_list_view, track_stages
+from vitac.server.database.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from vitac.server.errors import TRACK_REMOVED
 from vitac.server.playbacks.stills import find_stills, list_stills
 from vitac.server.submissions import runs

@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.submission_kinds import kind_of_file
-from vitac.server.competition.view import list_choices
+from vitac.server.competitions.view import list_choices
 from vitac.server.errors import ServiceError
 from vitac.server.limiter import UPLOADS
 from vitac.server.principals import Principal

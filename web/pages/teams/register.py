@@ -9,11 +9,10 @@ from uuid import UUID
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
+from vitac.server.accounts import registration, teams
 from vitac.server.api.attempts import note_registration
 from vitac.server.api.teams import NewTeam
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.members import registration
-from vitac.server.teams import teams
 
 from ...session.forms import read_form
 from ...site import get_site, get_viewer, page

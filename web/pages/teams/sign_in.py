@@ -7,11 +7,10 @@ from uuid import UUID
 
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
-from vitac.server import tokens
+from vitac.server.accounts import members, passwords, tokens
 from vitac.server.api.attempts import get_client_address, member_key, note_password
 from vitac.server.api.middleware.shares import leave_place
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.members import members, passwords
 from vitac.server.principals import Principal
 
 from ...session import signer

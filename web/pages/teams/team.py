@@ -11,16 +11,15 @@ from sqlalchemy.orm import Session
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
-from vitac.server import team_data, tokens
+from vitac.server.accounts import members, passwords, teams, tokens
 from vitac.server.api.attempts import note_password, note_registration
 from vitac.server.api.members import MemberChanges, NewMember
 from vitac.server.api.middleware.shares import leave_place
-from vitac.server.db.models import Member
-from vitac.server.db.states import MemberRole, NoticeKind
+from vitac.server.database.models import Member
+from vitac.server.database.states import MemberRole, NoticeKind
 from vitac.server.errors import ServiceError
-from vitac.server.members import members, passwords
+from vitac.server.operations import team_data
 from vitac.server.principals import Principal
-from vitac.server.teams import teams
 from vitac.server.views.teams import OwnTeamView, TokenView
 
 from ...session.forms import read_form

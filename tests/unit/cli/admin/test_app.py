@@ -9,8 +9,8 @@ from service_factories import claim, make_record, play_all, shard_ids, store
 from typer.testing import Result
 from vitac.cli.admin.consent import ConsentMissing
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.server.db.models import Submission, Worker
-from vitac.server.db.states import WorkerState
+from vitac.server.database.models import Submission, Worker
+from vitac.server.database.states import WorkerState
 from vitac.server.errors import ServiceError
 
 from competitions import make_competition, open_now, put_in_place

@@ -19,20 +19,18 @@ from sqlalchemy.orm import Session
 from typer.core import TyperCommand, TyperGroup
 from vitac.cli.admin.app import app
 from vitac.cli.admin.consent import NOTHING_CHANGED, ConsentMissing
+from vitac.server.accounts import members, messages, teams
+from vitac.server.accounts.outbox import announce
+from vitac.server.accounts.tokens import list_tokens
 from vitac.server.appeals import appeals
 from vitac.server.audit import newest_entries
-from vitac.server.competition.freezing import freeze
-from vitac.server.competition.sealing import seal
-from vitac.server.db.models import Evaluation, Notice, Team, Worker
-from vitac.server.db.states import NoticeKind, Role, WorkerState
-from vitac.server.members import members
-from vitac.server.messages import announcements, questions
-from vitac.server.notices.outbox import announce
+from vitac.server.competitions.applying import freeze_boards
+from vitac.server.competitions.sealing import seal
+from vitac.server.database.models import Evaluation, Notice, Team, Worker
+from vitac.server.database.states import NoticeKind, Role, WorkerState
+from vitac.server.decisions.finishing import finalize
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.prizes.finishing import finalize
 from vitac.server.stations.stations import add_station
-from vitac.server.teams import teams
-from vitac.server.tokens import list_tokens
 from vitac.worker import appeal_replay
 
 from competitions import (
@@ -139,8 +137,8 @@ TRIED_ELSEWHERE = {
     "submission clear",
     "submission withdraw-clearance",
 }
-"""They need an empty service (tests/unit/server/backup/test_backup.py), results of another evaluator version
-(tests/unit/cli/admin/test_rejudge.py), a judged track (tests/unit/server/judging/test_judging.py), or a copy
+"""They need an empty service (tests/unit/server/operations/test_backup.py), results of another evaluator version
+(tests/unit/cli/admin/test_rejudge.py), a judged track (tests/unit/server/decisions/test_judging.py), or a copy
 (tests/unit/server/evaluations/test_near_copies.py)."""
 
 
@@ -228,9 +226,9 @@ def said(service: CliService, name: str) -> str:
         own = teams.find(session, "Team A")
         by = Principal(role=Role.TEAM, team_id=own.id, team_name=own.name)
         if name == "ANNOUNCEMENT":
-            return str(announcements.publish(session, CONSOLE, title="News", text="Text", notify=False).id)
+            return str(messages.publish_announcement(session, CONSOLE, title="News", text="Text", notify=False).id)
         if name == "QUESTION":
-            return str(questions.ask(session, by, "Why?", public=True).id)
+            return str(messages.ask_question(session, by, "Why?", public=True).id)
         content = make_competition(appeal_days=7)
         content["tracks"] = {"mail": content["tracks"]["track_1"] | {"taken_here": False}}
         put_in_place(session, content)
@@ -259,7 +257,7 @@ def prepare(service: CliService, command: str) -> None:
         elif command.startswith("results"):
             put_in_place(session, moved(make_competition(), days=-2000))
             if command == "results unfreeze":
-                freeze(session, CONSOLE)
+                freeze_boards(session, CONSOLE)
             elif command == "results reopen":
                 finalize(session, CONSOLE)
 

@@ -4,11 +4,11 @@ import json
 from datetime import UTC, datetime
 
 from cli_service import CliService, evaluated_submission
+from vitac.server.accounts import teams
 from vitac.server.appeals import appeals
-from vitac.server.db.models import Notice
-from vitac.server.db.states import NoticeChannel, NoticeKind
+from vitac.server.database.models import Notice
+from vitac.server.database.states import NoticeChannel, NoticeKind
 from vitac.server.errors import ServiceError
-from vitac.server.teams import teams
 
 WHEN = datetime(2031, 2, 1, 12, 30, 15, 250_000, tzinfo=UTC)
 

@@ -6,8 +6,8 @@ import pytest
 from cli_service import CliService
 from sqlalchemy import func, text
 from vitac.cli.service import database
-from vitac.server.db.models import Worker
-from vitac.server.db.states import WorkerOrder, WorkerState
+from vitac.server.database.models import Worker
+from vitac.server.database.states import WorkerOrder, WorkerState
 
 
 def add_worker(service: CliService, state: WorkerState, seen_ago: timedelta) -> UUID:

@@ -17,7 +17,7 @@ from vitac.cli.client.answers import RequestRefused, ServiceUnreachable
 from vitac.cli.client.http import Client
 from vitac.cli.client.pieces import CHUNK_BYTES, MISPLACED, PAUSES_S, PieceSender
 from vitac.server.api.app import create_app
-from vitac.server.db.models import PartialUpload
+from vitac.server.database.models import PartialUpload
 from worker_fakes import eventually
 
 MEGABYTE = 1_000_000

@@ -4,7 +4,7 @@ from uuid import UUID
 
 from cli_service import CliService, submission_folder
 from service_factories import TASK, complete_scored, make_score
-from vitac.server.db.models import Submission
+from vitac.server.database.models import Submission
 
 
 def test_publishes_and_takes_back(service: CliService, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from uuid import uuid4
 
 from cli_service import CliService
 from service_factories import make_principal, make_secret
-from vitac.server.messages import questions
+from vitac.server.accounts import messages
 from vitac.server.principals import CONSOLE
 
 
@@ -18,8 +18,8 @@ def test_a_question_is_asked_and_its_answer_read_from_the_command_line(service: 
         other = make_secret(session, make_principal(session, "Team B"))
     assert json.loads(service.run_with_input("", "question", "list", "--json", token=other).stdout) == []
     with service.database.transaction() as session:
-        for question in questions.visible(session, CONSOLE):
-            questions.answer(session, CONSOLE, question.id, "Yes.", public=question.public)
+        for question in messages.list_questions(session, CONSOLE):
+            messages.answer_question(session, CONSOLE, question.id, "Yes.", public=question.public)
     (seen,) = json.loads(service.run_with_input("", "question", "list", "--json", token=other).stdout)
     assert (seen["id"], seen["team"], seen["answer"]) == (made["id"], None, "Yes.")
     assert service.run("question", "list").stdout.count("Yes.") == 2
@@ -52,5 +52,5 @@ def test_what_cannot_be_asked_is_said(service: CliService) -> None:
         assert str(refused.exception)
     with service.database.transaction() as session:
         organizer = make_secret(session, CONSOLE)
-        assert questions.visible(session, CONSOLE) == []
+        assert messages.list_questions(session, CONSOLE) == []
     assert "There is no team" in str(service.run_with_input("", "question", "ask", "Why?", token=organizer).exception)

@@ -11,7 +11,7 @@ from submission_steps import make_worker
 from vitac.cli.client.answers import RequestRefused
 from vitac.cli.client.status import EvaluationEndedWithoutScore, require_score, show
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
-from vitac.server.db.models import Submission
+from vitac.server.database.models import Submission
 
 
 def submitted(service: CliService, tmp_path: Path, manifest: str = MANIFEST) -> str:

@@ -13,7 +13,7 @@ from vitac.cli.client.answers import RequestRefused, ServiceUnreachable
 from vitac.cli.client.submit import find_kind
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.submission.sources import NoSubmission
-from vitac.server.db.models import PartialUpload
+from vitac.server.database.models import PartialUpload
 
 from competitions import make_competition, open_now, put_in_place
 

@@ -8,12 +8,12 @@ from cli_service import CliService
 from service_factories import LOCK, TASK, TRACK, make_principal, play_all, submit
 from sqlalchemy.orm import Session
 from typer.testing import Result
-from vitac.server.db.states import Role
+from vitac.server.accounts import teams
+from vitac.server.database.states import Role
+from vitac.server.decisions import exporting
+from vitac.server.decisions.exporting import read_teams
 from vitac.server.principals import Principal
-from vitac.server.publishing import exporting
-from vitac.server.publishing.exported_teams import read_teams
 from vitac.server.receipts.export import ExportedTeam
-from vitac.server.teams import teams
 
 from competitions import make_competition, open_now, put_in_place
 

@@ -8,7 +8,7 @@ import typer
 from vitac.cli.main import main
 from vitac.cli.service import scale
 from vitac.cli.service.durations import parse_duration_s
-from vitac.server.db.availability import DatabaseUnreachable
+from vitac.server.database.availability import DatabaseUnreachable
 from vitac.worker import main as worker
 from vitac.worker.slurm import Scaling, SlurmError
 from vitac.worker.stay import Stay, WorkerRefused

@@ -15,8 +15,8 @@ import pytest
 from databases import fresh_database
 from service_factories import claim, make_principal, make_secret, shard_ids, state_of, submit
 from vitac.cli.service import web_process
-from vitac.server.db.engine import Database
-from vitac.server.db.states import ShardState
+from vitac.server.database.engine import Database
+from vitac.server.database.states import ShardState
 from worker_fakes import eventually
 
 SERVE = "from vitac.cli.main import main; main(['serve', '--port', '0'])"

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 from sensors_made_once import make_each_once
 from service_client import Service, database_with_people, running_service
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 
 
 @pytest.fixture(autouse=True)

@@ -17,11 +17,11 @@ from httpx import Response
 from service_client import POLICY, Service, bearer, copied_service, make_archive, running_service
 from service_factories import TASK, TRACK, make_principal, make_score, make_settings, play_all, submit_scored
 from sqlalchemy import delete
-from vitac.server import tokens
+from vitac.server.accounts import members, messages, tokens
 from vitac.server.api.app import create_app
 from vitac.server.appeals import appeals
-from vitac.server.db.engine import Database
-from vitac.server.db.models import (
+from vitac.server.database.engine import Database
+from vitac.server.database.models import (
     ApiToken,
     Appeal,
     CompetitionRow,
@@ -34,12 +34,10 @@ from vitac.server.db.models import (
     Webhook,
     Worker,
 )
-from vitac.server.db.states import NoticeChannel, NoticeKind, Role, WorkerState
+from vitac.server.database.states import NoticeChannel, NoticeKind, Role, WorkerState
+from vitac.server.decisions.rejudging_comparison import compute_revision
 from vitac.server.evaluations.history import newest_evaluation
-from vitac.server.members import members
-from vitac.server.messages import announcements, questions
 from vitac.server.principals import CONSOLE, Audience
-from vitac.server.rejudging.comparison import compute_revision
 from vitac.server.stations import stations
 
 from competitions import make_competition, put_in_place
@@ -236,13 +234,13 @@ class Setting:
     def new_announcement(self) -> str:
         """Number of an announcement."""
         with self.service.database.transaction() as session:
-            return str(announcements.publish(session, CONSOLE, title="News", text="Text", notify=False).id)
+            return str(messages.publish_announcement(session, CONSOLE, title="News", text="Text", notify=False).id)
 
     def new_question(self) -> str:
         """Number of a question of the team OWNER."""
         with self.service.database.transaction() as session:
             session.execute(delete(Question))
-            return str(questions.ask(session, self.service.principal, "Why?", public=True).id)
+            return str(messages.ask_question(session, self.service.principal, "Why?", public=True).id)
 
     def new_appeal(self) -> str:
         """Number of an open appeal of the team OWNER."""

@@ -6,7 +6,7 @@ from service_client import Service
 from service_factories import TRACK
 from sqlalchemy import text
 from vitac.server.api import health
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 
 
 def test_healthy_and_ready_service_says_so_without_workers(service: Service) -> None:

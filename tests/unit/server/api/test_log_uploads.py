@@ -19,7 +19,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
 from vitac.server import tracks
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 
 LOG = a_log()
 LINES = LOG.splitlines(keepends=True)

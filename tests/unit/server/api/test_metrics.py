@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 from service_client import Service, bearer, problem_of, running_service
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 from vitac.server.operations import exposition
 
 TOKEN = "for-prometheus-only"  # noqa: S105 - of this test

@@ -8,7 +8,7 @@ import pytest
 from httpx import Response
 from service_client import API, Service, bearer, make_archive, problem_of, running_service
 from vitac.server.api.streams import OpenStreams
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 from vitac.server.settings import Quotas
 
 pytestmark = pytest.mark.usefixtures("quota_clock")

@@ -20,13 +20,13 @@ from vitac.evaluator.playback.making import SCENE_FILE, PlaybackOrder
 from vitac.evaluator.sensors.made import read_design, read_made_sensor
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.submission.sensor import SensorNotMade
-from vitac.server import housekeeping
-from vitac.server.competition import sealing
-from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission, SubmissionFile
-from vitac.server.db.states import FileRole
+from vitac.server.competitions import sealing
+from vitac.server.database.models import EpisodeResult, Evaluation, Shard, Submission, SubmissionFile
+from vitac.server.database.states import FileRole
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.limiter import ConcurrencyLimiter
+from vitac.server.operations import housekeeping
 from vitac.server.playbacks import asking, work
 from vitac.server.principals import CONSOLE
 from vitac.server.queue.leases import Lease

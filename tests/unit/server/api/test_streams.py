@@ -8,7 +8,7 @@ from uuid import UUID, uuid4
 import pytest
 from vitac.server.api import streams
 from vitac.server.api.streams import OpenStreams
-from vitac.server.db.states import Role
+from vitac.server.database.states import Role
 from vitac.server.errors import ServiceError
 from vitac.server.limiter import ConcurrencyLimiter
 from vitac.server.principals import Principal

@@ -15,8 +15,8 @@ from structlog.testing import capture_logs
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Evaluation, Submission
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Evaluation, Submission
 from vitac.server.submissions import listing
 from worker_fakes import eventually
 

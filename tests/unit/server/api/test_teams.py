@@ -1,7 +1,7 @@
 from pathlib import Path
 
 from service_client import Service, bearer, problem_of, running_service
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 
 
 def test_registered_team_gets_a_token_that_works_and_is_shown_once(service: Service) -> None:

@@ -4,8 +4,8 @@ from datetime import datetime
 from made_receipts import KEY, PUBLIC_KEY
 from service_client import Service, problem_of
 from service_factories import TRACK
-from vitac.server.competition.applying import apply
-from vitac.server.competition.definition import CompetitionDefinition
+from vitac.server.competitions.applying import apply
+from vitac.server.competitions.definition import CompetitionDefinition
 from vitac.server.principals import CONSOLE
 from vitac.server.receipts.log_audit import audit_log
 from vitac.server.transparency.entries import FinalBoard

@@ -4,7 +4,7 @@ import pytest
 from service_client import Service, make_archive, problem_of
 from service_factories import LOCK, TASK, TRACK, RecordOf, play_all, successes_below
 from vitac.evaluator.tracks import registry
-from vitac.server.db.models import Submission
+from vitac.server.database.models import Submission
 
 
 def evaluated(service: Service, token: str, policy: str, record_of: RecordOf) -> str:

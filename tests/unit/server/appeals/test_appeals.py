@@ -10,17 +10,17 @@ from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 from submission_steps import refused
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.server import team_data
+from vitac.server.accounts import teams
 from vitac.server.appeals import appeals
 from vitac.server.audit import newest_entries
-from vitac.server.competition.competition import Competition
-from vitac.server.competition.sealing import seal
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Appeal, BoardResult, EpisodeResult, Evaluation, Rejudgement, Submission
-from vitac.server.db.states import AppealState, Role
+from vitac.server.competitions.competition import Competition
+from vitac.server.competitions.sealing import seal
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Appeal, BoardResult, EpisodeResult, Evaluation, Rejudgement, Submission
+from vitac.server.database.states import AppealState, Role
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.operations import team_data
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.teams import teams
 from vitac.server.texts import TEXT_LENGTH
 
 from competitions import make_competition, put_in_place, stored_stage

@@ -9,12 +9,12 @@ from service_factories import TASK, TRACK, RecordOf, make_principal, make_record
 from submission_steps import refused
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
 from vitac.evaluator.submission.likeness import make_sketch
-from vitac.server.db.engine import Database
-from vitac.server.desk.troubles import troubles
+from vitac.server.database.engine import Database
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations.archive_copies import compare_archives, list_archive_copies
 from vitac.server.evaluations.near_copies import list_near_copies
 from vitac.server.leaderboards.standings import leaderboard
+from vitac.server.operations.desk import troubles
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import creation
 

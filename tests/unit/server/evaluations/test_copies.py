@@ -17,8 +17,9 @@ from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Task
 from vitac.evaluator.tracks.cut import Shard
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Submission
+from vitac.server.accounts.shown_names import ShownNames
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Submission
 from vitac.server.evaluations import lifecycle, listing
 from vitac.server.evaluations.copies import find_copies, flag_copies
 from vitac.server.evaluations.history import newest_evaluation
@@ -26,7 +27,6 @@ from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.logs.claims import LogClaim
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import creation
-from vitac.server.teams.shown_names import ShownNames
 from vitac.server.views.evaluations import CopyView
 
 from competitions import shown_stage

@@ -12,8 +12,8 @@ from service_factories import (
     take_away,
 )
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Submission
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Submission
 from vitac.server.evaluations.listing import list_evaluations
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions.listing import get, list_submissions

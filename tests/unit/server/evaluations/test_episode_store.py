@@ -6,10 +6,10 @@ import pytest
 from service_factories import claim, make_principal, make_record, sha256, shard_ids, state_of, store, submit, take_away
 from sqlalchemy import event, select, text
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome
-from vitac.server.db.engine import Database
-from vitac.server.db.models import EpisodeResult
-from vitac.server.db.row_locks import lock_evaluation
-from vitac.server.db.states import ShardState
+from vitac.server.database.engine import Database
+from vitac.server.database.locks import lock_evaluation
+from vitac.server.database.models import EpisodeResult
+from vitac.server.database.states import ShardState
 from vitac.server.evaluations.episode_store import (
     OUTPUT_CHARACTERS,
     half_way_state,

@@ -26,9 +26,9 @@ from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, Fail
 from vitac.evaluator.package_sets import digest_of_packages
 from vitac.evaluator.scoring.score import score
 from vitac.evaluator.shards.order import ShardEnd
-from vitac.server.db.engine import Database
-from vitac.server.db.models import EpisodeResult
-from vitac.server.db.states import EvaluationState, ShardState
+from vitac.server.database.engine import Database
+from vitac.server.database.models import EpisodeResult
+from vitac.server.database.states import EvaluationState, ShardState
 from vitac.server.evaluations.episode_store import EpisodeKey, read_stored_records, store_episodes
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import EpisodesMissing

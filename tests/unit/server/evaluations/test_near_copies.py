@@ -18,14 +18,14 @@ from submission_steps import SETTINGS, refused
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.audit import newest_entries
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Submission
-from vitac.server.desk.troubles import troubles
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Submission
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.near_copies import list_near_copies
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.logs.claims import LogClaim
+from vitac.server.operations.desk import troubles
 from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.submissions import clearance, creation, listing, runs
 

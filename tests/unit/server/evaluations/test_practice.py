@@ -20,9 +20,9 @@ from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.shards.order import ShardEnd
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
-from vitac.server.competition.sealing import seal
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Evaluation, Shard, Submission
+from vitac.server.competitions.sealing import seal
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Evaluation, Shard, Submission
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.standings import leaderboard

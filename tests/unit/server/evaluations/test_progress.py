@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from vitac.evaluator.tracks import load_track
-from vitac.server.db.models import Evaluation, Submission
+from vitac.server.database.models import Evaluation, Submission
 from vitac.server.evaluations.progress import make_progress_view, seconds_to_end
 from vitac.server.views.evaluations import ProgressView
 

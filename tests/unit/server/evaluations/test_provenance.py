@@ -1,8 +1,8 @@
 from dataclasses import replace
 
 from service_factories import claim, make_manifest, make_principal, shard_ids, submit
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Shard
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Shard
 from vitac.server.evaluations.provenance import known_manifest
 
 

@@ -14,14 +14,14 @@ from service_factories import (
 )
 from sqlalchemy.orm import Session
 from submission_steps import refused
-from vitac.server.advancement.advancement import confirm
-from vitac.server.db.engine import Database
-from vitac.server.db.models import CompetitionRow, Submission, Team
+from vitac.server.database.engine import Database
+from vitac.server.database.models import CompetitionRow, Submission, Team
+from vitac.server.decisions.advancement import confirm
+from vitac.server.decisions.finishing import finalize
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE
-from vitac.server.prizes.finishing import finalize
 from vitac.server.submissions import creation, runs
 
 from competitions import FIRST, SECOND, make_competition, moved, put_in_place, stored_stage

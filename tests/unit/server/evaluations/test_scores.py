@@ -13,7 +13,7 @@ from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.scoring.score import Score, combine, score
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
-from vitac.server.db.models import ALL_TASKS, Evaluation, Submission
+from vitac.server.database.models import ALL_TASKS, Evaluation, Submission
 from vitac.server.evaluations.scores import (
     combine_hashes,
     combine_scores,

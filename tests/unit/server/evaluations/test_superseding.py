@@ -5,11 +5,10 @@ from service_factories import make_settings, play, play_all, shard_ids, submit, 
 from sqlalchemy import select, text
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_version
-from vitac.server.db.advisory_locks import AdvisoryLock
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Evaluation, Shard, Submission, Worker
-from vitac.server.db.row_locks import lock_evaluation
-from vitac.server.db.states import EvaluationState, WorkerState
+from vitac.server.database.engine import Database
+from vitac.server.database.locks import AdvisoryLock, lock_evaluation
+from vitac.server.database.models import Evaluation, Shard, Submission, Worker
+from vitac.server.database.states import EvaluationState, WorkerState
 from vitac.server.errors import ServiceError
 from vitac.server.evaluations import lifecycle, superseding
 from vitac.server.evaluations.history import newest_evaluation

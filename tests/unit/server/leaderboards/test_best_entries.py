@@ -12,8 +12,8 @@ from sqlalchemy import select, text
 from vitac.evaluator.ranking import Ranking
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Evaluation, Team
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Evaluation, Team
 from vitac.server.evaluations.scores import combined_score, read_scores
 from vitac.server.leaderboards import standings
 from vitac.server.leaderboards.best_entries import Board, best_entries, places

@@ -9,9 +9,9 @@ import pytest
 from service_factories import LOCK, TASK, TRACK, add_result, make_score
 from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.db.engine import Database
-from vitac.server.db.models import ALL_TASKS, Evaluation, Team
-from vitac.server.db.states import Role
+from vitac.server.database.engine import Database
+from vitac.server.database.models import ALL_TASKS, Evaluation, Team
+from vitac.server.database.states import Role
 from vitac.server.leaderboards import history
 from vitac.server.leaderboards.best_entries import BestEntry, Board, best_entries, places
 from vitac.server.leaderboards.history import past_results

@@ -7,11 +7,11 @@ from databases import copied_database
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from sqlalchemy import delete, func, insert, select, update
 from sqlalchemy.orm import Session
-from vitac.server.db.engine import Database
-from vitac.server.db.models import BoardChange, BoardResult, Evaluation, LogCopy, Submission, Team
-from vitac.server.leaderboards import changes
+from vitac.server.database.engine import Database
+from vitac.server.database.models import BoardChange, BoardResult, Evaluation, LogCopy, Submission, Team
+from vitac.server.leaderboards import board_cache
 from vitac.server.leaderboards.best_entries import Board, places
-from vitac.server.leaderboards.changes import forget_old_notes, kept_until_change
+from vitac.server.leaderboards.board_cache import forget_old_notes, kept_until_change
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
 
@@ -103,7 +103,7 @@ def test_a_new_version_of_the_evaluator_reads_anew(scored: Database, monkeypatch
     reader = Reader()
     with scored.transaction() as session:
         assert reader.in_(session) == 1
-        monkeypatch.setattr(changes, "evaluator_version", lambda: "another")
+        monkeypatch.setattr(board_cache, "evaluator_version", lambda: "another")
         assert reader.in_(session) == 2
 
 
@@ -145,7 +145,7 @@ def test_boards_and_places_follow_a_disqualification_and_a_new_best_result(score
 def test_of_old_notes_only_the_newest_stay_and_the_next_change_is_seen(
     scored: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(changes, "NOTES_KEPT", 2)
+    monkeypatch.setattr(board_cache, "NOTES_KEPT", 2)
     reader = Reader()
     with scored.transaction() as session:
         newest = session.scalar(select(func.max(BoardChange.id))) or 0

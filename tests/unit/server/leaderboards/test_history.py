@@ -1,6 +1,6 @@
 import pytest
 from service_factories import LOCK, TASK, make_principal, make_score, outdate, submit, submit_scored
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.history import past_results

@@ -5,8 +5,8 @@ from datetime import UTC, datetime
 
 import pytest
 from vitac.evaluator.tracks import ListKind
-from vitac.server.leaderboards import made_boards
-from vitac.server.leaderboards.made_boards import MadeBoards, compute_revision
+from vitac.server.leaderboards import board_cache
+from vitac.server.leaderboards.board_cache import MadeBoards, compute_revision
 from vitac.server.views.leaderboards import LeaderboardView
 
 
@@ -35,7 +35,7 @@ class Maker:
         self.boards: MadeBoards[LeaderboardView] = MadeBoards()
         self.before: list[str | None] = []
 
-    def get(self, board: str, revision: str) -> made_boards.MadeBoard[LeaderboardView]:
+    def get(self, board: str, revision: str) -> board_cache.MadeBoard[LeaderboardView]:
         def make(last: LeaderboardView | None) -> LeaderboardView:
             self.before.append(last.revision if last else None)
             return view(revision)
@@ -100,5 +100,5 @@ def test_a_revision_is_short_and_depends_on_every_entry_and_their_order() -> Non
 @pytest.mark.parametrize("name", ["read_release", "evaluator_version"])
 def test_a_revision_changes_with_the_software(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     before = compute_revision("board", ["a"])
-    monkeypatch.setattr(made_boards, name, lambda *_: "another")
+    monkeypatch.setattr(board_cache, name, lambda *_: "another")
     assert compute_revision("board", ["a"]) != before

@@ -4,10 +4,10 @@ from uuid import UUID
 from hypothesis import given
 from hypothesis import strategies as st
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
-from vitac.server.db.engine import Database
-from vitac.server.db.models import BoardResult
-from vitac.server.leaderboards.rank_history import TEAMS, _follow
-from vitac.server.leaderboards.shown import shown_rank_history
+from vitac.server.database.engine import Database
+from vitac.server.database.models import BoardResult
+from vitac.server.leaderboards.history import TEAMS, _follow
+from vitac.server.leaderboards.reading import shown_rank_history
 from vitac.server.principals import VISITOR
 
 BEGIN = datetime(2031, 1, 1, tzinfo=UTC)

@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 from vitac.evaluator.scoring.score import wilson_interval
-from vitac.server.leaderboards.rank_ranges import rank_ranges
+from vitac.server.leaderboards.standings import rank_ranges
 
 counts = st.lists(st.integers(0, 50), max_size=20).map(lambda successes: sorted(successes, reverse=True))
 

@@ -2,9 +2,9 @@
 
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.competition.applying import apply
-from vitac.server.competition.definition import CompetitionDefinition
-from vitac.server.db.engine import Database
+from vitac.server.competitions.applying import apply
+from vitac.server.competitions.definition import CompetitionDefinition
+from vitac.server.database.engine import Database
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.logs.claims import LogClaim

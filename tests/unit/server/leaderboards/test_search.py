@@ -5,7 +5,7 @@ from page_fixtures import a_leaderboard, a_score, an_entry, some_log_boards
 from vitac.evaluator.tracks import load_track
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.leaderboards.baselines import list_baselines
-from vitac.server.leaderboards.search import BoardSearch, Rows
+from vitac.server.leaderboards.reading import BoardSearch, Rows
 
 NOON = datetime(2026, 3, 31, 12, tzinfo=UTC)
 SCORE = a_score((80, 74, 80), 4.92)

@@ -12,7 +12,7 @@ from service_factories import (
 )
 from vitac.evaluator.scoring.score import interval_of_mean
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE
 from vitac.server.submissions import listing, runs

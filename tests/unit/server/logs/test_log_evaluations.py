@@ -36,9 +36,9 @@ from vitac.evaluator.logs.text_2025 import WHY_RATES_DIFFER
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.shards.order import ShardEnd, ShardResult
 from vitac.evaluator.version import evaluator_version
-from vitac.server.competition import sealing
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Evaluation, Submission, Team
+from vitac.server.competitions import sealing
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Evaluation, Submission, Team
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.verdicts import find_sentence
 from vitac.server.leaderboards import log_boards

@@ -1,9 +1,8 @@
 from collections.abc import Iterable
 
 import pytest
-from vitac.server.metrics.instruments import Instruments, RetryReason
-from vitac.server.metrics.totals import list_samples
-from vitac.server.operations.counts import estimate_bound, make_counts_view
+from vitac.server.database.metrics import Instruments, RetryReason, list_samples
+from vitac.server.operations.state import estimate_bound, make_counts_view
 
 
 def test_counts_of_nothing_are_zero() -> None:

@@ -8,10 +8,10 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from service_factories import make_principal, make_settings, submit
 from sqlalchemy import event
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Worker
-from vitac.server.db.states import WorkerState
-from vitac.server.metrics.totals import TotalsWriter
+from vitac.server.database.engine import Database
+from vitac.server.database.metrics import TotalsWriter
+from vitac.server.database.models import Worker
+from vitac.server.database.states import WorkerState
 from vitac.server.operations.exposition import KEPT_S, LOST, Exposition, server_families, state_families
 from vitac.server.queue.workers import Disk
 from vitac.server.services import Services

@@ -7,10 +7,10 @@ from service_factories import claim, make_principal, make_record, make_settings,
 from sqlalchemy import func, update
 from sqlalchemy.orm import Session
 from vitac.evaluator.version import evaluator_version
-from vitac.server.db.engine import Database
-from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Worker
-from vitac.server.db.states import WorkerState
-from vitac.server.metrics.totals import totals
+from vitac.server.database.engine import Database
+from vitac.server.database.metrics import totals
+from vitac.server.database.models import EpisodeResult, Evaluation, Shard, Worker
+from vitac.server.database.states import WorkerState
 from vitac.server.operations.state import operations
 from vitac.server.settings import Settings
 from vitac.server.views.operations import OperationsView

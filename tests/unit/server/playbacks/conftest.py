@@ -1,6 +1,6 @@
 import pytest
 from asked_playbacks import Played, played
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 
 
 @pytest.fixture

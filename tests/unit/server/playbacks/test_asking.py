@@ -11,16 +11,16 @@ from submission_steps import make_worker
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.tracks import ListKind, load_track
 from vitac.evaluator.version import evaluator_version
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Evaluation, Playback, Shard, Submission, Worker
-from vitac.server.db.states import PlaybackState, Role, ShardState, WorkerState
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Evaluation, Playback, Shard, Submission, Worker
+from vitac.server.database.states import PlaybackState, Role, ShardState, WorkerState
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.leaderboards.public_pages import set_public
 from vitac.server.playbacks import asking, work
 from vitac.server.playbacks.asking import ask, find_episode, find_playback, playback_key, playback_view, requester
 from vitac.server.playbacks.files import PlaybackFile, find_digest
 from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD, queue_name
-from vitac.server.sharing.public_pages import set_public
 from vitac.server.tracks import find_playback_family
 
 JUDGE = Principal(role=Role.JUDGE)

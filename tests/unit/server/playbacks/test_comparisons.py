@@ -2,9 +2,9 @@ from uuid import UUID
 
 from asked_playbacks import Played, played
 from service_factories import TASK, complete_scored, make_score
-from vitac.server.db.models import Submission
+from vitac.server.database.models import Submission
+from vitac.server.leaderboards.public_pages import set_public
 from vitac.server.playbacks.comparisons import list_choices
-from vitac.server.sharing.public_pages import set_public
 
 
 def choices(team: Played, number: int = 2, best: UUID | None = None) -> list[tuple[str, int]]:

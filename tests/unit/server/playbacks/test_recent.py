@@ -7,11 +7,11 @@ from asked_playbacks import SETTINGS, Played, played
 from service_factories import TASK, complete_scored, make_score, sha256
 from sqlalchemy import update
 from sqlalchemy.orm import Session
-from vitac.server.db.models import EpisodeResult, Playback, Submission
-from vitac.server.db.states import PlaybackState
+from vitac.server.database.models import EpisodeResult, Playback, Submission
+from vitac.server.database.states import PlaybackState
+from vitac.server.leaderboards.public_pages import set_public
 from vitac.server.playbacks import recent
 from vitac.server.playbacks.recent import newest_public_episode
-from vitac.server.sharing.public_pages import set_public
 from vitac.server.views.playbacks import PublicEpisodeView
 
 NOW = datetime(2026, 11, 22, 12, tzinfo=UTC)

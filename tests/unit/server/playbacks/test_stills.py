@@ -5,14 +5,14 @@ import pytest
 from asked_playbacks import SETTINGS, Played, played
 from service_factories import TASK, play, sha256, shard_ids
 from sqlalchemy import func, select, update
-from vitac.server.db.engine import Database
-from vitac.server.db.models import EpisodeResult, Playback
-from vitac.server.db.states import PlaybackState
+from vitac.server.database.engine import Database
+from vitac.server.database.models import EpisodeResult, Playback
+from vitac.server.database.states import PlaybackState
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.leaderboards.public_pages import set_public
 from vitac.server.playbacks import stills
 from vitac.server.playbacks.stills import ask_for_missing_stills, find_stills, list_stills
 from vitac.server.principals import VISITOR
-from vitac.server.sharing.public_pages import set_public
 
 NOW = datetime(2026, 11, 22, 12, tzinfo=UTC)
 

@@ -7,9 +7,9 @@ from asked_playbacks import SETTINGS, Played
 from sqlalchemy import text, update
 from sqlalchemy.orm import Session
 from submission_steps import make_worker
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Playback
-from vitac.server.db.states import PlaybackState, WorkerState
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Playback
+from vitac.server.database.states import PlaybackState, WorkerState
 from vitac.server.playbacks import work
 from vitac.server.playbacks.work import PlaybackLease, recover, remove_old, stored_digests
 from vitac.server.queue.jobs import MAKE_PLAYBACK

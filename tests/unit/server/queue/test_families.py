@@ -13,8 +13,8 @@ from submission_steps import make_worker, view_of
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.tracks.registry import find_version
 from vitac.evaluator.version import evaluator_version
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Submission
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Submission
 from vitac.server.evaluations.lifecycle import fail_by_machines
 from vitac.server.principals import CONSOLE
 from vitac.server.queue import leases

@@ -6,9 +6,9 @@ import pytest
 from service_factories import claim, finish, make_principal, make_record, shard_ids, store, submit, take_away
 from sqlalchemy import text
 from sqlalchemy.orm import Session
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Shard
-from vitac.server.db.states import ShardState
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Shard
+from vitac.server.database.states import ShardState
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease, LeaseLost
 

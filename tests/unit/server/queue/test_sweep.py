@@ -18,11 +18,10 @@ from sqlalchemy import select, text, update
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
-from vitac.server.db.advisory_locks import AdvisoryLock
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Shard, Submission, Team, Webhook
-from vitac.server.db.row_locks import lock_evaluation
-from vitac.server.db.states import EvaluationState, ShardState
+from vitac.server.database.engine import Database
+from vitac.server.database.locks import AdvisoryLock, lock_evaluation
+from vitac.server.database.models import Shard, Submission, Team, Webhook
+from vitac.server.database.states import EvaluationState, ShardState
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import fail_by_machines
 from vitac.server.queue import sweep as sweep_module

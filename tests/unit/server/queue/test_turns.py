@@ -7,8 +7,8 @@ from sqlalchemy import text
 from sqlalchemy.orm import Session
 from submission_steps import view_of
 from vitac.evaluator.version import evaluator_version
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Shard, Submission
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Shard, Submission
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import fail_by_machines
 from vitac.server.principals import CONSOLE, Principal

@@ -5,8 +5,8 @@ from page_fixtures import a_sandbox
 from service_factories import make_settings
 from submission_steps import make_worker
 from vitac.evaluator.agent.description import SandboxDescription
-from vitac.server.db.engine import Database
-from vitac.server.db.states import WorkerState
+from vitac.server.database.engine import Database
+from vitac.server.database.states import WorkerState
 from vitac.server.queue.workers import sandboxes
 
 LONG_AGO = datetime.now(UTC) - timedelta(hours=1)

@@ -19,21 +19,21 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.episode import Environment
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.tracks.sealed import make_commitment
-from vitac.server import team_data
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Evaluation, ReceiptKey, ReceiptRow, Submission, Team
-from vitac.server.db.states import EvaluationState
+from vitac.server.accounts import merging, teams
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Evaluation, ReceiptKey, ReceiptRow, Submission, Team
+from vitac.server.database.states import EvaluationState
+from vitac.server.decisions import rejudging
+from vitac.server.decisions.exporting import export_receipts
+from vitac.server.decisions.publishing import ResultsNotWritten
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.scores import combined_result
+from vitac.server.operations import team_data
 from vitac.server.principals import CONSOLE
-from vitac.server.publishing.exporting import export_receipts
-from vitac.server.publishing.publishing import ResultsNotWritten
 from vitac.server.receipts import issuing
 from vitac.server.receipts.audit import Audit, audit
 from vitac.server.receipts.export import DESCRIPTION_NAME, LOG_NAME, ExportRejected, read_receipt
-from vitac.server.rejudging import rejudging
 from vitac.server.storage.blobs import BlobStore
-from vitac.server.teams import merging, teams
 from vitac.server.transparency import log
 from vitac.server.transparency.entries import Content
 from vitac.server.transparency.merkle import ProofRejected

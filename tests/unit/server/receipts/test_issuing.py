@@ -15,8 +15,8 @@ from service_factories import (
 )
 from sqlalchemy import select, text
 from sqlalchemy.exc import DBAPIError
-from vitac.server.db.engine import Database
-from vitac.server.db.models import ReceiptRow
+from vitac.server.database.engine import Database
+from vitac.server.database.models import ReceiptRow
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE

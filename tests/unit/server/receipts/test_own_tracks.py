@@ -11,7 +11,7 @@ from obstore.store import MemoryStore
 from own_track import OWN_TRACK
 from service_factories import make_principal, submit_to
 from vitac.evaluator.tracks.registry import TRACKS_FOLDER_VARIABLE
-from vitac.server.publishing.exporting import export_receipts
+from vitac.server.decisions.exporting import export_receipts
 from vitac.server.receipts.audit import audit
 from vitac.server.receipts.export import track_name
 from vitac.server.storage.blobs import BlobStore

@@ -12,11 +12,11 @@ from service_factories import TASK, TRACK, forget_boards, make_principal, own_re
 from sqlalchemy import text
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
-from vitac.server.db.engine import Database
-from vitac.server.judging.judging import give_marks
+from vitac.server.database.engine import Database
+from vitac.server.decisions.exporting import export_receipts
+from vitac.server.decisions.finishing import finalize
+from vitac.server.decisions.judging import give_marks
 from vitac.server.principals import CONSOLE
-from vitac.server.prizes.finishing import finalize
-from vitac.server.publishing.exporting import export_receipts
 from vitac.server.receipts.audit import audit
 from vitac.server.storage.blobs import BlobStore
 

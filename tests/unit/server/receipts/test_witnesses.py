@@ -9,11 +9,11 @@ from pydantic import ValidationError
 from service_factories import TRACK, make_principal, play_all, submit
 from sqlalchemy import text
 from sqlalchemy.orm import Session
-from vitac.server.competition.definition import CompetitionDefinition
-from vitac.server.db.engine import Database
+from vitac.server.competitions.definition import CompetitionDefinition
+from vitac.server.database.engine import Database
+from vitac.server.decisions.finishing import finalize
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import CONSOLE
-from vitac.server.prizes.finishing import finalize
 from vitac.server.receipts.issuing import receipts_of_submission
 from vitac.server.receipts.witnesses import add_cosignatures, list_witness_views, list_witnessed_checkpoints
 from vitac.server.transparency.log import make_checkpoint, read_log_key, read_tree

@@ -9,8 +9,8 @@ from uuid import UUID, uuid4
 import pytest
 from service_factories import make_settings
 from submission_steps import make_worker
-from vitac.server.db.engine import Database
-from vitac.server.db.states import WorkerState
+from vitac.server.database.engine import Database
+from vitac.server.database.states import WorkerState
 from vitac.server.errors import ServiceError
 from vitac.server.principals import CONSOLE
 from vitac.server.stations import stations

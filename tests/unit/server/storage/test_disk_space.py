@@ -10,7 +10,7 @@ from sqlalchemy.exc import OperationalError
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.settings import load_settings
 from vitac.server.storage.blobs import BlobStore
-from vitac.server.storage.disk_space import RESERVED_BYTES, RESERVED_SHARE, has_space, is_disk_full, require_room
+from vitac.server.storage.scratch import RESERVED_BYTES, RESERVED_SHARE, has_space, is_disk_full, require_room
 
 
 def caused_by(cause: Exception) -> Exception:

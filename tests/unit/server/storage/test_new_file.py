@@ -2,7 +2,7 @@ import errno
 from pathlib import Path
 
 import pytest
-from vitac.server.storage.new_file import new_file
+from vitac.server.storage.scratch import new_file
 
 
 def test_a_file_gets_its_name_when_it_is_whole(tmp_path: Path) -> None:

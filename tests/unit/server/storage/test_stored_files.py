@@ -9,8 +9,8 @@ import pytest
 from database_work import is_waiting_for_a_lock
 from service_factories import make_principal, make_upload
 from sqlalchemy import update
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Submission
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Submission
 from vitac.server.errors import ServiceError
 from vitac.server.services import Services
 from vitac.server.settings import load_settings

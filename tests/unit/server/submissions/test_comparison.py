@@ -3,7 +3,7 @@ from uuid import uuid4
 import pytest
 from service_factories import LOCK, TASK, make_principal, make_score, make_settings, submit_scored
 from vitac.evaluator.tracks import load_track
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 from vitac.server.errors import ServiceError
 from vitac.server.principals import VISITOR
 from vitac.server.submissions.comparison import MAX_COMPARED, compare_results, quarters_of_starts

@@ -8,9 +8,9 @@ from service_factories import (
 )
 from sqlalchemy import text
 from submission_steps import break_policy, create, ids_of, refused, view_of
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Submission
-from vitac.server.db.states import EvaluationState
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Submission
+from vitac.server.database.states import EvaluationState
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation

@@ -5,12 +5,12 @@ from service_factories import TASK, TRACK, complete_scored, make_principal, make
 from submission_steps import SETTINGS, refused
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.audit import newest_entries
-from vitac.server.db.engine import Database
-from vitac.server.db.states import Role
+from vitac.server.database.engine import Database
+from vitac.server.database.states import Role
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.leaderboards.public_pages import public_among
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE, VISITOR, Principal
-from vitac.server.sharing.public_pages import public_among
 from vitac.server.submissions import disqualification, listing, runs
 
 from competitions import shown_stage

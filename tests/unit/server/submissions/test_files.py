@@ -2,8 +2,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from service_factories import claim, make_principal, shard_ids, submit
-from vitac.server.db.engine import Database
-from vitac.server.db.states import FileRole
+from vitac.server.database.engine import Database
+from vitac.server.database.states import FileRole
 from vitac.server.submissions.files import add_files, find_file, stored_digests
 from vitac.server.uploads.checked_upload import UploadedFile
 

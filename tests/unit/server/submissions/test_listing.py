@@ -23,9 +23,9 @@ from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.tracks import ListKind, load_track
 from vitac.server import visibility
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Submission, Team
-from vitac.server.db.states import EvaluationState
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Submission, Team
+from vitac.server.database.states import EvaluationState
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE, Principal

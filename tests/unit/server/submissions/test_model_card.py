@@ -9,11 +9,11 @@ from service_factories import (
     submit_refuted_log,
 )
 from vitac.evaluator.episodes.records import EpisodeRecord, Timings
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Submission
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Submission
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.leaderboards.public_pages import set_public
 from vitac.server.principals import VISITOR
-from vitac.server.sharing.public_pages import set_public
 from vitac.server.submissions import creation
 from vitac.server.submissions.model_card import model_card
 

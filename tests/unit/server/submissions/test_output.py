@@ -19,8 +19,8 @@ from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Evaluation, Submission
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Evaluation, Submission
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation

@@ -3,7 +3,7 @@ from service_factories import (
 )
 from sqlalchemy import text
 from submission_steps import create, refused, view_of
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 from vitac.server.errors import ProblemCode
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import runs

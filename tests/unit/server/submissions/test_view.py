@@ -12,9 +12,9 @@ from sqlalchemy import text
 from submission_steps import SETTINGS, break_policy, create, ids_of, make_worker, view_of
 from vitac.evaluator.tracks import ListKind
 from vitac.server import visibility
-from vitac.server.db.engine import Database
-from vitac.server.db.models import EpisodeDifference, Submission
-from vitac.server.db.states import EvaluationState, WorkerState
+from vitac.server.database.engine import Database
+from vitac.server.database.models import EpisodeDifference, Submission
+from vitac.server.database.states import EvaluationState, WorkerState
 from vitac.server.evaluations import view as evaluation_view
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE, Principal

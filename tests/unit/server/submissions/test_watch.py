@@ -6,8 +6,8 @@ from service_factories import (
     play_all,
 )
 from submission_steps import SETTINGS, create
-from vitac.server.db.engine import Database
-from vitac.server.db.states import EvaluationState
+from vitac.server.database.engine import Database
+from vitac.server.database.states import EvaluationState
 from vitac.server.principals import Principal
 from vitac.server.submissions import watch as watching
 from vitac.server.submissions.watch import Changes, Watched, watch

@@ -6,13 +6,13 @@ from cli_service import CliService, cli_service
 from served_pages import team_visitor, visitor, visitor_of_role
 from service_factories import make_principal, play_all, submit
 from sqlalchemy import update
+from vitac.server.accounts import teams
 from vitac.server.audit import newest_entries
-from vitac.server.db.models import EpisodeDifference, Submission, Team
-from vitac.server.db.states import Role
-from vitac.server.desk.troubles import stages, troubles
+from vitac.server.database.models import EpisodeDifference, Submission, Team
+from vitac.server.database.states import Role
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.operations.desk import stages, troubles
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.teams import teams
 
 from competitions import make_competition, put_in_place
 

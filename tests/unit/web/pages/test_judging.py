@@ -5,8 +5,8 @@ import pytest
 from cli_service import CliService, cli_service
 from served_pages import team_visitor, visitor, visitor_of_role
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
-from vitac.server.db.states import Role
-from vitac.server.judging.judging import judged
+from vitac.server.database.states import Role
+from vitac.server.decisions.judging import judged
 from vitac.server.principals import CONSOLE
 
 from competitions import make_competition, open_now, put_in_place, shown_stage

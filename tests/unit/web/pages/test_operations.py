@@ -2,7 +2,7 @@ from asgi_browser import AsgiBrowser
 from page_fixtures import a_worker, an_operations_view
 from page_service import FixedData
 from visits import sign_in
-from vitac.server.db.states import WorkerState
+from vitac.server.database.states import WorkerState
 
 
 def shown(browser: AsgiBrowser) -> str:

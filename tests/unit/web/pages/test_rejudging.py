@@ -21,8 +21,8 @@ from service_factories import (
 )
 from sqlalchemy import select
 from vitac.evaluator.tracks import load_track
-from vitac.server.db.models import Evaluation, Rejudgement
-from vitac.server.db.states import Role
+from vitac.server.database.models import Evaluation, Rejudgement
+from vitac.server.database.states import Role
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE
 

@@ -4,7 +4,7 @@ import pytest
 from databases import opened_database
 from service_factories import LOCK, TASK, make_principal, make_score, make_settings, submit_scored
 from sqlalchemy import event
-from vitac.server.db.engine import Database
+from vitac.server.database.engine import Database
 from vitac.web.pages.submission_detail import read_detail
 
 

@@ -1,7 +1,7 @@
 import re
 
 from page_fixtures import a_submission
-from vitac.server.db.states import EvaluationState
+from vitac.server.database.states import EvaluationState
 from vitac.web.sharing.citation import cite
 
 ADDRESS = "https://arena.example/submissions/1"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from page_fixtures import TASK, a_submission, some_episodes
 from PIL import Image
-from vitac.server.db.states import EvaluationState
+from vitac.server.database.states import EvaluationState
 from vitac.server.errors import SettingsError
 from vitac.server.views.submissions import SubmissionView
 from vitac.web.sharing import preview

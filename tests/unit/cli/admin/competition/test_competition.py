@@ -7,8 +7,8 @@ from service_factories import TRACK
 from vitac.cli.admin.consent import ConsentMissing
 from vitac.evaluator.strict_model import DocumentRejected
 from vitac.evaluator.tracks.sealed import make_commitment
-from vitac.server.competition.competition import Competition
-from vitac.server.competition.sealing import seal
+from vitac.server.competitions.competition import Competition
+from vitac.server.competitions.sealing import seal
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import CONSOLE
 

@@ -5,9 +5,9 @@ import pytest
 from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from vitac.cli.admin.consent import ConsentMissing
+from vitac.server.accounts import teams
 from vitac.server.errors import ServiceError
 from vitac.server.principals import CONSOLE
-from vitac.server.teams import teams
 
 from competitions import make_competition, moved, open_now, put_in_place
 

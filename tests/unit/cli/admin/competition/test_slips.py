@@ -10,8 +10,8 @@ from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from typer.testing import Result
 from vitac.server.appeals import appeals
-from vitac.server.competition.competition import Competition
-from vitac.server.db.engine import Database
+from vitac.server.competitions.competition import Competition
+from vitac.server.database.engine import Database
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import Principal
 

@@ -1,6 +1,6 @@
 import pytest
 from service_client import Service
-from vitac.server.metrics.totals import list_samples
+from vitac.server.database.metrics import list_samples
 
 
 def counted(service: Service) -> dict[tuple[str, str, str], float]:

@@ -18,8 +18,8 @@ from service_client import API, Service, bearer, make_archive, problem_of, runni
 from sqlalchemy import text, update
 from sqlalchemy.exc import OperationalError
 from vitac.server.api.resumable.pieces import PART_BYTES
-from vitac.server.db.engine import Database
-from vitac.server.db.models import PartialUpload
+from vitac.server.database.engine import Database
+from vitac.server.database.models import PartialUpload
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.uploads import partial
 from worker_fakes import eventually

@@ -9,11 +9,11 @@ from served_pages import PageVisitor, team_visitor, visitor, visitor_of_role
 from service_client import bearer, make_archive
 from service_factories import TASK, TRACK, complete_scored, make_principal, make_score, submit
 from sqlalchemy import select
-from vitac.server import tokens
-from vitac.server.competition.freezing import freeze
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Rejudgement, Submission
-from vitac.server.db.states import Role
+from vitac.server.accounts import tokens
+from vitac.server.competitions.applying import freeze_boards
+from vitac.server.database.engine import Database
+from vitac.server.database.models import Rejudgement, Submission
+from vitac.server.database.states import Role
 from vitac.server.principals import CONSOLE
 
 from competitions import make_competition, open_now, put_in_place
@@ -30,7 +30,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CliService]:
             for name in (MAIN, CLASS):
                 days = {"appeal_days": 7} if name == CLASS else {}
                 put_in_place(session, open_now(make_competition(name=name, title=f"The <{name}>", **days)))
-            freeze(session, CONSOLE, MAIN)
+            freeze_boards(session, CONSOLE, MAIN)
             ants = make_principal(session, "Ants")
             for name, successes in ((MAIN, 40), (CLASS, 90)):
                 complete_scored(session, submit(session, ants, name, competition=name), {TASK: make_score(successes)})

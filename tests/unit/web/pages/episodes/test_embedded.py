@@ -4,7 +4,7 @@ from page_fixtures import TASK
 from page_service import FixedData
 from played_episodes import KEY, a_playback, a_shown_episode
 from visits import COMPLETED, sign_in
-from vitac.server.db.states import PlaybackState
+from vitac.server.database.states import PlaybackState
 from vitac.web.headers import HEADERS
 from vitac.web.pages.episodes.embedded import CLOSED
 

@@ -6,7 +6,7 @@ from played_episodes import KEY, a_playback, a_shown_episode
 from visits import COMPLETED, QUEUED, form_token, sign_in
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.tracks import load_track
-from vitac.server.db.states import PlaybackState
+from vitac.server.database.states import PlaybackState
 from vitac.server.playbacks.files import PlaybackFile
 from vitac.web.pages.episodes import page
 from vitac.web.pages.episodes.page import EpisodeAddress, progress

@@ -8,7 +8,7 @@ from page_fixtures import LOCK, TASK, a_finished_cup, a_leaderboard, a_log, a_su
 from page_service import FixedData
 from visits import sign_in
 from vitac.evaluator.logs.findings import VerificationResult
-from vitac.server.db.states import EvaluationState
+from vitac.server.database.states import EvaluationState
 from vitac.server.views.competition import CompetitionView, StageView
 from vitac.web.pages.leaderboards.tabs import find_stage_title, stage_tabs
 

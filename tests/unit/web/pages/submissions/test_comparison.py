@@ -10,7 +10,7 @@ from asgi_browser import AsgiBrowser
 from page_fixtures import LOCK, TASK, a_leaderboard, a_score, a_submission, an_entry, an_id, some_episodes
 from page_service import FixedData
 from visits import BOTH, COMPLETED, QUEUED, RUNNING, sign_in
-from vitac.server.db.states import EvaluationState
+from vitac.server.database.states import EvaluationState
 from vitac.server.principals import Principal
 from vitac.server.views.submissions import EpisodeView, SubmissionView
 from vitac.web.pages.submission_detail import SubmissionDetail

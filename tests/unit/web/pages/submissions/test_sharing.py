@@ -6,7 +6,7 @@ from page_fixtures import LOCK, MADE_UP_SCORES, TASK, a_leaderboard, an_entry, a
 from page_service import FixedData, an_application
 from played_episodes import a_shown_episode
 from visits import BEARS, BOTH, COMPLETED, GELBOTS, RUNNING, form_token, sign_in
-from vitac.server.sharing import descriptions
+from vitac.server.leaderboards import descriptions
 from vitac.server.submissions import clearance
 from vitac.server.views.evaluations import CopyView
 from vitac.server.views.submissions import DescriptionView, EpisodeOutputView

@@ -10,7 +10,7 @@ from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.db.states import EvaluationState
+from vitac.server.database.states import EvaluationState
 from vitac.server.errors import TRACK_REMOVED
 from vitac.server.views.evaluations import DifferingEpisodeView, EvaluationView, PackagesView
 from vitac.server.views.playbacks import StillView

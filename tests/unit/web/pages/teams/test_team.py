@@ -7,9 +7,8 @@ from argon2 import PasswordHasher
 from cli_service import CliService, cli_service
 from httpx import Cookies
 from served_pages import FORM_TOKEN, PageVisitor, team_visitor, visitor, visitor_of_role
-from vitac.server.db.states import NoticeKind, Role
-from vitac.server.members import passwords
-from vitac.server.teams import teams
+from vitac.server.accounts import passwords, teams
+from vitac.server.database.states import NoticeKind, Role
 
 from competitions import make_competition, put_in_place
 

@@ -1,0 +1,1 @@
+"""Who takes part: teams, members, tokens, quotas, and what they are written."""

@@ -1,1 +1,0 @@
-"""Who advances to a stage."""

@@ -1,1 +1,0 @@
-"""Backups: the whole database and every uploaded file in one archive, and the way back."""

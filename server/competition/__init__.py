@@ -1,1 +1,0 @@
-"""The competition: its definition, stages, own tracks and sealed lists."""

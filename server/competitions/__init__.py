@@ -1,0 +1,1 @@
+"""Competitions: their definition, stages, own tracks and sealed lists."""

@@ -1,0 +1,190 @@
+"""Makes the view of the competition; called by API and pages."""
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+from vitac.evaluator.tracks import ListKind
+
+from ..database.models import SealedList, Submission, Team
+from ..errors import ProblemCode, ServiceError
+from ..views.competition import (
+    CompetitionListView,
+    CompetitionState,
+    CompetitionSummaryView,
+    CompetitionTrackView,
+    CompetitionView,
+    DisqualifiedTeamView,
+    PrizeView,
+    PublicRankingView,
+    ReopeningView,
+    StageView,
+    WinnerView,
+    WithdrawnListView,
+)
+from .competition import Competition, list_competition_choices
+from .sealing import sealed_lists
+from .stages import Stage
+
+Lists = Mapping[tuple[str, str], SealedList]
+
+
+def competition_list_view(session: Session) -> CompetitionListView:
+    """Return all competitions, the one that opened last first."""
+    now = datetime.now(UTC)
+    return CompetitionListView(
+        items=[
+            CompetitionSummaryView(
+                name=competition.name,
+                title=competition.definition.title,
+                summary=competition.definition.summary,
+                opens=competition.opens,
+                closes=competition.closes,
+                state=_state(competition, now),
+                tracks=list(dict.fromkeys(stage.track for stage in competition.stages_held_here)),
+            )
+            for competition in Competition.read_all(session)
+            if competition.is_held
+        ]
+    )
+
+
+def list_choices(session: Session) -> Sequence[CompetitionSummaryView]:
+    """Return the competitions between which an upload has to choose; empty where no track has several now."""
+    names = {competition.name for competition in list_competition_choices(session, datetime.now(UTC))}
+    return [view for view in competition_list_view(session).items if view.name in names]
+
+
+def competition_view(session: Session, name: str | None = None, *, at: datetime | None = None) -> CompetitionView:
+    """Return a competition; `name` None: the one that opened last, `at` None: now.
+
+    Raises:
+        ServiceError: this service runs none.
+    """
+    competition, now = Competition.find(session, name) if name else Competition.read(session), at or datetime.now(UTC)
+    if not competition.is_held:
+        raise ServiceError(ProblemCode.NOT_FOUND, "This service runs no competition; all its tracks are for practice.")
+    found, row, lists = competition.definition, competition.row, _lists(competition)
+    return CompetitionView(
+        name=found.name,
+        title=found.title,
+        summary=found.summary,
+        website=found.website,
+        contact=found.contact,
+        rules=list(found.rules),
+        currency=found.currency,
+        teams_locked=found.teams_locked,
+        anonymous=found.anonymous,
+        appeal_days=found.appeal_days,
+        tracks=[_track(name, competition, lists, now) for name in found.tracks],
+        public_rankings=list(found.public_rankings.values()),
+        freeze_at=found.freeze_at,
+        frozen_at=competition.frozen_at,
+        finalized_at=row.finalized_at,
+        reopened=[ReopeningView.model_validate(each) for each in row.reopened],
+        winners=[WinnerView.model_validate(winner, extra="ignore") for winner in row.winners or []],
+        disqualified=disqualified_since_the_end(competition),
+        withdrawn_lists=[
+            WithdrawnListView.model_validate(each, from_attributes=True)
+            for each in sealed_lists(competition.session, competition)
+            if each.withdrawn_at is not None
+        ],
+    )
+
+
+def list_public_rankings(session: Session) -> Mapping[str, PublicRankingView]:
+    """Return the competitions in which boards of public lists decide something, by name, for all their pages."""
+    return {
+        competition.name: PublicRankingView(
+            title=competition.definition.title, decided=list(competition.definition.public_rankings.values())
+        )
+        for competition in Competition.read_all(session)
+        if competition.definition.public_rankings
+    }
+
+
+def disqualified_since_the_end(competition: Competition) -> list[DisqualifiedTeamView]:
+    """Return the teams among the stored winners and boards that were disqualified later, or whose entry was.
+
+    There are none before the end.
+    """
+    row = competition.row
+    if row.finalized_at is None:
+        return []
+    kept = {winner["submission"]: winner["team"] for winner in row.winners or ()}
+    kept |= {entry["submission_id"]: entry["team"] for board in row.boards or () for entry in board["entries"]}
+    since_when = func.coalesce(Team.disqualified_at, Submission.disqualified_at)
+    query = select(Submission.id, since_when).join(Submission.team).where(since_when.is_not(None))
+    found = competition.session.execute(query)
+    since = {kept[str(submission)]: at for submission, at in found if at and str(submission) in kept}
+    return [DisqualifiedTeamView(team=team, disqualified_at=at) for team, at in sorted(since.items())]
+
+
+def track_stages(
+    session: Session, track: str, name: str | None = None, *, at: datetime | None = None
+) -> Sequence[StageView]:
+    """Return the stages of a track that is held here; empty outside of a competition.
+
+    Args:
+        session: of the transaction.
+        track: which one.
+        name: of the competition; None: the one whose boards the track shows.
+        at: the moment; None: now.
+
+    Raises:
+        ServiceError: there is no such competition, or it does not hold the track.
+    """
+    competition = Competition.find_by_track(session, track, name)
+    stages = [stage for stage in competition.list_stages(track) if not stage.is_practice]
+    lists, now = _lists(competition) if stages else {}, at or datetime.now(UTC)
+    return [_stage(stage, lists, now) for stage in stages]
+
+
+def _state(competition: Competition, now: datetime) -> CompetitionState:
+    if competition.row.finalized_at is not None:
+        return CompetitionState.FINAL
+    if now < competition.opens:
+        return CompetitionState.PLANNED
+    return CompetitionState.OPEN if now < competition.closes else CompetitionState.CLOSED
+
+
+def _lists(competition: Competition) -> Lists:
+    return {
+        (each.track, each.stage): each
+        for each in sealed_lists(competition.session, competition)
+        if each.withdrawn_at is None
+    }
+
+
+def _track(name: str, competition: Competition, lists: Lists, now: datetime) -> CompetitionTrackView:
+    track = competition.definition.tracks[name]
+    return CompetitionTrackView(
+        name=name,
+        title=track.title,
+        taken_here=track.taken_here,
+        ranking=[key.name for key in competition.list_stages(name)[0].find_ranking().keys],
+        ties=track.ties,
+        stages=[_stage(stage, lists, now) for stage in competition.stages if stage.track == name],
+        prizes=[PrizeView(**prize.model_dump()) for prize in track.prizes],
+        judging=track.judging.sentence if track.judging else None,
+    )
+
+
+def _stage(stage: Stage, lists: Lists, now: datetime) -> StageView:
+    rules, sealed = stage.rules, lists.get((stage.track, stage.name))
+    return StageView(
+        name=stage.name,
+        title=stage.title,
+        opens=rules.opens,
+        closes=rules.closes,
+        is_open=stage.is_open(now),
+        accepts=list(rules.accepts),
+        list_kind=rules.list if stage.track_rules.taken_here else None,
+        is_practice=stage.track_rules.taken_here and rules.list is ListKind.PUBLIC and not stage.decides,
+        commitment=sealed.commitment if sealed else None,
+        secret=sealed.secret if sealed and sealed.revealed_at else None,
+        scored_runs=rules.quotas.scored_runs,
+        attempts=rules.quotas.attempts,
+        qualified=rules.qualified.sentence if rules.qualified else None,
+    )

@@ -1,0 +1,1 @@
+"""The database: embedded server, engine, models, schema upgrades, and what processes count."""

@@ -1,1 +1,0 @@
-"""The database: embedded server, engine, models and schema upgrades."""

@@ -1,0 +1,284 @@
+"""Submissions evaluated again, beside their results, with the present evaluator; applied or discarded together."""
+
+from collections.abc import Collection, Sequence
+from datetime import UTC, datetime
+from uuid import UUID
+
+from sqlalchemy import delete, exists, select
+from sqlalchemy.orm import Session, aliased
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks.registry import find_version
+
+from .. import names
+from ..accounts.outbox import announce_evaluation
+from ..audit import record
+from ..competitions.competition import Competition, find_stage
+from ..competitions.stages import Stage
+from ..database.engine import among
+from ..database.locks import lock_evaluation
+from ..database.models import BoardResult, Evaluation, Rejudgement, Submission, Team
+from ..database.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState, NoticeKind
+from ..errors import ProblemCode, ServiceError, not_found
+from ..evaluations import lifecycle
+from ..evaluations.copies import flag_copies
+from ..evaluations.episode_store import read_played_records
+from ..evaluations.history import all_runs
+from ..evaluations.near_copies import note_near_copies
+from ..evaluations.scores import add_to_boards, combined_result
+from ..leaderboards.best_entries import takes_part
+from ..principals import Principal
+from ..receipts.issuing import issue_for_result
+from ..tracks import load_known_track
+from ..transparency.entries import RejudgementApplied
+from ..transparency.log import append
+from ..views.rejudging import RejudgedSubmissionView, RejudgementDetailView, RejudgementView
+from .rejudging_comparison import comparison, compute_revision, find_newest_evaluations
+
+REASON_LENGTH = 500
+
+
+def start(
+    session: Session, by: Principal, stage: Stage, *, submissions: Collection[UUID] = (), reason: str
+) -> Rejudgement:
+    """Evaluate models of a stage again with the present evaluator, beside the results that they have.
+
+    Args:
+        session: of the transaction.
+        by: an organizer.
+        stage: of the submissions.
+        submissions: which ones; none: all models of the stage whose team takes part and whose tasks are there.
+        reason: for the audit log.
+
+    Raises:
+        ServiceError: not an organizer, the reason cannot be shown, the competition is final, nothing is to be
+            evaluated, a submission is none of the stage's models, or is being evaluated.
+    """
+    by.require_organizer(stage.competition)
+    shown_reason = names.clean(reason, what="A reason", min_length=1, max_length=REASON_LENGTH)
+    _lock_competition(session, stage.competition)
+    chosen = _chosen(session, stage, submissions)
+    made = Rejudgement(competition=stage.competition, track=stage.track, stage=stage.name, reason=shown_reason)
+    session.add(made)
+    session.flush()
+    for submission in chosen:
+        runs = session.scalars(all_runs(submission)).all()
+        if any(run.state in ACTIVE_EVALUATION_STATES for run in runs):
+            raise ServiceError(
+                ProblemCode.NOT_REQUEUABLE,
+                f"Submission {submission.id} of {submission.team.name} is being evaluated; wait or cancel.",
+            )
+        run = 1 + max((run.run for run in runs if run.evaluator_version == find_version(stage.track)), default=0)
+        lifecycle.start(session, submission, run, rejudgement_id=made.id)
+    after = {
+        "track": stage.track,
+        "stage": stage.name,
+        "submissions": [str(submission.id) for submission in chosen],
+        "evaluator_version": find_version(stage.track),
+        "reason": shown_reason,
+    }
+    record(session, by, "rejudgement.start", _subject(made), after)
+    return made
+
+
+def find(session: Session, by: Principal, rejudgement_id: UUID) -> Rejudgement:
+    """Return a rejudgement.
+
+    Raises:
+        ServiceError: not an organizer, or there is none of that id that the principal may see.
+    """
+    by.require_organizer(by.competition)
+    found = session.get(Rejudgement, rejudgement_id)
+    if found is None or not by.organizes(found.competition):
+        raise not_found("rejudgement", rejudgement_id)
+    return found
+
+
+def rejudgements(session: Session, by: Principal) -> Sequence[Rejudgement]:
+    """Return all rejudgements that an organizer may see, newest first.
+
+    Raises:
+        ServiceError: not an organizer.
+    """
+    by.require_organizer(by.competition)
+    query = select(Rejudgement).order_by(Rejudgement.started_at.desc(), Rejudgement.id)
+    return session.scalars(
+        query if by.competition is None else query.where(Rejudgement.competition == by.competition)
+    ).all()
+
+
+def set_aside(session: Session, evaluations: Collection[UUID]) -> tuple[UUID, ...]:
+    """Return those of some evaluations that an applied rejudgement has taken off the boards, by id."""
+    newer = aliased(Evaluation)
+    is_replaced = exists().where(
+        newer.submission_id == Evaluation.submission_id,
+        newer.rejudgement_id.is_not(None),
+        ~newer.is_proposed,
+        newer.created_at > Evaluation.created_at,
+    )
+    rows = session.scalars(select(Evaluation.id).where(among(Evaluation.id, evaluations), is_replaced))
+    return tuple(sorted(rows))
+
+
+def apply(
+    session: Session, by: Principal, rejudgement_id: UUID, *, shown: str | None = None
+) -> list[RejudgedSubmissionView]:
+    """Make the new results those of their submissions, with a receipt each; the present ones leave the boards.
+
+    What machines failed or somebody cancelled keeps its present result, and so does what was evaluated again since
+    the rejudgement began: that result is the newer one.
+
+    Args:
+        session: of the transaction.
+        by: an organizer.
+        rejudgement_id: which one.
+        shown: the revision of what was seen before (`compute_revision`); None: whatever it is now.
+
+    Raises:
+        ServiceError: not an organizer, no such rejudgement, it has ended, the competition is final or its boards
+            are frozen, an evaluation waits or runs, or something has changed since it was shown.
+    """
+    found = _lock_open(session, by, rejudgement_id)
+    _lock_competition(session, found.competition)
+    stage = find_stage(session, found)
+    if stage.frozen_at is not None:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST,
+            f"The boards have been frozen since {stage.frozen_at:%F %T} UTC, and this would change them; run "
+            "`vitac admin results unfreeze` first.",
+        )
+    rows = comparison(session, found)
+    going_on = [row.team for row in rows if row.state not in TERMINAL_EVALUATION_STATES]
+    if going_on:
+        raise ServiceError(
+            ProblemCode.STAGE_NOT_OVER,
+            f"Expected no evaluation of the rejudgement that waits or runs, got {len(going_on)}; wait, or discard it.",
+        )
+    if shown is not None and shown != compute_revision(rows):
+        raise ServiceError(
+            ProblemCode.RESULTS_OUTDATED,
+            "Something has changed since you looked, so nothing was applied. Check it and try again.",
+        )
+    now = datetime.now(UTC)
+    # By id: an evaluation of another rejudgement is locked in the same order.
+    chosen = sorted(find_newest_evaluations(session, found).values(), key=lambda evaluation: evaluation.id)
+    keeping = {row.submission for row in rows if row.keeps_result}
+    replacing = [lock_evaluation(session, one.id) for one in chosen if one.submission_id not in keeping]
+    completed = [evaluation for evaluation in replacing if evaluation.state is EvaluationState.COMPLETED]
+    for evaluation in replacing:
+        evaluation.is_proposed = False
+        session.execute(delete(BoardResult).where(BoardResult.submission_id == evaluation.submission_id))
+        kind = NoticeKind.FINISHED if evaluation.state is EvaluationState.COMPLETED else NoticeKind.FAILED
+        announce_evaluation(session, kind, evaluation)
+    for evaluation in completed:
+        add_to_boards(session, evaluation, now)
+        session.flush()
+        flag_copies(session, evaluation)
+        note_near_copies(session, evaluation, read_played_records(session, evaluation))
+    found.applied_at = now
+    record(session, by, "rejudgement.apply", _subject(found), _audited(rows, "after"), before=_audited(rows, "before"))
+    append(  # last of all, with the receipts: an entry of the log locks out all others
+        session,
+        lambda at: RejudgementApplied(
+            issued_at=at,
+            competition=stage.competition,
+            track=stage.track,
+            stage=stage.name,
+            rejudgement=found.id,
+            replaced=len(completed),
+            withdrawn=len(replacing) - len(completed),
+        ),
+    )
+    for evaluation in completed:
+        issue_for_result(session, evaluation, combined_result(evaluation))
+    return rows
+
+
+def discard(session: Session, by: Principal, rejudgement_id: UUID) -> None:
+    """Leave all present results as they are; what still waits or runs is cancelled.
+
+    Raises:
+        ServiceError: not an organizer, no such rejudgement, or it has ended.
+    """
+    found = _lock_open(session, by, rejudgement_id)
+    for evaluation in sorted(find_newest_evaluations(session, found).values(), key=lambda evaluation: evaluation.id):
+        locked = lock_evaluation(session, evaluation.id)
+        if locked.state in ACTIVE_EVALUATION_STATES:
+            lifecycle.cancel(session, locked)
+    found.discarded_at = datetime.now(UTC)
+    record(session, by, "rejudgement.discard", _subject(found), {"discarded": True})
+
+
+def _chosen(session: Session, stage: Stage, ids: Collection[UUID]) -> Sequence[Submission]:
+    query = (
+        select(Submission)
+        .join(Team)
+        .where(
+            stage.submissions,
+            Submission.kind == SubmissionKind.MODEL,
+            Team.erased_at.is_(None),
+            exists().where(Evaluation.submission_id == Submission.id),
+        )
+        .order_by(Submission.submitted_at, Submission.id)
+        .with_for_update(key_share=True, of=Submission)
+    )
+    known = query.where(takes_part(), Submission.tasks.contained_by(list(load_known_track(stage.track).tasks)))
+    found = session.scalars(query.where(Submission.id.in_(ids)) if ids else known).all()
+    missing = set(ids) - {submission.id for submission in found}
+    if missing or not found:
+        what = f"submission {min(missing)}" if missing else "any submission"
+        raise ServiceError(
+            ProblemCode.NOT_FOUND,
+            f"Expected models of {stage}, but {what} is none. Logs cannot be evaluated again, and uploads that were "
+            "removed with their team neither.",
+        )
+    return found
+
+
+def _lock_open(session: Session, by: Principal, rejudgement_id: UUID) -> Rejudgement:
+    by.require_organizer(by.competition)
+    found = session.get(Rejudgement, rejudgement_id, with_for_update=True, populate_existing=True)
+    if found is None or not by.organizes(found.competition):
+        raise not_found("rejudgement", rejudgement_id)
+    if found.applied_at or found.discarded_at:
+        how = "applied" if found.applied_at else "discarded"
+        raise ServiceError(ProblemCode.NOT_REQUEUABLE, f"Rejudgement {found.id} was {how} already; start another one.")
+    return found
+
+
+def _lock_competition(session: Session, name: str) -> None:
+    """Refuse after the end; from here on the competition is neither ended nor frozen meanwhile."""
+    Competition.lock(session, name, shared=True).require_not_final()
+
+
+def _audited(rows: Sequence[RejudgedSubmissionView], side: str) -> dict[str, object]:
+    return {str(row.submission): getattr(row, side).model_dump() for row in rows if not row.keeps_result}
+
+
+def _subject(rejudgement: Rejudgement) -> str:
+    return f"rejudgement:{rejudgement.id}"
+
+
+def rejudgement_view(rejudgement: Rejudgement) -> RejudgementView:
+    """Return a rejudgement without its submissions."""
+    return RejudgementView(
+        id=rejudgement.id,
+        competition=rejudgement.competition or None,
+        track=rejudgement.track,
+        stage=rejudgement.stage or None,
+        reason=rejudgement.reason,
+        started_at=rejudgement.started_at,
+        applied_at=rejudgement.applied_at,
+        discarded_at=rejudgement.discarded_at,
+    )
+
+
+def rejudgement_detail_view(
+    session: Session, rejudgement: Rejudgement, rows: Sequence[RejudgedSubmissionView] | None = None
+) -> RejudgementDetailView:
+    """Return a rejudgement with its submissions; `rows`: as they were compared before it was applied."""
+    found = comparison(session, rejudgement) if rows is None else rows
+    return RejudgementDetailView(
+        **dict(rejudgement_view(rejudgement)),
+        revision=compute_revision(found),
+        submissions=list(found),
+    )

@@ -1,1 +1,0 @@
-"""What an organizer has to look at."""

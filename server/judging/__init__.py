@@ -1,1 +1,0 @@
-"""Judging: marks by rubric, conflicts of interest, totals."""

@@ -1,1 +1,0 @@
-"""Members of teams, their passwords, and registration."""

@@ -1,1 +1,0 @@
-"""Announcements of organizers, questions of teams and their answers."""

@@ -1,1 +1,0 @@
-"""What every process of the service counts, and the totals of all processes in the database."""

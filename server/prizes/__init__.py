@@ -1,1 +1,0 @@
-"""Who wins what, and the end of a competition."""

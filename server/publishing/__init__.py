@@ -1,1 +1,0 @@
-"""What of a final competition is published: files, archive, export of receipts."""

@@ -1,1 +1,0 @@
-"""Evaluations of a set of submissions beside their results, applied or discarded together."""

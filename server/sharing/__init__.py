@@ -1,1 +1,0 @@
-"""Results that everybody may see: a team makes its submission public, or the rules of a stage do."""
