@@ -10,7 +10,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from vitac.evaluator.evaluation.local import Evaluation, evaluate
+from vitac.evaluator.evaluation.local import LocalEvaluation, evaluate
 from vitac.evaluator.submission.sources import staged
 from vitac.evaluator.tracks import find_task
 
@@ -36,13 +36,13 @@ def main() -> None:
         arguments.json.write_text(json.dumps(numbers, indent=1) + "\n")
 
 
-def play(submission: Path, workers: int, episodes: tuple[int, ...] | None = None) -> Evaluation:
+def play(submission: Path, workers: int, episodes: tuple[int, ...] | None = None) -> LocalEvaluation:
     """Evaluate the peg task."""
     track, task = find_task("peg-insertion")
     return evaluate(submission_dir=submission, track=track, task=task, workers=workers, episodes=episodes)
 
 
-def split(evaluation: Evaluation, wall_s: float, workers: int) -> dict[str, Any]:
+def split(evaluation: LocalEvaluation, wall_s: float, workers: int) -> dict[str, Any]:
     """Return the time of each part [s], summed over the processes.
 
     `other` is loading the policy, copying it, waiting and other Python; `outside_episodes`: loading the simulation in

@@ -20,7 +20,7 @@ from vitac.evaluator.episodes import episode
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.tracks import load_track
 from vitac.training.collection import Networks, critic_actor
-from vitac.training.episodes import TASK, TRUTHS, Actor, Moment, make_environment
+from vitac.training.episodes import TASK, TRUTHS, Actor, ActorInput, make_environment
 from vitac.training.files import load
 from vitac.training.learners import Learners
 from vitac.training.learning.critic import Critic
@@ -86,7 +86,7 @@ class KnowsTruth:
     def act(self, observation: Mapping[str, Any]) -> Any:
         """Return the action that the critic values most."""
         truth = np.concatenate([observation[key] for key in TRUTHS])
-        moment = Moment(history=History(), truth=truth, shape=int(observation["shape"][0]), step=self._env_steps)
+        moment = ActorInput(history=History(), truth=truth, shape=int(observation["shape"][0]), step=self._env_steps)
         self._env_steps += 1
         return self._actor(moment)
 

@@ -63,7 +63,7 @@ def export(
 ) -> None:
     """Play demonstrations again, compare every state, and write what was seen as a data set with a card."""
     from vitac.training.demonstrations.collecting import FILE
-    from vitac.training.demonstrations.exporting import Format
+    from vitac.training.demonstrations.exporting import DatasetFormat
     from vitac.training.demonstrations.exporting import export as export_task
 
     is_one = (collection / FILE).exists()
@@ -76,7 +76,7 @@ def export(
             export_task(
                 file,
                 folder,
-                Format(form),
+                DatasetFormat(form),
                 keys=key,
                 only_successes=only_successes,
                 processes=processes,

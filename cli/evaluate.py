@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from vitac.evaluator.episodes.records import EpisodeRecord
-    from vitac.evaluator.evaluation.local import Evaluation
+    from vitac.evaluator.evaluation.local import LocalEvaluation
     from vitac.evaluator.scoring.score import ForceSummary, Rate
     from vitac.evaluator.shards.host_process import HostProcess
     from vitac.evaluator.submission.manifest import SubmissionManifest
@@ -83,7 +83,7 @@ def command(
         raise typer.Exit(1)
 
 
-def _evaluate(request: "_Request", submission: Path) -> "tuple[Evaluation, SubmissionManifest, str]":
+def _evaluate(request: "_Request", submission: Path) -> "tuple[LocalEvaluation, SubmissionManifest, str]":
     """Return the evaluation of a submission, its manifest and its digest; the simulation is loaded meanwhile."""
     from vitac.evaluator.shards.host_process import HostProcess
 
@@ -127,7 +127,7 @@ class _Request:
         if self.sensor is not None:
             accepted_sensor(self.sensor)
 
-    def evaluate(self, folder: Path, manifest: "SubmissionManifest", host: "HostProcess") -> "Evaluation":
+    def evaluate(self, folder: Path, manifest: "SubmissionManifest", host: "HostProcess") -> "LocalEvaluation":
         """Evaluate an unpacked submission in processes that a host forks, with a progress bar."""
         from vitac.envs.assets import assets_dir_from_environment
         from vitac.evaluator.evaluation.local import evaluate
@@ -136,7 +136,7 @@ class _Request:
 
         track = _track(manifest, self.secret)
         definition = track.tasks[_chosen_task(manifest, self.task)]
-        with Progress(len(self.episodes or definition.episodes)) as progress, compiling_shown(progress.bar):
+        with EvaluationProgress(len(self.episodes or definition.episodes)) as progress, compiling_shown(progress.bar):
             return evaluate(
                 submission_dir=folder,
                 track=track,
@@ -179,7 +179,7 @@ class _Outputs:
                 f"expected one line of at most 200 characters, got {self.team!r:.80}.", param_hint="--team"
             )
 
-    def write(self, evaluation: "Evaluation", manifest: "SubmissionManifest", digest: str) -> None:
+    def write(self, evaluation: "LocalEvaluation", manifest: "SubmissionManifest", digest: str) -> None:
         """Write those that are wanted."""
         if self.json:
             self.json.write_text(_report(evaluation, manifest, digest), encoding="utf-8")
@@ -206,7 +206,7 @@ def _chosen_task(manifest: "SubmissionManifest", task: str | None) -> str:
     return task
 
 
-def _report(evaluation: "Evaluation", manifest: "SubmissionManifest", digest: str) -> str:
+def _report(evaluation: "LocalEvaluation", manifest: "SubmissionManifest", digest: str) -> str:
     from vitac.evaluator.evaluation.local import EvaluationReport
 
     return (
@@ -214,7 +214,7 @@ def _report(evaluation: "Evaluation", manifest: "SubmissionManifest", digest: st
     )
 
 
-def _write_log(path: Path, evaluation: "Evaluation", team: str | None, digest: str) -> None:
+def _write_log(path: Path, evaluation: "LocalEvaluation", team: str | None, digest: str) -> None:
     from vitac.evaluator.logs.log import LogHeader, write_log
 
     header = LogHeader(team=team, submission_digest=digest, manifest=evaluation.manifest)
@@ -230,7 +230,7 @@ def _printed(record: "EpisodeRecord") -> str:
     return f"[{record.task}, episode {record.episode}: {record.outcome}]\n{record.output}{end}"
 
 
-def _print_summary(evaluation: "Evaluation", manifest: "SubmissionManifest") -> None:
+def _print_summary(evaluation: "LocalEvaluation", manifest: "SubmissionManifest") -> None:
     from .terminal.output import print_table
 
     print(f"{manifest.name}, {evaluation.manifest.track}, {evaluation.manifest.task}")
@@ -285,14 +285,14 @@ def _percentages(rate: "Rate") -> tuple[str, str]:
     return f"{rate.success_rate:.1%}", f"{rate.interval.low:.1%} to {rate.interval.high:.1%}"
 
 
-def _seconds(evaluation: "Evaluation") -> dict[str, float]:
+def _seconds(evaluation: "LocalEvaluation") -> dict[str, float]:
     """Return the time spent on each part [s], summed over all processes."""
     keys = ("physics", "markers", "policy", "channel")
     timings = [record.timings for record in evaluation.records]
     return {key: sum(getattr(timing, f"{key}_s") for timing in timings) for key in keys}
 
 
-class Progress:
+class EvaluationProgress:
     """A progress bar on stderr."""
 
     def __init__(self, total: int) -> None:
@@ -338,7 +338,7 @@ class Progress:
         else:
             self.bar.update(self._task, description="starting", completed=0, total=self._total)
 
-    def __enter__(self) -> "Progress":
+    def __enter__(self) -> "EvaluationProgress":
         self.bar.start()
         return self
 

@@ -12,7 +12,7 @@ from .terminal.output import print_table
 
 if TYPE_CHECKING:
     from vitac.station.description import StationDescription
-    from vitac.station.eyes import Sight
+    from vitac.station.eyes import SensorReading
     from vitac.station.rehearsal import RehearsalReport, TrialRecord
 
 STATION_MODULES = ("cv2", "pymodbus", "serial")
@@ -33,7 +33,7 @@ def rehearse_submission(
     from vitac.evaluator.submission.sources import staged, submission_digest
     from vitac.evaluator.tracks import load_track
     from vitac.station.rehearsal import RehearsalReport, find_station_task, found_station, rehearse
-    from vitac.station.trials import Player
+    from vitac.station.trials import TrialPlayer
 
     require_extra("station", *STATION_MODULES, user="A station")
     album = Album(pictures) if pictures else None
@@ -44,7 +44,7 @@ def rehearse_submission(
         task = find_station_task(track)
         with (
             found_station(named, task) as description,
-            Player(
+            TrialPlayer(
                 description=description,
                 folder=folder,
                 make_safe=make_safe(description),
@@ -103,7 +103,7 @@ class Album:
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
 
-    def show(self, episode: int, attempt: int, word: str, sight: "Sight") -> None:
+    def show(self, episode: int, attempt: int, word: str, sight: "SensorReading") -> None:
         """Write the pictures of the left and the right gel, side by side."""
         import cv2
         import numpy as np
@@ -133,7 +133,7 @@ def _figure(name: str) -> str:
     return f"<figure>{picture}<figcaption>{name}</figcaption></figure>"
 
 
-def no_pictures(_episode: int, _attempt: int, _word: str, _sight: "Sight") -> None:
+def no_pictures(_episode: int, _attempt: int, _word: str, _sight: "SensorReading") -> None:
     """Show nothing."""
 
 

@@ -168,12 +168,15 @@ def evaluate(
     from vitac.evaluator.evaluation.sensor import evaluate_sensor
     from vitac.evaluator.tracks import find_task
 
-    from .evaluate import Progress, parse_episodes
+    from .evaluate import EvaluationProgress, parse_episodes
     from .terminal.compiling import compiling_shown
     from .terminal.sensor_figures import print_figures
 
     numbers = parse_episodes(episodes)
-    with Progress(2 * len(numbers or find_task(_STANDARD)[1].episodes)) as progress, compiling_shown(progress.bar):
+    with (
+        EvaluationProgress(2 * len(numbers or find_task(_STANDARD)[1].episodes)) as progress,
+        compiling_shown(progress.bar),
+    ):
         found = evaluate_sensor(
             sensor,
             episodes=numbers,

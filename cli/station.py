@@ -138,7 +138,7 @@ def run(
     from vitac.station.agent import StationShards
     from vitac.station.description import read_description
     from vitac.station.rehearsal import refuse_wrong_devices
-    from vitac.station.trials import Player
+    from vitac.station.trials import TrialPlayer
     from vitac.worker.main import work
 
     from .rehearsal import Album, make_safe, no_pictures
@@ -149,7 +149,7 @@ def run(
     settings = load_settings(worker_slots=1)
     configure_events(sys.stderr, settings.log_format)
     key, show = key_file.read_text(encoding="utf-8").strip(), Album(pictures).show if pictures else no_pictures
-    player = Player(
+    player = TrialPlayer(
         description=description, folder=settings.scratch_dir, make_safe=make_safe(description), attempts=1, show=show
     )
     with open_services(settings, may_run_database=False) as services, player:
@@ -199,11 +199,11 @@ def listen(
     as_json: AsJson = False,
 ) -> None:
     """Print what arrives on the challenge's ROS topics, whoever publishes it."""
-    from vitac.station.eyes import Side
+    from vitac.station.eyes import Finger
     from vitac.station.ros.messages import RosVersion
     from vitac.station.ros.relay import listen, summarize
 
-    side = Side(reset) if reset else None
+    side = Finger(reset) if reset else None
     for topic, fields in islice(listen(RosVersion(ros), side), messages):
         summary = summarize(fields)
         print(json.dumps({"topic": topic, **summary}) if as_json else f"{topic:<22} {_line(summary)}", flush=True)

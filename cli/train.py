@@ -86,9 +86,11 @@ def search(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json
     """Search the parameters of a policy for locks, or continue a search; the best becomes a submission."""
     _one_thread()
     from vitac.training.run import Folder, format_rate
-    from vitac.training.search.method import Search, best, read_search_recipe
+    from vitac.training.search.method import WeightSearch, best, read_search_recipe
 
-    searching = Search(recipe=read_search_recipe(recipe), folder=Folder(path=out), processes=processes, tell=_tell)
+    searching = WeightSearch(
+        recipe=read_search_recipe(recipe), folder=Folder(path=out), processes=processes, tell=_tell
+    )
     with _going_on_later(out):
         found = searching.go()
     rows = {
@@ -114,9 +116,9 @@ def clone(
 ) -> None:
     """Clone an expert that knows the truth, or continue, and compare with a blind policy made in the same way."""
     _one_thread()
-    from vitac.training.cloning.method import Plan, clone
+    from vitac.training.cloning.method import ClonePlan, clone
 
-    plan = Plan(task=task, seed=seed, rounds=rounds, episodes=episodes)
+    plan = ClonePlan(task=task, seed=seed, rounds=rounds, episodes=episodes)
     with _going_on_later(out):
         gain = clone(plan, out, sensor=sensor, processes=processes, tell=_tell)
     if as_json:

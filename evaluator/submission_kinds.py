@@ -21,6 +21,7 @@ class KindForm:
     is_archive: bool = False  #: a zip of a folder, which is unpacked before anything is done with it
     runs_policy: bool = False  #: a policy of the team chooses the actions; otherwise recorded ones are re-simulated
     is_verified: bool = False  #: it claims what an evaluation of ours found, which re-simulation confirms or refutes
+    is_ranked: bool = True  #: its results have places on a board
     has_own_log: bool = False  #: its evaluation can be written as a log of ours, and verified again
     worth: str = ""  #: what its score is worth, in a few words; empty where it ranks as a model
 
@@ -54,10 +55,14 @@ _FORMS: Mapping[SubmissionKind, KindForm] = MappingProxyType(
             worth="actions verified, policy not seen",
         ),
         SubmissionKind.TEXT_LOG: KindForm(
-            content_types=("text/plain", GZIP_TYPE), suffixes=(".log", ".txt"), worth="2025 text log"
+            content_types=("text/plain", GZIP_TYPE), suffixes=(".log", ".txt"), is_ranked=False, worth="2025 text log"
         ),
     }
 )
+
+
+POLICY_KINDS = tuple(kind for kind in SubmissionKind if kind.form.runs_policy)
+"""Kinds whose submissions bring a policy."""
 
 
 def kind_of_file(name: str) -> SubmissionKind:

@@ -40,19 +40,19 @@ class Principal:
     signed_in_at: datetime | None = None
 
     @property
-    def is_organizer(self) -> bool:
+    def organizes_service(self) -> bool:
         """Whether all things of the whole service may be seen and changed."""
         return self.role is Role.ORGANIZER and self.competition is None
 
     @property
-    def organizes_something(self) -> bool:
+    def organizes_any(self) -> bool:
         """Whether all things of one competition, or of the whole service, may be seen and changed."""
         return self.role is Role.ORGANIZER
 
     @property
     def reads_all_teams(self) -> bool:
         """Whether all teams' submissions may be read."""
-        return self.is_organizer or self.role is Role.JUDGE
+        return self.organizes_service or self.role is Role.JUDGE
 
     @property
     def actor(self) -> str:
@@ -76,7 +76,7 @@ class Principal:
     def may_change(self, team_id: UUID, competition: str | None = None) -> bool:
         """Return whether this principal may change a thing of that team; `competition`: to which the thing belongs."""
         organizes = competition is not None and self.organizes(competition)
-        return self.is_organizer or self.team_id == team_id or organizes
+        return self.organizes_service or self.team_id == team_id or organizes
 
     def require_leader(self, team_id: UUID) -> None:
         """Refuse everybody but the captain of that team and organizers.
@@ -86,7 +86,7 @@ class Principal:
         """
         if not self.may_change(team_id):
             raise not_found("team", team_id)
-        if not (self.is_organizer or self.leads_team):
+        if not (self.organizes_service or self.leads_team):
             raise ServiceError(ProblemCode.FORBIDDEN, "Only the team's captain and organizers may do this.")
 
     def require_organizer(self, competition: str | None = None) -> None:
@@ -95,9 +95,9 @@ class Principal:
         Raises:
             ServiceError: forbidden.
         """
-        if self.is_organizer or (competition is not None and self.organizes(competition)):
+        if self.organizes_service or (competition is not None and self.organizes(competition)):
             return
-        if not self.organizes_something:
+        if not self.organizes_any:
             raise ServiceError(ProblemCode.FORBIDDEN, "Only organizers may do this; use an organizer's token.")
         raise ServiceError(
             ProblemCode.FORBIDDEN,

@@ -28,7 +28,7 @@ def visible(session: Session, by: Principal, submission_id: UUID) -> Submission:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sight:
+class EvaluationVisibility:
     """What of an evaluation is shown to somebody who may see its result; its state and score always are.
 
     Attributes:
@@ -42,7 +42,7 @@ class Sight:
     practice: bool
 
 
-def decide_sight(by: Principal, evaluation: Evaluation) -> Sight:
+def decide_sight(by: Principal, evaluation: Evaluation) -> EvaluationVisibility:
     """Return what of an evaluation is shown to somebody: all that shows single episodes asks here.
 
     While a list is sealed, only organizers see its episodes, and what was printed there, because a policy can print
@@ -53,7 +53,7 @@ def decide_sight(by: Principal, evaluation: Evaluation) -> Sight:
     practice = by.organizes(submission.competition) or is_own or submission.is_public
     episodes = by.organizes(submission.competition) or (practice and not is_sealed(evaluation))
     output = episodes and is_own and submission.kind.form.runs_policy
-    return Sight(episodes=episodes, output=output, practice=practice)
+    return EvaluationVisibility(episodes=episodes, output=output, practice=practice)
 
 
 def is_sealed(evaluation: Evaluation) -> bool:

@@ -31,7 +31,7 @@ from vitac.evaluator.tracks.sealed import load_played_track, read_secret
 
 from .rehearsal import pack_actions
 from .trial import Attempt
-from .trials import Player
+from .trials import TrialPlayer
 
 
 class _Devices:
@@ -51,7 +51,7 @@ class TrialNotPlayed(VitacError):
 class StationShards:
     """Plays a worker's shards on one station, one at a time."""
 
-    def __init__(self, player: Player) -> None:
+    def __init__(self, player: TrialPlayer) -> None:
         """Use a player that makes one attempt at each trial: the service counts attempts."""
         self._player = player
 
@@ -64,7 +64,7 @@ class StationShards:
 class StationShard:
     """One shard at a station."""
 
-    def __init__(self, player: Player, order: ShardOrder) -> None:
+    def __init__(self, player: TrialPlayer, order: ShardOrder) -> None:
         """Read what is to be played; nothing moves yet."""
         self._player, self._order = player, order
         self._track = load_played_track(order.track, read_secret(order.secret) if order.secret else None)

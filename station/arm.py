@@ -6,10 +6,10 @@ from typing import Final
 
 from vitac.envs.errors import VitacError
 
-from .description import Place
+from .description import StagePose
 from .devices.gripper import Grasp, GripperStatus
 from .devices.stage import DeviceFault, Pose
-from .eyes import OpenStation, Sight
+from .eyes import OpenStation, SensorReading
 
 Offset = tuple[float, float, float]
 
@@ -53,7 +53,9 @@ class Arm:
         self.start(target, speed_mm_s)
         self._guard.wait()
 
-    def go_until(self, target: Pose, speed_mm_s: float, found: Callable[[Sight, Pose], bool]) -> Sight | None:
+    def go_until(
+        self, target: Pose, speed_mm_s: float, found: Callable[[SensorReading, Pose], bool]
+    ) -> SensorReading | None:
         """Move there until something is found, and return what was seen then; None if it was not found."""
         self.start(target, speed_mm_s)
         while True:
@@ -71,7 +73,7 @@ class Arm:
         if pose.z_mm < z_mm:
             self.go(pose._replace(z_mm=z_mm))
 
-    def settle(self, wait_s: float = _SETTLE_S) -> Sight:
+    def settle(self, wait_s: float = _SETTLE_S) -> SensorReading:
         """Wait, and return what is seen then.
 
         Raises:
@@ -117,7 +119,7 @@ class Arm:
             raise NoPeg("The gripper closed on nothing in the garage. Put the peg into it.")
         self.lift(safe_mm)
 
-    def _wait(self, wait_s: float) -> Sight:
+    def _wait(self, wait_s: float) -> SensorReading:
         """Wait, longer by the latency of the pictures."""
         wait_s += self._procedure.latency_s
         return self._station.eyes.wait(math.ceil(wait_s / self._procedure.picture_s))
@@ -127,5 +129,5 @@ class Arm:
         self._station.gripper.wait(timeout_s=_GRIP_S)
 
 
-def _pose(place: Place, z_mm: float) -> Pose:
+def _pose(place: StagePose, z_mm: float) -> Pose:
     return Pose(place.x_mm, place.y_mm, z_mm, place.rotation_deg)

@@ -10,15 +10,15 @@ from vitac.envs.errors import VitacError
 
 from .description import (
     Calibration,
-    DepthCamera,
-    ForceTorqueSensor,
-    Gripper,
-    Limits,
+    DepthCameraSettings,
+    ForceTorqueSettings,
+    GripperSettings,
     Procedure,
-    Stage,
+    StageSettings,
     StationDescription,
+    StationLimits,
 )
-from .description import TactileCamera as TactileCameraDescription
+from .description import TactileCameraSettings as TactileCameraDescription
 from .devices import cameras, force_torque, gripper, stage
 from .devices.stage import DeviceInUse, DeviceNotFound, Identity, Pose
 from .guard import CONTROL_PERIOD_S, LARGEST_RADIUS_MM, LARGEST_THETA_DEG, LimitPassed, check_grip, check_target
@@ -34,7 +34,7 @@ _FOUND_MARKERS: Final = 0.95
 _AXES: Final = ("x", "y", "z", "the rotary axis")
 
 
-class Rule(StrEnum):
+class DeviceRule(StrEnum):
     """What a device must do."""
 
     FOUND = "found"
@@ -55,7 +55,7 @@ class Rule(StrEnum):
 class Problem:
     """What is wrong with a device, in a sentence."""
 
-    rule: Rule
+    rule: DeviceRule
     sentence: str
 
 
@@ -83,7 +83,7 @@ def check_station(description: StationDescription) -> Iterator[DeviceCheck]:
     for device, problems in devices.items():
         found = DeviceCheck(device=device, problems=tuple(_until_failure(problems)))
         yield found
-        if any(problem.rule is Rule.FREE for problem in found.problems):
+        if any(problem.rule is DeviceRule.FREE for problem in found.problems):
             return
 
 
@@ -91,17 +91,17 @@ def _until_failure(problems: Iterator[Problem]) -> Iterator[Problem]:
     try:
         yield from problems
     except DeviceInUse as error:
-        yield Problem(rule=Rule.FREE, sentence=str(error))
+        yield Problem(rule=DeviceRule.FREE, sentence=str(error))
     except DeviceNotFound as error:
-        yield Problem(rule=Rule.FOUND, sentence=str(error))
+        yield Problem(rule=DeviceRule.FOUND, sentence=str(error))
     except VitacError as error:
-        yield Problem(rule=Rule.WORKS, sentence=str(error))
+        yield Problem(rule=DeviceRule.WORKS, sentence=str(error))
 
 
-def _check_tactile_camera(camera: TactileCameraDescription, between: Gripper) -> Iterator[Problem]:
+def _check_tactile_camera(camera: TactileCameraDescription, between: GripperSettings) -> Iterator[Problem]:
     """Check a camera; count its markers unless a part is pressed onto the gel, as after an agent that was killed."""
     yield from _check_calibration(camera.serial_number, camera.calibration)
-    with cameras.TactileCamera(camera.serial_number, stream=camera.stream) as opened:
+    with cameras.GelSightCamera(camera.serial_number, stream=camera.stream) as opened:
         for _ in range(DROPPED_PICTURES):
             opened.read()
         found, expected = len(find_markers(cut_picture(opened.read()))), camera.calibration.markers
@@ -111,7 +111,7 @@ def _check_tactile_camera(camera: TactileCameraDescription, between: Gripper) ->
         )
 
 
-def _check_depth_camera(camera: DepthCamera) -> Iterator[Problem]:
+def _check_depth_camera(camera: DepthCameraSettings) -> Iterator[Problem]:
     yield from _check_calibration(camera.serial_number, camera.calibration)
     with cameras.open_depth_camera(camera) as opened:
         yield from _check_identity(opened.identify(), camera.serial_number, camera.firmware)
@@ -121,7 +121,7 @@ def _check_depth_camera(camera: DepthCamera) -> Iterator[Problem]:
         opened.read()
 
 
-def _check_force_torque(sensor: ForceTorqueSensor) -> Iterator[Problem]:
+def _check_force_torque(sensor: ForceTorqueSettings) -> Iterator[Problem]:
     yield from _check_calibration(sensor.serial_number, sensor.calibration)
     with force_torque.ForceTorqueSensor(sensor.host, sensor.port) as opened:
         stored = opened.decoupling()
@@ -136,10 +136,10 @@ def _check_force_torque(sensor: ForceTorqueSensor) -> Iterator[Problem]:
         opened.stop()
 
 
-def _check_stage(described: Stage, limits: Limits) -> Iterator[Problem]:
+def _check_stage(described: StageSettings, limits: StationLimits) -> Iterator[Problem]:
     yield from _check_calibration(described.serial_number, described.calibration)
-    with stage.Stage(described.port) as opened:
-        if opened.status().state is stage.StageState.HOLD:
+    with stage.LinearStage(described.port) as opened:
+        if opened.status().state is stage.GrblState.HOLD:
             opened.forget_motion()  # of an agent that was killed: in a hold the controller reads no questions
         yield from _check_identity(opened.identify(), described.serial_number, described.firmware)
         settings = opened.settings()
@@ -149,48 +149,50 @@ def _check_stage(described: Stage, limits: Limits) -> Iterator[Problem]:
         yield from _check_braking(settings, limits)
         for number, meaning in {20: "soft limits", 22: "homing"}.items():
             if not settings.get(number):
-                yield Problem(rule=Rule.LIMITS, sentence=f"The stage has no {meaning}: set ${number}=1.")
-        if opened.status().state is stage.StageState.ALARM:
-            yield Problem(rule=Rule.WORKS, sentence="The stage is locked by an alarm: clear its way, then home it.")
+                yield Problem(rule=DeviceRule.LIMITS, sentence=f"The stage has no {meaning}: set ${number}=1.")
+        if opened.status().state is stage.GrblState.ALARM:
+            yield Problem(
+                rule=DeviceRule.WORKS, sentence="The stage is locked by an alarm: clear its way, then home it."
+            )
 
 
-def _check_braking(settings: dict[int, float], limits: Limits) -> Iterator[Problem]:
+def _check_braking(settings: dict[int, float], limits: StationLimits) -> Iterator[Problem]:
     speeds = [limits.speed_mm_s] * 3 + [limits.rotation_deg_s]
     for axis, (name, speed) in enumerate(zip(_AXES, speeds, strict=True)):
         needed = speed / _BRAKING_S
         if settings.get(120 + axis, 0.0) < needed:
             yield Problem(
-                rule=Rule.LIMITS,
+                rule=DeviceRule.LIMITS,
                 sentence=f"From {speed} a second {name} must stop in {1e3 * _BRAKING_S:.0f} ms: expected ${120 + axis} "
                 f"of at least {needed:.0f}, got {settings.get(120 + axis, 0.0):.0f}. Raise it, or lower the speed.",
             )
 
 
-def _holds_part(described: Gripper) -> bool:
-    with gripper.Gripper(described.port, unit=described.unit) as opened:
+def _holds_part(described: GripperSettings) -> bool:
+    with gripper.HandE(described.port, unit=described.unit) as opened:
         return opened.status().holds_object
 
 
-def _check_gripper(described: Gripper) -> Iterator[Problem]:
-    with gripper.Gripper(described.port, unit=described.unit) as opened:
+def _check_gripper(described: GripperSettings) -> Iterator[Problem]:
+    with gripper.HandE(described.port, unit=described.unit) as opened:
         opened.check_fault(opened.status())
     yield from ()  # a generator, as the other checks; a fault is raised
 
 
-def check_procedure(procedure: Procedure, limits: Limits) -> Iterator[Problem]:
+def check_procedure(procedure: Procedure, limits: StationLimits) -> Iterator[Problem]:
     """Check that no trial can end at a limit of the station, whatever its policy does."""
     for place, pose in _extreme_poses(procedure):
         try:
             check_target(limits, pose)
         except LimitPassed as error:
-            yield Problem(rule=Rule.LIMITS, sentence=f"At the {place}: {error}")
+            yield Problem(rule=DeviceRule.LIMITS, sentence=f"At the {place}: {error}")
     try:
         check_grip(limits, procedure.open_position, limits.gripper.speed, procedure.grip_force)
     except LimitPassed as error:
-        yield Problem(rule=Rule.LIMITS, sentence=str(error))
+        yield Problem(rule=DeviceRule.LIMITS, sentence=str(error))
     weights = procedure.sam_weights
     if weights is not None and not weights.is_file():
-        yield Problem(rule=Rule.FOUND, sentence=f"Expected the weights of SAM at {weights}, got no file.")
+        yield Problem(rule=DeviceRule.FOUND, sentence=f"Expected the weights of SAM at {weights}, got no file.")
 
 
 def _extreme_poses(procedure: Procedure) -> Iterator[tuple[str, Pose]]:
@@ -214,12 +216,12 @@ def _check_calibration(serial_number: str, calibration: Calibration) -> Iterator
 def _check_identity(found: Identity, serial_number: str, firmware: str) -> Iterator[Problem]:
     if found.serial_number != serial_number:
         sentence = f"Expected serial number {serial_number}, got {found.serial_number}. Plug in the right device."
-        yield Problem(rule=Rule.SERIAL_NUMBER, sentence=sentence)
+        yield Problem(rule=DeviceRule.SERIAL_NUMBER, sentence=sentence)
     if found.firmware != firmware:
         sentence = (
             f"Expected firmware {firmware}, got {found.firmware}. Try it with the new one, then correct the file."
         )
-        yield Problem(rule=Rule.FIRMWARE, sentence=sentence)
+        yield Problem(rule=DeviceRule.FIRMWARE, sentence=sentence)
 
 
 def _check_value(name: str, described: float, stored: float) -> Iterator[Problem]:
@@ -234,4 +236,4 @@ def _is_same_matrix(stored: list[list[float]], described: tuple[tuple[float, ...
 
 
 def _calibration(sentence: str) -> Problem:
-    return Problem(rule=Rule.CALIBRATION, sentence=sentence)
+    return Problem(rule=DeviceRule.CALIBRATION, sentence=sentence)

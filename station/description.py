@@ -34,7 +34,7 @@ class TactileCalibration(Calibration):
     """Markers that the tracker finds on the gel at rest."""
 
 
-class TactileCamera(StrictModel):
+class TactileCameraSettings(StrictModel):
     """A GelSight Mini."""
 
     serial_number: Word
@@ -54,7 +54,7 @@ class DepthCalibration(Calibration):
     cy: PositiveFloat
 
 
-class DepthCamera(StrictModel):
+class DepthCameraSettings(StrictModel):
     """A RealSense D415."""
 
     serial_number: Word
@@ -71,7 +71,7 @@ class ForceTorqueCalibration(Calibration):
     """Matrix from bridge voltages to forces and torques."""
 
 
-class ForceTorqueSensor(StrictModel):
+class ForceTorqueSettings(StrictModel):
     """An SRI M3813A at its interface box M8128."""
 
     host: str
@@ -88,7 +88,7 @@ class StageCalibration(Calibration):
     """Steps of x, y and z per mm, and of the rotary axis per degree."""
 
 
-class Stage(StrictModel):
+class StageSettings(StrictModel):
     """Three linear axes and a rotary axis at a controller that speaks GRBL 1.1."""
 
     port: str
@@ -100,14 +100,14 @@ class Stage(StrictModel):
     calibration: StageCalibration
 
 
-class Gripper(StrictModel):
+class GripperSettings(StrictModel):
     """A Robotiq Hand-E at a serial port. It reports neither serial number nor firmware over Modbus RTU."""
 
     port: str
     unit: Annotated[int, Field(ge=1, le=247)] = 9
 
 
-class Workspace(StrictModel):
+class StageWorkspace(StrictModel):
     """Where the stage may go."""
 
     x_mm: Interval
@@ -135,10 +135,10 @@ class GripperLimits(StrictModel):
     force: Byte
 
 
-class Limits(StrictModel):
+class StationLimits(StrictModel):
     """What no command and no reading may pass. The limit on force and torque is ours: the challenge had none."""
 
-    workspace: Workspace
+    workspace: StageWorkspace
     speed_mm_s: PositiveFloat
     rotation_deg_s: PositiveFloat
     force_n: PositiveFloat
@@ -152,7 +152,7 @@ class Limits(StrictModel):
     """The stage stops if whoever commands it was not heard for this long."""
 
 
-class Place(StrictModel):
+class StagePose(StrictModel):
     """A pose of the stage."""
 
     x_mm: float
@@ -182,9 +182,9 @@ class Procedure(StrictModel):
 
     shape: Word
     """Peg and hole that are mounted."""
-    hole: Place
+    hole: StagePose
     """Where a peg stands on the plate, centred over its hole and turned with it."""
-    garage: Place
+    garage: StagePose
     """Where the gripper closes on the peg."""
     safe_z_mm: float
     """Height at which the stage goes from garage to hole."""
@@ -227,13 +227,13 @@ class StationDescription(StrictModel):
     """A station."""
 
     name: Word
-    left: TactileCamera
-    right: TactileCamera
-    depth_camera: DepthCamera | None = None
-    force_torque: ForceTorqueSensor
-    stage: Stage
-    gripper: Gripper
-    limits: Limits
+    left: TactileCameraSettings
+    right: TactileCameraSettings
+    depth_camera: DepthCameraSettings | None = None
+    force_torque: ForceTorqueSettings
+    stage: StageSettings
+    gripper: GripperSettings
+    limits: StationLimits
     procedure: Procedure | None = None
     """How trials are played; without it a station can only be checked."""
 

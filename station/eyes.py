@@ -16,10 +16,10 @@ from typing import Final, NamedTuple, Self
 from vitac.envs.errors import VitacError
 
 from .description import Procedure, StationDescription
-from .devices.cameras import AnyDepthCamera, Picture, TactileCamera, open_depth_camera
+from .devices.cameras import AnyDepthCamera, GelSightCamera, Picture, open_depth_camera
 from .devices.force_torque import ForceTorqueSensor
-from .devices.gripper import Gripper
-from .devices.stage import DeviceFault, Stage, StageState
+from .devices.gripper import HandE
+from .devices.stage import DeviceFault, GrblState, LinearStage
 from .guard import Guard
 from .perception.markers import DROPPED_PICTURES, AssignedMarkerTracker, MarkerFlow, MarkerTracker
 from .perception.observation import DAMAGED_PART, Cells, find_changed_part, measure_brightness
@@ -30,14 +30,14 @@ _PICTURE_S: Final = 10.0
 Tracker = MarkerTracker | AssignedMarkerTracker
 
 
-class Side(StrEnum):
+class Finger(StrEnum):
     """A tactile sensor, by its finger."""
 
     LEFT = "left"
     RIGHT = "right"
 
 
-class Sight(NamedTuple):
+class SensorReading(NamedTuple):
     """What both sensors show at one time.
 
     Attributes:
@@ -65,14 +65,14 @@ class Sight(NamedTuple):
         return self.left.is_over_force() or self.right.is_over_force()
 
 
-def open_cameras(description: StationDescription, stack: ExitStack) -> tuple[TactileCamera, TactileCamera]:
+def open_cameras(description: StationDescription, stack: ExitStack) -> tuple[GelSightCamera, GelSightCamera]:
     """Open both tactile cameras until the stack is closed.
 
     Raises:
         DeviceNotFound: a camera is missing.
     """
     left, right = (
-        stack.enter_context(TactileCamera(camera.serial_number, stream=camera.stream))
+        stack.enter_context(GelSightCamera(camera.serial_number, stream=camera.stream))
         for camera in (description.left, description.right)
     )
     return left, right
@@ -91,19 +91,19 @@ class Eyes:
         stops_on_movement: whether a marker that moves too far stops the station.
     """
 
-    left: TactileCamera
-    right: TactileCamera
+    left: GelSightCamera
+    right: GelSightCamera
     guard: Guard | None = None
     make_tracker: Callable[[], Tracker] = AssignedMarkerTracker
     stops_on_movement: bool = True
     _count: int = 0
-    _again: frozenset[Side] = frozenset()
-    _sight: Sight | None = None
+    _again: frozenset[Finger] = frozenset()
+    _sight: SensorReading | None = None
     _error: DeviceFault | None = None
     _is_over: bool = False
     _changed: Condition = field(default_factory=Condition)
-    _listeners: list[SimpleQueue[Sight | DeviceFault]] = field(default_factory=list)
-    _undamaged: dict[Side, Cells] = field(default_factory=dict)
+    _listeners: list[SimpleQueue[SensorReading | DeviceFault]] = field(default_factory=list)
+    _undamaged: dict[Finger, Cells] = field(default_factory=dict)
 
     def __enter__(self) -> Self:
         self._thread = Thread(target=self._look, name="eyes of the station", daemon=True)
@@ -115,26 +115,26 @@ class Eyes:
         self._thread.join()
 
     @property
-    def latest(self) -> Sight | None:
+    def latest(self) -> SensorReading | None:
         """What was seen last."""
         return self._sight
 
-    def start_again(self) -> Sight:
+    def start_again(self) -> SensorReading:
         """Take the markers' present places for their references, and return what is seen then.
 
         Raises:
             DeviceFault: a camera failed.
         """
-        self.restart_trackers(*Side)
+        self.restart_trackers(*Finger)
         return self.see()
 
-    def restart_trackers(self, *sides: Side) -> None:
+    def restart_trackers(self, *sides: Finger) -> None:
         """Have the next pictures of these sides taken for references."""
         with self._changed:
             self._again |= frozenset(sides)
             self._sight = None
 
-    def see(self) -> Sight:
+    def see(self) -> SensorReading:
         """Return the next thing seen, or the first one after a start.
 
         Raises:
@@ -152,26 +152,26 @@ class Eyes:
                 raise DeviceFault("The tactile cameras sent no pictures. Check their USB cables.")
             return self._sight
 
-    def wait(self, pictures: int) -> Sight:
+    def wait(self, pictures: int) -> SensorReading:
         """Return what is seen after some more pictures."""
         for _ in range(max(pictures, 1)):
             sight = self.see()
         return sight
 
-    def sights(self) -> Iterator[Sight]:
+    def sights(self) -> Iterator[SensorReading]:
         """Yield everything that is seen from now on, including what arrives while the caller is busy.
 
         Raises:
             DeviceFault: while it is iterated, if a camera failed.
         """
-        seen: SimpleQueue[Sight | DeviceFault] = SimpleQueue()
+        seen: SimpleQueue[SensorReading | DeviceFault] = SimpleQueue()
         with self._changed:
             self._listeners.append(seen)
             if self._error is not None:
                 seen.put(self._error)
         return self._heard(seen)
 
-    def _heard(self, seen: "SimpleQueue[Sight | DeviceFault]") -> Iterator[Sight]:
+    def _heard(self, seen: "SimpleQueue[SensorReading | DeviceFault]") -> Iterator[SensorReading]:
         try:
             while not isinstance(each := seen.get(), DeviceFault):
                 yield each
@@ -180,7 +180,7 @@ class Eyes:
             self._listeners.remove(seen)
 
     def _look(self) -> None:
-        trackers = {side: self.make_tracker() for side in Side}
+        trackers = {side: self.make_tracker() for side in Finger}
         while not self._is_over:
             with self._changed:
                 again, self._again = self._again, frozenset()
@@ -192,13 +192,13 @@ class Eyes:
             except DeviceFault as error:
                 self._fail(error)
                 return
-            left, right = (trackers[side].see(picture) for side, picture in zip(Side, pictures, strict=True))
+            left, right = (trackers[side].see(picture) for side, picture in zip(Finger, pictures, strict=True))
             if self.guard is not None:
                 self.guard.beat()
             if left is not None and right is not None:
-                self._tell(Sight(left, right, pictures, time_ns()))
+                self._tell(SensorReading(left, right, pictures, time_ns()))
 
-    def _tell(self, sight: Sight) -> None:
+    def _tell(self, sight: SensorReading) -> None:
         with self._changed:
             self._count += 1
             self._sight = None if self._again else sight
@@ -208,8 +208,8 @@ class Eyes:
         if self.guard is not None:
             self._guard(self.guard, sight)
 
-    def _guard(self, guard: Guard, sight: Sight) -> None:
-        for side, picture in zip(Side, sight.pictures, strict=True):
+    def _guard(self, guard: Guard, sight: SensorReading) -> None:
+        for side, picture in zip(Finger, sight.pictures, strict=True):
             cells = measure_brightness(picture)
             part = find_changed_part(self._undamaged.setdefault(side, cells), cells)
             if part > DAMAGED_PART:
@@ -246,8 +246,8 @@ class OpenStation:
 
     description: StationDescription
     procedure: Procedure
-    stage: Stage
-    gripper: Gripper
+    stage: LinearStage
+    gripper: HandE
     guard: Guard
     eyes: Eyes
     depth_camera: AnyDepthCamera | None = None
@@ -269,8 +269,8 @@ def open_station(description: StationDescription) -> Iterator[OpenStation]:
     if description.procedure is None:
         raise NoProcedure(f"The file of {description.name} has no `procedure`: add where hole and garage are.")
     with ExitStack() as stack:
-        stage = stack.enter_context(Stage(description.stage.port))
-        gripper = stack.enter_context(Gripper(description.gripper.port, unit=description.gripper.unit))
+        stage = stack.enter_context(LinearStage(description.stage.port))
+        gripper = stack.enter_context(HandE(description.gripper.port, unit=description.gripper.unit))
         box = stack.enter_context(ForceTorqueSensor(description.force_torque.host, description.force_torque.port))
         left, right = open_cameras(description, stack)
         described = description.depth_camera
@@ -291,11 +291,11 @@ def open_station(description: StationDescription) -> Iterator[OpenStation]:
         )
 
 
-def _make_ready(stage: Stage, gripper: Gripper, box: ForceTorqueSensor, description: StationDescription) -> None:
+def _make_ready(stage: LinearStage, gripper: HandE, box: ForceTorqueSensor, description: StationDescription) -> None:
     state = stage.status().state
-    if state is StageState.ALARM:
+    if state is GrblState.ALARM:
         stage.home()
-    elif state is StageState.HOLD:
+    elif state is GrblState.HOLD:
         stage.forget_motion()
     gripper.activate()
     procedure = description.procedure

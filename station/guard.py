@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.errors import VitacError
 
-from .description import Limits
+from .description import StationLimits
 from .devices.force_torque import ForceTorqueSensor, Wrench
-from .devices.gripper import Gripper
-from .devices.stage import DeviceFault, Pose, Stage, StageState, StageStatus
+from .devices.gripper import HandE
+from .devices.stage import DeviceFault, GrblState, LinearStage, Pose, StageStatus
 
 CONTROL_PERIOD_S: Final = 0.02
 """The stage is at rest this long after a reading has passed a limit."""
@@ -34,7 +34,7 @@ class LimitPassed(VitacError):
     """A command or reading passes a limit of the station's file; nothing moves. The message says which."""
 
 
-def check_target(limits: Limits, target: Pose) -> None:
+def check_target(limits: StationLimits, target: Pose) -> None:
     """Refuse a target outside of the workspace, or one that is no number.
 
     A straight motion between two poses of the workspace stays in it.
@@ -47,7 +47,7 @@ def check_target(limits: Limits, target: Pose) -> None:
             )
 
 
-def check_speed(limits: Limits, speed_mm_s: float, rotation_deg_s: float) -> None:
+def check_speed(limits: StationLimits, speed_mm_s: float, rotation_deg_s: float) -> None:
     """Refuse speeds above the limits, and those that are not positive numbers."""
     for name, value, limit in (
         ("speed_mm_s", speed_mm_s, limits.speed_mm_s),
@@ -68,7 +68,7 @@ def feed_of(start: Pose, target: Pose, speed_mm_s: float, rotation_deg_s: float)
     return 60 * math.hypot(shift_mm, turn_deg) / duration_s if duration_s else 60 * speed_mm_s
 
 
-def check_wrench(limits: Limits, wrench: Wrench) -> None:
+def check_wrench(limits: StationLimits, wrench: Wrench) -> None:
     """Refuse a force or torque above its limit, and readings that are no numbers."""
     force_n, torque_nm = math.hypot(*wrench[:3]), math.hypot(*wrench[3:])
     if not force_n <= limits.force_n:
@@ -77,14 +77,14 @@ def check_wrench(limits: Limits, wrench: Wrench) -> None:
         raise LimitPassed(f"Torque {torque_nm:.3f} N m: expected at most {limits.torque_nm} N m.")
 
 
-def check_markers(limits: Limits, movement_px: NDArray[np.float64]) -> None:
+def check_markers(limits: StationLimits, movement_px: NDArray[np.float64]) -> None:
     """Refuse a marker that has moved too far, shape [n, 2] [pixel], and movements that are no numbers."""
     largest_px = float(np.hypot(*movement_px.T).max(initial=0.0))
     if not largest_px <= limits.marker_movement_px:
         raise LimitPassed(f"A marker moved by {largest_px:.1f} px: expected at most {limits.marker_movement_px} px.")
 
 
-def check_grip(limits: Limits, position: int, speed: int, force: int) -> None:
+def check_grip(limits: StationLimits, position: int, speed: int, force: int) -> None:
     """Refuse a command to the gripper that is harder than the file allows."""
     low, high = limits.gripper.position
     for name, value, lowest, highest in (
@@ -117,9 +117,9 @@ class Guard:
         by_fault: whether a device's fault stopped it, rather than a limit.
     """
 
-    limits: Limits
-    stage: Stage
-    gripper: Gripper
+    limits: StationLimits
+    stage: LinearStage
+    gripper: HandE
     force_torque: ForceTorqueSensor
     clock: Callable[[], float] = monotonic
     by_fault: bool = False
@@ -169,7 +169,7 @@ class Guard:
         check_speed(self.limits, speed_mm_s, rotation_deg_s)
         self.check_released()
         status = self.stage.status()
-        if status.state is not StageState.IDLE:
+        if status.state is not GrblState.IDLE:
             raise DeviceFault(f"Expected a stage at rest, got {status.state}. Wait for it, or home it after an alarm.")
         check_target(self.limits, status.pose)
         self.stage.start_move(target, feed=feed_of(status.pose, target, speed_mm_s, rotation_deg_s))
@@ -182,10 +182,10 @@ class Guard:
         while True:
             self.check_released()
             status = self.stage.status()
-            if status.state is StageState.ALARM:
+            if status.state is GrblState.ALARM:
                 self.stop("The stage is in alarm.", by_fault=True)
                 raise DeviceFault("The stage is in alarm: clear its way, then home it.")
-            if status.state is StageState.IDLE:
+            if status.state is GrblState.IDLE:
                 self.check_released()
                 return status
             self._over.wait(CONTROL_PERIOD_S / 4)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from vitac.envs.errors import VitacError
 
-from .devices.stage import StageState
+from .devices.stage import GrblState
 from .eyes import OpenStation
 
 _FOLLOWED_MARKERS = 0.9
@@ -21,7 +21,7 @@ class PreflightRefused(VitacError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class PreflightFinding:
     """One thing that was measured before a trial.
 
     Attributes:
@@ -43,7 +43,7 @@ class Finding:
         return f"{self.name}: expected {self.limit}, got {self.value}. {self.remedy}"
 
 
-def check_ready(station: OpenStation, folder: Path) -> list[Finding]:
+def check_ready(station: OpenStation, folder: Path) -> list[PreflightFinding]:
     """Return what was measured before a trial whose records go to a folder.
 
     Raises:
@@ -52,7 +52,7 @@ def check_ready(station: OpenStation, folder: Path) -> list[Finding]:
     return _refuse_bad(list(_measure(station, folder)))
 
 
-def check_held(station: OpenStation) -> list[Finding]:
+def check_held(station: OpenStation) -> list[PreflightFinding]:
     """Return what was measured of gels and force/torque sensor while the peg hangs in free air.
 
     Raises:
@@ -61,33 +61,33 @@ def check_held(station: OpenStation) -> list[Finding]:
     return _refuse_bad([*_measure_gels(station), *_measure_zero(station)])
 
 
-def _refuse_bad(findings: list[Finding]) -> list[Finding]:
+def _refuse_bad(findings: list[PreflightFinding]) -> list[PreflightFinding]:
     bad = [str(each) for each in findings if not each.is_good]
     if bad:
         raise PreflightRefused(" ".join(bad))
     return findings
 
 
-def _measure(station: OpenStation, folder: Path) -> Iterator[Finding]:
+def _measure(station: OpenStation, folder: Path) -> Iterator[PreflightFinding]:
     gripper, stage = station.gripper.status(), station.stage.status()
-    yield Finding(
+    yield PreflightFinding(
         name="Gripper",
         value="active" if gripper.is_activated else "not active",
         limit="active",
         is_good=gripper.is_activated and not gripper.fault,
         remedy="Activate it.",
     )
-    yield Finding(
+    yield PreflightFinding(
         name="Stage",
         value=str(stage.state),
         limit="Idle",
-        is_good=stage.state is StageState.IDLE,
+        is_good=stage.state is GrblState.IDLE,
         remedy="Clear its way and home it.",
     )
     if not gripper.holds_object:  # else `check_held` does it in free air, where the part is pressed onto nothing
         yield from _measure_gels(station)
     free_gb, needed_gb = shutil.disk_usage(folder).free / _GB, station.procedure.free_gb
-    yield Finding(
+    yield PreflightFinding(
         name="Free disk",
         value=f"{free_gb:.1f} GB",
         limit=f"at least {needed_gb} GB",
@@ -96,12 +96,12 @@ def _measure(station: OpenStation, folder: Path) -> Iterator[Finding]:
     )
 
 
-def _measure_gels(station: OpenStation) -> Iterator[Finding]:
+def _measure_gels(station: OpenStation) -> Iterator[PreflightFinding]:
     sight, description = station.eyes.see(), station.description
     sides = {"Left": (sight.left, description.left), "Right": (sight.right, description.right)}
     for side, (flow, camera) in sides.items():
         found, markers = len(flow.current), camera.calibration.markers
-        yield Finding(
+        yield PreflightFinding(
             name=f"{side} gel",
             value=f"{found} markers",
             limit=f"at least {_FOLLOWED_MARKERS:.0%} of {markers} markers",
@@ -110,10 +110,10 @@ def _measure_gels(station: OpenStation) -> Iterator[Finding]:
         )
 
 
-def _measure_zero(station: OpenStation) -> Iterator[Finding]:
+def _measure_zero(station: OpenStation) -> Iterator[PreflightFinding]:
     wrench, procedure = station.guard.wrench(), station.procedure
     force_n, torque_nm = (math.hypot(*wrench[:3]), math.hypot(*wrench[3:])) if wrench else (math.inf, math.inf)
-    yield Finding(
+    yield PreflightFinding(
         name="Zero of the force/torque sensor",
         value=f"{force_n:.2f} N and {torque_nm:.3f} N m",
         limit=f"at most {procedure.zero_n} N and {procedure.zero_nm} N m with nothing touched",

@@ -26,7 +26,7 @@ from .check import check_station
 from .description import StationDescription, StationTask, read_description
 from .outcome import TrialOutcome
 from .trial import Attempt
-from .trials import Player
+from .trials import TrialPlayer
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -163,7 +163,7 @@ def _start_twin(task: StationTask) -> "AbstractContextManager[RunningTwin]":
 
 
 def rehearse(
-    player: Player,
+    player: TrialPlayer,
     submission_dir: Path,
     track: Track,
     *,

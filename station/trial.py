@@ -16,7 +16,7 @@ from vitac.evaluator.tracks import Episode, Task
 
 from .arm import Arm, NoPeg, Offset
 from .devices.stage import DeviceFault, Pose
-from .eyes import OpenStation, Sight
+from .eyes import OpenStation, SensorReading
 from .guard import LARGEST_RADIUS_MM, LARGEST_THETA_DEG, LimitPassed, StationStopped
 from .outcome import TrialOutcome
 from .perception.observation import NoMarkerFollowed, marker_flow
@@ -93,7 +93,7 @@ class Trial:
         reading: Reading,
         open_session: OpenSession,
         folder: Path,
-        show: Callable[[str, Sight], None] = lambda _word, _sight: None,
+        show: Callable[[str, SensorReading], None] = lambda _word, _sight: None,
     ) -> None:
         self._station, self._arm = station, Arm(station)
         self._task, self._reading, self._open_session = task, reading, open_session
@@ -214,13 +214,13 @@ class Trial:
                 return TrialOutcome.SUCCESS
         return TrialOutcome.STEPS
 
-    def _look(self) -> Sight:
+    def _look(self) -> SensorReading:
         sight = self._arm.settle()
         self._attempt.encoders.append(self._arm.pose())
         self._attempt.movement_px.append(sight.movement_px())
         return sight
 
-    def _observe(self, sight: Sight) -> dict[str, NDArray[Any]]:
+    def _observe(self, sight: SensorReading) -> dict[str, NDArray[Any]]:
         """Return what the policy reads: markers as in simulation, motion from the stage's encoders."""
         first, now = np.array(self._attempt.encoders[0]), np.array(self._attempt.encoders[-1])
         x_mm, y_mm, z_mm, rotation_deg = (now - first).tolist()
@@ -254,7 +254,7 @@ class Trial:
         now_px = self._attempt.movement_px[-1]
         return all(now < factor * limit for now, limit in zip(now_px, self._attempt.thresholds_px, strict=True))
 
-    def _passes_push_test(self, before: Sight) -> bool:
+    def _passes_push_test(self, before: SensorReading) -> bool:
         """Push the peg down; return to the height before where a gel feels that it is stuck."""
         arm, procedure, start = self._arm, self._station.procedure, self._arm.pose()
         limits_px = [_PUSH_FACTOR * max(value, _THRESHOLD_PX) for value in before.movement_px()]
@@ -267,7 +267,7 @@ class Trial:
             arm.go(start)
         return not is_stuck
 
-    def _exceeds(self, sight: Sight, factor: float) -> bool:
+    def _exceeds(self, sight: SensorReading, factor: float) -> bool:
         thresholds_px = self._station.thresholds_px or (_THRESHOLD_PX, _THRESHOLD_PX)
         return any(now > factor * limit for now, limit in zip(sight.movement_px(), thresholds_px, strict=True))
 

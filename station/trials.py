@@ -22,7 +22,7 @@ from vitac.evaluator.tracks import Episode, Task
 from .arm import Offset
 from .description import StationDescription, StationTask
 from .devices.stage import DeviceFault, DeviceNotFound
-from .eyes import OpenStation, Sight, open_station
+from .eyes import OpenStation, SensorReading, open_station
 from .outcome import ATTEMPTS, TrialOutcome
 from .perception.segmentation import make_segmenter, object_points_m
 from .preflight import PreflightRefused
@@ -100,7 +100,7 @@ class FusionTrial(Trial):
 _PAUSE_S: Final = 2.0
 """After a stop, where nobody has to release the station."""
 
-Show = Callable[[int, int, str, Sight], None]
+Show = Callable[[int, int, str, SensorReading], None]
 
 
 def wait_a_moment(_: str) -> None:
@@ -109,7 +109,7 @@ def wait_a_moment(_: str) -> None:
 
 
 @dataclass(kw_only=True)
-class Player:
+class TrialPlayer:
     """Plays trials on a station; use it in `with`, which opens the devices when a trial needs them.
 
     Attributes:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from vitac.envs.tasks.fidelity import Fidelity
 from vitac.evaluator.version import evaluator_hash
 
-from .episodes import TASK, Actor, Episodes, FloatArray, MakeActor, Moment, joined, make_environment, play
+from .episodes import TASK, Actor, ActorInput, Episodes, FloatArray, MakeActor, joined, make_environment, play
 from .files import FileDamaged, digest, load, save
 from .learning.critic import Critic, CriticPlan, stack_states
 from .pool import map_in_order
@@ -61,7 +61,7 @@ def guided_actor(random: np.random.Generator) -> Actor:
     """Return an actor that goes to the hole, more or less straight."""
     spread = random.uniform(0.0, 0.6)
 
-    def act(moment: Moment) -> FloatArray:
+    def act(moment: ActorInput) -> FloatArray:
         x, y, theta = moment.truth[:3].tolist()
         sine, cosine = np.sin(np.radians(theta)), np.cos(np.radians(theta))
         way = np.array([-cosine * x - sine * y, sine * x - cosine * y, -theta]) / MOTION
@@ -76,7 +76,7 @@ def critic_actor(critic: Critic, noise: float) -> MakeActor:
     def make(random: np.random.Generator) -> Actor:
         spread = noise * random.uniform()
 
-        def act(moment: Moment) -> FloatArray:
+        def act(moment: ActorInput) -> FloatArray:
             state = stack_states(moment.truth[None], np.array([moment.shape]), np.array([moment.step]))
             return _noisy(_GRID[int(critic.log_odds(state, _GRID)[0].argmax())], spread, random)
 
@@ -91,7 +91,7 @@ def student_actor(weights: dict[str, Any], noise: float) -> MakeActor:
     def make(random: np.random.Generator) -> Actor:
         spread = noise * random.uniform()
 
-        def act(moment: Moment) -> FloatArray:
+        def act(moment: ActorInput) -> FloatArray:
             best = int(np.argmax(values(weights, moment.history.features(), _GRID)))
             return _noisy(_GRID[best], spread, random)
 
@@ -108,7 +108,7 @@ FILE_EPISODES = 50
 
 
 @dataclass(frozen=True, kw_only=True)
-class Batch:
+class CollectedBatch:
     """Episodes of one actor that are collected together.
 
     Attributes:
@@ -149,7 +149,7 @@ class Networks:
 class _Work:
     """One file to be made."""
 
-    batch: Batch
+    batch: CollectedBatch
     networks: Networks | None
     first: int
     count: int
@@ -161,7 +161,7 @@ def _tell_nobody(done: int, files: int) -> None:
 
 
 def collect(
-    batch: Batch,
+    batch: CollectedBatch,
     folder: Path,
     *,
     networks: Networks | None = None,
@@ -193,7 +193,7 @@ def collect(
     return joined([Episodes(**load(work.path)) for work in works])
 
 
-def _works(batch: Batch, folder: Path, networks: Networks | None) -> Iterator[_Work]:
+def _works(batch: CollectedBatch, folder: Path, networks: Networks | None) -> Iterator[_Work]:
     acted_by = {} if networks is None else {"critic": networks.critic, "student": networks.student}
     known = {name: digest(arrays) for name, arrays in acted_by.items() if name == batch.kind}
     for first in range(batch.first, batch.first + batch.count, FILE_EPISODES):

@@ -81,7 +81,7 @@ def joined(parts: Sequence[Episodes]) -> Episodes:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Moment:
+class ActorInput:
     """What an actor may look at before an env step.
 
     Attributes:
@@ -97,7 +97,7 @@ class Moment:
     step: int
 
 
-Actor = Callable[[Moment], FloatArray]
+Actor = Callable[[ActorInput], FloatArray]
 MakeActor = Callable[[np.random.Generator], Actor]
 
 
@@ -135,7 +135,7 @@ def _play_one(env: Any, make_actor: MakeActor, seed: int, number: int) -> Episod
         truths.append(np.concatenate([observation[key] for key in TRUTHS]))
         if ended:
             break
-        action = actor(Moment(history=history, truth=truths[-1], shape=shape, step=len(actions)))
+        action = actor(ActorInput(history=history, truth=truths[-1], shape=shape, step=len(actions)))
         observation, _, terminated, truncated, info = env.step(action)
         history.acted(action)
         actions.append(action)

@@ -20,7 +20,7 @@ from vitac.evaluator.scoring.score import Rate, rate
 from vitac.evaluator.tracks.registry import differing_parts
 from vitac.evaluator.version import evaluator_parts, sources_hash
 
-from .collection import ActorKind, Batch, Networks, collect
+from .collection import ActorKind, CollectedBatch, Networks, collect
 from .episodes import Episodes
 from .files import load, not_saved, remove_leftovers, save, write_text
 from .learners import Learners
@@ -188,13 +188,13 @@ class Run:
         )
         self.tell(f"round {result.number} of {self.recipe.rounds}: {found}{left}")
 
-    def _batch(self, kind: ActorKind, use: Use, first: int, count: int, noise: float) -> Batch:
+    def _batch(self, kind: ActorKind, use: Use, first: int, count: int, noise: float) -> CollectedBatch:
         fidelity = self.recipe.fidelity if use is Use.COLLECT else Fidelity.FULL
-        return Batch(
+        return CollectedBatch(
             kind=kind, seed=self.recipe.seed, use=use, first=first, count=count, noise=noise, fidelity=fidelity
         )
 
-    def _collected(self, batch: Batch, networks: Networks | None) -> Episodes:
+    def _collected(self, batch: CollectedBatch, networks: Networks | None) -> Episodes:
         progress = Progress()
 
         def report_file(done: int, files: int) -> None:

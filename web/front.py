@@ -42,7 +42,7 @@ class TrackCard:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Front:
+class FrontPage:
     """What the front page shows to everybody.
 
     Attributes:

@@ -27,7 +27,7 @@ from vitac.server.principals import VISITOR, Principal
 from vitac.server.services import Services
 from vitac.server.views.competition import PublicRankingView
 
-from .front import Front
+from .front import FrontPage
 from .plots.map import EpisodeMap
 from .recent import Recent
 from .rendering import render
@@ -76,7 +76,7 @@ class Site:
     preview_font: Path | None = None
     plots: Cache[Hashable, Any] = field(default_factory=lambda: Cache(at_most=MAX_PLOTS))
     maps: Cache[Hashable, EpisodeMap] = field(default_factory=lambda: Cache(at_most=MAX_MAPS))
-    front: Recent[Front] = field(default_factory=lambda: Recent(kept_s=FRONT_KEPT_S))
+    front: Recent[FrontPage] = field(default_factory=lambda: Recent(kept_s=FRONT_KEPT_S))
     public_rankings: Recent[Mapping[str, PublicRankingView]] = field(
         default_factory=lambda: Recent(kept_s=FRONT_KEPT_S)
     )
@@ -146,9 +146,9 @@ class Viewer:
         return frozenset({self.name, self.principal.team_pseudonym or self.name})
 
     @property
-    def is_organizer(self) -> bool:
+    def organizes_service(self) -> bool:
         """Whether all teams' submissions may be changed."""
-        return self.principal.is_organizer
+        return self.principal.organizes_service
 
     @property
     def has_team(self) -> bool:
@@ -156,9 +156,9 @@ class Viewer:
         return self.principal.team_id is not None
 
     @property
-    def organizes_something(self) -> bool:
+    def organizes_any(self) -> bool:
         """Whether all teams' submissions to one competition, or to all, are shown."""
-        return self.principal.organizes_something
+        return self.principal.organizes_any
 
     def may_see(self, team: str, competition: str | None = None) -> bool:
         """Return whether the submissions of a team are shown; `competition`: those to a competition."""
@@ -167,7 +167,7 @@ class Viewer:
 
     def may_change(self, team: str) -> bool:
         """Return whether the submissions of a team may be changed."""
-        return self.is_organizer or self.name == team
+        return self.organizes_service or self.name == team
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -332,10 +332,10 @@ def navigation(site: Site, viewer: Viewer | None) -> tuple[tuple[str, str], ...]
         links.append(("/submissions", "Submissions"))
         if viewer.has_team:
             links.append(("/team", "Team"))
-        if viewer.principal.reads_all_teams or viewer.organizes_something:
+        if viewer.principal.reads_all_teams or viewer.organizes_any:
             links.append(("/judging", "Judging"))
-        if viewer.organizes_something:
+        if viewer.organizes_any:
             links.append(("/desk", "Desk"))
-        if viewer.is_organizer:
+        if viewer.organizes_service:
             links.append(("/operations", "Operations"))
     return tuple(links)

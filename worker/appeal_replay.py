@@ -12,7 +12,6 @@ from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.evaluation.local import evaluate
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.evaluator.submission.sources import staged
-from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.sealed import write_secret
 from vitac.server.appeals import appeals
@@ -95,7 +94,7 @@ def replay(
 
 
 def _require_policy(submission: Submission) -> None:
-    if submission.kind is not SubmissionKind.MODEL or load_track(submission.track).has_sensor:
+    if not submission.kind.form.runs_policy or load_track(submission.track).has_sensor:
         raise ServiceError(
             ProblemCode.UNSUPPORTED_SUBMISSION_KIND, "Expected a submission with a policy; a log or a sensor has none."
         )

@@ -17,10 +17,10 @@ from multiprocessing.connection import Connection
 from time import monotonic, sleep
 
 import numpy as np
-from vitac.station.description import GripperLimits, Limits, Workspace
+from vitac.station.description import GripperLimits, StageWorkspace, StationLimits
 from vitac.station.devices.force_torque import ForceTorqueSensor
-from vitac.station.devices.gripper import Gripper
-from vitac.station.devices.stage import Pose, Stage
+from vitac.station.devices.gripper import HandE
+from vitac.station.devices.stage import LinearStage, Pose
 from vitac.station.guard import CONTROL_PERIOD_S, Guard, StationStopped
 from vitac.station.twin.force_torque import ForceTorqueTwin, Values
 from vitac.station.twin.gripper import GripperTwin
@@ -29,8 +29,8 @@ from vitac.station.twin.stage import StageTwin
 
 SPEED_MM_S, ROTATION_DEG_S = 3.0, 4.0
 FAR_MM = 14.0
-LIMITS = Limits(
-    workspace=Workspace(x_mm=(-15, 15), y_mm=(-15, 15), z_mm=(-30, 30), rotation_deg=(-20, 20)),
+LIMITS = StationLimits(
+    workspace=StageWorkspace(x_mm=(-15, 15), y_mm=(-15, 15), z_mm=(-30, 30), rotation_deg=(-20, 20)),
     speed_mm_s=SPEED_MM_S,
     rotation_deg_s=ROTATION_DEG_S,
     force_n=20,
@@ -77,7 +77,7 @@ def twin_process() -> Iterator[tuple[Connection, Guard]]:
     process.start()
     box, line, fingers = ours.recv()
     with ExitStack() as stack:
-        stage, gripper = stack.enter_context(Stage(line)), stack.enter_context(Gripper(fingers))
+        stage, gripper = stack.enter_context(LinearStage(line)), stack.enter_context(HandE(fingers))
         sensor = stack.enter_context(ForceTorqueSensor("127.0.0.1", box))
         sensor.start(rate_hz=1000)
         yield ours, stack.enter_context(Guard(limits=LIMITS, stage=stage, gripper=gripper, force_torque=sensor))

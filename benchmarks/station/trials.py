@@ -39,7 +39,7 @@ from vitac.cli.demo.team import team_token
 from vitac.cli.service.database import load_settings
 from vitac.server.database.models import EpisodeResult, Evaluation, Shard
 from vitac.server.database.states import EvaluationState, RepeatCause, ShardState
-from vitac.station.twin.hidden import Fault, FaultScript, ScriptedFault, draw_hidden
+from vitac.station.twin.hidden import FaultScript, ScriptedFault, TwinFault, draw_hidden
 
 EXAMPLE = Path("examples/peg_insertion_trained")
 STARTS = 10
@@ -47,14 +47,14 @@ LOOK_S = 0.2
 LONGEST_S = 6.0
 """The agent is killed this long after a trial has begun, at most."""
 SAYS = {
-    Fault.UNPLUGGED_CAMERA: "stopped sending pictures|cannot be opened",
-    Fault.FROZEN_STREAM: "is frozen",
-    Fault.STUCK_GRIPPER: "its fingers move|is stuck",
-    Fault.DROPPED_PEG: "has lost its peg",
-    Fault.TORN_GEL: "gel is damaged or covered|markers",
-    Fault.FORCE_SPIKE: "^Trial .*Force ",
-    Fault.STAGE_ALARM: "limit switch|in alarm",
-    Fault.NETWORK_CUT: "force/torque box",
+    TwinFault.UNPLUGGED_CAMERA: "stopped sending pictures|cannot be opened",
+    TwinFault.FROZEN_STREAM: "is frozen",
+    TwinFault.STUCK_GRIPPER: "its fingers move|is stuck",
+    TwinFault.DROPPED_PEG: "has lost its peg",
+    TwinFault.TORN_GEL: "gel is damaged or covered|markers",
+    TwinFault.FORCE_SPIKE: "^Trial .*Force ",
+    TwinFault.STAGE_ALARM: "limit switch|in alarm",
+    TwinFault.NETWORK_CUT: "force/torque box",
 }
 """What the reason of an attempt says that a fault has ended."""
 
@@ -129,7 +129,7 @@ def play(laboratory: Laboratory, evaluation_id: UUID, given: argparse.Namespace)
         stop_agent(agent)
 
 
-def check_aims(found: State, begun: set[Fault], given: argparse.Namespace) -> Iterator[tuple[bool, str]]:
+def check_aims(found: State, begun: set[TwinFault], given: argparse.Namespace) -> Iterator[tuple[bool, str]]:
     """Yield each aim and whether it is reached."""
     counted = Counter(number for number, _ in found.outcomes)
     lost = sorted(set(range(1, given.trials + 1)) - set(counted))
@@ -138,7 +138,7 @@ def check_aims(found: State, begun: set[Fault], given: argparse.Namespace) -> It
     yield not lost, f"{len(counted)} of {given.trials} trials have a result; lost: {lost or 'none'}"
     yield max(counted.values(), default=0) == 1, f"results of one trial, at most: {max(counted.values(), default=0)}"
     yield count_kills(found) == given.kills, f"{count_kills(found)} of {given.kills} kills, each repeated"
-    for fault in Fault:
+    for fault in TwinFault:
         named = sum(bool(re.search(SAYS[fault], reason)) for reason in reasons)
         yield (
             fault in begun and named > 0,
@@ -159,10 +159,10 @@ def parse() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def faults_left(begun: set[Fault], given: argparse.Namespace) -> FaultScript:
+def faults_left(begun: set[TwinFault], given: argparse.Namespace) -> FaultScript:
     """Spread the faults that did not come yet over the trials."""
-    every = max(given.trials // (len(Fault) + 1), 4)  # a trial that is repeated meets no other one
-    left = enumerate((fault for fault in Fault if fault not in begun), start=1)
+    every = max(given.trials // (len(TwinFault) + 1), 4)  # a trial that is repeated meets no other one
+    left = enumerate((fault for fault in TwinFault if fault not in begun), start=1)
     return FaultScript(faults=tuple(ScriptedFault(fault=fault, contact=every * n) for n, fault in left))
 
 
@@ -187,7 +187,7 @@ def main() -> int:
         notes = state_dir / "run.json"
         earlier: dict[str, Any] = {"begun": [], "twin_s": 0.0, "real_s": 0.0}
         earlier |= json.loads(notes.read_text()) if notes.exists() else {}
-        begun = {Fault(each) for each in earlier["begun"]}
+        begun = {TwinFault(each) for each in earlier["begun"]}
         settings = load_settings(state_dir=state_dir, port=0)
         log = stack.enter_context((state_dir / "agent.log").open("ab"))
         laboratory = stack.enter_context(

@@ -13,7 +13,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from time import monotonic, process_time
 
-from vitac.station.devices.cameras import TactileCamera
+from vitac.station.devices.cameras import GelSightCamera
 from vitac.station.perception.markers import AssignedMarkerTracker, MarkerTracker
 from vitac.station.twin.laboratory import twin_station
 
@@ -32,7 +32,7 @@ def run_twins(caller: Connection) -> None:
 def measure(streams: tuple[str, str], make: Callable[[], Tracker], seconds: float) -> tuple[float, float]:
     """Return pairs of pictures a second, and CPU time for a pair [ms]."""
     trackers = make(), make()
-    with TactileCamera("left", stream=streams[0]) as left, TactileCamera("right", stream=streams[1]) as right:
+    with GelSightCamera("left", stream=streams[0]) as left, GelSightCamera("right", stream=streams[1]) as right:
         began_s, began_cpu_s, pairs = monotonic(), process_time(), 0
         while monotonic() < began_s + seconds:
             for camera, tracker in zip((left, right), trackers, strict=True):

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 from sqlalchemy.orm import Session
 from vitac.server.accounts import members, merging, teams
-from vitac.server.accounts.registration import NewTeam, register
+from vitac.server.accounts.registration import RegisteringTeam, register
 from vitac.server.competitions.competition import Competition
 from vitac.server.competitions.view import disqualified_since_the_end
 from vitac.server.operations.team_data import erase, export
@@ -31,7 +31,7 @@ def add(
 ) -> None:
     """Add a team and print its API token, which is shown only once."""
     with change_transaction(dry_run=dry_run) as session:
-        team, issued = register(session, load_settings(), CONSOLE, NewTeam(name=name, contact=contact))
+        team, issued = register(session, load_settings(), CONSOLE, RegisteringTeam(name=name, contact=contact))
         shown = teams.organizer_team_view(session, team).model_dump() | ({"id": None} if dry_run else {})
     secret = None if dry_run else issued.secret
     if as_json:

@@ -90,9 +90,9 @@ def _find_track(submission: Path, kind: SubmissionKind) -> str | None:
     from vitac.evaluator.logs.packing import open_log
     from vitac.evaluator.submission.sources import read_manifest_file
 
-    if kind is SubmissionKind.MODEL:
+    if kind.form.is_archive:
         return read_manifest_file(submission).track
-    if kind is SubmissionKind.TEXT_LOG:
+    if not kind.form.is_verified:
         return None
     with open_log(submission) as stream:
         return LogReader(stream).header.manifest.track

@@ -23,7 +23,7 @@ BAR_WIDTH = 26
 ACCENT = "cyan"
 
 
-class Stage:
+class DemoStep:
     """One line of the demo: a stage and its result."""
 
     def __init__(self) -> None:
@@ -52,14 +52,14 @@ class DemoDisplay:
         self.console.print()
 
     @contextmanager
-    def stage(self, label: str, activity: str = "") -> Iterator[Stage]:
+    def stage(self, label: str, activity: str = "") -> Iterator[DemoStep]:
         """Show a stage while the block runs; print its line with the time taken when the block succeeds.
 
         Args:
             label: name of the stage, one or two words.
             activity: shown while a long stage runs; in a pipe on a line of its own.
         """
-        stage = Stage()
+        stage = DemoStep()
         began = time.monotonic()
         if self.console.is_terminal:
             spinner = Spinner("dots", Text(f"{label:<{LABEL_WIDTH}} {activity}"), style=ACCENT)

@@ -12,7 +12,7 @@ from ..terminal.existing import existing_file
 from ..terminal.options import Assets
 from ..terminal.output import AsJson
 from .film import film
-from .playing import NothingToShow, Played, Shown, Start, find_start, no_such_env_step, player
+from .playing import EpisodeStart, NothingToShow, Shown, ShownEpisode, find_start, no_such_env_step, player
 
 if TYPE_CHECKING:
     from vitac.envs.drawing.colouring import Quantity
@@ -138,7 +138,7 @@ def _destination(path: Path, step: int | None) -> "Destination":
 
 
 def _played(
-    start: Start, policy: Path | None, actions: Path | None, assets: Path | None, pace: "Pace"
+    start: EpisodeStart, policy: Path | None, actions: Path | None, assets: Path | None, pace: "Pace"
 ) -> "tuple[Caption, Playback]":
     """Play the episode, and return what is written above its pictures and what is drawn of it."""
     from vitac.envs.drawing.picture import Caption
@@ -160,7 +160,7 @@ def _pace(every: str | None, destination: "Destination") -> "Pace":
     return Pace.IPC_STEP if destination.format.is_animated else Pace.ENV_STEP
 
 
-def _record(played: Played, assets: Path | None, pace: "Pace") -> "Playback":
+def _record(played: ShownEpisode, assets: Path | None, pace: "Pace") -> "Playback":
     """Play the episode and keep what is drawn of it."""
     import gymnasium
     from vitac.envs.assets import assets_dir_from_environment

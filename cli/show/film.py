@@ -11,13 +11,14 @@ if TYPE_CHECKING:
     from vitac.envs.drawing.files import Destination, Frame
     from vitac.envs.maniskill.film import Moment
 
-    from .playing import Played, Start
+    from .playing import EpisodeStart, ShownEpisode
+
 
 _WIDTH_PX = 640
 
 
 def film(
-    start: "Start",
+    start: "EpisodeStart",
     sources: tuple[Path | None, Path | None],
     destination: "Destination",
     *,
@@ -51,7 +52,7 @@ def film(
     n_digits = max(2, len(str(task.max_steps)))
     last: Moment
 
-    def frames(played: "Played") -> "Iterator[Frame]":
+    def frames(played: "ShownEpisode") -> "Iterator[Frame]":
         nonlocal last
         title = f"{played.start.title}; actions: {played.actions}"
         moments = play(env, options=played.start.options, next_action=played.next_action)

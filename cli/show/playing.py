@@ -28,7 +28,7 @@ class NothingToShow(VitacError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Start:
+class EpisodeStart:
     """The start of an episode.
 
     Attributes:
@@ -47,10 +47,10 @@ class Start:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Played:
+class ShownEpisode:
     """The start of an episode, its actions, a description of where they come from, and what their policy believes."""
 
-    start: Start
+    start: EpisodeStart
     next_action: "NextAction"
     actions: str
     belief: "Belief | None" = None
@@ -82,7 +82,7 @@ def no_such_env_step(step: int | None, last: int) -> NothingToShow:
     return NothingToShow(f"The episode ended after env step {last}: expected --step 0 to {last}, got {step}.")
 
 
-def find_start(task: str, number: int) -> Start:
+def find_start(task: str, number: int) -> EpisodeStart:
     """Return an episode of a task's list, or a random start of an environment with the number as its seed.
 
     Raises:
@@ -94,16 +94,16 @@ def find_start(task: str, number: int) -> Start:
     from vitac.evaluator.tracks.cut import cut
 
     if task in ENVIRONMENTS:
-        return Start(env_id=task, title=f"{task}, random start {number}", options={"rng_seed": number})
+        return EpisodeStart(env_id=task, title=f"{task}, random start {number}", options={"rng_seed": number})
     _, definition = find_task(task)
     (shard,) = cut(definition, [number])
     return _listed(definition, shard.episodes[0])
 
 
-def _listed(task: "Task", episode: "Episode") -> Start:
+def _listed(task: "Task", episode: "Episode") -> EpisodeStart:
     shape = "" if is_maniskill(task.env_id) else f": {episode.shape}"
     title = f"{task.title}, episode {episode.number}{shape}"
-    return Start(
+    return EpisodeStart(
         env_id=task.env_id,
         title=title,
         options=episode.options,
@@ -113,7 +113,7 @@ def _listed(task: "Task", episode: "Episode") -> Start:
 
 
 @contextmanager
-def player(start: Start, policy: Path | None, actions: Path | None) -> Iterator[Played]:
+def player(start: EpisodeStart, policy: Path | None, actions: Path | None) -> Iterator[ShownEpisode]:
     """Give the episode that is to be played, with a policy, recorded actions, or a motion that knows the target.
 
     Raises:
@@ -133,21 +133,21 @@ def player(start: Start, policy: Path | None, actions: Path | None) -> Iterator[
     elif actions:
         recording = _recording(task, episode.number, actions)
         start = _listed(task, recording.episode)
-        yield Played(start=start, next_action=_one_by_one(recording.actions), actions=actions.name)
+        yield ShownEpisode(start=start, next_action=_one_by_one(recording.actions), actions=actions.name)
 
 
-def _skip_observations(start: Start) -> Played:
+def _skip_observations(start: EpisodeStart) -> ShownEpisode:
     """Return the motion straight to the target; for ManiSkill, where nobody has said what that is, the start alone."""
     from vitac.envs.drawing.drawable import straight_to_target
     from vitac.envs.scene.guided_motion import DESCRIPTION
 
     if is_maniskill(start.env_id):
-        return Played(start=start, next_action=lambda _, __: None, actions=START_ALONE)
-    return Played(start=start, next_action=straight_to_target(start.env_id), actions=DESCRIPTION)
+        return ShownEpisode(start=start, next_action=lambda _, __: None, actions=START_ALONE)
+    return ShownEpisode(start=start, next_action=straight_to_target(start.env_id), actions=DESCRIPTION)
 
 
 @contextmanager
-def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Played]:
+def _policy_player(task: "Task", start: EpisodeStart, submission: Path) -> Iterator[ShownEpisode]:
     from vitac.evaluator.agent.session import PolicySession
     from vitac.evaluator.episodes.reading import make_reading
     from vitac.evaluator.submission.manifest import load_manifest
@@ -166,7 +166,7 @@ def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Pla
             PolicySession(folder, entry_point=manifest.entry_point, packages=packages) as session,
             session.episode(task=task.name, action_shape=(len(task.actions),), clouds=reading.clouds) as policy,
         ):
-            yield Played(
+            yield ShownEpisode(
                 start=start,
                 next_action=lambda seen, _: policy.act({key: seen[key] for key in reading.sent}),
                 actions=manifest.name,

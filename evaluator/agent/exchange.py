@@ -12,7 +12,7 @@ from .isolation.output import printable
 from .isolation.sandbox import Sandbox
 from .limits import Limits
 from .protocol.channel import ChannelClosed
-from .protocol.frames import Answer, AnswerKind, Question
+from .protocol.frames import AnswerKind, PolicyAnswer, PolicyQuestion
 from .verdicts import PolicyFailed, SandboxFailed, VerdictCode
 
 LOADER_PID: Final = 2
@@ -81,7 +81,7 @@ class Exchange:
         for source in (sandbox.channel, sandbox.output, sandbox.status_descriptor):
             self._poll.register(source, select.POLLIN)
 
-    def ask(self, question: Question, expected: AnswerKind, deadlines: Deadlines) -> Answer:
+    def ask(self, question: PolicyQuestion, expected: AnswerKind, deadlines: Deadlines) -> PolicyAnswer:
         """Return the one answer to a question.
 
         Raises:
@@ -113,14 +113,14 @@ class Exchange:
         self._sandbox.output.read_available()
         return PolicyFailed(verdict, printable(message), self._sandbox.output.text())
 
-    def _reported_failure(self, answer: Answer) -> PolicyFailed:
+    def _reported_failure(self, answer: PolicyAnswer) -> PolicyFailed:
         """Accept from the runtime inside only what it has to report, since the policy controls it."""
         code, message = answer.header.code, answer.header.message
         if code not in _REPORTABLE:
             return self.failure(VerdictCode.PROTOCOL_VIOLATION, f"The runtime reported the unknown verdict {code!r}.")
         return self.failure(VerdictCode(code), message)
 
-    def _wait(self, expected: Sequence[AnswerKind], deadlines: Deadlines) -> Answer:
+    def _wait(self, expected: Sequence[AnswerKind], deadlines: Deadlines) -> PolicyAnswer:
         channel = self._sandbox.channel
         deadline = time.monotonic() + deadlines.wall_s
         cpu_before_s = self._sandbox.cpu_s()
@@ -145,7 +145,7 @@ class Exchange:
             self._check_memory()
             self._check_times(deadlines, deadline, cpu_before_s)
 
-    def _receive(self, expected: Sequence[AnswerKind]) -> Answer | None:
+    def _receive(self, expected: Sequence[AnswerKind]) -> PolicyAnswer | None:
         try:
             return self._sandbox.channel.receive(expected)
         except ChannelClosed as closed:

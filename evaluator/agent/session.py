@@ -25,11 +25,11 @@ from .isolation.tracing import TracedProcessGone
 from .limits import Limits, ShardTime, StartTimes, default_period_s
 from .loaded_copy import LoadedCopy
 from .protocol.frames import (
-    Answer,
     AnswerKind,
     Array,
     CloudSpec,
-    Question,
+    PolicyAnswer,
+    PolicyQuestion,
     QuestionKind,
     checked_action,
     checked_belief,
@@ -251,7 +251,7 @@ class PolicySession:
         )
         started = time.perf_counter()
         try:
-            question = Question(kind=QuestionKind.LOAD, text=self._entry_point)
+            question = PolicyQuestion(kind=QuestionKind.LOAD, text=self._entry_point)
             answer = exchange.ask(question, AnswerKind.LOADED, deadlines)
         finally:
             self._loading_s = (sandbox.cpu_s(), time.perf_counter() - started)
@@ -318,7 +318,7 @@ class EpisodePolicy:
         Raises:
             PolicyFailed: any verdict.
         """
-        self._ask(Question(kind=QuestionKind.RESET, text=task), AnswerKind.READY, "reset()")
+        self._ask(PolicyQuestion(kind=QuestionKind.RESET, text=task), AnswerKind.READY, "reset()")
 
     def act(self, observation: Mapping[str, Array]) -> NDArray[np.float32]:
         """Return the policy's action: float32, of the task's shape, finite, not clipped.
@@ -326,7 +326,7 @@ class EpisodePolicy:
         Raises:
             PolicyFailed: any verdict.
         """
-        question = Question(kind=QuestionKind.OBSERVE, arrays=observation, clouds=self._clouds)
+        question = PolicyQuestion(kind=QuestionKind.OBSERVE, arrays=observation, clouds=self._clouds)
         answer = self._ask(question, AnswerKind.ACTION, "act()")
         with self._explained():
             return checked_action(answer.arrays, self._action_shape)
@@ -344,7 +344,7 @@ class EpisodePolicy:
         limits = self._limits
         deadlines = Deadlines(what="belief()", wall_s=limits.action_wall_s, cpu_s=limits.action_cpu_s)
         try:
-            answer = self._exchange.ask(Question(kind=QuestionKind.BELIEVE), AnswerKind.BELIEF, deadlines)
+            answer = self._exchange.ask(PolicyQuestion(kind=QuestionKind.BELIEVE), AnswerKind.BELIEF, deadlines)
         finally:
             self._cpu_start_s = self._sandbox.cpu_s() - self.cpu_s
         with self._explained():
@@ -373,7 +373,7 @@ class EpisodePolicy:
         except PolicyFailed as failure:
             raise self._exchange.failure(failure.verdict, failure.message) from None
 
-    def _ask(self, question: Question, expected: AnswerKind, what: str) -> Answer:
+    def _ask(self, question: PolicyQuestion, expected: AnswerKind, what: str) -> PolicyAnswer:
         self._count_cpu()
         self._check_time_left()
         left_s = self._limits.episode_cpu_s - self.cpu_s

@@ -8,7 +8,7 @@ from ..version import platform_class
 from .records import Manifest
 
 
-class Played(Protocol):
+class SimulationVersions(Protocol):
     """What episodes are played with."""
 
     @property
@@ -19,7 +19,7 @@ class Played(Protocol):
         """Return the SHA-256 [hex] of the meshes and settings."""
 
 
-def make_manifest(track: Track, task: Task, env: Played) -> Manifest:
+def make_manifest(track: Track, task: Task, env: SimulationVersions) -> Manifest:
     """Return what an evaluation in this environment, or on a station, is made with."""
     return Manifest(
         track=track.name,

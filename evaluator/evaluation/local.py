@@ -31,7 +31,7 @@ from .stored_shards import StoredShards
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluation:
+class LocalEvaluation:
     """A finished evaluation: its records in order, and either a score or the failure that ended it."""
 
     manifest: Manifest
@@ -77,7 +77,7 @@ def evaluate(
     on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
     on_calibration: OnCalibration = lambda *_: None,
     host: HostProcess | None = None,
-) -> Evaluation:
+) -> LocalEvaluation:
     """Evaluate a submission in processes of its own, one shard at a time in each.
 
     Args:
@@ -126,7 +126,7 @@ def evaluate(
             for record in finished:
                 records.append(record)
                 on_episode(record)
-    return Evaluation(
+    return LocalEvaluation(
         manifest=_common_manifest(pool.results),
         shards=shards,
         records=tuple(sort_records(task.name, records)),
@@ -259,7 +259,7 @@ class EvaluationReport(StrictModel):
     episodes: tuple[EpisodeRecord, ...]
 
     @classmethod
-    def from_evaluation(cls, evaluation: Evaluation, *, name: str, digest: str) -> Self:
+    def from_evaluation(cls, evaluation: LocalEvaluation, *, name: str, digest: str) -> Self:
         """Return the report on an evaluation of the submission of that name and digest."""
         return cls(
             name=name,

@@ -19,7 +19,7 @@ from ..sensors.made import MadeSensor, made_sensor
 from ..shards.order import OnCalibration
 from ..strict_model import StrictModel
 from ..tracks import Player, load_track
-from .local import Evaluation, evaluate
+from .local import LocalEvaluation, evaluate
 from .stored_shards import StoredShards
 
 TRACK = "track_3"
@@ -60,8 +60,8 @@ class SensorEvaluation:
 
     sensor: MadeSensor
     coefficients: Coefficients
-    standard: Evaluation
-    blind: Evaluation
+    standard: LocalEvaluation
+    blind: LocalEvaluation
     figures: SensorFigures | None
 
     def report(self) -> SensorReport:
@@ -160,7 +160,7 @@ def evaluate_sensor(
     )
 
 
-def _run(evaluation: Evaluation) -> RunReport:
+def _run(evaluation: LocalEvaluation) -> RunReport:
     score, result_hash = evaluation.score, evaluation.result_hash
     assert score is not None  # noqa: S101 - the estimator never fails
     assert result_hash is not None  # noqa: S101

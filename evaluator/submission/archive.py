@@ -32,7 +32,7 @@ from .names import (
     too_many_files,
 )
 
-__all__ = ["ArchiveFault", "ArchiveRejected", "Entry", "packed_entries", "unpack", "write"]
+__all__ = ["ArchiveEntry", "ArchiveFault", "ArchiveRejected", "packed_entries", "unpack", "write"]
 
 _CHUNK_BYTES: Final = 1024 * 1024
 _FOLDER_MODE: Final = 0o755
@@ -54,7 +54,7 @@ _UTF_8_FLAG: Final = 0x800
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entry:
+class ArchiveEntry:
     """One file of a submission, whatever it comes from."""
 
     path: str
@@ -98,12 +98,12 @@ def unpack(source: Path | BinaryIO, destination: Path, limits: Limits | None = N
         return write(entries, destination, top, limits)
 
 
-def packed_entries(stream: BinaryIO, limits: Limits, exits: ExitStack) -> tuple[str, list[Entry]]:
+def packed_entries(stream: BinaryIO, limits: Limits, exits: ExitStack) -> tuple[str, list[ArchiveEntry]]:
     """Return top folder and files of an open archive after checking its directory."""
     return exits.enter_context(_Opened(stream, limits)).entries()
 
 
-def write(entries: Iterable[Entry], destination: Path, top: str, limits: Limits) -> Path:
+def write(entries: Iterable[ArchiveEntry], destination: Path, top: str, limits: Limits) -> Path:
     """Write files below `destination/top`, counting real bytes.
 
     Raises:
@@ -140,7 +140,7 @@ class _Opened:
     def __exit__(self, *exception: object) -> None:
         self._zip.close()
 
-    def entries(self) -> tuple[str, list[Entry]]:
+    def entries(self) -> tuple[str, list[ArchiveEntry]]:
         """Return the top folder and the files below it.
 
         Raises:
@@ -185,14 +185,14 @@ class _Opened:
                 f"{self._limits.archive_ratio:g} times as much; leave out what compresses like that.",
             )
 
-    def _entry(self, info: zipfile.ZipInfo, path: str) -> Entry:
+    def _entry(self, info: zipfile.ZipInfo, path: str) -> ArchiveEntry:
         def open_entry() -> IO[bytes]:
             try:
                 return self._zip.open(info)
             except (zipfile.BadZipFile, ValueError, OSError, struct.error, NotImplementedError, RuntimeError) as error:
                 raise _damaged(f"{info.filename!r} cannot be read ({error})") from error
 
-        return Entry(path=path, n_bytes=info.file_size, open=open_entry)
+        return ArchiveEntry(path=path, n_bytes=info.file_size, open=open_entry)
 
 
 def _check_ends(stream: BinaryIO, limits: Limits) -> int:
@@ -293,7 +293,7 @@ def _mend(paths: set[str], names: set[str], allowed: Collection[str]) -> str:
     return f"; pack {min(inner & set(allowed))} itself, without the folder around it" if inner & set(allowed) else ""
 
 
-def _write_entry(entry: Entry, folder: Path, left: int, limits: Limits) -> int:
+def _write_entry(entry: ArchiveEntry, folder: Path, left: int, limits: Limits) -> int:
     target = folder / entry.path
     for parent in reversed(target.relative_to(folder).parents[:-1]):
         (folder / parent).mkdir(exist_ok=True)

@@ -14,7 +14,7 @@ from vitac.envs.untrusted_file import find_spelling
 
 from ..agent.limits import Limits
 from ..tracks import archive_folders, load_track
-from .archive import Entry, packed_entries, unpack, write
+from .archive import ArchiveEntry, packed_entries, unpack, write
 from .manifest import (
     MANIFEST_MAX_BYTES,
     ManifestRejected,
@@ -160,13 +160,13 @@ def top_folder(submission_dir: Path) -> str:
     return load_track(load_manifest(submission_dir).track).folder
 
 
-def _folder_entries(folder: Path, top: str, limits: Limits) -> list[Entry]:
+def _folder_entries(folder: Path, top: str, limits: Limits) -> list[ArchiveEntry]:
     entries = list(_walk(folder, ""))
     check_names((NamedEntry(path=f"{top}/{entry.path}", is_folder=False) for entry in entries), limits)
     return entries
 
 
-def _walk(folder: Path, prefix: str) -> Iterator[Entry]:
+def _walk(folder: Path, prefix: str) -> Iterator[ArchiveEntry]:
     for item in sorted(os.scandir(folder), key=lambda item: item.name):
         path = f"{prefix}{item.name}"
         if is_ignored(path):
@@ -176,7 +176,7 @@ def _walk(folder: Path, prefix: str) -> Iterator[Entry]:
         if item.is_dir():
             yield from _walk(Path(item.path), f"{path}/")
         elif item.is_file():
-            yield Entry(path=fixed_name(path), n_bytes=item.stat().st_size, open=partial(_open, item.path))
+            yield ArchiveEntry(path=fixed_name(path), n_bytes=item.stat().st_size, open=partial(_open, item.path))
         else:
             raise special_file(path)
 
@@ -185,7 +185,7 @@ def _open(path: str) -> IO[bytes]:
     return Path(path).open("rb")
 
 
-def _digest(entries: list[Entry]) -> str:
+def _digest(entries: list[ArchiveEntry]) -> str:
     digest = hashlib.sha256()
     for entry in sorted(entries, key=lambda entry: entry.path):
         path = entry.path.encode()

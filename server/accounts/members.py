@@ -32,7 +32,7 @@ WRONG_PASSWORD = "No member of that name and team has this password."  # noqa: S
 
 
 @dataclass(frozen=True, kw_only=True)
-class NewMember:
+class JoiningMember:
     """What somebody says who joins a team.
 
     Attributes:
@@ -83,7 +83,7 @@ def withdraw_invitation(session: Session, by: Principal, team: Team, invitation_
         record(session, by, "member.uninvite", f"team:{team.id}", {"invitation": str(found.id)})
 
 
-def join(session: Session, new: NewMember, lifetime: timedelta) -> tuple[Member, IssuedToken]:
+def join(session: Session, new: JoiningMember, lifetime: timedelta) -> tuple[Member, IssuedToken]:
     """Make somebody with an invitation a member; `lifetime` is that of their token.
 
     Raises:
@@ -209,7 +209,7 @@ def set_password(
         member = find(session, by, team_id, member_id)
         _require_own(by, member)
         stored, name = member.password_hash, member.name
-    is_fresh = by.is_organizer or (by.signed_in_at is not None and datetime.now(UTC) - by.signed_in_at < FRESH_FOR)
+    is_fresh = by.organizes_service or (by.signed_in_at is not None and datetime.now(UTC) - by.signed_in_at < FRESH_FOR)
     if stored is not None and not is_fresh and not passwords.is_right(old or "", stored):
         raise ServiceError(
             ProblemCode.FORBIDDEN,
@@ -240,7 +240,7 @@ def set_email(session: Session, by: Principal, member: Member, email: str | None
     """
     _require_own(by, member)
     before = {"email": member.email is not None}
-    if by.is_organizer:
+    if by.organizes_service:
         member.email, member.email_code_sha256 = email, None
         member.email_confirmed_at = datetime.now(UTC) if email is not None else None
     elif email != member.email or member.email_confirmed_at is None:
@@ -383,7 +383,7 @@ def _require_own(by: Principal, member: Member) -> None:
     is_captain = by.member_id is None and by.leads_team and member.role is MemberRole.CAPTAIN
     if member.left_at is not None or not by.may_change(member.team_id):
         raise not_found("member", member.id)
-    if not (by.is_organizer or by.member_id == member.id or is_captain):
+    if not (by.organizes_service or by.member_id == member.id or is_captain):
         raise ServiceError(ProblemCode.FORBIDDEN, f"Only {member.name} and organizers may do this.")
 
 

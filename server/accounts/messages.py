@@ -139,7 +139,7 @@ def hide_question(session: Session, by: Principal, question_id: int) -> None:
 def list_questions(session: Session, by: Principal | None, *, open_only: bool = False) -> list[QuestionView]:
     """Return the questions that somebody may see, newest first: answered public ones, own ones, an organizer's all."""
     query = select(Question).order_by(Question.id.desc()).limit(QUESTIONS_SHOWN)
-    if by is None or not by.is_organizer:
+    if by is None or not by.organizes_service:
         is_public = Question.public & Question.answered_at.is_not(None) & Question.hidden_at.is_(None)
         query = query.where(or_(is_public, Question.team_id == by.team_id) if by and by.team_id else is_public)
     if open_only:
@@ -149,7 +149,7 @@ def list_questions(session: Session, by: Principal | None, *, open_only: bool = 
 
 def make_question_view(question: Question, by: Principal | None) -> QuestionView:
     """Return a question as somebody who may see it does."""
-    knows_team = by is not None and (by.is_organizer or by.team_id == question.team_id)
+    knows_team = by is not None and (by.organizes_service or by.team_id == question.team_id)
     return QuestionView(
         id=question.id,
         team=question.team.name if knows_team and question.team is not None else None,

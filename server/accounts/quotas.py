@@ -68,7 +68,7 @@ def charge(session: Session, quotas: Quotas, by: Principal, team: Team, *wanted:
     Raises:
         ServiceError: quota_exceeded, with the quota's name, its limit, and when it opens again.
     """
-    if by.is_organizer:
+    if by.organizes_service:
         return None
     teams.lock(session, team)
     check(session, quotas, by, team, *wanted)
@@ -81,7 +81,7 @@ def check(session: Session, quotas: Quotas, by: Principal, team: Team, *wanted: 
     Raises:
         ServiceError: quota_exceeded.
     """
-    if by.is_organizer:
+    if by.organizes_service:
         return
     for quota in wanted:
         limit = find_limit(session, quotas, team.id, quota)
@@ -95,7 +95,7 @@ def check_stage(session: Session, by: Principal, team: Team, stage: Stage) -> No
     Raises:
         ServiceError: quota_exceeded, with the quota's name and limit.
     """
-    if by.is_organizer:
+    if by.organizes_service:
         return
     for quota, limit in stage.rules.quotas:
         if limit is not None and _used_in_stage(session, team, stage, quota) >= limit:

@@ -15,7 +15,7 @@ from .tokens import IssuedToken
 
 
 @dataclass(frozen=True, kw_only=True)
-class NewTeam:
+class RegisteringTeam:
     """What somebody says who wants to take part.
 
     Attributes:
@@ -29,7 +29,9 @@ class NewTeam:
     invite: str | None = None
 
 
-def register(session: Session, settings: Settings, by: Principal | None, new: NewTeam) -> tuple[Team, IssuedToken]:
+def register(
+    session: Session, settings: Settings, by: Principal | None, new: RegisteringTeam
+) -> tuple[Team, IssuedToken]:
     """Make a team with its captain's token.
 
     Args:
@@ -41,7 +43,7 @@ def register(session: Session, settings: Settings, by: Principal | None, new: Ne
     Raises:
         ServiceError: registration is closed or needs another invite code, or the name cannot be used.
     """
-    by_organizer = by is not None and by.is_organizer
+    by_organizer = by is not None and by.organizes_service
     if not by_organizer:
         _require_open(session, settings, new.invite)
     waits = not by_organizer and settings.registration is Registration.APPROVAL

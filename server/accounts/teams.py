@@ -127,7 +127,7 @@ def require_unlocked(session: Session, by: Principal | None) -> None:
     Raises:
         ServiceError: teams are locked.
     """
-    if by is not None and by.is_organizer:
+    if by is not None and by.organizes_service:
         return
     if at := find_lock_date(session):
         raise ServiceError(
@@ -280,7 +280,7 @@ def _checked_name(session: Session, by: Principal | None, name: str, *, but: Tea
     shown = names.clean(name, what="A team's name", min_length=1, max_length=NAME_LENGTH)
     session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _REGISTRATION_LOCK})
     problem = _find_name_problem(session, by, shown, but)
-    if problem is not None and not (by is not None and by.is_organizer) and ShownNames.read(session).hidden:
+    if problem is not None and not (by is not None and by.organizes_service) and ShownNames.read(session).hidden:
         problem = f"The name {shown!r} is reserved, taken, or looks like one that is"
     if problem is not None:
         raise ServiceError(ProblemCode.TEAM_EXISTS, f"{problem}; choose another name.")
@@ -289,7 +289,7 @@ def _checked_name(session: Session, by: Principal | None, name: str, *, but: Tea
 
 def _find_name_problem(session: Session, by: Principal | None, shown: str, but: Team | None) -> str | None:
     """Return why nobody else may have a name; an organizer's own team may have a reserved one."""
-    is_own = by is not None and by.is_organizer
+    is_own = by is not None and by.organizes_service
     if not is_own and names.is_reserved(shown):
         return f"The name {shown!r} is reserved for those who run this service"
     query = select(Team.name, Team.pseudonym)

@@ -57,7 +57,7 @@ def issue(
             judge, or no such competition.
     """
     label = names.clean(label, what="A token's label", min_length=1, max_length=LABEL_LENGTH)
-    if not by.is_organizer and (role is not Role.TEAM or team is None or by.team_id != team.id):
+    if not by.organizes_service and (role is not Role.TEAM or team is None or by.team_id != team.id):
         raise ServiceError(ProblemCode.FORBIDDEN, "A team may make tokens for itself only; ask an organizer.")
     if team is not None:
         by.require_leader(team.id)
@@ -186,7 +186,7 @@ def list_tokens(session: Session, by: Principal) -> list[ApiToken]:
         .options(joinedload(ApiToken.team), joinedload(ApiToken.member))
         .order_by(ApiToken.created_at.desc(), ApiToken.id)
     )
-    return list(session.scalars(query if by.is_organizer else query.where(_own(by))))
+    return list(session.scalars(query if by.organizes_service else query.where(_own(by))))
 
 
 def _own(by: Principal) -> ColumnElement[bool]:
@@ -202,7 +202,7 @@ def revoke(session: Session, by: Principal, token_id: UUID) -> ApiToken:
         ServiceError: there is no such token that the principal may end.
     """
     found = select(ApiToken).where(ApiToken.id == token_id).with_for_update()
-    token = session.scalar(found if by.is_organizer else found.where(_own(by), ApiToken.role == Role.TEAM))
+    token = session.scalar(found if by.organizes_service else found.where(_own(by), ApiToken.role == Role.TEAM))
     if token is None:
         raise not_found("token", token_id)
     if token.revoked_at is None:

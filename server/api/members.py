@@ -117,7 +117,7 @@ def join_team(request: Request, services: ChangingServicesOf, new: NewMember) ->
     """Join a team with the code of an invitation; the token is shown this once."""
     note_registration(request)
     password = new.password and passwords.UNKNOWN_DEVICES.run(passwords.hashed, new.password)
-    joining = members.NewMember(**new.model_dump(exclude={"password"}), password_hash=password)
+    joining = members.JoiningMember(**new.model_dump(exclude={"password"}), password_hash=password)
     with services.database.transaction() as session:
         member, issued = members.join(session, joining, _lifetime(services))
         return RegisteredTeamView(

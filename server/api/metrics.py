@@ -36,7 +36,7 @@ async def require_metrics_reader(
     principal = await run_in_threadpool(get_optional_principal, request, credentials)
     if principal is None:
         raise token_missing()
-    if not principal.is_organizer:
+    if not principal.organizes_service:
         raise ServiceError(ProblemCode.FORBIDDEN, "Metrics are for organizers and the holder of VITAC_METRICS_TOKEN.")
 
 

@@ -13,7 +13,7 @@ from ..submissions import receipts
 from ..transparency.log import make_checkpoint, read_entries, read_hashes, read_log_key, read_tree
 from ..transparency.notes import MAX_NOTE_CHARS
 from ..transparency.tiles import pack_entries, parse_tile_name
-from ..views.receipts import LogView
+from ..views.receipts import PublicLogView
 from .access import ReaderOf, ServicesOf
 from .problems import RESPONSES
 
@@ -36,7 +36,7 @@ def get_log(
     competition: str | None = None,
     after: Annotated[int, Query(ge=0, le=2**53, description="`next_after` from the previous page.")] = 0,
     limit: Annotated[int, Query(ge=1, le=PAGE_ENTRIES)] = PAGE_ENTRIES,
-) -> LogView:
+) -> PublicLogView:
     """Return the public key that signs the log of receipts, and its entries, or those of a competition."""
     with services.database.transaction() as session:
         return receipts.log_view(session, after=after, limit=limit, competition=competition)

@@ -59,11 +59,11 @@ def post_team(
     request: Request, services: ChangingServicesOf, principal: OptionalPrincipalOf, new: NewTeam
 ) -> RegisteredTeamView:
     """Register a team and give it its first token. The secret is shown this once."""
-    if principal is None or not principal.is_organizer:
+    if principal is None or not principal.organizes_service:
         note_registration(request)
     with services.database.transaction() as session:
         team, issued = registration.register(
-            session, services.settings, principal, registration.NewTeam(**new.model_dump())
+            session, services.settings, principal, registration.RegisteringTeam(**new.model_dump())
         )
         return RegisteredTeamView(
             team=teams.team_view(team, ShownNames.read(session, CONSOLE)),
@@ -144,7 +144,7 @@ def _owner_of_new_token(session: Session, principal: Principal, new: NewToken) -
         )
     if new.team is not None:
         return teams.find_as_organizer(session, principal, new.team)
-    return None if principal.is_organizer or new.role is not None else teams.own(session, principal)
+    return None if principal.organizes_service or new.role is not None else teams.own(session, principal)
 
 
 def _quotas(session: Session, services: Services, principal: Principal) -> list[QuotaView]:

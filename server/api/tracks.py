@@ -7,7 +7,14 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Query, Request, Response
 
 from ..leaderboards.board_cache import PAGE_ENTRIES, MadeBoard
-from ..leaderboards.reading import MAX_TEXT, BoardSearch, Rows, shown_leaderboard, shown_log_boards, shown_rank_history
+from ..leaderboards.reading import (
+    MAX_TEXT,
+    BoardSearch,
+    ShownRows,
+    shown_leaderboard,
+    shown_log_boards,
+    shown_rank_history,
+)
 from ..tracks import load_known_track, track_file, track_view, track_views
 from ..views.leaderboards import LeaderboardView, LogBoardsView, TeamRanksView
 from ..views.tracks import TrackListView, TrackView
@@ -69,7 +76,7 @@ def get_leaderboard(
     task: Annotated[str | None, Query(description="Rank by this task alone; by default by all tasks together.")] = None,
     stage: Stage = None,
     searched: EntrySearch,
-    rows: Annotated[Rows, Query(description="Entries of teams, baselines, or both.")] = Rows.ALL,
+    rows: Annotated[ShownRows, Query(description="Entries of teams, baselines, or both.")] = ShownRows.ALL,
     after: After = 0,
     limit: Limit = PAGE_ENTRIES,
 ) -> Response:

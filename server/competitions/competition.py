@@ -304,7 +304,7 @@ class Competition:
         """
         stages = self.list_stages(track)
         found = next((stage for stage in stages if stage.is_in_time(at)), None)
-        if found is None and by.is_organizer:
+        if found is None and by.organizes_service:
             found = _last_opened(stages, at)
         if found is None:
             raise ServiceError(ProblemCode.STAGE_CLOSED, f"{track} takes no submissions now: {_times(stages, at)}.")

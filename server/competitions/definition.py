@@ -89,7 +89,7 @@ class StageRules(StrictModel):
     def _is_possible(self) -> Self:
         if self.closes <= self.opens:
             raise ValueError(f"closes at {self.closes:%F %T} UTC, expected a moment after {self.opens:%F %T} UTC")
-        if self.list is ListKind.SEALED and self.accepts and SubmissionKind.MODEL not in self.accepts:
+        if self.list is ListKind.SEALED and self.accepts and not any(kind.form.runs_policy for kind in self.accepts):
             raise ValueError(
                 f"a sealed list ranks models, and the stage accepts only {', '.join(self.accepts)}; a log would need "
                 "the episodes that nobody knows. Accept models, too, or make the list public, which is for practice"

@@ -84,7 +84,7 @@ def _problems(track: Track, path: Path) -> Iterator[str]:
     for task in track.tasks.keys() & taken.keys():
         yield f"tasks.{task}: {taken[task]} has a task of that name; choose another one."
     lists = {task.episode_list.kind for task in track.tasks.values()}
-    if ListKind.SEALED in lists and set(track.accepts) - {SubmissionKind.MODEL}:
+    if ListKind.SEALED in lists and not all(kind.form.runs_policy for kind in track.accepts):
         yield "accepts: a sealed list takes models only; a log would need the episodes that nobody knows."
     if SubmissionKind.TEXT_LOG in track.accepts and not any(task.name_2025 for task in track.tasks.values()):
         yield "accepts: text_log needs a task with name_2025, which text logs name."

@@ -169,11 +169,11 @@ def _lines(models: Iterable[StrictModel]) -> str:
 
 
 def _require_board(track: str, task: str | None, kind: SubmissionKind) -> None:
-    if kind is SubmissionKind.TEXT_LOG:
+    if not kind.form.is_ranked:
         raise ServiceError(
             ProblemCode.UNSUPPORTED_SUBMISSION_KIND, "2025 text logs are not ranked, so there is no board of them."
         )
-    if kind is SubmissionKind.LOG and task is None:
+    if not kind.form.runs_policy and task is None:
         tasks = ", ".join(load_known_track(track).tasks)
         raise ServiceError(ProblemCode.UNKNOWN_TASK, f"Logs are ranked task by task; name one of {tasks}.")
 

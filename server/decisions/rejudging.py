@@ -6,7 +6,7 @@ from uuid import UUID
 
 from sqlalchemy import delete, exists, select
 from sqlalchemy.orm import Session, aliased
-from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.submission_kinds import POLICY_KINDS
 from vitac.evaluator.tracks.registry import find_version
 
 from .. import names
@@ -214,7 +214,7 @@ def _chosen(session: Session, stage: Stage, ids: Collection[UUID]) -> Sequence[S
         .join(Team)
         .where(
             stage.submissions,
-            Submission.kind == SubmissionKind.MODEL,
+            Submission.kind.in_(POLICY_KINDS),
             Team.erased_at.is_(None),
             exists().where(Evaluation.submission_id == Submission.id),
         )

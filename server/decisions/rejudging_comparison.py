@@ -9,7 +9,7 @@ from sqlalchemy import ColumnElement, exists, select, true
 from sqlalchemy.orm import Session, aliased, defer, joinedload
 from vitac.evaluator.episodes.records import canonical_json
 from vitac.evaluator.ranking import Ranking
-from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.submission_kinds import POLICY_KINDS
 
 from ..competitions.competition import find_stage
 from ..competitions.stages import Stage
@@ -89,7 +89,7 @@ def _present(session: Session, rejudgement: Rejudgement, stage: Stage) -> Mappin
         .join(Team)
         .where(
             stage.submissions,
-            Submission.kind == SubmissionKind.MODEL,
+            Submission.kind.in_(POLICY_KINDS),
             Evaluation.state == EvaluationState.COMPLETED,
             *_counted(Evaluation, rejudgement),
             true() if ended is None else Evaluation.finished_at < ended,

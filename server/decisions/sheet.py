@@ -61,7 +61,7 @@ def sheets(session: Session, by: Principal) -> list[Sheet]:
     Raises:
         ServiceError: neither a judge nor an organizer.
     """
-    if not (by.reads_all_teams or by.organizes_something):
+    if not (by.reads_all_teams or by.organizes_any):
         raise ServiceError(ProblemCode.FORBIDDEN, "Only judges and organizers may do this; sign in with their token.")
     return [
         _sheet(session, by, stage, stage.track_rules.judging)

@@ -78,10 +78,10 @@ def _flagged_before_ours_was_known(session: Session, submission: Submission) -> 
 def _compare(session: Session, evaluation: Evaluation) -> None:
     submission = evaluation.submission
     moment = (submission.submitted_at, submission.id)
-    is_log = submission.kind is SubmissionKind.LOG
+    is_log = submission.kind.form.is_verified
     twins = _twins(session, evaluation)
     earlier = [twin for twin in twins if is_log and twin.moment < moment]
-    later = [twin for twin in twins if twin.kind is SubmissionKind.LOG and twin.moment > moment]
+    later = [twin for twin in twins if twin.kind.form.is_verified and twin.moment > moment]
     begun = _beginnings(session, {episode for twin in (*earlier, *later) for episode in twin.begun})
     if earlier:
         closest = max(earlier, key=lambda twin: _count(twin, begun))

@@ -2,7 +2,7 @@
 
 from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session
-from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.submission_kinds import POLICY_KINDS
 from vitac.evaluator.tracks.registry import find_version
 
 from ..competitions.stages import Stage
@@ -47,7 +47,7 @@ def require_current(session: Session, stage: Stage) -> None:
     """
     has_result = select(BoardResult).where(BoardResult.submission_id == Submission.id).exists()
     is_stale = select_newest(Evaluation.evaluator_version) != find_version(stage.track)
-    models = _teams(stage).where(Submission.kind == SubmissionKind.MODEL, has_result, is_stale)
+    models = _teams(stage).where(Submission.kind.in_(POLICY_KINDS), has_result, is_stale)
     if stale := session.scalars(models).all():
         raise ServiceError(
             ProblemCode.RESULTS_OUTDATED,

@@ -86,7 +86,7 @@ LONGEST_KEY = 1024
 """Of a team's name in lower case, which may be longer than the name."""
 
 
-class Rows(StrEnum):
+class ShownRows(StrEnum):
     """Which rows of a board are shown."""
 
     ALL = "all"
@@ -111,7 +111,7 @@ class BoardSearch:
     team: str = ""
     since: date | None = None
     until: date | None = None
-    rows: Rows = Rows.ALL
+    rows: ShownRows = ShownRows.ALL
 
     @classmethod
     def read(cls, query: Mapping[str, str]) -> Self:
@@ -120,16 +120,16 @@ class BoardSearch:
         Raises:
             ServiceError: a day or the kind of rows cannot be read.
         """
-        rows = query.get("rows") or Rows.ALL
-        if rows not in set(Rows):
+        rows = query.get("rows") or ShownRows.ALL
+        if rows not in set(ShownRows):
             raise _invalid("rows", "all, entries or baselines", rows)
         team = query.get("q", "").strip()[:MAX_TEXT]
-        return cls(team=team, since=_read_day(query, "since"), until=_read_day(query, "until"), rows=Rows(rows))
+        return cls(team=team, since=_read_day(query, "since"), until=_read_day(query, "until"), rows=ShownRows(rows))
 
     def query(self) -> list[tuple[str, str]]:
         """Return names and values in the query of an address."""
         asked = (("q", self.team), ("since", self.since), ("until", self.until))
-        rows = [] if self.rows is Rows.ALL else [("rows", self.rows.value)]
+        rows = [] if self.rows is ShownRows.ALL else [("rows", self.rows.value)]
         return [(name, str(value)) for name, value in asked if value] + rows
 
     @property
@@ -140,11 +140,13 @@ class BoardSearch:
     def find(self, entries: Iterable[EntryT]) -> list[EntryT]:
         """Return the entries that are shown."""
         wanted = names.key(self.team, max_length=MAX_TEXT)
-        return [entry for entry in entries if self._shows(entry, wanted)] if self.rows is not Rows.BASELINES else []
+        return (
+            [entry for entry in entries if self._shows(entry, wanted)] if self.rows is not ShownRows.BASELINES else []
+        )
 
     def find_baselines(self, baselines: Iterable[BaselineView]) -> list[BaselineView]:
         """Return the baselines that are shown: all, unless entries alone, a team or dates are looked for."""
-        is_shown = self.rows is Rows.BASELINES or self.is_empty
+        is_shown = self.rows is ShownRows.BASELINES or self.is_empty
         return list(baselines) if is_shown else []
 
     def apply(self, board: LeaderboardView) -> LeaderboardView:

@@ -181,7 +181,7 @@ def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView |
     entry_of = partial(_entry, board=shown.board, names=shown.names)
     made = _add_rank_ranges(made_entries(session, shown.best, last.entries if last else (), entry_of))
     without_rank = [entry.evaluation_id for entry in made if entry.rank is None]
-    logs = without_rank if shown.board.kind is SubmissionKind.LOG else ()
+    logs = without_rank if shown.board.kind.form.is_verified else ()
     copies = find_copies(session, without_rank, shown.names, logs=logs)
     entries = [entry.model_copy(update={"copy_of": copies.get(entry.evaluation_id)}) for entry in made]
     return LeaderboardView(

@@ -13,7 +13,7 @@ from sqlalchemy import Select, bindparam, or_, select
 from sqlalchemy.orm import Session, defer, joinedload
 from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.logs.comparison import EpisodeMatch, compare_actions
-from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.submission_kinds import POLICY_KINDS
 
 from ..cache import Cache
 from ..database.models import EpisodeResult, Evaluation, Submission
@@ -85,7 +85,7 @@ def _last_models() -> Select[UUID]:
         .where(
             Submission.team_id == bindparam("team"),
             Submission.track == bindparam("track"),
-            Submission.kind == SubmissionKind.MODEL,
+            Submission.kind.in_(POLICY_KINDS),
             Submission.tasks.contains(bindparam("tasks")),
             Evaluation.evaluator_version == bindparam("evaluator_version"),
             or_(Evaluation.commitment.is_(None), Evaluation.practice_scores.is_not(None)),

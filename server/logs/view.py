@@ -8,7 +8,6 @@ from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding, VerificationResult, explain_tolerated
 from vitac.evaluator.logs.text_2025 import WHY_RATES_DIFFER
-from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..database.models import Evaluation, Shard, Submission
 from ..database.states import EvaluationState
@@ -79,7 +78,7 @@ def read_verification(claim: LogClaim, evaluation: Evaluation) -> VerificationRe
 
 
 def _reason(verdict: VerificationResult | None, claim: LogClaim, submission: Submission) -> str | None:
-    if submission.kind is SubmissionKind.TEXT_LOG:
+    if not submission.kind.form.is_verified:
         return WHY_RATES_DIFFER
     if verdict is VerificationResult.VERIFIED:
         return "all states are equal"

@@ -134,7 +134,7 @@ def stages(session: Session, by: Principal, at: datetime | None = None) -> Seque
 
 def _own(by: Principal) -> tuple[ColumnElement[bool], ...]:
     """Return the condition that a submission belongs to the organizer's competition; none for the whole service."""
-    return () if by.is_organizer else (Submission.competition == by.competition,)
+    return () if by.organizes_service else (Submission.competition == by.competition,)
 
 
 def _words(*, by_machines: bool, differing: bool, copy: bool) -> str:
@@ -196,7 +196,7 @@ def read_desk(session: Session, by: Principal) -> Desk:
         appealed=appeals.visible(session, by, open_only=True),
         stages=stages(session, by),
     )
-    if not by.is_organizer:
+    if not by.organizes_service:
         return of_own
     return replace(
         of_own,

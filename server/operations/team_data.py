@@ -54,7 +54,7 @@ def export(session: Session, settings: Settings, by: Principal, team: Team) -> T
         ServiceError: neither a member nor an organizer asks.
     """
     own = members.own_team_view(session, by, team)
-    if by.is_organizer:
+    if by.organizes_service:
         by = Principal(role=Role.TEAM, team_id=team.id, team_name=team.name, leads_team=True)
     of_team = select(Submission).where(Submission.team_id == team.id).order_by(Submission.submitted_at, Submission.id)
     runs = histories(session, session.scalars(of_team).all())

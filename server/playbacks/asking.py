@@ -98,7 +98,7 @@ def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeRes
     if found is not None and not _may_retry(found):
         return found
     _require_somebody_who_draws(session, settings, episode)
-    if not by.organizes_something:
+    if not by.organizes_any:
         _refuse_one_more(session, settings, asked_by)
     if found is not None:
         session.delete(found)

@@ -7,7 +7,6 @@ from typing import Any, Final
 from uuid import UUID
 
 from vitac.evaluator.ranking import RankedScore
-from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks.sealed import make_commitment
 
 from ..transparency.entries import EntryKind, LogEntry
@@ -159,7 +158,7 @@ def check_winners(described: ExportDescription, receipts: Iterable[Receipt]) -> 
     """
     board = described.board
     winners = [winner for winner in described.winners if winner.track == board.track]
-    if board.task is not None or described.kind is not SubmissionKind.MODEL or not winners:
+    if board.task is not None or not described.kind.form.runs_policy or not winners:
         return
     teams = teams_by_evaluation(described)
     of_stage = {receipt.result.submission: teams.get(receipt.result.evaluation) for receipt in receipts}

@@ -43,7 +43,7 @@ QUARTERS = ("nearest starts", "near starts", "far starts", "farthest starts")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Side:
+class ComparedResult:
     """One of the results, with the episodes that are shown of it.
 
     Attributes:
@@ -56,7 +56,7 @@ class Side:
     episodes: Sequence[EpisodeView] = ()
     commitment: str | None = None
 
-    def plays_same_list(self, other: "Side") -> bool:
+    def plays_same_list(self, other: "ComparedResult") -> bool:
         """Return whether an episode of both with one number is the same one."""
         return (self.view.track, self.commitment) == (other.view.track, other.commitment)
 
@@ -82,7 +82,7 @@ def compare_results(session: Session, settings: Settings, by: Principal, ids: Se
     return make_comparison([_read_side(session, settings, by, submission_id) for submission_id in wanted])
 
 
-def _read_side(session: Session, settings: Settings, by: Principal, submission_id: UUID) -> Side:
+def _read_side(session: Session, settings: Settings, by: Principal, submission_id: UUID) -> ComparedResult:
     try:
         submission = readable(session, by, submission_id)
     except ServiceError:
@@ -90,12 +90,12 @@ def _read_side(session: Session, settings: Settings, by: Principal, submission_i
         entry = _find_entry(session, by, hidden) if hidden else None
         if hidden is None or entry is None:
             raise
-        return Side(view=_view_of_entry(entry, hidden.track))
+        return ComparedResult(view=_view_of_entry(entry, hidden.track))
     found = listing.get(session, settings, by, submission.id)
     return make_side(found, listing.list_episodes(session, by, newest_evaluation(session, submission)))
 
 
-def make_side(found: SubmissionView, episodes: Sequence[EpisodeView]) -> Side:
+def make_side(found: SubmissionView, episodes: Sequence[EpisodeView]) -> ComparedResult:
     """Return a submission that the reader may see."""
     view = ComparedResultView(
         submission_id=found.id,
@@ -109,7 +109,7 @@ def make_side(found: SubmissionView, episodes: Sequence[EpisodeView]) -> Side:
         has_page=True,
         episodes=len(episodes),
     )
-    return Side(view=view, episodes=episodes, commitment=found.evaluation.commitment)
+    return ComparedResult(view=view, episodes=episodes, commitment=found.evaluation.commitment)
 
 
 def _find_entry(session: Session, by: Principal, submission: Submission) -> LeaderboardEntryView | None:
@@ -145,7 +145,7 @@ def _view_of_entry(entry: LeaderboardEntryView, track: str) -> ComparedResultVie
     )
 
 
-def make_comparison(sides: Sequence[Side]) -> ComparisonView:
+def make_comparison(sides: Sequence[ComparedResult]) -> ComparisonView:
     """Return some results beside each other."""
     return ComparisonView(
         results=[side.view for side in sides],
@@ -155,7 +155,7 @@ def make_comparison(sides: Sequence[Side]) -> ComparisonView:
     )
 
 
-def _group_by_shape(sides: Sequence[Side]) -> Iterator[ComparedGroupView]:
+def _group_by_shape(sides: Sequence[ComparedResult]) -> Iterator[ComparedGroupView]:
     scores = [{score.task: score for score in side.view.scores} for side in sides]
     for task in dict.fromkeys(task for by_task in scores for task in by_task):
         shapes = [_shapes(by_task.get(task)) for by_task in scores]
@@ -177,7 +177,7 @@ def _rate_view(part: ShapeScoreView) -> RateView:
     )
 
 
-def _group_by_difficulty(sides: Sequence[Side]) -> Iterator[ComparedGroupView]:
+def _group_by_difficulty(sides: Sequence[ComparedResult]) -> Iterator[ComparedGroupView]:
     """Yield the rates among four groups of starts, where these are the track file's, and known."""
     known = [side for side in sides if side.episodes and side.commitment is None]
     named = dict.fromkeys((side.view.track, end.task) for side in known for end in side.episodes)
@@ -192,7 +192,7 @@ def _group_by_difficulty(sides: Sequence[Side]) -> Iterator[ComparedGroupView]:
                 yield ComparedGroupView(task=task, name=name, is_shape=False, rates=rates)
 
 
-def _rate_among(side: Side, task: str, quarters: Mapping[int, int], quarter: int) -> RateView | None:
+def _rate_among(side: ComparedResult, task: str, quarters: Mapping[int, int], quarter: int) -> RateView | None:
     ends = [end for end in side.episodes if end.task == task and quarters.get(end.episode) == quarter]
     if not ends:
         return None
@@ -223,7 +223,7 @@ def quarters_of_starts(track: str, task: str) -> Mapping[int, int]:
     return {episode.number: quarter[episode.offset] for episode in found.episodes}
 
 
-def _pairs(sides: Sequence[Side]) -> Iterator[ComparedPairView]:
+def _pairs(sides: Sequence[ComparedResult]) -> Iterator[ComparedPairView]:
     for (first, ours), (second, theirs) in combinations(enumerate(sides), 2):
         if not ours.plays_same_list(theirs):
             continue
@@ -243,7 +243,7 @@ def _pairs(sides: Sequence[Side]) -> Iterator[ComparedPairView]:
         )
 
 
-def _differing(sides: Sequence[Side]) -> Iterator[ComparedEpisodeView]:
+def _differing(sides: Sequence[ComparedResult]) -> Iterator[ComparedEpisodeView]:
     """Yield the episodes that some solve and others do not, of those on the list of the first that shows any."""
     first = next((side for side in sides if side.episodes), None)
     if first is None:

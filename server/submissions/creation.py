@@ -132,7 +132,7 @@ def owner(session: Session, by: Principal, team: str | None) -> Team:
     Raises:
         ServiceError: an organizer named no team, or none that exists.
     """
-    if by.organizes_something:
+    if by.organizes_any:
         by.require_organizer()
     else:
         return teams.own(session, by)

@@ -12,7 +12,7 @@ from ..receipts import issuing
 from ..receipts.receipt import Receipt, SubmissionReceipt
 from ..receipts.witnesses import list_witness_views
 from ..transparency.log import read_log_state
-from ..views.receipts import LogEntryView, LogView
+from ..views.receipts import PublicLogEntryView, PublicLogView
 from ..visibility import visible
 
 
@@ -49,7 +49,7 @@ def newest_receipt(session: Session, by: Principal, submission_id: UUID) -> Rece
     return found[-1]
 
 
-def log_view(session: Session, *, after: int, limit: int, competition: str | None = None) -> LogView:
+def log_view(session: Session, *, after: int, limit: int, competition: str | None = None) -> PublicLogView:
     """Return a page of the log, which anybody may read: its entries show no result.
 
     Args:
@@ -63,9 +63,9 @@ def log_view(session: Session, *, after: int, limit: int, competition: str | Non
     """
     name = None if competition is None else Competition.find(session, competition).name
     found = issuing.list_entries(session, after=after, limit=limit + 1, competition=name)
-    items = [LogEntryView(**entry.model_dump(), leaf_hash=entry.leaf_hash.hex()) for entry in found[:limit]]
+    items = [PublicLogEntryView(**entry.model_dump(), leaf_hash=entry.leaf_hash.hex()) for entry in found[:limit]]
     is_end = not items or len(found) <= limit
-    return LogView(
+    return PublicLogView(
         **asdict(read_log_state(session)),
         witnesses=list_witness_views(session),
         items=items,

@@ -87,7 +87,7 @@ def require_machines_hold(session: Session, by: Principal, submission: Submissio
         ServiceError: not_requeuable.
     """
     failures = lifecycle.count_machine_failures(session, Submission.id == submission.id)
-    if failures >= MACHINE_FAILURES and not by.is_organizer:
+    if failures >= MACHINE_FAILURES and not by.organizes_service:
         raise ServiceError(
             ProblemCode.NOT_REQUEUABLE,
             f"The machines failed in {failures} evaluations of submission {submission.id} within 24 hours. Ask the "

@@ -7,7 +7,6 @@ from uuid import UUID
 
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding
-from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..accounts.shown_names import ShownNames
 from ..accounts.teams import team_view
@@ -67,7 +66,7 @@ def submission_views(
             session,
             [found.id for found in newest],
             names,
-            logs=[found.id for found in newest if found.submission.kind is SubmissionKind.LOG],
+            logs=[found.id for found in newest if found.submission.kind.form.is_verified],
         ),
         fleet=known_workers,
         workers=cache(partial(_workers, known_workers)),

@@ -8,7 +8,7 @@ from pydantic import Field
 from .base import View
 
 
-class LogEntryView(View):
+class PublicLogEntryView(View):
     """One entry of the log; of submissions, results and ends it shows nothing but a hash."""
 
     number: int = Field(description="From 1; the index in the tree is one less.")
@@ -33,7 +33,7 @@ class WitnessView(View):
     signed_at: datetime | None = Field(description="When it signed last, as it says; null before.")
 
 
-class LogView(View):
+class PublicLogView(View):
     """A page of the log, or of the entries of one competition, from the beginning."""
 
     public_key: str = Field(description="Ed25519 key of this service (32 bytes, hexadecimal); keep a copy of it.")
@@ -42,5 +42,5 @@ class LogView(View):
     root: str = Field(description="RFC 6962 root hash of the whole log.")
     checkpoint: str = Field(description="Signed by the service and by witnesses; the same as /log/checkpoint.")
     witnesses: list[WitnessView] = Field(description="Of all competitions of this service.")
-    items: list[LogEntryView]
+    items: list[PublicLogEntryView]
     next_after: int | None = Field(description="Give this as `after` for the next page; null on the last one.")

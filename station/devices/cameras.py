@@ -13,7 +13,7 @@ from urllib.request import urlopen
 import numpy as np
 from numpy.typing import NDArray
 
-from ..description import DepthCamera as Described
+from ..description import DepthCameraSettings as Described
 from .stage import DeviceFault, DeviceNotFound, Identity
 
 WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
@@ -21,7 +21,7 @@ _ANSWER_MS: Final = 2000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Intrinsics:
+class ColourIntrinsics:
     """Intrinsics of the colour camera [pixel]."""
 
     width: int
@@ -79,11 +79,13 @@ class DepthCamera:
             firmware=self._device.get_info(rs.camera_info.firmware_version),
         )
 
-    def intrinsics(self) -> Intrinsics:
+    def intrinsics(self) -> ColourIntrinsics:
         """Return the intrinsics of the colour camera that its maker stored in it."""
         rs = _library()
         found = self._profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics()
-        return Intrinsics(width=found.width, height=found.height, fx=found.fx, fy=found.fy, cx=found.ppx, cy=found.ppy)
+        return ColourIntrinsics(
+            width=found.width, height=found.height, fx=found.fx, fy=found.fy, cx=found.ppx, cy=found.ppy
+        )
 
     def read(self) -> ColourDepth:
         """Return the next pair; raise DeviceFault if the camera stopped sending."""
@@ -117,9 +119,9 @@ class StreamedDepthCamera:
         """Return its serial number and firmware."""
         return Identity(serial_number=self._about["serial_number"], firmware=self._about["firmware"])
 
-    def intrinsics(self) -> Intrinsics:
+    def intrinsics(self) -> ColourIntrinsics:
         """Return the intrinsics of the colour camera."""
-        return Intrinsics(**self._about["intrinsics"])
+        return ColourIntrinsics(**self._about["intrinsics"])
 
     def read(self) -> ColourDepth:
         """Return a pair that is taken now; raise DeviceFault if the camera does not send one."""
@@ -180,7 +182,7 @@ _FROZEN_PICTURES: Final = 10
 """A camera's noise makes every picture differ, so equal ones are a frozen stream."""
 
 
-class TactileCamera:
+class GelSightCamera:
     """An open camera; use it in `with`."""
 
     def __init__(self, serial_number: str, *, stream: str | None = None, cameras: Path = _SYSTEM_CAMERAS) -> None:

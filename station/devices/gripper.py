@@ -64,7 +64,7 @@ class GripperStatus:
         return self.grasp is Grasp.MET_OBJECT_CLOSING
 
 
-class Gripper:
+class HandE:
     """A Hand-E at an open serial port; use it in `with`."""
 
     def __init__(self, port: str, *, unit: int = 9) -> None:

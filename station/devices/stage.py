@@ -61,7 +61,7 @@ class Pose(NamedTuple):
     rotation_deg: float
 
 
-class StageState(StrEnum):
+class GrblState(StrEnum):
     """State of GRBL's machine, as it names it."""
 
     IDLE = "Idle"
@@ -87,12 +87,12 @@ class StageStatus:
         pose: where the controller counts that its axes are.
     """
 
-    state: StageState
+    state: GrblState
     is_moving: bool
     pose: Pose
 
 
-class Stage:
+class LinearStage:
     """A stage at an open serial port; use it in `with`."""
 
     def __init__(self, port: str) -> None:
@@ -273,6 +273,6 @@ def _parse_status(line: str) -> StageStatus:
         raise DeviceFault(
             f"Expected MPos of four axes from the stage, got {line!r:.80}. Set $10=1 and connect the rotary axis as A."
         ) from error
-    state = StageState(word) if word in set(StageState) else StageState.OTHER
-    at_rest = state in (StageState.IDLE, StageState.ALARM) or (state is StageState.HOLD and detail == "0")
+    state = GrblState(word) if word in set(GrblState) else GrblState.OTHER
+    at_rest = state in (GrblState.IDLE, GrblState.ALARM) or (state is GrblState.HOLD and detail == "0")
     return StageStatus(state=state, is_moving=not at_rest, pose=pose)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vitac.envs.errors import VitacError
 from vitac.envs.vision.back_projection import rays
 
-from ..devices.cameras import ColourDepth, Intrinsics
+from ..devices.cameras import ColourDepth, ColourIntrinsics
 
 Mask = NDArray[np.bool_]
 
@@ -109,7 +109,7 @@ def make_segmenter(weights: Path | None) -> Segmenter:
 
 
 def object_points_m(
-    mask: Mask, depth_m: NDArray[np.float32], intrinsics: Intrinsics, generator: np.random.Generator
+    mask: Mask, depth_m: NDArray[np.float32], intrinsics: ColourIntrinsics, generator: np.random.Generator
 ) -> NDArray[np.float32]:
     """Return 128 points of an object in the camera's frame, drawn with replacement, shape [128, 3] [m].
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vitac.envs.errors import VitacError
 from vitac.envs.extras import explain_missing
 
-from ..eyes import Side, Sight
+from ..eyes import Finger, SensorReading
 from ..perception.markers import MarkerFlow, Picture, cut_picture
 
 if TYPE_CHECKING:
@@ -24,11 +24,11 @@ NODE: Final = "Marker_Tracking"
 QUEUE: Final = 50
 RESET_FIELDS: Final = ("bool flag", "bool success")
 """Request and answer of the service that starts a tracker again."""
-FRAME: Final = {Side.LEFT: "tactile_left", Side.RIGHT: "tactile_right"}
+FRAME: Final = {Finger.LEFT: "tactile_left", Finger.RIGHT: "tactile_right"}
 CONTACT_TOPIC: Final = "Marker_Tracking_Contact"
-TRACKING_TOPICS: Final = {Side.LEFT: "Marker_Tracking_Left", Side.RIGHT: "Marker_Tracking_Right"}
-PICTURE_TOPICS: Final = {Side.LEFT: "Tactile_Image_Left", Side.RIGHT: "Tactile_Image_Right"}
-RESET_SERVICES: Final = {Side.LEFT: "Marker_Tracking_Srv_Left", Side.RIGHT: "Marker_Tracking_Srv_Right"}
+TRACKING_TOPICS: Final = {Finger.LEFT: "Marker_Tracking_Left", Finger.RIGHT: "Marker_Tracking_Right"}
+PICTURE_TOPICS: Final = {Finger.LEFT: "Tactile_Image_Left", Finger.RIGHT: "Tactile_Image_Right"}
+RESET_SERVICES: Final = {Finger.LEFT: "Marker_Tracking_Srv_Left", Finger.RIGHT: "Marker_Tracking_Srv_Right"}
 _COLUMNS: Final = ("marker_x", "marker_y", "marker_displacement_x", "marker_displacement_y")
 _OURS: Final = {
     "tracking_msg": """std_msgs/Header header
@@ -81,7 +81,7 @@ class RosVersion(Enum):
         }
 
 
-class Message(NamedTuple):
+class TopicMessage(NamedTuple):
     """A message of a topic, without its header.
 
     Attributes:
@@ -98,13 +98,13 @@ class Message(NamedTuple):
         return {name: _plain(value) for name, value in self.fields.items()}
 
 
-def messages(sight: Sight) -> Iterator[Message]:
+def messages(sight: SensorReading) -> Iterator[TopicMessage]:
     """Yield what is published of a sight: markers and picture of each side, then whether something is touched."""
-    for side, flow, picture in zip(Side, (sight.left, sight.right), sight.pictures, strict=True):
-        yield Message(TRACKING_TOPICS[side], FRAME[side], _tracking_fields(flow))
-        yield Message(PICTURE_TOPICS[side], FRAME[side], _picture_fields(cut_picture(picture)))
+    for side, flow, picture in zip(Finger, (sight.left, sight.right), sight.pictures, strict=True):
+        yield TopicMessage(TRACKING_TOPICS[side], FRAME[side], _tracking_fields(flow))
+        yield TopicMessage(PICTURE_TOPICS[side], FRAME[side], _picture_fields(cut_picture(picture)))
     fields = {"is_contact": sight.is_contact(), "is_overforced": sight.is_over_force()}
-    yield Message(CONTACT_TOPIC, "tactile", fields)
+    yield TopicMessage(CONTACT_TOPIC, "tactile", fields)
 
 
 def read_flow(fields: dict[str, Any]) -> MarkerFlow:

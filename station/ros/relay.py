@@ -10,13 +10,13 @@ from typing import Any
 from vitac.envs.errors import VitacError
 
 from ..description import StationDescription
-from ..eyes import Eyes, Side, Sight, open_cameras
+from ..eyes import Eyes, Finger, SensorReading, open_cameras
 from ..perception.markers import MarkerTracker
-from .messages import NODE, Message, RosVersion, messages, read_flow
+from .messages import NODE, RosVersion, TopicMessage, messages, read_flow
 from .ros1 import Ros1Node, ros1_node
 from .ros2 import Ros2Node, ros2_node
 
-Record = Callable[[Message, int], None]
+Record = Callable[[TopicMessage, int], None]
 
 
 class RecordingExists(VitacError):
@@ -46,7 +46,7 @@ def recording(path: Path) -> Iterator[Record]:
         encode = types.serialize_ros1 if version is RosVersion.ROS_1 else types.serialize_cdr
         numbers = dict.fromkeys(connections, 0)
 
-        def record(message: Message, time_ns: int) -> None:
+        def record(message: TopicMessage, time_ns: int) -> None:
             type_ = connections[message.topic].msgtype
             header = _header(version, message.frame, numbers[message.topic], time_ns)
             numbers[message.topic] += 1
@@ -76,7 +76,7 @@ def publish(
     version: RosVersion | None,
     record_to: Path | None = None,
     readings: int | None = None,
-) -> Iterator[Sight]:
+) -> Iterator[SensorReading]:
     """Yield what both sensors of a station show, by the challenge's tracker, after it was published and recorded.
 
     Args:
@@ -106,7 +106,7 @@ def publish(
             yield sight
 
 
-def listen(version: RosVersion, reset: Side | None = None) -> Iterator[tuple[str, dict[str, Any]]]:
+def listen(version: RosVersion, reset: Finger | None = None) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield topic and fields of each message, whoever publishes it.
 
     Args:

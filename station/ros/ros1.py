@@ -9,8 +9,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
-from ..eyes import Side
-from .messages import NODE, PACKAGE, QUEUE, RESET_FIELDS, RESET_SERVICES, Message, RosMissing, RosVersion
+from ..eyes import Finger
+from .messages import NODE, PACKAGE, QUEUE, RESET_FIELDS, RESET_SERVICES, RosMissing, RosVersion, TopicMessage
 
 _SYSTEM_PACKAGES: Final = Path("/usr/lib/python3/dist-packages")
 _DEBIAN_PACKAGES: Final = "python3-rospy python3-sensor-msgs"
@@ -30,25 +30,25 @@ class Ros1Node:
         for topic, type_ in self._types.items():
             self._publishers[topic] = self._rospy.Publisher(topic, type_, queue_size=QUEUE)
 
-    def publish(self, message: Message, time_ns: int) -> None:
+    def publish(self, message: TopicMessage, time_ns: int) -> None:
         """Publish a message of a topic that `advertise` announced."""
         made = self._types[message.topic](**message.plain_fields())
         made.header.stamp = self._rospy.Time(time_ns // 10**9, time_ns % 10**9)
         made.header.frame_id = message.frame
         self._publishers[message.topic].publish(made)
 
-    def serve_resets(self, reset: Callable[[Side], None]) -> None:
+    def serve_resets(self, reset: Callable[[Finger], None]) -> None:
         """Offer the service that starts a tracker again, for each side."""
         type_ = _reset_service()
 
-        def answer(side: Side, _: Any) -> Any:
+        def answer(side: Finger, _: Any) -> Any:
             reset(side)
             return type_._response_class(success=True)
 
         for side, name in RESET_SERVICES.items():
             self._rospy.Service(name, type_, partial(answer, side))
 
-    def call_reset(self, side: Side) -> bool:
+    def call_reset(self, side: Finger) -> bool:
         """Start the tracker of a side again, wherever it runs; return what it answers."""
         self._rospy.wait_for_service(RESET_SERVICES[side])
         answer = self._rospy.ServiceProxy(RESET_SERVICES[side], _reset_service())(flag=True)

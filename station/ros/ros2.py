@@ -16,8 +16,8 @@ from typing import Any, Final
 
 from vitac.envs.extras import explain_missing
 
-from ..eyes import Side
-from .messages import PACKAGE, QUEUE, RESET_SERVICES, Message, RosMissing, RosVersion
+from ..eyes import Finger
+from .messages import PACKAGE, QUEUE, RESET_SERVICES, RosMissing, RosVersion, TopicMessage
 
 _WAIT_S: Final = 0.1
 _ANSWER_S: Final = 5.0
@@ -39,20 +39,20 @@ class Ros2Node:
         for topic, type_ in self._types.items():
             self._writers[topic] = self._writer(f"rt/{topic}", type_)
 
-    def publish(self, message: Message, time_ns: int) -> None:
+    def publish(self, message: TopicMessage, time_ns: int) -> None:
         """Publish a message of a topic that `advertise` announced."""
         header, time = _class("std_msgs/msg/Header"), _class("builtin_interfaces/msg/Time")
         stamp = time(sec=time_ns // 10**9, nanosec=time_ns % 10**9)
         made = self._types[message.topic](header=header(stamp=stamp, frame_id=message.frame), **message.plain_fields())
         self._writers[message.topic].write(made)
 
-    def serve_resets(self, reset: Callable[[Side], None]) -> None:
+    def serve_resets(self, reset: Callable[[Finger], None]) -> None:
         """Offer the service that starts a tracker again, for each side."""
         for side, name in RESET_SERVICES.items():
             writer = self._writer(f"rr/{name}Reply", _reset_answer())
             self._read(f"rq/{name}Request", _reset_request(), partial(_answer_reset, reset, side, writer))
 
-    def call_reset(self, side: Side) -> bool:
+    def call_reset(self, side: Finger) -> bool:
         """Start the tracker of a side again, wherever it runs; return what it answers.
 
         Raises:
@@ -173,7 +173,7 @@ def _reset_class(kind: str, field: str) -> Any:
     )
 
 
-def _answer_reset(reset: Callable[[Side], None], side: Side, writer: Any, request: Any) -> None:
+def _answer_reset(reset: Callable[[Finger], None], side: Finger, writer: Any, request: Any) -> None:
     reset(side)
     writer.write(_reset_answer()(caller=request.caller, number=request.number, success=True))
 

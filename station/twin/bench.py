@@ -19,7 +19,7 @@ from .force_torque import ForceTorqueTwin
 from .gel_view import GelView, Picture
 from .grasp import CUBOID_PEG, Axes, HeldPeg, Mounted, Wrench, hold_peg
 from .gripper import GripperTwin
-from .hidden import Fault, FaultScript, HiddenSettings
+from .hidden import FaultScript, HiddenSettings, TwinFault
 from .pictures import CameraFault, CameraTwin
 from .stage import StageFault, StageTwin
 
@@ -94,7 +94,7 @@ class Bench:
     script: FaultScript = field(default_factory=FaultScript)
     now_s: float = 0.0
     contacts: int = 0
-    begun: list[Fault] = field(default_factory=list)
+    begun: list[TwinFault] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._meshes = Meshes()
@@ -112,7 +112,7 @@ class Bench:
         self._is_in_garage, self._is_touching = True, False
         self._wrench: Wrench = _NO_WRENCH
         self._waiting = list(self.script.faults)
-        self._running: list[tuple[float, Fault]] = []
+        self._running: list[tuple[float, TwinFault]] = []
         self._generator = np.random.default_rng(self.hidden.left.seed + self.hidden.right.seed)
         self._number, self._taken = 0, [0, 0]
         self._changed, self._over, self._world = Condition(), Event(), Lock()
@@ -157,29 +157,29 @@ class Bench:
         """Whether nothing is broken."""
         return not self._running
 
-    def begin(self, fault: Fault, for_s: float) -> None:
+    def begin(self, fault: TwinFault, for_s: float) -> None:
         """Break something for a while."""
         self._running.append((self.now_s + for_s, fault))
         self.begun.append(fault)
         _logger.info("%s begins at %.2f s", fault, self.now_s)
         left = self.cameras[0]
         match fault:
-            case Fault.UNPLUGGED_CAMERA:
+            case TwinFault.UNPLUGGED_CAMERA:
                 left.faults.add(CameraFault.UNPLUGGED)
-            case Fault.FROZEN_STREAM:
+            case TwinFault.FROZEN_STREAM:
                 left.faults.add(CameraFault.FROZEN)
-            case Fault.STUCK_GRIPPER:
+            case TwinFault.STUCK_GRIPPER:
                 self.gripper.stick()
-            case Fault.STAGE_ALARM:
+            case TwinFault.STAGE_ALARM:
                 self.stage.faults.add(StageFault.ALARM)
-            case Fault.NETWORK_CUT:
+            case TwinFault.NETWORK_CUT:
                 self.box.cut_for_a_while()
-            case Fault.DROPPED_PEG:
+            case TwinFault.DROPPED_PEG:
                 self._let_go()
-            case Fault.TORN_GEL | Fault.FORCE_SPIKE:
+            case TwinFault.TORN_GEL | TwinFault.FORCE_SPIKE:
                 pass  # read where pictures and forces are made
 
-    def mend(self, fault: Fault) -> None:
+    def mend(self, fault: TwinFault) -> None:
         """Mend what was broken; a person puts a dropped peg back."""
         _logger.info("%s ends at %.2f s", fault, self.now_s)
         for camera in self.cameras:
@@ -219,7 +219,7 @@ class Bench:
         self._break_and_mend()
         if self._number and not any(self._readers()):
             return
-        is_torn = any(fault is Fault.TORN_GEL for _, fault in self._running)
+        is_torn = any(fault is TwinFault.TORN_GEL for _, fault in self._running)
         drift_px = self.hidden.drift_px_h * self.now_s / 3600.0
         torn = (is_torn, False)
         pictures = [view.picture(drift_px=drift_px, is_torn=gone) for view, gone in zip(self.views, torn, strict=True)]
@@ -296,7 +296,7 @@ class Bench:
             self.mend(each)
 
     def _measure_wrench(self) -> Wrench:
-        if any(fault is Fault.FORCE_SPIKE for _, fault in self._running):
+        if any(fault is TwinFault.FORCE_SPIKE for _, fault in self._running):
             return (0.0, 0.0, _SPIKE_N, 0.0, 0.0, 0.0)
         x, y, z, turn_x, turn_y, turn_z = (self._wrench + self._generator.normal(0.0, _NOISE)).tolist()
         return x, y, z + self.hidden.force_drift_n_h * self.now_s / 3600.0, turn_x, turn_y, turn_z

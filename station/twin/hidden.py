@@ -113,7 +113,7 @@ def _draw_sensor(generator: np.random.Generator) -> HiddenSensor:
     )
 
 
-class Fault(StrEnum):
+class TwinFault(StrEnum):
     """What can break."""
 
     UNPLUGGED_CAMERA = "unplugged-camera"
@@ -134,7 +134,7 @@ class Fault(StrEnum):
 class ScriptedFault(StrictModel):
     """One fault of a script."""
 
-    fault: Fault
+    fault: TwinFault
     contact: PositiveInt
     """It begins when the peg has touched the plate this often."""
     for_s: PositiveFloat = 2.0

@@ -27,7 +27,7 @@ from .force_torque import ForceTorqueTwin
 from .gel_view import SMALL_CAMERA, marker_grid
 from .grasp import CUBOID_PEG, Mounted
 from .gripper import GripperTwin
-from .hidden import Fault, FaultScript, HiddenSettings
+from .hidden import FaultScript, HiddenSettings, TwinFault
 from .pictures import CameraTwin
 from .stage import StageTwin
 
@@ -238,7 +238,7 @@ class RunningTwin:
     description: dict[str, Any]
     _line: Connection
 
-    def begin(self, fault: Fault, for_s: float) -> None:
+    def begin(self, fault: TwinFault, for_s: float) -> None:
         """Break something for a while, by the twin's clock."""
         self._line.send((fault, for_s))
         self._line.recv()
@@ -251,11 +251,11 @@ class RunningTwin:
         """Return the twin's time."""
         return self._ask()[1]
 
-    def begun(self) -> tuple[Fault, ...]:
+    def begun(self) -> tuple[TwinFault, ...]:
         """Return what has been broken so far."""
         return self._ask()[2]
 
-    def _ask(self) -> tuple[bool, float, tuple[Fault, ...]]:
+    def _ask(self) -> tuple[bool, float, tuple[TwinFault, ...]]:
         self._line.send(None)
         is_whole, now_s, begun = self._line.recv()
         return is_whole, now_s, begun

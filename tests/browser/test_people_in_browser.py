@@ -60,7 +60,7 @@ def secrets(service: CliService) -> dict[str, str]:
         put_in_place(session, open_now(content))
         own = teams.find(session, "Team A")
         team = Principal(role=Role.TEAM, team_id=own.id, team_name=own.name, leads_team=True)
-        members.join(session, members.NewMember(code=members.invite(session, team, own)[1], name="Ann"), WEEK)
+        members.join(session, members.JoiningMember(code=members.invite(session, team, own)[1], name="Ann"), WEEK)
         members.invite(session, team, own)
         submission, shared = submit(session, team), submit(session, team, "shared")
         messages.publish_announcement(session, CONSOLE, title="News", text="All is well.", notify=False)

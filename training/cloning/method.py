@@ -30,7 +30,7 @@ from ..run import Folder, Tell, claimed, format_rate
 from ..sensor import make_sensor
 from ..streams import Use, stream
 from . import policy
-from .playing import Network, Played, Stage, join
+from .playing import ClonedEpisodes, ClonedTask, Network, join
 from .policy import MARKERS, PICTURE, FloatArray, make_windows
 
 FILE_EPISODES = 25
@@ -41,7 +41,7 @@ _ROUND_NUMBERS = 100_000
 Count = Annotated[int, Field(ge=1, le=100_000)]
 
 
-class Plan(StrictModel):
+class ClonePlan(StrictModel):
     """What is cloned, and how."""
 
     task: str
@@ -88,7 +88,7 @@ class Round:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FinishedEpisode:
+class PolicyEpisode:
     """How an episode ended, as comparisons read it."""
 
     task: str
@@ -116,7 +116,7 @@ class Cloning:
         tell: called with each line of progress.
     """
 
-    plan: Plan
+    plan: ClonePlan
     folder: Folder
     keys: Sequence[str]
     design: Any = None
@@ -124,7 +124,7 @@ class Cloning:
     tell: Tell = field(default=lambda _: None)
 
     def __post_init__(self) -> None:
-        self._stage = Stage(find_task(self.plan.task)[1], self.keys, self.design)
+        self._stage = ClonedTask(find_task(self.plan.task)[1], self.keys, self.design)
 
     def go(self) -> list[Round]:
         """Do what is left, and return what all rounds found.
@@ -136,7 +136,7 @@ class Cloning:
         """
         judged = {each.number: each for each in read_log(self.folder.log, _round)}
         found: list[Round] = []
-        played: list[Played] = []
+        played: list[ClonedEpisodes] = []
         weights: Mapping[str, FloatArray] | None = None
         remove_leftovers(self.folder.episodes)
         progress = Progress()
@@ -154,18 +154,18 @@ class Cloning:
                 self.tell(f"round {number} of {self.plan.rounds}: {format_rate(found[-1].solved)}{left}")
         return found
 
-    def report(self, number: int) -> list[FinishedEpisode]:
+    def report(self, number: int) -> list[PolicyEpisode]:
         """Play the fresh starts with the policy of a round, and return how they ended."""
         played = self._played("reported", Use.REPORT, 0, self.plan.reported, load(self.folder.networks(number)))
         rows = zip(played.shapes, played.solved, played.lengths, strict=True)
         return [
-            FinishedEpisode(
+            PolicyEpisode(
                 task=self.plan.task, episode=start, shape=str(shape), success=bool(solved), env_steps=int(length)
             )
             for start, (shape, solved, length) in enumerate(rows)
         ]
 
-    def _judged(self, number: int, weights: Mapping[str, FloatArray], played: Sequence[Played]) -> Round:
+    def _judged(self, number: int, weights: Mapping[str, FloatArray], played: Sequence[ClonedEpisodes]) -> Round:
         solved = self._played(f"chosen-{number:03d}", Use.CHOOSE, 0, self.plan.chosen_by, weights).solved
         return Round(
             number=number,
@@ -173,7 +173,9 @@ class Cloning:
             env_steps=sum(len(each.rows) for each in played),
         )
 
-    def _played(self, name: str, use: Use, first: int, count: int, weights: Mapping[str, FloatArray] | None) -> Played:
+    def _played(
+        self, name: str, use: Use, first: int, count: int, weights: Mapping[str, FloatArray] | None
+    ) -> ClonedEpisodes:
         """Return episodes of a stream: those in files already, and the others after making their files."""
         seed, end = stream(self.plan.seed, use), first + count
         files = {
@@ -185,16 +187,16 @@ class Cloning:
         made = map_in_order(play, [(path, files[path]) for path in missing], self.processes)
         for done, _ in enumerate(made, start=1):
             self.tell(f"{name}: {done} of {len(missing)} files")
-        return join([Played(**load(path)) for path in files])
+        return join([ClonedEpisodes(**load(path)) for path in files])
 
-    def _learned(self, number: int, played: Played) -> Mapping[str, FloatArray]:
+    def _learned(self, number: int, played: ClonedEpisodes) -> Mapping[str, FloatArray]:
         """Return the weights that were learned from all episodes, or read what was learned."""
         path = self.folder.networks(number)
         if not path.exists():
             save(path, self._learn(np.random.default_rng((self.plan.seed, number)), played))
         return load(path)
 
-    def _learn(self, random: np.random.Generator, played: Played) -> Mapping[str, FloatArray]:
+    def _learn(self, random: np.random.Generator, played: ClonedEpisodes) -> Mapping[str, FloatArray]:
         plan = self.plan
         mean, scale = played.rows.mean(axis=0), played.rows.std(axis=0) + np.float32(1e-3)
         rows = np.split((played.rows - mean) / scale, np.cumsum(played.lengths)[:-1])
@@ -229,7 +231,7 @@ class Cloning:
 
 
 def clone(
-    plan: Plan, folder: Path, *, sensor: Path | None = None, processes: int = 1, tell: Tell = lambda _: None
+    plan: ClonePlan, folder: Path, *, sensor: Path | None = None, processes: int = 1, tell: Tell = lambda _: None
 ) -> SensingGain:
     """Clone the expert of a task, with senses and without, and return what sensing gains on the same fresh starts.
 
@@ -288,7 +290,9 @@ def _round(row: Row) -> Round:
     return Round(number=row["round"], env_steps=row["env_steps"], solved=Rate.model_validate(row["solved"]))
 
 
-def _play(stage: Stage, seed: int, weights: Mapping[str, FloatArray] | None, work: tuple[Path, Sequence[int]]) -> None:
+def _play(
+    stage: ClonedTask, seed: int, weights: Mapping[str, FloatArray] | None, work: tuple[Path, Sequence[int]]
+) -> None:
     """Play the episodes of a file, and write it."""
     path, numbers = work
     save(path, stage.play(seed, numbers, weights).arrays())

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from vitac.evaluator.tracks import Task
 
-from ..demonstrations.expert import Expert, Plan
+from ..demonstrations.expert import Expert, ExpertPlan
 from ..learning.network import Adam, TrainingDiverged
 from .policy import LAYERS, FloatArray, Memory, choose_action, compute_layers
 
-PLAN = Plan(gain=1.5, measured=False)
+PLAN = ExpertPlan(gain=1.5, measured=False)
 """How the expert goes to the target, from where the part is measured to be."""
 SPREAD = 0.6
 """Largest standard deviation of the noise on the expert's actions; each of its episodes draws its own."""
@@ -25,7 +25,7 @@ NEAR = np.array([1.0, 1.0, 1.5])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Played:
+class ClonedEpisodes:
     """Episodes one after the other.
 
     Attributes:
@@ -47,13 +47,13 @@ class Played:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
-def join(parts: Sequence[Played]) -> Played:
+def join(parts: Sequence[ClonedEpisodes]) -> ClonedEpisodes:
     """Return episodes one after the other; there must be some."""
     arrays = [part.arrays() for part in parts]
-    return Played(**{name: np.concatenate([each[name] for each in arrays]) for name in arrays[0]})
+    return ClonedEpisodes(**{name: np.concatenate([each[name] for each in arrays]) for name in arrays[0]})
 
 
-class Stage:
+class ClonedTask:
     """A task with its environment and its expert.
 
     Args:
@@ -70,11 +70,11 @@ class Stage:
         self.env = self._expert.env
         self.n_actions = len(task.actions)
 
-    def play(self, seed: int, numbers: Sequence[int], weights: Mapping[str, FloatArray] | None) -> Played:
+    def play(self, seed: int, numbers: Sequence[int], weights: Mapping[str, FloatArray] | None) -> ClonedEpisodes:
         """Play episodes of a stream by the weights of a policy, or by the expert with noise where there are none."""
         return join([self._play_one((seed, number), weights) for number in numbers])
 
-    def _play_one(self, start: tuple[int, int], weights: Mapping[str, FloatArray] | None) -> Played:
+    def _play_one(self, start: tuple[int, int], weights: Mapping[str, FloatArray] | None) -> ClonedEpisodes:
         random = np.random.default_rng((*start, 1))
         spread = random.uniform(0.0, SPREAD)
         observation, info = self.env.reset(options={"rng_seed": start})
@@ -88,7 +88,7 @@ class Stage:
             else:
                 memory.last_action = choose_action(weights, np.array(memory.rows))
             observation, _, _, _, info = self.env.step(memory.last_action)
-        return Played(
+        return ClonedEpisodes(
             rows=np.array(memory.rows),
             actions=np.array(actions),
             lengths=np.array([len(actions)]),

@@ -25,7 +25,7 @@ from vitac.evaluator.tracks import Task, find_task, list_tracks, load_track
 from ..files import not_saved
 from ..pool import map_in_order
 from ..streams import Use, stream
-from .expert import PLANS, Expert, Plan, add_noise
+from .expert import PLANS, Expert, ExpertPlan, add_noise
 
 FILE = "demonstrations.jsonl"
 """Name of the file in the folder of a task."""
@@ -265,7 +265,7 @@ def _play(expert: Expert, source: Source, number: int) -> Demonstration:
     )
 
 
-def _plans(kind: DemonstrationKind, source: Source, number: int, n_actions: int) -> tuple[Plan, ...]:
+def _plans(kind: DemonstrationKind, source: Source, number: int, n_actions: int) -> tuple[ExpertPlan, ...]:
     """Return what the expert tries in an episode."""
     random = np.random.default_rng((source.stream, number, 1))
     if kind is DemonstrationKind.CLEAN:
@@ -274,4 +274,4 @@ def _plans(kind: DemonstrationKind, source: Source, number: int, n_actions: int)
         spread, noisy_steps = random.uniform(*_SPREAD), int(random.integers(1, 1 + source.task.max_steps // 4))
         return add_noise(PLANS, spread=spread, noisy_steps=noisy_steps, seed=(source.stream, number, 2))
     bias = random.choice((-1.0, 1.0), n_actions) * random.uniform(*_BIAS, n_actions)
-    return (Plan(gain=1.0, measured=False, bias=tuple(bias.tolist())),)
+    return (ExpertPlan(gain=1.0, measured=False, bias=tuple(bias.tolist())),)

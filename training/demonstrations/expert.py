@@ -24,7 +24,7 @@ class NoExpert(VitacError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class ExpertPlan:
     """How to go to the target.
 
     Attributes:
@@ -47,14 +47,16 @@ class Plan:
 
 
 PLANS = (
-    *(Plan(gain=gain, measured=measured) for gain in (1.0, 0.6, 1.3) for measured in (False, True)),
-    *(Plan(gain=gain, measured=True, last_waits=True) for gain in (1.0, 0.5)),
-    *(Plan(gain=1.0, measured=True, spread=0.3, seed=(seed,)) for seed in range(10)),
+    *(ExpertPlan(gain=gain, measured=measured) for gain in (1.0, 0.6, 1.3) for measured in (False, True)),
+    *(ExpertPlan(gain=gain, measured=True, last_waits=True) for gain in (1.0, 0.5)),
+    *(ExpertPlan(gain=1.0, measured=True, spread=0.3, seed=(seed,)) for seed in range(10)),
 )
 """What succeeds in nearly every episode, in the order in which it is tried."""
 
 
-def add_noise(plans: Sequence[Plan], *, spread: float, noisy_steps: int, seed: tuple[int, ...]) -> tuple[Plan, ...]:
+def add_noise(
+    plans: Sequence[ExpertPlan], *, spread: float, noisy_steps: int, seed: tuple[int, ...]
+) -> tuple[ExpertPlan, ...]:
     """Return the same plans with noise, each from a generator of its own."""
     return tuple(
         replace(plan, spread=spread, noisy_steps=noisy_steps, seed=(*seed, number)) for number, plan in enumerate(plans)
@@ -62,7 +64,7 @@ def add_noise(plans: Sequence[Plan], *, spread: float, noisy_steps: int, seed: t
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Played:
+class ExpertEpisode:
     """An episode that was played by a plan.
 
     Attributes:
@@ -101,7 +103,7 @@ class Expert:
         """Make another one where it is sent to; an environment stays in its process."""
         return self._again, ()
 
-    def play(self, options: Mapping[str, Any], plans: Sequence[Plan] = PLANS) -> Played:
+    def play(self, options: Mapping[str, Any], plans: Sequence[ExpertPlan] = PLANS) -> ExpertEpisode:
         """Play the first plan that succeeds, or the last."""
         _, start = self.env.reset(options=options)
         snapshot = self.env.snapshot()
@@ -112,7 +114,7 @@ class Expert:
                 break
         return played
 
-    def _follow(self, plan: Plan, info: Mapping[str, Any]) -> Played:
+    def _follow(self, plan: ExpertPlan, info: Mapping[str, Any]) -> ExpertEpisode:
         random = np.random.default_rng(plan.seed)
         actions, state_hashes, total_reward = [], [self.env.state_hash()], 0.0
         while info["end_reason"] is None:
@@ -120,14 +122,14 @@ class Expert:
             _, reward, _, _, info = self.env.step(actions[-1])
             state_hashes.append(self.env.state_hash())
             total_reward += float(reward)
-        return Played(
+        return ExpertEpisode(
             info=info,
             actions=np.array(actions, dtype=np.float32).reshape(len(actions), -1),
             state_hashes=tuple(state_hashes),
             total_reward=total_reward,
         )
 
-    def act(self, plan: Plan, info: Mapping[str, Any], random: np.random.Generator) -> NDArray[np.float32]:
+    def act(self, plan: ExpertPlan, info: Mapping[str, Any], random: np.random.Generator) -> NDArray[np.float32]:
         """Return the next action of a plan."""
         way = plan.gain * self._way({}, self.measure(info) if plan.measured else info)
         if plan.last_waits and np.abs(way[:-1]).max() > _DONE:

@@ -162,7 +162,7 @@ class FolderExists(VitacError):
     """A data set is written into a new folder only; name another one, or delete it."""
 
 
-class Format(StrEnum):
+class DatasetFormat(StrEnum):
     """A format of data sets."""
 
     LEROBOT_3_0 = "lerobot-v3.0"
@@ -176,7 +176,7 @@ class Format(StrEnum):
 def export(
     collection: Path,
     folder: Path,
-    form: Format,
+    form: DatasetFormat,
     *,
     keys: Collection[str] | None = None,
     only_successes: bool = False,
@@ -219,10 +219,10 @@ def export(
             yield frames
             report(len(stored))
 
-    if form is Format.MINARI:
+    if form is DatasetFormat.MINARI:
         write_minari(part, source, env, played())
     else:
-        version = Version.V2_1 if form is Format.LEROBOT_2_1 else Version.V3_0
+        version = Version.V2_1 if form is DatasetFormat.LEROBOT_2_1 else Version.V3_0
         features = list_features(source.task, observables)
         write_lerobot(part, version, source, features, played(), fps=float(env.metadata["render_fps"]))
     origin = Origin(source=source, episodes=tuple(stored))

@@ -327,7 +327,7 @@ def make_env(
 
 
 @dataclass(kw_only=True)
-class History:
+class TrainingHistory:
     """What a training has done so far, in all its processes one after the other."""
 
     env_steps: int = 0
@@ -381,7 +381,7 @@ class Training:
         self.env = make_env(task, chosen, design, chosen.fidelity)
         self.held_out_env = make_env(task, chosen, design)
         self.model = new_model(task, chosen, self.env)
-        self.history = History()
+        self.history = TrainingHistory()
         self._losses: dict[str, list[float]] = defaultdict(list)
         if (folder / STATE_FILE).exists():
             self._restore()
@@ -542,7 +542,7 @@ class Training:
         except FileDamaged as error:
             raise FileDamaged(f"{error} The training then begins at 0 env steps, whatever its checkpoints.") from error
         state = json.loads(str(arrays["state"]))
-        self.history = History(**state["history"])
+        self.history = TrainingHistory(**state["history"])
         np.random.set_state(state["random"])  # noqa: NPY002
         torch.set_rng_state(torch.from_numpy(arrays["random_of_torch"]))
         self.model.action_space.np_random.bit_generator.state = state["random_of_actions"]

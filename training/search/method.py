@@ -133,7 +133,7 @@ class Generation:
 
 
 @dataclass(kw_only=True, eq=False)
-class Search:
+class WeightSearch:
     """A search for the weights of a policy.
 
     Attributes:

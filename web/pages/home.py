@@ -22,7 +22,7 @@ from vitac.server.tracks import is_challenge_track
 from vitac.server.views.competition import CompetitionView
 from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
 
-from ..front import Front, TrackCard
+from ..front import FrontPage, TrackCard
 from ..rendering import STATIC
 from ..site import Site, get_site, get_viewer, page
 from .episodes.page import player_script
@@ -51,14 +51,14 @@ async def home(request: Request) -> Response:
     )
 
 
-def _front(session: Session, site: Site) -> Front:
+def _front(session: Session, site: Site) -> FrontPage:
     boards = {name: shown_leaderboard(session, VISITOR, name).view for name in site.tracks}
     cup = _competition(session)
     ranked = [(load_track(name), entry) for name, board in boards.items() for entry in board.entries if entry.rank]
     news = sorted(ranked, key=lambda new: new[1].evaluated_at, reverse=True)[:NEWS]
     public = public_among(session, [entry.submission_id for _, entry in news])
     open_now = count_open(session)
-    return Front(
+    return FrontPage(
         ranks_before=_find_ranks_before(session, news),
         running=open_now[EvaluationState.RUNNING],
         waiting=open_now[EvaluationState.QUEUED],

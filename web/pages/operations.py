@@ -17,7 +17,7 @@ async def operations(request: Request) -> Response:
         ServiceError: the visitor is a team.
     """
     viewer = await require_viewer(request)
-    if not viewer.is_organizer:
+    if not viewer.organizes_service:
         raise ServiceError(ProblemCode.FORBIDDEN, "This page is for organizers. Sign in with an organizer's token.")
     site = get_site(request)
     settings = site.services.settings

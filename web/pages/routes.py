@@ -33,7 +33,7 @@ from .episodes import embedded
 from .episodes import page as episodes
 from .files import boards
 from .files import submissions as tables
-from .files.formats import Format
+from .files.formats import TableFormat
 from .leaderboards import leaderboard, logs
 from .submissions import comparison, output, sensors, sharing, submissions, upload
 from .teams import register, sign_in, team
@@ -108,7 +108,7 @@ def pages() -> APIRouter:
         *(
             (f"/submissions/{{submission_id}}/{table.name}.{form}", tables.make_table_page(table, form), "GET")
             for table in tables.TABLES
-            for form in Format
+            for form in TableFormat
         ),
         ("/submissions/{submission_id}/receipt.json", receipts.receipt_file, "GET"),
         ("/submissions/{submission_id}/compare", comparison.compare_with, "GET"),

@@ -21,7 +21,7 @@ CellState = Literal["success", "other", "waiting"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class MapCell:
     """One episode in a map; `address` is that of its page, once it is finished."""
 
     column: int
@@ -46,7 +46,7 @@ class ShapeMap:
     """All episodes of one shape."""
 
     name: str
-    cells: tuple[Cell, ...]
+    cells: tuple[MapCell, ...]
 
     @cached_property
     def columns(self) -> int:
@@ -179,10 +179,10 @@ def _places(shape: str, task: Task, *, known: bool) -> tuple[Place, ...]:
     return tuple(places)
 
 
-def _cell(place: Place, end: EpisodeView | None, folder: str) -> Cell:
+def _cell(place: Place, end: EpisodeView | None, folder: str) -> MapCell:
     if end is None:
-        return Cell(column=place.column, row=place.row, state="waiting", label=f"{place.label}not run yet")
+        return MapCell(column=place.column, row=place.row, state="waiting", label=f"{place.label}not run yet")
     state: CellState = "success" if end.success else "other"
     how = f"{words(end.outcome)} at env step {end.env_steps}. {EpisodeOutcome(end.outcome).sentence}"
     address = f"{folder}/{place.number}"
-    return Cell(column=place.column, row=place.row, state=state, label=place.label + how, address=address)
+    return MapCell(column=place.column, row=place.row, state=state, label=place.label + how, address=address)

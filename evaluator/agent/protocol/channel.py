@@ -7,7 +7,7 @@ import termios
 from collections.abc import Sequence
 from typing import Final
 
-from .frames import Answer, AnswerKind, FrameReader, Question, encode_question, violation
+from .frames import AnswerKind, FrameReader, PolicyAnswer, PolicyQuestion, encode_question, violation
 
 _CHUNK_BYTES: Final = 64 * 1024
 """Small enough that the C library has such a piece at hand and need not ask the kernel for it."""
@@ -39,7 +39,7 @@ class Channel:
         """True while a part of the question still waits for room in the socket."""
         return bool(self._unsent)
 
-    def ask(self, question: Question) -> None:
+    def ask(self, question: PolicyQuestion) -> None:
         """Start sending the next question.
 
         Raises:
@@ -61,7 +61,7 @@ class Channel:
             return
         self._unsent = _unsent_parts(self._unsent, sent)
 
-    def receive(self, expected: Sequence[AnswerKind]) -> Answer | None:
+    def receive(self, expected: Sequence[AnswerKind]) -> PolicyAnswer | None:
         """Return the answer to the last question, None while it is not complete, or raise.
 
         Raises:
@@ -103,7 +103,7 @@ class Channel:
         """Close this end."""
         self._sock.close()
 
-    def _check(self, answer: Answer, expected: Sequence[AnswerKind]) -> Answer:
+    def _check(self, answer: PolicyAnswer, expected: Sequence[AnswerKind]) -> PolicyAnswer:
         if self._unsent:
             raise violation("Received an answer before the policy had read the whole question.")
         if answer.header.seq != self._seq:

@@ -86,7 +86,7 @@ class QuestionHeader(msgspec.Struct, frozen=True):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Question:
+class PolicyQuestion:
     """What one frame to the policy says."""
 
     kind: QuestionKind
@@ -106,7 +106,7 @@ class AnswerHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answer:
+class PolicyAnswer:
     """One complete, well-formed frame from the policy."""
 
     header: AnswerHeader
@@ -136,7 +136,7 @@ def array_code(value: Array) -> str:
     return code
 
 
-def encode_question(seq: int, question: Question) -> list[memoryview]:
+def encode_question(seq: int, question: PolicyQuestion) -> list[memoryview]:
     """Return the parts of one frame to the policy, ready for `sendmsg`."""
     buffers: list[memoryview] = []
     specs: list[ArraySpec] = []
@@ -173,7 +173,7 @@ class FrameReader:
         """True where no piece of a frame is waiting."""
         return not self._buffer
 
-    def feed(self, data: bytes, sender_pid: int) -> Answer | None:
+    def feed(self, data: bytes, sender_pid: int) -> PolicyAnswer | None:
         """Take bytes that one process sent; return the answer once it is complete.
 
         Raises:
@@ -198,13 +198,13 @@ class FrameReader:
             return None
         return self._finish(self._header, body_start)
 
-    def _finish(self, header: AnswerHeader, offset: int) -> Answer:
+    def _finish(self, header: AnswerHeader, offset: int) -> PolicyAnswer:
         arrays: dict[str, Array] = {}
         for spec in header.arrays:
             piece = bytes(self._buffer[offset : offset + spec.n_bytes])
             arrays[spec.name] = np.frombuffer(piece, dtype=_DTYPES[spec.dtype]).reshape(spec.shape)
             offset += spec.n_bytes
-        answer = Answer(header=header, arrays=arrays, sender_pid=self._sender_pid or 0)
+        answer = PolicyAnswer(header=header, arrays=arrays, sender_pid=self._sender_pid or 0)
         self._buffer, self._header, self._sender_pid = bytearray(), None, None
         return answer
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 from ...strict_model import StrictModel
 from .messages import TextLogRejected
 from .reader import TextEpisode, TextLog, TextStep
-from .scripts import PegRules, Script, Start, find_script, is_printed
+from .scripts import PegRules, PrintedStart, Script, find_script, is_printed
 
 
 def check(log: TextLog, script: Script) -> list[str]:
@@ -31,7 +31,7 @@ def hole_top(log: TextLog, script: Script) -> float | None:
     return None
 
 
-def tests_of_list(log: TextLog, starts: Sequence[Start]) -> Iterator[tuple[TextEpisode, Start]]:
+def tests_of_list(log: TextLog, starts: Sequence[PrintedStart]) -> Iterator[tuple[TextEpisode, PrintedStart]]:
     """Yield each test whose number is in the list, with the start that has this number there."""
     for episode in log.episodes:
         if 1 <= episode.number <= len(starts):
@@ -63,7 +63,7 @@ def _check_episodes(log: TextLog, script: Script) -> Iterator[str]:
             yield f"test {episode.number}: {problem}"
 
 
-def _check_episode(episode: TextEpisode, start: Start, script: Script, top: float | None) -> Iterator[str]:
+def _check_episode(episode: TextEpisode, start: PrintedStart, script: Script, top: float | None) -> Iterator[str]:
     if episode.success is None:
         yield "it has no RESULT"
     if not episode.steps:
@@ -288,7 +288,7 @@ def to_json_lines(log: TextLog, script: Script) -> Iterator[dict[str, Any]]:
         yield _episode(episode, start, script)
 
 
-def _episode(episode: TextEpisode, start: Start, script: Script) -> dict[str, Any]:
+def _episode(episode: TextEpisode, start: PrintedStart, script: Script) -> dict[str, Any]:
     results = {True: "SUCCESS", False: "FAIL", None: None}
     content: dict[str, Any] = {
         "episode": episode.number,

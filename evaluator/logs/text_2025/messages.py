@@ -35,7 +35,7 @@ class TextLogRejected(VitacError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Message:
+class LoggedMessage:
     """One message; `line` counts from 1 and is that of its first line."""
 
     line: int
@@ -48,7 +48,7 @@ def is_text_log(start: bytes) -> bool:
     return _PREFIX.match(start.decode("utf-8", "replace")) is not None
 
 
-def messages(stream: BinaryIO) -> Iterator[Message]:
+def messages(stream: BinaryIO) -> Iterator[LoggedMessage]:
     """Yield the messages of a log in order; a line without a prefix continues the message before it.
 
     Raises:
@@ -80,7 +80,7 @@ def messages(stream: BinaryIO) -> Iterator[Message]:
     yield _message(*first, text)
 
 
-def vector(message: Message, text: str) -> tuple[float, ...]:
+def vector(message: LoggedMessage, text: str) -> tuple[float, ...]:
     """Return the numbers of a printed NumPy array, `[-4. 0.5 2e-3]`.
 
     Raises:
@@ -92,7 +92,7 @@ def vector(message: Message, text: str) -> tuple[float, ...]:
     return tuple(number(message, part) for part in inside[1:-1].split())
 
 
-def number(message: Message, text: str) -> float:
+def number(message: LoggedMessage, text: str) -> float:
     """Return a finite number.
 
     Raises:
@@ -107,7 +107,7 @@ def number(message: Message, text: str) -> float:
     return value
 
 
-def whole_number(message: Message, text: str) -> int:
+def whole_number(message: LoggedMessage, text: str) -> int:
     """Return a number of at most nine digits.
 
     Raises:
@@ -118,7 +118,7 @@ def whole_number(message: Message, text: str) -> int:
     return int(text)
 
 
-def printed_dict(message: Message, text: str) -> dict[str, Any]:
+def printed_dict(message: LoggedMessage, text: str) -> dict[str, Any]:
     """Return a printed Python dict of plain values and NumPy arrays; arrays become tuples.
 
     Raises:
@@ -173,13 +173,13 @@ def _lines(stream: BinaryIO) -> Iterator[tuple[int, str]]:
         yield number, text.rstrip("\r\n")
 
 
-def _message(line: int, prefix: re.Match[str], text: list[str]) -> Message:
+def _message(line: int, prefix: re.Match[str], text: list[str]) -> LoggedMessage:
     try:
         time = datetime.strptime(prefix[1], "%Y-%m-%d %H:%M:%S.%f")
     except ValueError as error:
         raise TextLogRejected(f"Line {line}: expected a date and time, got {prefix[1]}.", line=line) from error
-    return Message(line=line, time=time, text="\n".join(text))
+    return LoggedMessage(line=line, time=time, text="\n".join(text))
 
 
-def _rejected(message: Message, reason: str) -> TextLogRejected:
+def _rejected(message: LoggedMessage, reason: str) -> TextLogRejected:
     return TextLogRejected(f"Line {message.line}: {reason}.", line=message.line)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any, BinaryIO
 
-from .messages import Message, TextLogRejected, messages, number, printed_dict, vector, whole_number
+from .messages import LoggedMessage, TextLogRejected, messages, number, printed_dict, vector, whole_number
 
 MAX_PROBLEMS = 200
 """A file with more misplaced lines is refused as not a 2025 text log."""
@@ -81,11 +81,11 @@ class _Reader:
 
     def __init__(self) -> None:
         self.log = TextLog()
-        self._last: Message | None = None
+        self._last: LoggedMessage | None = None
         self._tests: set[int] = set()
         self._test_before = 0
         self._parts_of_step: set[str] = set()
-        self._rules: list[tuple[re.Pattern[str], Callable[[Message, re.Match[str]], None]]] = [
+        self._rules: list[tuple[re.Pattern[str], Callable[[LoggedMessage, re.Match[str]], None]]] = [
             (re.compile(pattern, re.DOTALL), rule)
             for pattern, rule in (
                 (r"#KEY: (.*)", self._key),
@@ -102,7 +102,7 @@ class _Reader:
             )
         ]
 
-    def take(self, message: Message) -> None:
+    def take(self, message: LoggedMessage) -> None:
         """Add one message to the part of the log that it belongs to."""
         if self._last and message.time < self._last.time:
             self._problem(message, "its time is earlier than that of the line before")
@@ -114,7 +114,7 @@ class _Reader:
                 return
         self._problem(message, f"unknown message {message.text!r:.60}")
 
-    def _key(self, message: Message, match: re.Match[str]) -> None:
+    def _key(self, message: LoggedMessage, match: re.Match[str]) -> None:
         if self.log.team is not None:
             self._problem(message, "a second log begins here")
             return
@@ -124,10 +124,10 @@ class _Reader:
             )
         self.log.team = match[1].strip()
 
-    def _md5(self, _: Message, match: re.Match[str]) -> None:
+    def _md5(self, _: LoggedMessage, match: re.Match[str]) -> None:
         self.log.script_md5 = self.log.script_md5 or match[1]
 
-    def _git_or_part(self, message: Message, match: re.Match[str]) -> None:
+    def _git_or_part(self, message: LoggedMessage, match: re.Match[str]) -> None:
         parts = {"Offset": self._offset, "info": self._info, "Reward": self._reward, "RESULT": self._result}
         if match[1] in parts:
             parts[match[1]](message, match[2])
@@ -136,14 +136,14 @@ class _Reader:
         else:
             self._problem(message, f"unknown message {message.text!r:.60}")
 
-    def _parameters(self, _: Message, match: re.Match[str]) -> None:
+    def _parameters(self, _: LoggedMessage, match: re.Match[str]) -> None:
         lines = (line.partition(":") for line in match[1].splitlines())
         self.log.parameters = {name.strip(): value.strip() for name, _, value in lines}
 
-    def _environment(self, message: Message, match: re.Match[str]) -> None:
+    def _environment(self, message: LoggedMessage, match: re.Match[str]) -> None:
         self.log.environment = self.log.environment or printed_dict(message, match[1])
 
-    def _test(self, message: Message, match: re.Match[str]) -> None:
+    def _test(self, message: LoggedMessage, match: re.Match[str]) -> None:
         test = whole_number(message, match[1])
         if self.log.episodes and self.log.episodes[-1].success is None:
             self._problem(message, f"test {self.log.episodes[-1].number} has no RESULT")
@@ -155,7 +155,7 @@ class _Reader:
         self._tests.add(test)
         self.log.episodes.append(TextEpisode(line=message.line, number=test, started=message.time))
 
-    def _initial_offset(self, message: Message, match: re.Match[str]) -> None:
+    def _initial_offset(self, message: LoggedMessage, match: re.Match[str]) -> None:
         episode = self._open_episode(message)
         if episode and not episode.steps and episode.initial_offset is None:
             episode.initial_offset = vector(message, match[1])
@@ -163,7 +163,7 @@ class _Reader:
         elif episode:
             self._problem(message, "an initial offset inside a test")
 
-    def _action(self, message: Message, match: re.Match[str]) -> None:
+    def _action(self, message: LoggedMessage, match: re.Match[str]) -> None:
         episode = self._open_episode(message)
         if not episode:
             return
@@ -175,22 +175,22 @@ class _Reader:
             self._problem(message, f"expected env step {len(episode.steps) + 1}, got {n}")
         episode.steps.append(TextStep(line=message.line, n=n, action=action, started=message.time))
 
-    def _offset(self, message: Message, text: str) -> None:
+    def _offset(self, message: LoggedMessage, text: str) -> None:
         step = self._open_step(message, "offset")
         if step:
             step.offset, step.ended = vector(message, text), message.time
 
-    def _info(self, message: Message, text: str) -> None:
+    def _info(self, message: LoggedMessage, text: str) -> None:
         step = self._open_step(message, "info")
         if step:
             step.info = printed_dict(message, text)
 
-    def _reward(self, message: Message, text: str) -> None:
+    def _reward(self, message: LoggedMessage, text: str) -> None:
         step = self._open_step(message, "reward")
         if step:
             step.reward = number(message, text)
 
-    def _result(self, message: Message, text: str) -> None:
+    def _result(self, message: LoggedMessage, text: str) -> None:
         episode = self._open_episode(message)
         if not episode:
             return
@@ -199,7 +199,7 @@ class _Reader:
             self._problem(message, f"expected RESULT SUCCESS or FAIL, got {text!r:.40}")
         episode.success, episode.ended = text.strip() == "SUCCESS", message.time
 
-    def _success_rate(self, message: Message, match: re.Match[str]) -> None:
+    def _success_rate(self, message: LoggedMessage, match: re.Match[str]) -> None:
         if self.log.has_totals:
             self._problem(message, "the totals are repeated")
         self.log.has_totals = True
@@ -207,16 +207,16 @@ class _Reader:
         if self.log.claimed_success_rate > 1:
             self._problem(message, f"expected a success rate of at most 100 %, got {match[1]} %")
 
-    def _average_steps(self, message: Message, match: re.Match[str]) -> None:
+    def _average_steps(self, message: LoggedMessage, match: re.Match[str]) -> None:
         self.log.claimed_average_steps = number(message, match[1]) if match[1] else None
 
-    def _open_episode(self, message: Message) -> TextEpisode | None:
+    def _open_episode(self, message: LoggedMessage) -> TextEpisode | None:
         if self.log.episodes and self.log.episodes[-1].success is None:
             return self.log.episodes[-1]
         self._problem(message, "it is outside a test")
         return None
 
-    def _open_step(self, message: Message, part: str) -> TextStep | None:
+    def _open_step(self, message: LoggedMessage, part: str) -> TextStep | None:
         """Return the env step that a part belongs to; None if there is none or it already has this part."""
         episode = self._open_episode(message)
         if not episode:
@@ -230,11 +230,11 @@ class _Reader:
         self._parts_of_step.add(part)
         return episode.steps[-1]
 
-    def _end_step(self, episode: TextEpisode, message: Message) -> None:
+    def _end_step(self, episode: TextEpisode, message: LoggedMessage) -> None:
         if episode.steps and episode.steps[-1].ended is None:
             episode.steps[-1].ended = message.time
 
-    def _problem(self, message: Message, what: str) -> None:
+    def _problem(self, message: LoggedMessage, what: str) -> None:
         self.log.problems.append(f"line {message.line}: {what}")
         self.log.misplaced.append(message.line)
         if len(self.log.problems) > MAX_PROBLEMS:

@@ -38,7 +38,7 @@ class PegRules(StrictModel):
     final_reward: float
 
 
-class Start(StrictModel):
+class PrintedStart(StrictModel):
     """One start of a list, as the log prints it."""
 
     shape_index: int
@@ -83,7 +83,7 @@ class Script(StrictModel):
     """Vision track only: heights of the hole's top in the books; the published logs have the first, whose geometry had
     the last all the same (challenge-facts D20)."""
 
-    def starts(self, hole_top_mm: float | None = None) -> list[Start]:
+    def starts(self, hole_top_mm: float | None = None) -> list[PrintedStart]:
         """Return the list, in the order of the script's loops.
 
         Args:
@@ -96,7 +96,7 @@ class Script(StrictModel):
             offset = self.offsets[index["offset"]]
             shape = index["shape"] if "shape" in index else int(offset[-1])
             found.append(
-                Start(
+                PrintedStart(
                     shape_index=shape,
                     shape=self.shapes[shape],
                     repeat_index=index["repeat"],
@@ -116,7 +116,7 @@ class Script(StrictModel):
         since = "since" if hole_top_mm == real_mm else "before"
         return f"{since} 2025-03-14: rim {hole_top_mm:g} mm in the books, {real_mm:g} mm in the geometry"
 
-    def find_start(self, shape: str, shown_offset: tuple[float, ...]) -> Start | None:
+    def find_start(self, shape: str, shown_offset: tuple[float, ...]) -> PrintedStart | None:
         """Return the start of the list that a log shows so, in whichever era; None where there is none."""
         for top_mm in self.hole_tops_mm or (None,):
             for start in self.starts(top_mm):

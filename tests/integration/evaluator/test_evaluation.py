@@ -13,7 +13,7 @@ from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import EpisodeOutcome, result_hash
 from vitac.evaluator.episodes.replay import resimulate
-from vitac.evaluator.evaluation.local import Evaluation, evaluate
+from vitac.evaluator.evaluation.local import LocalEvaluation, evaluate
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.logs.verification import verify
@@ -84,16 +84,16 @@ def submission(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def drifted(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+def drifted(tmp_path_factory: pytest.TempPathFactory) -> LocalEvaluation:
     """An evaluation of the submission as it is, which loads the simulation itself, for all tests that look at one."""
     return run(drifting(tmp_path_factory.mktemp("drifted")))
 
 
-def run(submission: Path, **options: Any) -> Evaluation:
+def run(submission: Path, **options: Any) -> LocalEvaluation:
     return evaluate(submission_dir=submission, track=TRACK, task=TASK, **({"episodes": (1, 2, 31)} | options))
 
 
-def test_hash_is_the_same_for_workers_order_and_resume(submission: Path, drifted: Evaluation) -> None:
+def test_hash_is_the_same_for_workers_order_and_resume(submission: Path, drifted: LocalEvaluation) -> None:
     one, two = drifted, run(submission, workers=2)
     assert one.result_hash == two.result_hash
     order = ShardOrder(
@@ -122,7 +122,7 @@ def test_hash_is_the_same_for_workers_order_and_resume(submission: Path, drifted
 
 @pytest.mark.usefixtures("shared_simulation")
 def test_a_sealed_list_is_played_from_its_secret_which_no_policy_can_find(
-    submission: Path, tmp_path: Path, drifted: Evaluation
+    submission: Path, tmp_path: Path, drifted: LocalEvaluation
 ) -> None:
     path = tmp_path / "secret"
     secret = new_secret(path)
@@ -139,7 +139,7 @@ def test_a_sealed_list_is_played_from_its_secret_which_no_policy_can_find(
 
 
 @pytest.mark.usefixtures("shared_simulation")
-def test_policy_that_counts_resets_scores_like_its_honest_twin(submission: Path, drifted: Evaluation) -> None:
+def test_policy_that_counts_resets_scores_like_its_honest_twin(submission: Path, drifted: LocalEvaluation) -> None:
     (submission / "policy.py").write_text(COUNTS_RESETS)
     counting = run(submission)
     assert [record.record_digest() for record in counting.records] == [
@@ -147,7 +147,7 @@ def test_policy_that_counts_resets_scores_like_its_honest_twin(submission: Path,
     ]
 
 
-def test_records_hold_what_the_policy_did_and_how_it_was_isolated(drifted: Evaluation) -> None:
+def test_records_hold_what_the_policy_did_and_how_it_was_isolated(drifted: LocalEvaluation) -> None:
     record = drifted.records[0]
     assert drifted.isolation is not None
     assert record.outcome in (EpisodeOutcome.TACTILE, EpisodeOutcome.STEPS, EpisodeOutcome.SUCCESS)
@@ -163,7 +163,7 @@ def test_records_hold_what_the_policy_did_and_how_it_was_isolated(drifted: Evalu
     assert record.timings.policy_s > 0
 
 
-def test_recorded_actions_give_the_recorded_states_in_a_used_environment(drifted: Evaluation) -> None:
+def test_recorded_actions_give_the_recorded_states_in_a_used_environment(drifted: LocalEvaluation) -> None:
     record = drifted.records[1]
     env = make_environment(TASK)
     resimulate(env, TASK.episodes[30], record.actions.to_array())
@@ -172,7 +172,7 @@ def test_recorded_actions_give_the_recorded_states_in_a_used_environment(drifted
     assert (played.infos, played.outcome) == (record.infos, record.outcome)
 
 
-def test_log_of_an_evaluation_is_verified(drifted: Evaluation) -> None:
+def test_log_of_an_evaluation_is_verified(drifted: LocalEvaluation) -> None:
     verification = verify(
         env=make_environment(TASK),
         track=TRACK,
@@ -235,7 +235,7 @@ def test_lock_opening_is_evaluated_and_its_log_verified(submission: Path, reposi
 
 @pytest.mark.usefixtures("shared_simulation")
 def test_sensor_of_a_team_is_played_in_every_shard_with_its_own_mesh_hash(
-    submission: Path, repository: Path, drifted: Evaluation
+    submission: Path, repository: Path, drifted: LocalEvaluation
 ) -> None:
     dome = repository / "examples" / "track_3_dome" / "Track_3"
     first = run(submission, episodes=(1, 28), sensor=dome)
@@ -249,7 +249,7 @@ def test_sensor_of_a_team_is_played_in_every_shard_with_its_own_mesh_hash(
 
 @pytest.mark.usefixtures("shared_simulation")
 def test_a_package_installed_beside_the_evaluator_is_not_there_for_policies_and_changes_no_hash(
-    submission: Path, tmp_path: Path, drifted: Evaluation, monkeypatch: pytest.MonkeyPatch
+    submission: Path, tmp_path: Path, drifted: LocalEvaluation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As the documentation's packages are, which a service installs."""
     site = tmp_path / "site"

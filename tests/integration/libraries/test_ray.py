@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from vitac.envs.tasks.fidelity import Fidelity
-from vitac.training.collection import ActorKind, Batch, collect
+from vitac.training.collection import ActorKind, CollectedBatch, collect
 from vitac.training.demonstrations.collecting import collect as collect_demonstrations
 from vitac.training.pool import map_in_order
 from vitac.training.streams import Use
@@ -54,7 +54,9 @@ def test_a_cluster_of_three_nodes_that_loses_one_gives_the_same_bytes(cluster: A
     found = list(islice(results, 3))
     cluster.remove_node(cluster.others[0], allow_graceful=False)
     assert [*found, *results] == [number * number for number in range(30)]
-    batch = Batch(kind=ActorKind.RANDOM, seed=2, use=Use.COLLECT, first=0, count=120, fidelity=Fidelity.TRAINING)
+    batch = CollectedBatch(
+        kind=ActorKind.RANDOM, seed=2, use=Use.COLLECT, first=0, count=120, fidelity=Fidelity.TRAINING
+    )
     collect(batch, tmp_path / "here", processes=2)
     collect(batch, tmp_path / "ray", ray=cluster.address)
     assert read_files(tmp_path / "ray") == read_files(tmp_path / "here")

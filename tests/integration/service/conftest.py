@@ -13,7 +13,7 @@ from honest_policy import HONEST
 from service_client import Service, live_service
 from service_factories import TASK, TRACK
 from short_evaluation import StartWorker
-from vitac.evaluator.evaluation.local import Evaluation, evaluate
+from vitac.evaluator.evaluation.local import LocalEvaluation, evaluate
 from vitac.evaluator.submission.archive import unpack
 from vitac.evaluator.tracks import load_track
 from vitac.server.evaluations import lifecycle
@@ -65,7 +65,7 @@ def start_worker(live: Service, database_address: str | None) -> Iterator[StartW
 
 
 @pytest.fixture(scope="session")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> LocalEvaluation:
     """What `vitac evaluate` gives for the same submission and episodes."""
     folder = tmp_path_factory.mktemp("submission")
     (folder / "archive.zip").write_bytes(HONEST)
@@ -77,7 +77,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
 
 
 @pytest.fixture(scope="session")
-def undisturbed_hash(undisturbed: Evaluation) -> str:
+def undisturbed_hash(undisturbed: LocalEvaluation) -> str:
     """The hash of that evaluation."""
     assert undisturbed.result_hash is not None, undisturbed.failure
     return undisturbed.result_hash

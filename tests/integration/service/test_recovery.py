@@ -15,7 +15,7 @@ from service_factories import TRACK, make_record
 from short_evaluation import EPISODES, StartWorker
 from uploaded_logs import EPISODES as LISTED
 from uploaded_logs import a_log, upload_log
-from vitac.evaluator.evaluation.local import Evaluation
+from vitac.evaluator.evaluation.local import LocalEvaluation
 from worker_fakes import eventually
 
 LIMIT_S = 240.0
@@ -134,7 +134,7 @@ def test_stopped_worker_leaves_the_rest_to_the_next_one(
 
 @pytest.mark.slow
 def test_kill_of_the_worker_in_the_middle_of_a_log_changes_nothing(
-    live: Service, start_worker: StartWorker, undisturbed: Evaluation, undisturbed_hash: str
+    live: Service, start_worker: StartWorker, undisturbed: LocalEvaluation, undisturbed_hash: str
 ) -> None:
     """Only the short list is re-simulated; the other episodes, which a log must hold, are made up."""
     played = {record.episode: record for record in undisturbed.records}

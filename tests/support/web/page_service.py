@@ -58,7 +58,7 @@ from vitac.server.views.logs import ActionMatchView
 from vitac.server.views.messages import AnnouncementView
 from vitac.server.views.operations import OperationsView
 from vitac.server.views.playbacks import PlaybackView, PublicEpisodeView, ShownEpisodeView
-from vitac.server.views.receipts import LogView, WitnessView
+from vitac.server.views.receipts import PublicLogView, WitnessView
 from vitac.server.views.submissions import (
     DescriptionView,
     DocumentView,
@@ -134,7 +134,9 @@ class FixedData(FixedPlaybacks):
     def end_session(self, by: Principal) -> None:
         self.ended.append(by.token_id)
 
-    def register(self, _: object, __: object, new: registration.NewTeam) -> tuple[SimpleNamespace, SimpleNamespace]:
+    def register(
+        self, _: object, __: object, new: registration.RegisteringTeam
+    ) -> tuple[SimpleNamespace, SimpleNamespace]:
         if new.name == "Bears":
             raise ServiceError(ProblemCode.TEAM_EXISTS, "There is a team named 'Bears' already.")
         if self.settings.get("registration") is Registration.INVITE and new.invite != "let me in":
@@ -230,10 +232,10 @@ class FixedData(FixedPlaybacks):
         later = [item for item in self.printed if item.task == (task or tasks[0]) and item.episode > after]
         return OutputView(items=later[:2], next_after=later[1].episode if len(later) > 2 else None)
 
-    def log(self, **_: int) -> LogView:
+    def log(self, **_: int) -> PublicLogView:
         receipt = a_receipt()
         (proof,) = receipt.parsed_proofs()
-        return LogView(
+        return PublicLogView(
             public_key=receipt.public_key,
             verifier_key=str(make_log_key(bytes.fromhex(receipt.public_key))),
             receipts=1,

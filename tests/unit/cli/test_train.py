@@ -106,7 +106,7 @@ def test_searches_and_writes_a_submission(tmp_path: Path) -> None:
 def test_clones_and_shows_the_curves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(expert, "make_environment", lambda _, observation_keys, settings: ToyPeg(observation_keys))
     monkeypatch.setattr(expert, "held_pose_mm_deg", lambda grasped: grasped)
-    quick = partial(method.Plan, hidden=8, gradient_steps=20, chosen_by=5, reported=20)
+    quick = partial(method.ClonePlan, hidden=8, gradient_steps=20, chosen_by=5, reported=20)
     monkeypatch.setattr(method, "Plan", quick)
     out = tmp_path / "run"
     words = ("train", "clone", "peg-insertion", "--out", str(out), "--rounds", "1", "--episodes", "25")

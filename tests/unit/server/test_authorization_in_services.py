@@ -14,7 +14,7 @@ WITHOUT_DECISION = {
     "end_tokens": "ends tokens of a member who leaves or changes the password; `members` decides",
 }
 """Functions that take who asks and let everybody do it, with the reason."""
-DECIDING = ("require_", "may_", "organizes", "is_organizer", "reads_all", "leads_", "role", "team_id", "owns")
+DECIDING = ("require_", "may_", "organizes", "organizes_service", "reads_all", "leads_", "role", "team_id", "owns")
 
 
 class Function(NamedTuple):

@@ -32,12 +32,12 @@ def test_a_team_has_its_own_a_judge_reads_all_and_an_organizer_changes_all(
 @pytest.mark.parametrize("who", [ORGANIZER, CONSOLE])
 def test_organizers_pass(who: Principal) -> None:
     who.require_organizer()
-    assert who.is_organizer
+    assert who.organizes_service
 
 
 @pytest.mark.parametrize("who", [TEAM, JUDGE])
 def test_others_are_refused_with_what_to_use(who: Principal) -> None:
-    assert not who.is_organizer
+    assert not who.organizes_service
     with pytest.raises(ServiceError) as refused:
         who.require_organizer()
     assert refused.value.code is ProblemCode.FORBIDDEN

@@ -16,7 +16,7 @@ from vitac.server.database.states import Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.visibility import (
-    Sight,
+    EvaluationVisibility,
     changeable,
     decide_sight,
     find_list_kind,
@@ -36,10 +36,10 @@ READERS = {
 }
 OPEN, SEALED, REVEALED = "open", "sealed", "revealed"
 NOTHING, PRACTICE, EPISODES, EVERYTHING = (
-    Sight(episodes=False, output=False, practice=False),
-    Sight(episodes=False, output=False, practice=True),
-    Sight(episodes=True, output=False, practice=True),
-    Sight(episodes=True, output=True, practice=True),
+    EvaluationVisibility(episodes=False, output=False, practice=False),
+    EvaluationVisibility(episodes=False, output=False, practice=True),
+    EvaluationVisibility(episodes=True, output=False, practice=True),
+    EvaluationVisibility(episodes=True, output=True, practice=True),
 )
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from vitac.station.devices.stage import DeviceFault
-from vitac.station.eyes import Eyes, Side
+from vitac.station.eyes import Eyes, Finger
 from vitac.station.perception.markers import DROPPED_PICTURES
 from vitac.station.twin.gel_view import SMALL_CAMERA, marker_grid
 
@@ -81,5 +81,5 @@ def test_tracker_of_one_side_starts_again() -> None:
     pictures = [still] * (DROPPED_PICTURES + 1) + [moved]
     with eyes(Camera(*pictures), Camera(*pictures)) as looking:
         looking.wait(3)
-        looking.restart_trackers(Side.LEFT)
+        looking.restart_trackers(Finger.LEFT)
         assert looking.see().movement_px() == pytest.approx((0.0, 2 * 2**0.5), abs=0.1)

@@ -11,8 +11,8 @@ import pytest
 from vitac.evaluator.strict_model import validate
 from vitac.station.description import StationDescription
 from vitac.station.devices.force_torque import ForceTorqueSensor
-from vitac.station.devices.gripper import Gripper
-from vitac.station.devices.stage import DeviceFault, Pose, Stage, StageState
+from vitac.station.devices.gripper import HandE
+from vitac.station.devices.stage import DeviceFault, GrblState, LinearStage, Pose
 from vitac.station.guard import Guard, LimitPassed, StationStopped
 from vitac.station.twin.force_torque import ForceTorqueFault
 from vitac.station.twin.laboratory import TwinStation
@@ -39,8 +39,8 @@ def heartbeats() -> Heartbeats:
 def guard(twins: TwinStation, heartbeats: Heartbeats) -> Iterator[Guard]:
     limits = validate(StationDescription, twins.description, "station.yaml").limits
     with ExitStack() as stack:
-        stage = stack.enter_context(Stage(twins.lines["stage"].port))
-        gripper = stack.enter_context(Gripper(twins.lines["gripper"].port))
+        stage = stack.enter_context(LinearStage(twins.lines["stage"].port))
+        gripper = stack.enter_context(HandE(twins.lines["gripper"].port))
         force_torque = stack.enter_context(ForceTorqueSensor("127.0.0.1", twins.force_torque.port))
         gripper.activate()
         force_torque.start(rate_hz=1000)
@@ -60,7 +60,7 @@ def assert_held(guard: Guard, twins: TwinStation, reason: str) -> None:
         guard.wait()
     while guard.stage.status().is_moving:
         pass
-    assert guard.stage.status().state is StageState.HOLD
+    assert guard.stage.status().state is GrblState.HOLD
     held = twins.stage.position()
     assert held[0] < TARGET.x_mm / 2
     with pytest.raises(StationStopped, match="Make it safe, then release it"):
@@ -181,7 +181,7 @@ def test_released_station_moves_again_from_where_it_was_held(guard: Guard, twins
     guard.move(TARGET, **SLOW)
     guard.stop("an operator pressed stop.")
     guard.release()
-    assert guard.stage.status().state is StageState.IDLE
+    assert guard.stage.status().state is GrblState.IDLE
     target = Pose(*(round(value, 2) for value in twins.stage.position()))
     guard.move(target, **SLOW)
     assert guard.wait().pose == target
@@ -211,12 +211,12 @@ with Stage(sys.argv[1]) as stage, stage.held_if_killed():
 def test_stage_is_held_when_the_process_that_commands_it_is_killed(twins: TwinStation) -> None:
     line = twins.lines["stage"].port
     assert subprocess.run([sys.executable, "-c", KILLED, line], check=False).returncode == -signal.SIGKILL
-    with Stage(line) as stage:
+    with LinearStage(line) as stage:
         while stage.status().is_moving:
             pass
-        assert stage.status().state is StageState.HOLD
+        assert stage.status().state is GrblState.HOLD
     assert twins.stage.position()[0] < TARGET.x_mm / 2
-    with Stage(line) as stage, stage.held_if_killed():
+    with LinearStage(line) as stage, stage.held_if_killed():
         stage.forget_motion()
-    with Stage(line) as stage:
-        assert stage.status().state is StageState.IDLE
+    with LinearStage(line) as stage:
+        assert stage.status().state is GrblState.IDLE

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from vitac.station.devices.force_torque import Wrench
 from vitac.station.devices.gripper import Grasp, GripperStatus
-from vitac.station.devices.stage import StageState
+from vitac.station.devices.stage import GrblState
 from vitac.station.perception.markers import MarkerFlow
 from vitac.station.preflight import PreflightRefused, check_held, check_ready
 
@@ -21,7 +21,7 @@ def station(wrench: Wrench | None, markers: int = 63, grasp: Grasp = Grasp.AT_PO
         guard=SimpleNamespace(wrench=lambda: wrench),
         eyes=SimpleNamespace(see=lambda: SimpleNamespace(left=flow, right=flow)),
         gripper=SimpleNamespace(status=lambda: status),
-        stage=SimpleNamespace(status=lambda: SimpleNamespace(state=StageState.IDLE)),
+        stage=SimpleNamespace(status=lambda: SimpleNamespace(state=GrblState.IDLE)),
         procedure=SimpleNamespace(zero_n=2.0, zero_nm=0.1, free_gb=0.0),
         description=SimpleNamespace(left=camera, right=camera),
     )

@@ -20,7 +20,7 @@ from vitac.station.eyes import NoProcedure, OpenStation, open_station
 from vitac.station.outcome import TrialOutcome
 from vitac.station.trial import Attempt, Trial
 from vitac.station.twin.bench import HOLE
-from vitac.station.twin.hidden import Fault, HiddenSettings
+from vitac.station.twin.hidden import HiddenSettings, TwinFault
 from vitac.station.twin.laboratory import RunningTwin, TwinStation, twin_process
 
 TASK = load_track("track_1").tasks["peg-insertion"]
@@ -155,17 +155,17 @@ def test_action_that_is_no_number_fails_the_policy_and_moves_nothing(play: Play,
 @pytest.mark.parametrize(
     ("fault", "outcome", "reason"),
     [
-        (Fault.DROPPED_PEG, TrialOutcome.NO_PEG, "lost its peg"),
-        (Fault.STAGE_ALARM, TrialOutcome.DEVICE_FAULT, "limit switch"),
-        (Fault.FORCE_SPIKE, TrialOutcome.STOPPED, "Force "),
-        (Fault.FROZEN_STREAM, TrialOutcome.DEVICE_FAULT, "is frozen"),
-        (Fault.UNPLUGGED_CAMERA, TrialOutcome.DEVICE_FAULT, "stopped sending"),
-        (Fault.NETWORK_CUT, TrialOutcome.DEVICE_FAULT, "force/torque box"),
-        (Fault.STUCK_GRIPPER, TrialOutcome.DEVICE_FAULT, "gripper"),
+        (TwinFault.DROPPED_PEG, TrialOutcome.NO_PEG, "lost its peg"),
+        (TwinFault.STAGE_ALARM, TrialOutcome.DEVICE_FAULT, "limit switch"),
+        (TwinFault.FORCE_SPIKE, TrialOutcome.STOPPED, "Force "),
+        (TwinFault.FROZEN_STREAM, TrialOutcome.DEVICE_FAULT, "is frozen"),
+        (TwinFault.UNPLUGGED_CAMERA, TrialOutcome.DEVICE_FAULT, "stopped sending"),
+        (TwinFault.NETWORK_CUT, TrialOutcome.DEVICE_FAULT, "force/torque box"),
+        (TwinFault.STUCK_GRIPPER, TrialOutcome.DEVICE_FAULT, "gripper"),
     ],
 )
 def test_fault_has_its_own_outcome_and_the_next_attempt_plays(
-    play: Play, twin: RunningTwin, fault: Fault, outcome: TrialOutcome, reason: str
+    play: Play, twin: RunningTwin, fault: TwinFault, outcome: TrialOutcome, reason: str
 ) -> None:
     def break_it(observation: Observation, number: int) -> NDArray[np.float32]:
         twin.begin(fault, for_s=3.0)

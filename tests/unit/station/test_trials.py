@@ -20,7 +20,7 @@ from vitac.station.devices.stage import DeviceNotFound, Pose
 from vitac.station.outcome import ATTEMPTS, TrialOutcome
 from vitac.station.rehearsal import RehearsalReport, TrialRecord
 from vitac.station.trial import Attempt
-from vitac.station.trials import Player
+from vitac.station.trials import TrialPlayer
 
 TASK = load_track("track_1").tasks["peg-insertion"]
 EPISODE = Episode(number=7, shape="cuboid", offset=(1.0, 2.0, 3.0), offset_option="offset_mm_deg", list_seed=0)
@@ -49,7 +49,7 @@ class Laboratory:
         monkeypatch.setattr(trials, "open_station", self.open_station)
         monkeypatch.setattr(trials, "Trial", self.trial)
         description: Any = None
-        with Player(description=description, folder=Path(), make_safe=self.reasons.append) as player:
+        with TrialPlayer(description=description, folder=Path(), make_safe=self.reasons.append) as player:
             attempts = player.play(TASK, EPISODE, make_reading(TASK), lambda: pytest.fail("nobody asks"))
         return [attempt.outcome for attempt in attempts]
 

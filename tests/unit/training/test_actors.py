@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 from toy_peg import ToyPeg
 from vitac.training.collection import MOTION, ActorKind, critic_actor, guided_actor, random_actor, student_actor
-from vitac.training.episodes import Moment, play
+from vitac.training.episodes import ActorInput, play
 from vitac.training.learning.critic import Critic, CriticPlan, stack_states
 from vitac.training.learning.network import Layout, new_parameters
 from vitac.training.submission.policy import CANDIDATES, FELT_SIZE, HISTORY_SIZE, History, candidate_actions, values
 
 
-def moment(offset: tuple[float, float, float] = (1.0, -2.0, 3.0), *, shape: int = 1, step: int = 0) -> Moment:
+def moment(offset: tuple[float, float, float] = (1.0, -2.0, 3.0), *, shape: int = 1, step: int = 0) -> ActorInput:
     history = History()
     history.observed(np.zeros(FELT_SIZE, dtype=np.float32), np.zeros(4, dtype=np.float32))
     truth = np.array([*offset, offset[0], offset[1], 19.875, 0, 0, offset[2]], dtype=np.float32)
-    return Moment(history=history, truth=truth, shape=shape, step=step)
+    return ActorInput(history=history, truth=truth, shape=shape, step=step)
 
 
 class Quiet:

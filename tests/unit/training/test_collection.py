@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from toy_peg import ToyPeg
-from vitac.training.collection import FILE_EPISODES, ActorKind, Batch, Networks, _versions, collect
+from vitac.training.collection import FILE_EPISODES, ActorKind, CollectedBatch, Networks, _versions, collect
 from vitac.training.episodes import TASK
 from vitac.training.learning.critic import Critic, CriticPlan
 from vitac.training.learning.student import Student, StudentPlan, make_weights
 from vitac.training.streams import Use, stream
 
-BATCH = Batch(kind=ActorKind.RANDOM, seed=1, use=Use.COLLECT, first=0, count=FILE_EPISODES + 10)
+BATCH = CollectedBatch(kind=ActorKind.RANDOM, seed=1, use=Use.COLLECT, first=0, count=FILE_EPISODES + 10)
 PLAN = CriticPlan(networks=1, hidden=8)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from toy_peg import MAX_STEPS, ToyPeg
-from vitac.training.episodes import TRUTHS, Episodes, Moment, joined, make_environment, play
+from vitac.training.episodes import TRUTHS, ActorInput, Episodes, joined, make_environment, play
 from vitac.training.submission.policy import felt_motion
 
 
@@ -63,15 +63,15 @@ def test_all_fields_are_among_the_arrays_of_a_file() -> None:
     assert again.actions is episodes.actions
 
 
-def never(_: np.random.Generator) -> Callable[[Moment], np.ndarray]:
+def never(_: np.random.Generator) -> Callable[[ActorInput], np.ndarray]:
     return lambda _: np.zeros(3, dtype=np.float32)
 
 
 def test_played_episodes_hold_what_was_observed_done_and_true() -> None:
-    moments: list[Moment] = []
+    moments: list[ActorInput] = []
 
-    def watched(random: np.random.Generator) -> Callable[[Moment], np.ndarray]:
-        def act(moment: Moment) -> np.ndarray:
+    def watched(random: np.random.Generator) -> Callable[[ActorInput], np.ndarray]:
+        def act(moment: ActorInput) -> np.ndarray:
             moments.append(moment)
             return random.uniform(-0.1, 0.1, 3).astype(np.float32)
 

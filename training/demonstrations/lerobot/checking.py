@@ -21,7 +21,7 @@ AGAIN = "Fetch it or export the data set again."
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fault:
+class DatasetFault:
     """What is wrong with a data set.
 
     Attributes:
@@ -45,7 +45,7 @@ class _Broken(Exception):
     """A fault after which a file cannot be looked at further."""
 
     def __init__(self, file: Path | str, problem: str, remedy: str = AGAIN) -> None:
-        self.fault = Fault(file=str(file), problem=problem, remedy=remedy)
+        self.fault = DatasetFault(file=str(file), problem=problem, remedy=remedy)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +67,7 @@ class _File:
     lengths: tuple[int, ...]
 
 
-def check_lerobot(folder: Path) -> Iterator[Fault]:
+def check_lerobot(folder: Path) -> Iterator[DatasetFault]:
     """Yield the faults of a data set: of every column of a file the first row, and of every video.
 
     Pictures are counted, not looked at.
@@ -79,7 +79,7 @@ def check_lerobot(folder: Path) -> Iterator[Fault]:
         yield broken.fault
         return
     if not (folder / STATS).exists() and info["codebase_version"] == Version.V3_0:
-        yield Fault(file=str(STATS), problem="is missing, expected the statistics of all columns.")
+        yield DatasetFault(file=str(STATS), problem="is missing, expected the statistics of all columns.")
     for file in files:
         yield from _check_table(folder, info, file)
         yield from _check_videos(folder, info, file)
@@ -168,7 +168,7 @@ def _read_table(folder: Path, name: str) -> Any:
         raise _Broken(name, f"is no whole Parquet file ({str(error).splitlines()[0]}).") from error
 
 
-def _check_table(folder: Path, info: Mapping[str, Any], file: _File) -> Iterator[Fault]:
+def _check_table(folder: Path, info: Mapping[str, Any], file: _File) -> Iterator[DatasetFault]:
     try:
         table = _read_table(folder, file.name)
     except _Broken as broken:
@@ -177,7 +177,7 @@ def _check_table(folder: Path, info: Mapping[str, Any], file: _File) -> Iterator
     rows = sum(file.lengths)
     if table.num_rows != rows:
         problem = f"has {table.num_rows} rows, but its episodes have {rows}."
-        yield Fault(file=file.name, row=min(rows, table.num_rows), problem=problem)
+        yield DatasetFault(file=file.name, row=min(rows, table.num_rows), problem=problem)
         return
     expected = _expected_indices(file, info["fps"])
     described = {feature.name: {"dtype": feature.dtype, "shape": feature.shape} for feature in INDICES}
@@ -185,7 +185,7 @@ def _check_table(folder: Path, info: Mapping[str, Any], file: _File) -> Iterator
         if feature["dtype"] in ("video", "image"):
             continue
         if name not in table.column_names:
-            yield Fault(file=file.name, problem=f"has no column {name!r}, but info.json names it.")
+            yield DatasetFault(file=file.name, problem=f"has no column {name!r}, but info.json names it.")
             continue
         try:
             values = _values(file, name, table[name], feature)
@@ -227,42 +227,46 @@ def _values(file: _File, name: str, column: Any, feature: Mapping[str, Any]) -> 
 
 def _check_values(
     file: _File, name: str, values: NDArray[Any], expected: NDArray[Any] | None, info: Mapping[str, Any]
-) -> Iterator[Fault]:
+) -> Iterator[DatasetFault]:
     """Yield the first row that is wrong."""
     if values.dtype.kind == "f" and (row := _first(~np.isfinite(values).all(axis=1))) is not None:
         number = values[row][~np.isfinite(values[row])][0]
         remedy = "Repair the number or leave the episode out."
-        yield Fault(file=file.name, row=row, problem=f"column {name!r} is {number}, expected a number.", remedy=remedy)
+        yield DatasetFault(
+            file=file.name, row=row, problem=f"column {name!r} is {number}, expected a number.", remedy=remedy
+        )
     elif expected is not None:
         tolerance = _TIME_TOLERANCE_S if name == "timestamp" else 0
         row = _first(np.abs(values[:, 0] - expected) > tolerance)
         if row is not None:
             why = f", a frame every 1/{info['fps']:g} s as info.json says" if name == "timestamp" else ""
             problem = f"column {name!r} is {values[row, 0]:g}, expected {expected[row]:g}{why}."
-            yield Fault(file=file.name, row=row, problem=problem, remedy="Number the rows again, or correct fps.")
+            yield DatasetFault(
+                file=file.name, row=row, problem=problem, remedy="Number the rows again, or correct fps."
+            )
     elif (
         name == "task_index" and (row := _first((values[:, 0] < 0) | (values[:, 0] >= info["total_tasks"]))) is not None
     ):
         problem = f"column 'task_index' is {values[row, 0]}, but there are {info['total_tasks']} tasks."
-        yield Fault(file=file.name, row=row, problem=problem, remedy="Describe the task in meta.")
+        yield DatasetFault(file=file.name, row=row, problem=problem, remedy="Describe the task in meta.")
 
 
 def _first(wrong: NDArray[np.bool_]) -> int | None:
     return int(wrong.argmax()) if wrong.any() else None
 
 
-def _check_videos(folder: Path, info: Mapping[str, Any], file: _File) -> Iterator[Fault]:
+def _check_videos(folder: Path, info: Mapping[str, Any], file: _File) -> Iterator[DatasetFault]:
     cameras: Sequence[str] = [name for name, feature in info["features"].items() if feature["dtype"] == "video"]
     for camera in cameras:
         name = format_path(info["video_path"], file.number, camera, chunk_size=int(info.get("chunks_size", 1000)))
         if not (folder / name).exists():
-            yield Fault(file=name, problem="is missing.")
+            yield DatasetFault(file=name, problem="is missing.")
             continue
         count, fps = measure_video(folder / name)
         rows = sum(file.lengths)
         if count < rows:
             problem = f"has {count} pictures, but {file.name} has {rows} rows; there is none for this row."
-            yield Fault(file=name, row=count, problem=problem)
+            yield DatasetFault(file=name, row=count, problem=problem)
         elif abs(fps - info["fps"]) > 1e-3 * info["fps"]:
             problem = f"has {fps:g} pictures per second, expected {info['fps']:g} as in info.json."
-            yield Fault(file=name, problem=problem, remedy="Correct fps, or write the video again.")
+            yield DatasetFault(file=name, problem=problem, remedy="Correct fps, or write the video again.")

@@ -62,7 +62,7 @@ async def competition(request: Request) -> Response:
         board_address=partial(board_address, competition),
         has_others=n_competitions > 1,
         said=said[:N_SAID],
-        is_organizer=competition is not None and get_principal(viewer).organizes(competition),
+        organizes_service=competition is not None and get_principal(viewer).organizes(competition),
         now=(now := datetime.now(UTC)),
         countdowns=list_countdowns(found, now),
     )

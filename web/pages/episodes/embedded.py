@@ -10,7 +10,7 @@ from vitac.server.errors import ProblemCode, ServiceError
 
 from ...headers import EMBEDDED
 from ...site import Page, page
-from .page import EMBED, Player, make_player, player_script, read_place
+from .page import EMBED, EpisodePage, make_player, player_script, read_place
 
 CLOSED = "There is no public episode here: its result is not published, or its list is sealed, or it was removed."
 
@@ -18,7 +18,7 @@ CLOSED = "There is no public episode here: its result is not published, or its l
 async def embedded(request: Request) -> Response:
     """Show an episode that everybody may see, or a sentence where there is none."""
     try:
-        player: Player | None = await make_player(request, None, read_place(request), EMBED)
+        player: EpisodePage | None = await make_player(request, None, read_place(request), EMBED)
     except ServiceError as error:
         if error.code not in {ProblemCode.MISSING_CREDENTIALS, ProblemCode.NOT_FOUND}:
             raise

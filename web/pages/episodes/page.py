@@ -53,7 +53,7 @@ class EpisodeAddress:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Player:
+class EpisodePage:
     """An episode on its page.
 
     Attributes:
@@ -210,13 +210,13 @@ def player_script() -> str | None:
     return PLAYER if (STATIC / PLAYER).is_file() else None
 
 
-async def make_player(request: Request, viewer: Viewer | None, place: EpisodeAddress, prefix: str = "") -> Player:
+async def make_player(request: Request, viewer: Viewer | None, place: EpisodeAddress, prefix: str = "") -> EpisodePage:
     """Return an episode as the viewer may see it; `prefix` stands before the address of its page."""
-    return Player(address=prefix + _address(place), shown=await _shown_episode(request, viewer, place))
+    return EpisodePage(address=prefix + _address(place), shown=await _shown_episode(request, viewer, place))
 
 
 def list_results(
-    place: EpisodeAddress, choices: Sequence[EpisodeChoiceView], beside: Sequence[Player]
+    place: EpisodeAddress, choices: Sequence[EpisodeChoiceView], beside: Sequence[EpisodePage]
 ) -> dict[str, str]:
     """Return the names of other results whose episodes can be shown beside one, by their ids; what is shown is one."""
     others = {str(one.submission_id): one.label for one in choices}

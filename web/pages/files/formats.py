@@ -11,7 +11,7 @@ FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 """How a text begins that a spreadsheet would run."""
 
 
-class Format(StrEnum):
+class TableFormat(StrEnum):
     """How a table is written; the end of the file's name."""
 
     CSV = "csv"
@@ -20,9 +20,9 @@ class Format(StrEnum):
     """For programs."""
 
 
-def table_file(form: Format, name: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Response:
+def table_file(form: TableFormat, name: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Response:
     """Return a table in one of the formats."""
-    if form is Format.CSV:
+    if form is TableFormat.CSV:
         return csv_file(name, columns, rows)
     return json_file(name, objects(columns, rows))
 

@@ -16,7 +16,7 @@ from vitac.server.views.submissions import SubmissionListView, SubmissionView
 from ...site import Page, Site, get_principal, get_site, get_viewer, open_to_all, require_viewer
 from ..addresses import as_id
 from ..submission_detail import SubmissionDetail, read_detail
-from .formats import Format, attached, csv_text, table_file
+from .formats import TableFormat, attached, csv_text, table_file
 
 Rows = Iterable[tuple[object, ...]]
 SCORE_COLUMNS = (
@@ -35,7 +35,7 @@ LIST_COLUMNS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Table:
+class SubmissionTable:
     """A table that the page of a submission shows.
 
     Attributes:
@@ -49,7 +49,7 @@ class Table:
     rows: Callable[[SubmissionDetail], Rows]
 
 
-def make_table_page(table: Table, form: Format) -> Page:
+def make_table_page(table: SubmissionTable, form: TableFormat) -> Page:
     """Return the page that answers with a table of a submission in a format."""
 
     @open_to_all
@@ -105,17 +105,17 @@ def _history(detail: SubmissionDetail) -> Rows:
 
 
 TABLES = (
-    Table(
+    SubmissionTable(
         name="episodes",
         columns=("task", "episode", "shape", "start", "outcome", "success", "env_steps", *FORCE_COLUMNS),
         rows=_episodes,
     ),
-    Table(
+    SubmissionTable(
         name="scores",
         columns=SCORE_COLUMNS,
         rows=_scores,
     ),
-    Table(
+    SubmissionTable(
         name="history",
         columns=("task", "submission_id", "submission", "submitted_at", "success_rate"),
         rows=_history,

@@ -45,7 +45,7 @@ class ShownSensor:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
+class SensorOnPage:
     """One sensor of the page.
 
     Attributes:
@@ -123,10 +123,10 @@ async def _shown_sensor(site: Site, by: Principal, submission_id: UUID) -> Shown
     return ShownSensor(submission_id=submission_id, name=name, team=team, view=view, looks=looks)
 
 
-def _part(number: int, shown: ShownSensor, largest: tuple[float, float]) -> Part:
+def _part(number: int, shown: ShownSensor, largest: tuple[float, float]) -> SensorOnPage:
     key, figures = str(number), shown.view.figures
     maps = () if figures is None else sensitivity_maps(key, figures.touch.sensitivity, largest)
-    return Part(
+    return SensorOnPage(
         shown=shown,
         still=still(shown.looks),
         figures=(marker_picture(key, shown.looks.markers_px), quality_histogram(key, shown.looks.qualities), *maps),

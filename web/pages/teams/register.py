@@ -65,7 +65,7 @@ async def _register(request: Request, given: Mapping[str, str]) -> RegisteredTea
     site = get_site(request)
 
     def made(session: Session) -> RegisteredTeam:
-        asked = registration.NewTeam(**new.model_dump())
+        asked = registration.RegisteringTeam(**new.model_dump())
         team, issued = registration.register(session, site.services.settings, None, asked)
         return RegisteredTeam(
             team=team.name,

@@ -158,7 +158,7 @@ async def join(request: Request) -> Response:
         thread, password = passwords.UNKNOWN_DEVICES, checked.password
         leave_place(request)
         password_hash = password and await thread.wait_for(passwords.hashed, password)
-        joining = members.NewMember(**checked.model_dump(exclude={"password"}), password_hash=password_hash)
+        joining = members.JoiningMember(**checked.model_dump(exclude={"password"}), password_hash=password_hash)
 
         def joined(session: Session) -> tuple[str, str, UUID]:
             member, issued = members.join(session, joining, lifetime)

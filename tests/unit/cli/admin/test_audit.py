@@ -265,7 +265,7 @@ def prepare(service: CliService, command: str) -> None:
 def make_team_to_change(session: Session, *, waits: bool) -> None:
     """A second member of Team A, and another team."""
     _, code = members.invite(session, CONSOLE, teams.find(session, "Team A"))
-    members.join(session, members.NewMember(code=code, name="Ann"), timedelta(days=1))
+    members.join(session, members.JoiningMember(code=code, name="Ann"), timedelta(days=1))
     teams.register(session, CONSOLE, name="Waiting", waits=waits)
 
 

@@ -11,7 +11,7 @@ from vitac.evaluator.agent.exchange import LOADER_PID, Deadlines, EpisodeProcess
 from vitac.evaluator.agent.isolation.sandbox import Resources
 from vitac.evaluator.agent.limits import MIB, Limits
 from vitac.evaluator.agent.protocol.channel import ChannelClosed
-from vitac.evaluator.agent.protocol.frames import Answer, AnswerHeader, AnswerKind, Question, QuestionKind
+from vitac.evaluator.agent.protocol.frames import AnswerHeader, AnswerKind, PolicyAnswer, PolicyQuestion, QuestionKind
 from vitac.evaluator.agent.verdicts import PolicyFailed, SandboxFailed, VerdictCode
 
 PROCESS = EpisodeProcess(outside_pid=4711, inside_pid=7)
@@ -29,21 +29,21 @@ class FakeChannel:
     """Gives the answers that it was given, then none; closed, it says so."""
 
     read: int
-    answers: list[Answer] = field(default_factory=list)
+    answers: list[PolicyAnswer] = field(default_factory=list)
     is_closed: bool = False
     has_unsent: bool = False
-    asked: list[Question] = field(default_factory=list)
+    asked: list[PolicyQuestion] = field(default_factory=list)
 
     def fileno(self) -> int:
         return self.read
 
-    def ask(self, question: Question) -> None:
+    def ask(self, question: PolicyQuestion) -> None:
         self.asked.append(question)
 
     def send_more(self) -> None:
         raise AssertionError("there is nothing to send")
 
-    def receive(self, expected: Sequence[AnswerKind]) -> Answer | None:
+    def receive(self, expected: Sequence[AnswerKind]) -> PolicyAnswer | None:
         if self.answers:
             return self.answers.pop(0)
         if self.is_closed:
@@ -116,19 +116,23 @@ def exchange_with(sandbox: FakeSandbox, process: EpisodeProcess | None = PROCESS
     return Exchange(sandbox, limits=Limits(output_killed_bytes=MIB), process=process)  # type: ignore[arg-type]
 
 
-def an_answer(kind: AnswerKind, sender_pid: int = PROCESS.outside_pid, code: str = "", message: str = "") -> Answer:
-    return Answer(header=AnswerHeader(seq=1, kind=kind, code=code, message=message), arrays={}, sender_pid=sender_pid)
+def an_answer(
+    kind: AnswerKind, sender_pid: int = PROCESS.outside_pid, code: str = "", message: str = ""
+) -> PolicyAnswer:
+    return PolicyAnswer(
+        header=AnswerHeader(seq=1, kind=kind, code=code, message=message), arrays={}, sender_pid=sender_pid
+    )
 
 
 def failure_of(exchange: Exchange, deadlines: Deadlines = DEADLINES) -> PolicyFailed:
     with pytest.raises(PolicyFailed) as caught:
-        exchange.ask(Question(kind=QuestionKind.OBSERVE), AnswerKind.ACTION, deadlines)
+        exchange.ask(PolicyQuestion(kind=QuestionKind.OBSERVE), AnswerKind.ACTION, deadlines)
     return caught.value
 
 
 def test_the_answer_of_the_right_process_is_returned(sandbox: FakeSandbox) -> None:
     sandbox.channel.answers = [an_answer(AnswerKind.ACTION)]
-    question = Question(kind=QuestionKind.OBSERVE)
+    question = PolicyQuestion(kind=QuestionKind.OBSERVE)
     answer = exchange_with(sandbox).ask(question, AnswerKind.ACTION, DEADLINES)
     assert answer.header.kind is AnswerKind.ACTION
     assert sandbox.channel.asked == [question]
@@ -137,7 +141,7 @@ def test_the_answer_of_the_right_process_is_returned(sandbox: FakeSandbox) -> No
 def test_an_answer_counts_though_its_process_has_ended_since(sandbox: FakeSandbox) -> None:
     sandbox.channel.answers = [an_answer(AnswerKind.ACTION)]
     sandbox.statuses = {PROCESS.inside_pid: exited(0)}
-    assert exchange_with(sandbox).ask(Question(kind=QuestionKind.OBSERVE), AnswerKind.ACTION, DEADLINES)
+    assert exchange_with(sandbox).ask(PolicyQuestion(kind=QuestionKind.OBSERVE), AnswerKind.ACTION, DEADLINES)
 
 
 @pytest.mark.parametrize(("is_reported", "looks"), [(False, 0), (True, 1)])
@@ -149,7 +153,7 @@ def test_ends_are_looked_up_for_an_answer_only_where_one_was_reported(
     if is_reported:
         os.write(status, b"a child")
     sandbox.channel.answers = [an_answer(AnswerKind.ACTION)]
-    exchange_with(sandbox).ask(Question(kind=QuestionKind.OBSERVE), AnswerKind.ACTION, DEADLINES)
+    exchange_with(sandbox).ask(PolicyQuestion(kind=QuestionKind.OBSERVE), AnswerKind.ACTION, DEADLINES)
     assert sandbox.looks == looks
 
 
@@ -204,7 +208,7 @@ def test_a_sandbox_that_is_gone_without_a_report_was_ended_from_outside(
 ) -> None:
     sandbox.is_gone = True
     with pytest.raises(SandboxFailed, match="by something outside it"):
-        exchange_with(sandbox, process).ask(Question(kind=QuestionKind.OBSERVE), AnswerKind.ACTION, DEADLINES)
+        exchange_with(sandbox, process).ask(PolicyQuestion(kind=QuestionKind.OBSERVE), AnswerKind.ACTION, DEADLINES)
 
 
 @pytest.mark.parametrize("is_closed", [True, False])

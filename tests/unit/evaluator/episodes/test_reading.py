@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from vitac.evaluator.agent.protocol.frames import Question, QuestionKind, encode_question
+from vitac.evaluator.agent.protocol.frames import PolicyQuestion, QuestionKind, encode_question
 from vitac.evaluator.episodes.episode import EnvironmentBroken, make_environment, public_part
 from vitac.evaluator.episodes.reading import make_reading
 from vitac.evaluator.tracks import load_track
@@ -40,11 +40,11 @@ def test_keys_of_another_task_of_the_submission_are_left_out() -> None:
 def test_an_observation_takes_2_16_megabytes_to_the_policy_instead_of_5_84() -> None:
     arrays = {row.name: np.zeros(row.shape, row.dtype) for row in FUSION.observables}
     reading = make_reading(FUSION)
-    question = Question(
+    question = PolicyQuestion(
         kind=QuestionKind.OBSERVE, arrays={key: arrays[key] for key in reading.sent}, clouds=reading.clouds
     )
     sent = sum(part.nbytes for part in encode_question(1, question))
-    whole = sum(part.nbytes for part in encode_question(1, Question(kind=QuestionKind.OBSERVE, arrays=arrays)))
+    whole = sum(part.nbytes for part in encode_question(1, PolicyQuestion(kind=QuestionKind.OBSERVE, arrays=arrays)))
     assert (round(sent / 1e6, 2), round(whole / 1e6, 2)) == (2.16, 5.84)
 
 

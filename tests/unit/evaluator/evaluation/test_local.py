@@ -6,7 +6,7 @@ from evaluation_records import make_manifest
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.estimator.regression import Coefficients
-from vitac.evaluator.evaluation.local import Evaluation, evaluate
+from vitac.evaluator.evaluation.local import LocalEvaluation, evaluate
 from vitac.evaluator.evaluation.stored_shards import FinishedShard
 from vitac.evaluator.shards.host_process import ShardProcessFailed
 from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
@@ -19,7 +19,7 @@ TASK = TRACK.tasks["peg-insertion"]
 SPREAD = (1, 2, 31, 61, 62)
 
 
-def run(behaviour: str, **options: Any) -> Evaluation:
+def run(behaviour: str, **options: Any) -> LocalEvaluation:
     return evaluate(submission_dir=Path(behaviour), track=TRACK, task=TASK, **({"episodes": SPREAD} | options))
 
 

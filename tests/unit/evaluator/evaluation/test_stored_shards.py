@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.evaluation import stored_shards
-from vitac.evaluator.evaluation.local import Evaluation, evaluate
+from vitac.evaluator.evaluation.local import LocalEvaluation, evaluate
 from vitac.evaluator.evaluation.stored_shards import FinishedShard, StoredShards
 from vitac.evaluator.figures.figures import FigureChoice
 from vitac.evaluator.shards import host_process
@@ -29,7 +29,7 @@ def play(
     behaviour: str = "succeed",
     episodes: tuple[int, ...] = (1, 2, 61),
     figures: FigureChoice = FigureChoice.NONE,
-) -> Evaluation:
+) -> LocalEvaluation:
     stored = StoredShards(folder, of="digest of a sensor")
     return evaluate(
         submission_dir=Path(behaviour), track=TRACK, task=TASK, episodes=episodes, stored=stored, figures=figures

@@ -14,7 +14,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from submissions import FILES, entry, submission_folder, submission_zip, zip_bytes
 from vitac.evaluator.agent.limits import Limits
-from vitac.evaluator.submission.archive import ArchiveFault, ArchiveRejected, Entry, unpack, write
+from vitac.evaluator.submission.archive import ArchiveEntry, ArchiveFault, ArchiveRejected, unpack, write
 from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest
 from vitac.evaluator.submission.names import NamedEntry, check_names
 from vitac.evaluator.submission.sources import read_manifest_file, stage, submission_digest
@@ -242,8 +242,8 @@ def test_refuses_to_unpack_over_something(tmp_path: Path) -> None:
         unpack(io.BytesIO(submission_zip()), tmp_path)
 
 
-def file_of(content: bytes, path: str = "policy.py") -> Entry:
-    return Entry(path=path, n_bytes=len(content), open=lambda: io.BytesIO(content))
+def file_of(content: bytes, path: str = "policy.py") -> ArchiveEntry:
+    return ArchiveEntry(path=path, n_bytes=len(content), open=lambda: io.BytesIO(content))
 
 
 @pytest.mark.parametrize("sizes", [(10,), (6, 4), (9, 1), (10, 0)])
@@ -269,7 +269,7 @@ def test_never_writes_through_a_link_that_appears_while_unpacking(
     outside = tmp_path / "outside"
     outside.write_bytes(b"ours")
 
-    def files() -> Iterator[Entry]:
+    def files() -> Iterator[ArchiveEntry]:
         link_to(tmp_path / "out" / "Track_1" / "policy.py", outside)
         yield file_of(b"theirs")
 

@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session
 from sqlalchemy.pool import QueuePool
 from submission_steps import refused
 from vitac.server.accounts import members, outbox, passwords, teams, tokens
-from vitac.server.accounts.members import NewMember
+from vitac.server.accounts.members import JoiningMember
 from vitac.server.accounts.outbox import announce
 from vitac.server.audit import newest_entries
 from vitac.server.database.engine import Database
@@ -37,7 +37,7 @@ def set_password(database: Database, by: Principal, member: Member, password: st
 def joined(session: Session, team: Principal, name: str = "Ann", **values: str) -> tuple[Member, Principal]:
     """A new member of a team, and who asks with their token."""
     _, code = members.invite(session, CONSOLE, teams.own(session, team))
-    member, issued = members.join(session, NewMember(code=code, name=name, **values), WEEK)
+    member, issued = members.join(session, JoiningMember(code=code, name=name, **values), WEEK)
     return member, tokens.authenticate(session, issued.secret)
 
 
@@ -46,7 +46,7 @@ def test_who_has_an_invitation_joins_once_with_a_token_of_their_own(database: Da
         team = make_principal(session)
         made, code = members.invite(session, team, teams.own(session, team))
         assert code not in {made.code_sha256, str(made.id)}
-        member, issued = members.join(session, NewMember(code=f" {code}\n", name=" Ann  Lee "), WEEK)
+        member, issued = members.join(session, JoiningMember(code=f" {code}\n", name=" Ann  Lee "), WEEK)
         by = tokens.authenticate(session, issued.secret)
         assert (member.name, member.role, by.member_id, by.leads_team) == (
             "Ann Lee",
@@ -60,7 +60,7 @@ def test_who_has_an_invitation_joins_once_with_a_token_of_their_own(database: Da
         assert ({one.name for one in view.members}, view.invitations) == ({"Captain", "Ann Lee"}, [])
         for wrong in (code, "vitac-join-unknown", ""):
             with refused(ProblemCode.INVITE_REQUIRED):
-                members.join(session, NewMember(code=wrong, name="Bob"), WEEK)
+                members.join(session, JoiningMember(code=wrong, name="Bob"), WEEK)
         assert newest_entries(session, 1, action="member.join")[0].actor == "team:Team A/Ann Lee"
 
 
@@ -75,7 +75,7 @@ def test_an_invitation_ends_by_time_and_by_the_captain(database: Database) -> No
             members.withdraw_invitation(session, team, own, ended.id)
         for code in (late_code, ended_code):
             with refused(ProblemCode.INVITE_REQUIRED):
-                members.join(session, NewMember(code=code, name="Bob"), WEEK)
+                members.join(session, JoiningMember(code=code, name="Bob"), WEEK)
         other = make_principal(session, "Team B")
         with refused(ProblemCode.NOT_FOUND):
             members.withdraw_invitation(session, other, teams.own(session, other), ended.id)
@@ -152,7 +152,7 @@ def test_a_member_has_one_token_and_who_leaves_has_none(database: Database) -> N
             members.remove(session, team, ann)
         _, code = members.invite(session, team, ann.team)
         with refused(ProblemCode.NAME_TAKEN):
-            members.join(session, NewMember(code=code, name="ann"), WEEK)
+            members.join(session, JoiningMember(code=code, name="ann"), WEEK)
     with refused(ProblemCode.INVALID_CREDENTIALS):
         members.sign_in(database, "Team A", "Ann", PASSWORD, WEEK)
 
@@ -238,7 +238,7 @@ def test_the_lock_date_holds_for_all_but_organizers(database: Database) -> None:
         put_in_place(session, make_competition(teams_locked=(datetime.now(UTC) - timedelta(seconds=1)).isoformat()))
         for locked in (
             lambda: members.invite(session, team, own),
-            lambda: members.join(session, NewMember(code=code, name="Bob"), WEEK),
+            lambda: members.join(session, JoiningMember(code=code, name="Bob"), WEEK),
             lambda: members.remove(session, by_ann, ann),
             lambda: members.hand_over(session, team, ann),
         ):

@@ -12,7 +12,7 @@ from service_factories import (
 )
 from submission_steps import refused
 from vitac.server.accounts import members, merging, outbox, teams, tokens
-from vitac.server.accounts.members import NewMember
+from vitac.server.accounts.members import JoiningMember
 from vitac.server.accounts.quotas import uses
 from vitac.server.audit import newest_entries
 from vitac.server.database.engine import Database
@@ -37,7 +37,7 @@ def test_a_merge_keeps_submissions_members_tokens_and_places_and_counts_quotas_t
         session.add(Qualification(competition="", track=TRACK, stage="stage2", team_id=ants.team_id))
         old, new = teams.own(session, ants), teams.own(session, bees)
         _, code = members.invite(session, ants, old)
-        members.join(session, NewMember(code=code, name="Ann"), timedelta(days=1))
+        members.join(session, JoiningMember(code=code, name="Ann"), timedelta(days=1))
         assert teams_on_board(session, task=TASK) == ["Ants", "Bees"]
         merging.merge(session, CONSOLE, old, new)
     with database.transaction() as session:

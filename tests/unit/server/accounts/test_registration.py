@@ -3,7 +3,7 @@ from datetime import UTC, datetime, timedelta
 from service_factories import TASK, make_principal, make_score, make_settings, submit, submit_scored
 from submission_steps import refused
 from vitac.server.accounts import teams, tokens
-from vitac.server.accounts.registration import NewTeam, register
+from vitac.server.accounts.registration import RegisteringTeam, register
 from vitac.server.audit import newest_entries
 from vitac.server.database.engine import Database
 from vitac.server.errors import ProblemCode
@@ -14,7 +14,7 @@ from competitions import make_competition, put_in_place, teams_on_board
 
 def registered(database: Database, name: str, by: Principal | None = None) -> str:
     with database.transaction() as session:
-        return register(session, make_settings(), by, NewTeam(name=name))[0].name
+        return register(session, make_settings(), by, RegisteringTeam(name=name))[0].name
 
 
 def lock_teams(database: Database, after: timedelta) -> None:
@@ -34,7 +34,7 @@ def test_nobody_but_organizers_registers_a_team_once_teams_are_locked(database: 
 def test_a_team_that_waits_submits_once_an_organizer_accepts_it(database: Database) -> None:
     with database.transaction() as session:
         settings = make_settings(registration="approval")
-        team, issued = register(session, settings, None, NewTeam(name="Ants"))
+        team, issued = register(session, settings, None, RegisteringTeam(name="Ants"))
         by = tokens.authenticate(session, issued.secret)
         assert (by.leads_team, [one.name for one in teams.waiting(session)]) == (True, ["Ants"])
         with refused(ProblemCode.TEAM_NOT_ACCEPTED):
@@ -53,7 +53,7 @@ def test_a_team_that_waits_submits_once_an_organizer_accepts_it(database: Databa
         accepted, refusal = newest_entries(session, 50, subject=f"team:{team.id}")[:2]
         assert (accepted.action, accepted.before) == ("team.accept", {"accepted": False, "reason": "no such lab"})
         assert (refusal.action, refusal.after) == ("team.refuse", {"accepted": False, "reason": "no such lab"})
-        assert register(session, settings, CONSOLE, NewTeam(name="Bees"))[0].approved_at is not None
+        assert register(session, settings, CONSOLE, RegisteringTeam(name="Bees"))[0].approved_at is not None
 
 
 def test_a_team_is_renamed_as_boards_show_at_once(database: Database) -> None:

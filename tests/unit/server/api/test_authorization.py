@@ -279,7 +279,7 @@ class Setting:
 
     def new_member(self) -> str:
         """Id of a further member of the team OWNER."""
-        new = members.NewMember(code=self.new_invitation()[1], name=uuid4().hex[:12])
+        new = members.JoiningMember(code=self.new_invitation()[1], name=uuid4().hex[:12])
         with self.service.database.transaction() as session:
             return str(members.join(session, new, timedelta(days=1))[0].id)
 
@@ -413,7 +413,7 @@ def fill(service: Service) -> Setting:
     with service.services.database.transaction() as session:
         team = session.get_one(Team, service.principal.team_id)
         code = members.invite(session, CONSOLE, team)[1]
-        joined = members.join(session, members.NewMember(code=code, name="Ann"), timedelta(days=1))[1]
+        joined = members.join(session, members.JoiningMember(code=code, name="Ann"), timedelta(days=1))[1]
     return Setting(
         service=service,
         submission_id=submission_id,

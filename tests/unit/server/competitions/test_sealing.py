@@ -33,7 +33,7 @@ from vitac.server.logs.export import export_log
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import listing
 from vitac.server.submissions.output import episode_outputs
-from vitac.server.visibility import Sight, decide_sight
+from vitac.server.visibility import EvaluationVisibility, decide_sight
 
 from competitions import stored_stage
 
@@ -224,9 +224,9 @@ def test_sight_is_by_role_and_list(database: Database, principal: Principal, sea
         other = make_principal(session, "Team B")
         public = newest_evaluation(session, submit(session, principal, tasks=(TASK, LOCK)))
         hidden = session.scalars(select(Evaluation).where(Evaluation.commitment.is_not(None))).one()
-        everything = Sight(episodes=True, output=True, practice=True)
-        practice = Sight(episodes=False, output=False, practice=True)
-        nothing = Sight(episodes=False, output=False, practice=False)
+        everything = EvaluationVisibility(episodes=True, output=True, practice=True)
+        practice = EvaluationVisibility(episodes=False, output=False, practice=True)
+        nothing = EvaluationVisibility(episodes=False, output=False, practice=False)
         seen = {by: (decide_sight(by, public), decide_sight(by, hidden)) for by in (CONSOLE, principal, JUDGE, other)}
     assert seen == {
         CONSOLE: (everything, everything),

@@ -60,7 +60,7 @@ def create(
     database: Database, by: Principal, at: datetime, content: str = "content", *, kind: SubmissionKind = MODEL
 ) -> Submission:
     with database.transaction() as session:
-        team = "Team A" if by.is_organizer else None
+        team = "Team A" if by.organizes_service else None
         return creation.create(session, by, make_upload(content, kind=kind), team=team, at=at)[0]
 
 

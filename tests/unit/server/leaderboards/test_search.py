@@ -5,7 +5,7 @@ from page_fixtures import a_leaderboard, a_score, an_entry, some_log_boards
 from vitac.evaluator.tracks import load_track
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.leaderboards.baselines import list_baselines
-from vitac.server.leaderboards.reading import BoardSearch, Rows
+from vitac.server.leaderboards.reading import BoardSearch, ShownRows
 
 NOON = datetime(2026, 3, 31, 12, tzinfo=UTC)
 SCORE = a_score((80, 74, 80), 4.92)
@@ -40,7 +40,7 @@ def test_rows_are_found_under_their_ranks_on_the_whole_board(
 
 
 def test_the_query_of_a_search_reads_as_the_same_search() -> None:
-    search = BoardSearch(team="Söhne & 7", since=date(2026, 1, 1), until=date(2026, 2, 28), rows=Rows.ENTRIES)
+    search = BoardSearch(team="Söhne & 7", since=date(2026, 1, 1), until=date(2026, 2, 28), rows=ShownRows.ENTRIES)
     assert BoardSearch.read(dict(search.query())) == search
     assert BoardSearch.read({"q": "  ", "since": "", "rows": ""}).is_empty
 

@@ -17,7 +17,7 @@ from sqlalchemy import select, update
 from submission_steps import refused
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.server.accounts import members, messages, teams, tokens, webhooks
-from vitac.server.accounts.members import NewMember
+from vitac.server.accounts.members import JoiningMember
 from vitac.server.audit import newest_entries, record
 from vitac.server.competitions.sealing import seal
 from vitac.server.database.engine import Database
@@ -67,7 +67,7 @@ def test_a_teams_data_says_nothing_that_was_said_in_confidence_or_is_sealed(data
         webhooks.add(session, ants, own, "https://hook.example.org/", inside_allowed=False)
         submission = submit(session, ants)
         _, code = members.invite(session, ants, own)
-        _, issued = members.join(session, NewMember(code=code, name="Bob"), timedelta(days=1))
+        _, issued = members.join(session, JoiningMember(code=code, name="Bob"), timedelta(days=1))
     play_all(database, submission, partial(make_failed_record, output="secret start"))
     with database.transaction() as session:
         own = teams.own(session, ants)

@@ -28,7 +28,7 @@ from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import listing
 from vitac.server.submissions.output import episode_outputs, episodes_with_output
 from vitac.server.views.submissions import OutputView
-from vitac.server.visibility import Sight, decide_sight
+from vitac.server.visibility import EvaluationVisibility, decide_sight
 
 
 @pytest.fixture
@@ -142,9 +142,9 @@ def test_output_of_a_failure_on_a_sealed_list_is_for_organizers_only(
 def test_a_log_has_no_output(database: Database, principal: Principal, submission: Submission) -> None:
     with database.transaction() as session:
         evaluation = evaluation_of(session, submission)
-        assert decide_sight(principal, evaluation) == Sight(episodes=True, output=True, practice=True)
+        assert decide_sight(principal, evaluation) == EvaluationVisibility(episodes=True, output=True, practice=True)
         session.expunge(evaluation.submission)
         evaluation.submission.kind = SubmissionKind.LOG
         for by in (principal, CONSOLE):
-            assert decide_sight(by, evaluation) == Sight(episodes=True, output=False, practice=True)
+            assert decide_sight(by, evaluation) == EvaluationVisibility(episodes=True, output=False, practice=True)
         session.rollback()

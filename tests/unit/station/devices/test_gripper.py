@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from vitac.station.devices.gripper import Grasp, Gripper
+from vitac.station.devices.gripper import Grasp, HandE
 from vitac.station.devices.stage import DeviceFault, DeviceNotFound
 from vitac.station.twin.gripper import GripperFault, GripperTwin, checksum
 from vitac.station.twin.laboratory import Terminal
@@ -24,12 +24,12 @@ def line(twin: GripperTwin) -> Iterator[Terminal]:
 
 
 @pytest.fixture
-def gripper(line: Terminal) -> Iterator[Gripper]:
-    with Gripper(line.port) as opened:
+def gripper(line: Terminal) -> Iterator[HandE]:
+    with HandE(line.port) as opened:
         yield opened
 
 
-def close(gripper: Gripper) -> None:
+def close(gripper: HandE) -> None:
     gripper.activate()
     gripper.start_move(255, speed=255, force=50)
 
@@ -39,39 +39,39 @@ def test_checksum_is_that_of_the_makers_example() -> None:
     assert checksum(bytes.fromhex("091003E8000306000000000000")) == bytes.fromhex("7330")
 
 
-def test_is_inactive_until_it_is_activated(gripper: Gripper) -> None:
+def test_is_inactive_until_it_is_activated(gripper: HandE) -> None:
     assert not gripper.status().is_activated
     gripper.activate()
     assert gripper.status().is_activated
 
 
-def test_closing_meets_the_object(gripper: Gripper) -> None:
+def test_closing_meets_the_object(gripper: HandE) -> None:
     close(gripper)
     status = gripper.wait(timeout_s=5.0)
     assert (status.grasp, status.position, status.request) == (Grasp.MET_OBJECT_CLOSING, 180, 255)
     assert status.current > 0
 
 
-def test_closing_on_nothing_ends_at_the_position(gripper: Gripper, twin: GripperTwin) -> None:
+def test_closing_on_nothing_ends_at_the_position(gripper: HandE, twin: GripperTwin) -> None:
     twin.object_at = None
     close(gripper)
     assert gripper.wait(timeout_s=5.0).grasp is Grasp.AT_POSITION
 
 
-def test_stop_leaves_the_fingers_where_they_are(gripper: Gripper, twin: GripperTwin) -> None:
+def test_stop_leaves_the_fingers_where_they_are(gripper: HandE, twin: GripperTwin) -> None:
     close(gripper)
     gripper.stop()
     assert twin.position() == twin.position() < 180
 
 
-def test_stuck_fingers_are_a_fault(gripper: Gripper, twin: GripperTwin) -> None:
+def test_stuck_fingers_are_a_fault(gripper: HandE, twin: GripperTwin) -> None:
     twin.faults.add(GripperFault.STUCK)
     close(gripper)
     with pytest.raises(DeviceFault, match=r"still moves after 0\.05 s, at position 0: it is stuck"):
         gripper.wait(timeout_s=0.05)
 
 
-def test_reported_fault_is_named_and_activation_clears_it(gripper: Gripper, twin: GripperTwin) -> None:
+def test_reported_fault_is_named_and_activation_clears_it(gripper: HandE, twin: GripperTwin) -> None:
     close(gripper)
     twin.faults.add(GripperFault.OVERCURRENT)
     with pytest.raises(DeviceFault, match="reports fault 0x0E: overcurrent"):
@@ -82,18 +82,18 @@ def test_reported_fault_is_named_and_activation_clears_it(gripper: Gripper, twin
 
 def test_wrong_unit_does_not_answer(line: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vitac.station.devices.gripper._ANSWER_S", 0.02)
-    with Gripper(line.port, unit=8) as other, pytest.raises(DeviceFault, match="unit 8 does not answer"):
+    with HandE(line.port, unit=8) as other, pytest.raises(DeviceFault, match="unit 8 does not answer"):
         other.status()
 
 
-def test_unplugged_line_is_a_fault(gripper: Gripper, line: Terminal) -> None:
+def test_unplugged_line_is_a_fault(gripper: HandE, line: Terminal) -> None:
     line.unplug()
     with pytest.raises(DeviceFault, match="does not answer"):
         gripper.status()
 
 
 def test_a_process_that_waits_for_a_core_while_it_writes_has_not_lost_the_line(
-    gripper: Gripper, monkeypatch: pytest.MonkeyPatch
+    gripper: HandE, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write = os.write
     line: Any = gripper._line.socket
@@ -109,10 +109,10 @@ def test_a_process_that_waits_for_a_core_while_it_writes_has_not_lost_the_line(
 
 def test_missing_port_is_named() -> None:
     with pytest.raises(DeviceNotFound, match="No gripper at /dev/no-such-port"):
-        Gripper("/dev/no-such-port")
+        HandE("/dev/no-such-port")
 
 
-def test_late_answer_to_a_command_is_no_status(monkeypatch: pytest.MonkeyPatch, gripper: Gripper) -> None:
+def test_late_answer_to_a_command_is_no_status(monkeypatch: pytest.MonkeyPatch, gripper: HandE) -> None:
     line = gripper._line
     late = line.write_registers(0x03E8, [0, 0, 0], device_id=9)
     monkeypatch.setattr(line, "read_holding_registers", lambda *_, **__: late)
@@ -120,7 +120,7 @@ def test_late_answer_to_a_command_is_no_status(monkeypatch: pytest.MonkeyPatch, 
         gripper.status()
 
 
-def test_pause_between_two_questions_is_no_fault(gripper: Gripper, twin: GripperTwin) -> None:
+def test_pause_between_two_questions_is_no_fault(gripper: HandE, twin: GripperTwin) -> None:
     """The first answer after a second of silence has fault 9, the next one does not."""
     now_s = 0.0
     twin.clock = lambda: now_s

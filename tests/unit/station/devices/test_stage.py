@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import pytest
-from vitac.station.devices.stage import DeviceFault, DeviceNotFound, Identity, Pose, Stage, StageState, StageStatus
+from vitac.station.devices.stage import DeviceFault, DeviceNotFound, GrblState, Identity, LinearStage, Pose, StageStatus
 from vitac.station.twin.laboratory import Terminal
 from vitac.station.twin.stage import StageFault, StageTwin
 
@@ -36,28 +36,28 @@ def line(twin: StageTwin) -> Iterator[Terminal]:
 
 
 @pytest.fixture
-def stage(line: Terminal) -> Iterator[Stage]:
-    with Stage(line.port) as opened:
+def stage(line: Terminal) -> Iterator[LinearStage]:
+    with LinearStage(line.port) as opened:
         yield opened
 
 
-def test_says_who_it_is_and_how_it_is_set(stage: Stage) -> None:
+def test_says_who_it_is_and_how_it_is_set(stage: LinearStage) -> None:
     assert stage.identify() == Identity(serial_number="STAGE-1", firmware="1.1h.20190825")
     assert stage.settings()[120] == 500.0
 
 
-def test_moves_to_a_pose_and_rests_there(stage: Stage, clock: Clock) -> None:
+def test_moves_to_a_pose_and_rests_there(stage: LinearStage, clock: Clock) -> None:
     stage.start_move(TARGET, feed=600.0)
     clock.now_s = 0.5
     status = stage.status()
-    assert (status.state, status.is_moving) == (StageState.RUN, True)
+    assert (status.state, status.is_moving) == (GrblState.RUN, True)
     assert 0 < status.pose.x_mm < TARGET.x_mm
     clock.now_s = 10.0
     status = stage.status()
-    assert (status.state, status.is_moving, status.pose) == (StageState.IDLE, False, TARGET)
+    assert (status.state, status.is_moving, status.pose) == (GrblState.IDLE, False, TARGET)
 
 
-def test_hold_brakes_with_the_acceleration_of_the_stage(stage: Stage, twin: StageTwin, clock: Clock) -> None:
+def test_hold_brakes_with_the_acceleration_of_the_stage(stage: LinearStage, twin: StageTwin, clock: Clock) -> None:
     stage.start_move(TARGET, feed=600.0)
     clock.now_s = 0.5
     stage.hold()
@@ -65,11 +65,11 @@ def test_hold_brakes_with_the_acceleration_of_the_stage(stage: Stage, twin: Stag
     assert twin.speed() == 10.0
     clock.now_s = 0.5 + 10.0 / 500.0
     status = stage.status()
-    assert (status.state, status.is_moving) == (StageState.HOLD, False)
+    assert (status.state, status.is_moving) == (GrblState.HOLD, False)
     assert twin.rest_s == clock.now_s
 
 
-def test_position_is_known_after_a_held_motion_is_forgotten(stage: Stage, clock: Clock) -> None:
+def test_position_is_known_after_a_held_motion_is_forgotten(stage: LinearStage, clock: Clock) -> None:
     stage.start_move(TARGET, feed=600.0)
     clock.now_s = 0.5
     stage.hold()
@@ -77,31 +77,31 @@ def test_position_is_known_after_a_held_motion_is_forgotten(stage: Stage, clock:
     clock.now_s = 1.0
     held = stage.status().pose
     stage.forget_motion()
-    assert stage.status().state is StageState.IDLE
+    assert stage.status().state is GrblState.IDLE
     assert stage.status().pose == held
 
 
-def test_reset_in_motion_loses_the_position_and_homing_finds_it(stage: Stage, clock: Clock) -> None:
+def test_reset_in_motion_loses_the_position_and_homing_finds_it(stage: LinearStage, clock: Clock) -> None:
     stage.start_move(TARGET, feed=600.0)
     clock.now_s = 0.5
     stage.forget_motion()
-    assert stage.status().state is StageState.ALARM
+    assert stage.status().state is GrblState.ALARM
     with pytest.raises(DeviceFault, match=r"error:9\. It is locked by an alarm: clear its way, then home it"):
         stage.start_move(TARGET, feed=600.0)
     stage.home()
     assert stage.status().pose == Pose(0, 0, 0, 0)
 
 
-def test_limit_switch_is_a_fault_with_its_remedy(stage: Stage, twin: StageTwin) -> None:
+def test_limit_switch_is_a_fault_with_its_remedy(stage: LinearStage, twin: StageTwin) -> None:
     twin.faults.add(StageFault.ALARM)
     with pytest.raises(DeviceFault, match=r"ALARM:1\. It met a limit switch"):
         stage.start_move(TARGET, feed=600.0)
     stage.home()
-    assert stage.status() == StageStatus(state=StageState.IDLE, is_moving=False, pose=Pose(0, 0, 0, 0))
+    assert stage.status() == StageStatus(state=GrblState.IDLE, is_moving=False, pose=Pose(0, 0, 0, 0))
 
 
 def test_limit_switch_in_a_motion_is_named_and_the_locked_controller_is_opened_again(
-    stage: Stage, twin: StageTwin, line: Terminal, monkeypatch: pytest.MonkeyPatch
+    stage: LinearStage, twin: StageTwin, line: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """GRBL says so once and then answers nothing, not even `?`, until it is reset."""
     monkeypatch.setattr("vitac.station.devices.stage._ANSWER_S", 0.05)
@@ -112,31 +112,31 @@ def test_limit_switch_in_a_motion_is_named_and_the_locked_controller_is_opened_a
     with pytest.raises(DeviceFault, match="did not answer"):
         stage.status()
     stage.__exit__()
-    with Stage(line.port) as again:
-        assert again.status().state is StageState.ALARM
+    with LinearStage(line.port) as again:
+        assert again.status().state is GrblState.ALARM
         again.unlock()
-        assert again.status().state is StageState.IDLE
+        assert again.status().state is GrblState.IDLE
 
 
-def test_target_beyond_the_travel_is_refused_by_the_controller(stage: Stage) -> None:
+def test_target_beyond_the_travel_is_refused_by_the_controller(stage: LinearStage) -> None:
     with pytest.raises(DeviceFault, match=r"ALARM:2\. The target is beyond its travel"):
         stage.start_move(TARGET._replace(x_mm=1000.0), feed=600.0)
 
 
-def test_silent_controller_is_a_fault(stage: Stage, twin: StageTwin, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_silent_controller_is_a_fault(stage: LinearStage, twin: StageTwin, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vitac.station.devices.stage._ANSWER_S", 0.05)
     twin.faults.add(StageFault.SILENT)
     with pytest.raises(DeviceFault, match=r"did not answer within 0\.05 s"):
         stage.status()
 
 
-def test_three_axes_are_too_few(stage: Stage, twin: StageTwin, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_three_axes_are_too_few(stage: LinearStage, twin: StageTwin, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(twin, "receive", lambda _: b"<Idle|MPos:0.000,0.000,0.000|FS:0,0>\r\n")
     with pytest.raises(DeviceFault, match="Expected MPos of four axes"):
         stage.status()
 
 
-def test_unplugged_line_is_a_fault(stage: Stage, line: Terminal) -> None:
+def test_unplugged_line_is_a_fault(stage: LinearStage, line: Terminal) -> None:
     line.unplug()
     with pytest.raises(DeviceFault, match=r"The line to the stage at \S+ broke"):
         stage.status()
@@ -148,7 +148,7 @@ def test_port_at_which_nothing_answers_has_no_stage(
     monkeypatch.setattr("vitac.station.devices.stage._ANSWER_S", 0.05)
     twin.faults.add(StageFault.SILENT)
     with pytest.raises(DeviceNotFound, match=r"Nothing answers at \S+: expected GRBL 1\.1"):
-        Stage(line.port)
+        LinearStage(line.port)
 
 
 def test_stage_that_restarts_when_its_port_is_opened_is_waited_for(
@@ -158,10 +158,10 @@ def test_stage_that_restarts_when_its_port_is_opened_is_waited_for(
     answers = [b"", b"\r\nGrbl 1.1h ['$' for help]\r\n<Idle|MPos:0.000,0.000,0.000,0.000|FS:0,0>\r\n"]
     receive = twin.receive
     monkeypatch.setattr(twin, "receive", lambda data: answers.pop(0) if answers else receive(data))
-    with Stage(line.port) as stage:
+    with LinearStage(line.port) as stage:
         assert stage.identify().firmware == "1.1h.20190825"
 
 
 def test_missing_port_is_named() -> None:
     with pytest.raises(DeviceNotFound, match="No stage at /dev/no-such-port"):
-        Stage("/dev/no-such-port")
+        LinearStage("/dev/no-such-port")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from vitac.station.devices.cameras import TactileCamera, find_camera
+from vitac.station.devices.cameras import GelSightCamera, find_camera
 from vitac.station.devices.stage import DeviceFault, DeviceNotFound
 from vitac.station.twin.pictures import CameraFault, CameraTwin
 
@@ -27,8 +27,8 @@ def twin() -> Iterator[CameraTwin]:
 
 
 @pytest.fixture
-def camera(twin: CameraTwin) -> Iterator[TactileCamera]:
-    with TactileCamera(SERIAL, stream=twin.stream) as opened:
+def camera(twin: CameraTwin) -> Iterator[GelSightCamera]:
+    with GelSightCamera(SERIAL, stream=twin.stream) as opened:
         yield opened
 
 
@@ -38,21 +38,21 @@ def list_camera(cameras: Path, node: str, name: str, index: int = 0) -> None:
     (cameras / node / "index").write_text(f"{index}\n")
 
 
-def test_pictures_arrive_one_after_the_other(camera: TactileCamera) -> None:
+def test_pictures_arrive_one_after_the_other(camera: GelSightCamera) -> None:
     first, second = camera.read(), camera.read()
     assert first.shape == (48, 64, 3)
     assert abs(float(first.mean()) - 100.0) < 2.0
     assert not np.array_equal(first, second)
 
 
-def test_frozen_stream_is_a_fault(camera: TactileCamera, twin: CameraTwin) -> None:
+def test_frozen_stream_is_a_fault(camera: GelSightCamera, twin: CameraTwin) -> None:
     camera.read()
     twin.faults.add(CameraFault.FROZEN)
     with pytest.raises(DeviceFault, match=r"28F0-GX7F is frozen: 11 equal pictures"):
         [camera.read() for _ in range(1000)]
 
 
-def test_unplugged_camera_is_a_fault(camera: TactileCamera, twin: CameraTwin) -> None:
+def test_unplugged_camera_is_a_fault(camera: GelSightCamera, twin: CameraTwin) -> None:
     camera.read()
     twin.faults.add(CameraFault.UNPLUGGED)
     with pytest.raises(DeviceFault, match="28F0-GX7F stopped sending pictures"):
@@ -61,7 +61,7 @@ def test_unplugged_camera_is_a_fault(camera: TactileCamera, twin: CameraTwin) ->
 
 def test_stream_that_is_not_there_is_not_found(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(DeviceNotFound, match="cannot be opened"):
-        TactileCamera(SERIAL, stream="http://127.0.0.1:1/none")
+        GelSightCamera(SERIAL, stream="http://127.0.0.1:1/none")
 
 
 def test_camera_is_found_by_the_serial_number_in_its_name(tmp_path: Path) -> None:
@@ -74,6 +74,6 @@ def test_camera_is_found_by_the_serial_number_in_its_name(tmp_path: Path) -> Non
 def test_cameras_that_are_there_are_named(tmp_path: Path) -> None:
     list_camera(tmp_path, "video2", "GelSight Mini R0B 28W2-TRN5: Ge")
     with pytest.raises(DeviceNotFound, match=r"Cameras here: GelSight Mini R0B 28W2-TRN5: Ge\."):
-        TactileCamera(SERIAL, cameras=tmp_path)
+        GelSightCamera(SERIAL, cameras=tmp_path)
     with pytest.raises(DeviceNotFound, match=r"Cameras here: none\."):
         find_camera(SERIAL, tmp_path / "no-such-folder")

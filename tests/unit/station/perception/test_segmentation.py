@@ -10,10 +10,10 @@ import pytest
 from visible_scenes import STARTS, fusion_scene
 from vitac.envs.vision.camera import DepthMode, Sight
 from vitac.envs.vision.surfaces import Label
-from vitac.station.devices.cameras import ColourDepth, Intrinsics
+from vitac.station.devices.cameras import ColourDepth, ColourIntrinsics
 from vitac.station.perception.segmentation import NothingAtPrompt, SamMissing, make_segmenter, object_points_m, segment
 
-INTRINSICS = Intrinsics(width=60, height=40, fx=50.0, fy=50.0, cx=30.0, cy=20.0)
+INTRINSICS = ColourIntrinsics(width=60, height=40, fx=50.0, fy=50.0, cx=30.0, cy=20.0)
 RED, BLUE = (40, 40, 200), (200, 40, 40)
 
 

@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
-from vitac.station.eyes import Side, Sight
+from vitac.station.eyes import Finger, SensorReading
 from vitac.station.perception.markers import MarkerFlow, cut_picture
 from vitac.station.ros.messages import RosVersion, messages, read_flow
 from vitac.station.ros.relay import RecordingExists, recording
@@ -12,7 +12,7 @@ from vitac.station.ros.relay import RecordingExists, recording
 TIME_NS = 1_700_000_000_123_456_789
 
 
-def sight(movement_px: float) -> Sight:
+def sight(movement_px: float) -> SensorReading:
     """Both sides see different pictures and markers; the left ones have moved."""
     generator = np.random.default_rng(3)
     flows = []
@@ -20,7 +20,7 @@ def sight(movement_px: float) -> Sight:
         reference = generator.uniform(0, 240, (markers, 2)).astype(np.float32).astype(float)
         flows.append(MarkerFlow(reference, reference + moved))
     left, right = (generator.integers(0, 256, (338, 448, 3), dtype=np.uint8) for _ in range(2))
-    return Sight(flows[0], flows[1], (left, right), TIME_NS)
+    return SensorReading(flows[0], flows[1], (left, right), TIME_NS)
 
 
 @pytest.mark.parametrize("name", ["trial.bag", "trial"])
@@ -36,7 +36,7 @@ def test_what_is_recorded_is_read_back_by_other_programs(tmp_path: Path, name: s
             for connection, time_ns, data in reader.messages()
         }
     assert {topic.removeprefix("/") for topic in read} == set(version.topics())
-    for side, touch, taken in zip(Side, (recorded.left, recorded.right), recorded.pictures, strict=True):
+    for side, touch, taken in zip(Finger, (recorded.left, recorded.right), recorded.pictures, strict=True):
         time_ns, tracking = read[f"/Marker_Tracking_{side.title()}"]
         assert time_ns == TIME_NS == tracking.header.stamp.sec * 10**9 + tracking.header.stamp.nanosec
         flow = read_flow(vars(tracking))

@@ -9,7 +9,14 @@ from vitac.station.perception.observation import DAMAGED_PART, find_changed_part
 from vitac.station.twin.bench import GARAGE, HOLE, PEG_AT, Backlash, Bench
 from vitac.station.twin.force_torque import ForceTorqueFault
 from vitac.station.twin.gripper import GripperFault, checksum
-from vitac.station.twin.hidden import PUBLIC_SETTINGS, Fault, FaultScript, HiddenSettings, ScriptedFault, draw_hidden
+from vitac.station.twin.hidden import (
+    PUBLIC_SETTINGS,
+    FaultScript,
+    HiddenSettings,
+    ScriptedFault,
+    TwinFault,
+    draw_hidden,
+)
 from vitac.station.twin.pictures import CameraFault
 from vitac.station.twin.stage import StageFault
 
@@ -66,7 +73,7 @@ def test_gripper_closes_on_nothing_elsewhere(bench: Bench) -> None:
 
 
 def test_plate_is_felt_beside_the_hole_and_not_over_it_and_a_script_breaks_what_it_names_then() -> None:
-    spike = ScriptedFault(fault=Fault.FORCE_SPIKE, contact=1, for_s=0.3)
+    spike = ScriptedFault(fault=TwinFault.FORCE_SPIKE, contact=1, for_s=0.3)
     bench = Bench(hidden=PUBLIC_SETTINGS, period_s=0.1, script=FaultScript(faults=(spike,)))
     fetch(bench)
     go(bench, *GARAGE[:2], -20.0, 0.0)
@@ -95,7 +102,7 @@ def test_plate_is_felt_beside_the_hole_and_not_over_it_and_a_script_breaks_what_
 
 def test_stuck_gripper_holds_on_to_its_peg(bench: Bench) -> None:
     fetch(bench)
-    bench.begin(Fault.STUCK_GRIPPER, 1.0)
+    bench.begin(TwinFault.STUCK_GRIPPER, 1.0)
     for _ in range(12):
         bench.advance()
         assert bench.held is not None
@@ -105,7 +112,7 @@ def test_stuck_gripper_holds_on_to_its_peg(bench: Bench) -> None:
 def test_dropped_peg_leaves_the_gels_at_rest_until_a_person_puts_it_back(bench: Bench) -> None:
     before = centres(bench)
     fetch(bench)
-    bench.begin(Fault.DROPPED_PEG, 1.0)
+    bench.begin(TwinFault.DROPPED_PEG, 1.0)
     for _ in range(5):
         bench.advance()
     assert bench.held is None
@@ -126,14 +133,14 @@ def test_torn_gel_has_lost_markers(bench: Bench) -> None:
 @pytest.mark.parametrize(
     ("fault", "device", "expected"),
     [
-        (Fault.UNPLUGGED_CAMERA, "cameras", CameraFault.UNPLUGGED),
-        (Fault.FROZEN_STREAM, "cameras", CameraFault.FROZEN),
-        (Fault.STUCK_GRIPPER, "gripper", GripperFault.STUCK),
-        (Fault.STAGE_ALARM, "stage", StageFault.ALARM),
-        (Fault.NETWORK_CUT, "box", ForceTorqueFault.UNREACHABLE),
+        (TwinFault.UNPLUGGED_CAMERA, "cameras", CameraFault.UNPLUGGED),
+        (TwinFault.FROZEN_STREAM, "cameras", CameraFault.FROZEN),
+        (TwinFault.STUCK_GRIPPER, "gripper", GripperFault.STUCK),
+        (TwinFault.STAGE_ALARM, "stage", StageFault.ALARM),
+        (TwinFault.NETWORK_CUT, "box", ForceTorqueFault.UNREACHABLE),
     ],
 )
-def test_fault_of_a_device_begins_and_ends(bench: Bench, fault: Fault, device: str, expected: object) -> None:
+def test_fault_of_a_device_begins_and_ends(bench: Bench, fault: TwinFault, device: str, expected: object) -> None:
     broken = getattr(bench, device)[0] if device == "cameras" else getattr(bench, device)
     bench.begin(fault, 1.0)
     assert broken.faults == {expected}

@@ -15,7 +15,7 @@ from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.evaluator.tracks import find_task
 from vitac.training.cloning import playing
-from vitac.training.cloning.method import Plan, Round, best, clone
+from vitac.training.cloning.method import ClonePlan, Round, best, clone
 from vitac.training.demonstrations import expert
 from vitac.training.demonstrations.expert import NoExpert
 from vitac.training.log import FOLDER
@@ -23,7 +23,7 @@ from vitac.training.run import OtherRun
 from vitac.training.sensor import SensorMismatch
 from vitac.training.streams import Use, stream
 
-PLAN = Plan(
+PLAN = ClonePlan(
     task="peg-insertion",
     seed=3,
     rounds=2,
@@ -139,7 +139,7 @@ def test_best_solves_most_and_is_the_latest() -> None:
 def test_expert_lowers_a_peg_that_is_nearly_over_its_hole(monkeypatch: pytest.MonkeyPatch) -> None:
     env = SimpleNamespace(task_scene=SimpleNamespace(grasped=None))
     monkeypatch.setattr(expert, "make_environment", lambda *_, **__: env)
-    stage, random = playing.Stage(find_task("fusion-insertion")[1], ()), np.random.default_rng(0)
+    stage, random = playing.ClonedTask(find_task("fusion-insertion")[1], ()), np.random.default_rng(0)
     for x_mm, down in ((0.9, 1.0), (1.1, 0.0)):
         monkeypatch.setattr(expert, "held_pose_mm_deg", lambda _, x_mm=x_mm: (x_mm, -0.9, 0.0, 0.0, 0.0, 1.4))
         action = stage.expert_action({"gt_offset_mm_deg": np.array([9.0, 9.0, 9.0, 10.1])}, random)

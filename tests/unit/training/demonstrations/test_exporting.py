@@ -7,7 +7,7 @@ import pytest
 from vitac.cli.main import main
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.training.demonstrations.collecting import FILE, collect, make_line, read_demonstrations, read_source
-from vitac.training.demonstrations.exporting import FolderExists, Format, export
+from vitac.training.demonstrations.exporting import DatasetFormat, FolderExists, export
 from vitac.training.demonstrations.frames import DemonstrationDiffers
 from vitac.training.demonstrations.replaying import read_folder, replay
 
@@ -35,18 +35,18 @@ def run(*arguments: object) -> int | str | None:
 def test_processes_write_the_same_data_set_and_it_gives_the_collection_back(collection: Path, tmp_path: Path) -> None:
     for processes in (1, 2):
         folder = tmp_path / str(processes)
-        export(collection, folder, Format.LEROBOT_3_0, keys=KEYS, processes=processes, report=nothing)
+        export(collection, folder, DatasetFormat.LEROBOT_3_0, keys=KEYS, processes=processes, report=nothing)
     data = "data/chunk-000/file-000.parquet"
     assert (tmp_path / "1" / data).read_bytes() == (tmp_path / "2" / data).read_bytes()
     assert run("data", "import", tmp_path / "1", "--to", tmp_path / "back") == 0
     assert (tmp_path / "back" / TASK / FILE).read_bytes() == collection.read_bytes()
     with pytest.raises(FolderExists):
-        export(collection, tmp_path / "1", Format.LEROBOT_3_0, report=nothing)
+        export(collection, tmp_path / "1", DatasetFormat.LEROBOT_3_0, report=nothing)
 
 
 def test_minari_reads_what_was_seen_and_makes_the_environment(collection: Path, tmp_path: Path) -> None:
     minari = pytest.importorskip("minari", reason="needs the extra `data`")
-    export(collection, tmp_path / "set", Format.MINARI, keys=KEYS, report=nothing)
+    export(collection, tmp_path / "set", DatasetFormat.MINARI, keys=KEYS, report=nothing)
     found = minari.MinariDataset(tmp_path / "set" / "data")
     first = next(read_demonstrations(collection))
     episode = found[0]
@@ -65,7 +65,7 @@ def test_only_successes_leave_the_episodes_of_failures_out(collection: Path, tmp
     )
     mixed = tmp_path / FILE
     mixed.write_bytes(lines[0] + make_line(failure) + b"".join(lines[2:]))
-    export(mixed, tmp_path / "set", Format.LEROBOT_2_1, keys=KEYS, only_successes=True, report=nothing)
+    export(mixed, tmp_path / "set", DatasetFormat.LEROBOT_2_1, keys=KEYS, only_successes=True, report=nothing)
     _, kept = read_folder(tmp_path / "set")
     assert [each.episode for each in kept] == [each.episode for each in read_demonstrations(mixed) if each.is_success]
     assert "Failures are left out" in (tmp_path / "set" / "README.md").read_text()
@@ -87,7 +87,7 @@ def test_fifty_random_demonstrations_replay_by_hash_after_a_round_trip(tmp_path:
     for task, successes in ((TASK, 25), ("peg-insertion", 25), ("fusion-insertion", 2)):
         collection = collect(task, tmp_path / "collection", successes=successes, processes=2)
         keys = ["rgb_picture"] if task == "fusion-insertion" else list(KEYS)
-        export(collection, tmp_path / task, Format.LEROBOT_3_0, keys=keys, processes=2, report=nothing)
+        export(collection, tmp_path / task, DatasetFormat.LEROBOT_3_0, keys=keys, processes=2, report=nothing)
         assert run("data", "check", tmp_path / task, "--replay", 1) == 0
         source, demonstrations = read_folder(tmp_path / task)
         played += replay(source, demonstrations, count=25, seed=1, processes=2, report=nothing)

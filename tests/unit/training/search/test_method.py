@@ -22,8 +22,8 @@ from vitac.training.search.method import (
     Ending,
     Generation,
     NothingSolved,
-    Search,
     SearchRecipe,
+    WeightSearch,
     best,
     play,
 )
@@ -40,8 +40,8 @@ PULL_THEN_LIFT = LIFT.copy()
 PULL_THEN_LIFT[0, 3] = -0.5
 
 
-def search(path: Path, recipe: SearchRecipe = RECIPE, **more: Any) -> Search:
-    return Search(recipe=recipe, folder=Folder(path=path), make=ToyLock, **more)
+def search(path: Path, recipe: SearchRecipe = RECIPE, **more: Any) -> WeightSearch:
+    return WeightSearch(recipe=recipe, folder=Folder(path=path), make=ToyLock, **more)
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -90,11 +90,11 @@ def test_tells_how_long_is_left(small: Path, tmp_path: Path) -> None:
 def test_first_candidates_pull_and_lift_more_or_less(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[np.ndarray] = []
 
-    def worth(_: Search, candidates: np.ndarray, number: int) -> np.ndarray:
+    def worth(_: WeightSearch, candidates: np.ndarray, number: int) -> np.ndarray:
         drawn.append(candidates)
         return np.arange(len(candidates), 0.0, -1.0)
 
-    monkeypatch.setattr(Search, "_worth", worth)
+    monkeypatch.setattr(WeightSearch, "_worth", worth)
     search(tmp_path, RECIPE.model_copy(update={"generations": 2, "candidates": 400, "kept": 3})).go()
     np.testing.assert_allclose(drawn[0].mean(axis=0), MIDDLE, atol=0.1)
     np.testing.assert_allclose(drawn[0].std(axis=0), FIRST_SPREAD, atol=0.1)
@@ -156,7 +156,7 @@ def test_search_that_goes_on_judges_nothing_again_and_keeps_its_log(small: Path,
 
     env, heard = ToyLock(), []
     with pytest.raises(Stopped):
-        Search(recipe=SMALL, folder=Folder(path=tmp_path), make=lambda: env, tell=stop).go()
+        WeightSearch(recipe=SMALL, folder=Folder(path=tmp_path), make=lambda: env, tell=stop).go()
     log = tmp_path / "log.jsonl"
     kept = log.read_bytes()
     assert len(kept.splitlines()) == 2
@@ -165,7 +165,7 @@ def test_search_that_goes_on_judges_nothing_again_and_keeps_its_log(small: Path,
         heard.append(log.read_bytes())
 
     for _ in range(2):
-        Search(recipe=SMALL, folder=Folder(path=tmp_path), make=lambda: env, tell=hear).go()
+        WeightSearch(recipe=SMALL, folder=Folder(path=tmp_path), make=lambda: env, tell=hear).go()
     whole = (small / "log.jsonl").read_bytes()
     assert heard == [kept, kept, *[whole] * 4]
     judged = [number for seed, number in env.resets if seed == stream(SMALL.seed, Use.CHOOSE)]
@@ -197,7 +197,7 @@ def test_log_of_a_search_is_no_runs(small: Path) -> None:
 
 def test_starts_that_choose_teach_nothing_and_none_is_reported(tmp_path: Path) -> None:
     env = ToyLock()
-    Search(recipe=SMALL, folder=Folder(path=tmp_path), make=lambda: env).go()
+    WeightSearch(recipe=SMALL, folder=Folder(path=tmp_path), make=lambda: env).go()
     used = {use: [number for seed, number in env.resets if seed == stream(4, use)] for use in Use}
     assert len(set(used[Use.COLLECT])) == SMALL.generations * SMALL.episodes
     assert set(used[Use.CHOOSE]) == set(range(SMALL.chosen_by))
@@ -219,7 +219,7 @@ def test_search_that_cannot_tell_candidates_apart_stops(tmp_path: Path) -> None:
             return observation, 0.0, False, True, {"is_success": False}
 
     with pytest.raises(NothingSolved, match="generation 1 solved any of 3 episodes; give more candidates"):
-        Search(recipe=SMALL, folder=Folder(path=tmp_path), make=Stuck).go()
+        WeightSearch(recipe=SMALL, folder=Folder(path=tmp_path), make=Stuck).go()
     assert not list(tmp_path.glob("round-*"))
 
 

@@ -2,7 +2,7 @@ import pytest
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import load_track
 from vitac.server.views.submissions import EpisodeView
-from vitac.web.plots.map import Cell, episode_map
+from vitac.web.plots.map import MapCell, episode_map
 
 FOLDER = "/submissions/1/episodes/peg-insertion"
 TASK = load_track("track_1").tasks["peg-insertion"]
@@ -70,7 +70,7 @@ def test_only_a_success_counts_as_success(outcome: EpisodeOutcome) -> None:
 
 def test_an_outcome_cannot_bring_markup_into_the_drawing() -> None:
     shape = episode_map("track_1", "peg-insertion", {1: an_end(1, EpisodeOutcome.STEPS)}, folder=FOLDER).shapes[0]
-    hostile = Cell(column=0, row=0, state="other", label="<script>")
+    hostile = MapCell(column=0, row=0, state="other", label="<script>")
     assert shape.drawing.count("<rect") == 90
     assert f"Episode 1{START}: steps at env step 3. All env steps were used up.</title>" in shape.drawing
     assert "<script>" not in hostile.drawing
@@ -85,5 +85,5 @@ def test_a_finished_episode_is_a_link_and_a_waiting_one_is_not() -> None:
 
 
 def test_an_address_cannot_bring_markup_into_the_drawing() -> None:
-    hostile = Cell(column=0, row=0, state="other", label="x", address='"><script>')
+    hostile = MapCell(column=0, row=0, state="other", label="x", address='"><script>')
     assert "<script>" not in hostile.drawing

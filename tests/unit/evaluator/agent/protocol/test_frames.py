@@ -17,11 +17,11 @@ from vitac.envs.vision import back_projection
 from vitac.evaluator.agent import runtime
 from vitac.evaluator.agent.protocol.frames import (
     HEADER_MAX_BYTES,
-    Answer,
     AnswerKind,
     CloudSpec,
     FrameReader,
-    Question,
+    PolicyAnswer,
+    PolicyQuestion,
     QuestionKind,
     UnsendableObservation,
     array_code,
@@ -66,7 +66,7 @@ def answer_with(shape: list[int], payload: bytes, dtype: str = "f4") -> bytes:
     return frame({"seq": 1, "kind": "action", "arrays": [{"name": "a", "dtype": dtype, "shape": shape}]}, payload)
 
 
-def read(data: bytes, *, message_bytes: int = 1 << 20) -> Answer | None:
+def read(data: bytes, *, message_bytes: int = 1 << 20) -> PolicyAnswer | None:
     return FrameReader(message_bytes=message_bytes).feed(data, sender_pid=7)
 
 
@@ -82,7 +82,9 @@ def test_arrays_reach_the_policy_unchanged(data: st.DataObject, dtype: str, shap
     value = data.draw(st_numpy.arrays(dtype, shape))
     ours, theirs = socket.socketpair()
     with ours:
-        ours.sendall(b"".join(encode_question(5, Question(kind=QuestionKind.OBSERVE, text="ü", arrays={"x": value}))))
+        ours.sendall(
+            b"".join(encode_question(5, PolicyQuestion(kind=QuestionKind.OBSERVE, text="ü", arrays={"x": value})))
+        )
         connection = AGENT.Connection(theirs.detach())
         kind, text, arrays = connection.read()
         connection._socket.close()
@@ -104,7 +106,7 @@ def test_arrays_reach_the_policy_unchanged(data: st.DataObject, dtype: str, shap
 )
 def test_other_memory_layouts_are_converted(value: Any, far_end: tuple[socket.socket, Any]) -> None:
     ours, connection = far_end
-    ours.sendall(b"".join(encode_question(1, Question(kind=QuestionKind.OBSERVE, arrays={"x": value}))))
+    ours.sendall(b"".join(encode_question(1, PolicyQuestion(kind=QuestionKind.OBSERVE, arrays={"x": value}))))
     assert np.array_equal(connection.read()[2]["x"], value)
 
 
@@ -121,7 +123,7 @@ def test_refuses_to_send_other_types(dtype: str) -> None:
 def test_runtime_answers_are_read(far_end: tuple[socket.socket, Any], question: QuestionKind, kind: AnswerKind) -> None:
     ours, connection = far_end
     for numbers in (np.array([1, 2, 3], dtype="<f4"), None):
-        ours.sendall(b"".join(encode_question(3, Question(kind=question))))
+        ours.sendall(b"".join(encode_question(3, PolicyQuestion(kind=question))))
         assert connection.read()[0] == question
         connection.write(str(kind), numbers=numbers)
         answer = read(ours.recv(1 << 16))
@@ -211,7 +213,7 @@ def test_runtime_makes_the_cloud_that_the_environment_would(
     optics = [604.3075, 603.0, 317.2341, 233.7944]
     spec = CloudSpec(name="cloud", depth="depth", keep_depth=keep_depth, intrinsics=optics)
     ours, connection = far_end
-    question = Question(kind=QuestionKind.OBSERVE, arrays={"depth": depth_m}, clouds=(spec,))
+    question = PolicyQuestion(kind=QuestionKind.OBSERVE, arrays={"depth": depth_m}, clouds=(spec,))
     ours.sendall(b"".join(encode_question(1, question)))
     arrays = connection.read()[2]
     assert set(arrays) == ({"depth", "cloud"} if keep_depth else {"cloud"})

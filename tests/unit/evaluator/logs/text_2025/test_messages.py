@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from vitac.evaluator.logs.text_2025.messages import (
     MAX_LINE_BYTES,
     MAX_LOG_BYTES,
-    Message,
+    LoggedMessage,
     TextLogRejected,
     is_text_log,
     messages,
@@ -21,10 +21,10 @@ from vitac.evaluator.logs.text_2025.messages import (
 )
 
 LINE = "2025-01-01 10:00:00.123 | INFO     | __main__:evaluate_policy:111 - "
-ANY = Message(line=7, time=datetime(2025, 1, 1), text="")
+ANY = LoggedMessage(line=7, time=datetime(2025, 1, 1), text="")
 
 
-def read(text: str | bytes) -> list[Message]:
+def read(text: str | bytes) -> list[LoggedMessage]:
     return list(messages(io.BytesIO(text.encode() if isinstance(text, str) else text)))
 
 
@@ -174,7 +174,7 @@ def test_number_must_be_finite(text: str) -> None:
 
 
 @pytest.mark.parametrize("read_value", [vector, number, whole_number])
-def test_a_refusal_escapes_what_it_quotes(read_value: Callable[[Message, str], object]) -> None:
+def test_a_refusal_escapes_what_it_quotes(read_value: Callable[[LoggedMessage, str], object]) -> None:
     with pytest.raises(TextLogRejected) as refused:
         read_value(ANY, "\x1b[2J" + "x" * 1000)
     assert "\\x1b[2J" in str(refused.value)

@@ -79,7 +79,7 @@ def test_what_does_not_repeat_says_so_and_offers_nothing(
 ) -> None:
     task = load_track("maniskill").tasks["pick-cube"]
     on_gpu = task.model_copy(update={"settings": dict(task.settings) | {"sim_backend": "physx_cuda"}})
-    monkeypatch.setattr(page.Player, "task", on_gpu)
+    monkeypatch.setattr(page.EpisodePage, "task", on_gpu)
     html = visitor.get(data.show(COMPLETED.id, a_shown_episode(None, task="pick-cube"))).text
     assert "There are no playbacks of ManiSkill/PickCube-v1 with these settings: its states do not repeat" in html
     assert ('data-state="none"' in html, "Solved in 3 env steps." in html) == (True, True)
@@ -172,7 +172,7 @@ def test_two_episodes_stand_side_by_side(data: FixedData, visitor: AsgiBrowser) 
 def test_the_result_beside_is_in_the_list_also_where_it_was_not_offered() -> None:
     own, other = EpisodeAddress(submission_id=COMPLETED.id, task=TASK, number=5), an_id("other")
     shown = a_shown_episode(a_playback(), submission_name="other", number=6)
-    beside = [page.Player(address=f"/submissions/{other}/episodes/{TASK}/6", shown=shown)]
+    beside = [page.EpisodePage(address=f"/submissions/{other}/episodes/{TASK}/6", shown=shown)]
     assert page.list_results(own, (), beside) == {str(other): "Gelbots: other"}
 
 

@@ -4,7 +4,7 @@ import json
 from datetime import UTC, datetime
 
 import pytest
-from vitac.web.pages.files.formats import Format, csv_text, objects, table_file
+from vitac.web.pages.files.formats import TableFormat, csv_text, objects, table_file
 
 
 @pytest.mark.parametrize("text", ["=1+1", "+1+1", "-1+cmd", "@SUM(A1)", "\tx", "\rx", "-", "+", "-1 =x"])
@@ -19,7 +19,7 @@ def test_numbers_and_plain_texts_stay(cell: object) -> None:
 
 def test_what_is_missing_is_an_empty_cell_and_null() -> None:
     columns, rows = ("a", "b"), [(None, 'x, "y"\nz')]
-    as_csv, as_json = (table_file(form, "name", columns, rows) for form in (Format.CSV, Format.JSON))
+    as_csv, as_json = (table_file(form, "name", columns, rows) for form in (TableFormat.CSV, TableFormat.JSON))
     assert list(csv.DictReader(io.StringIO(bytes(as_csv.body).decode(), newline=""))) == [{"a": "", "b": 'x, "y"\nz'}]
     assert json.loads(bytes(as_json.body)) == [{"a": None, "b": 'x, "y"\nz'}]
     for answer, form in ((as_csv, "csv"), (as_json, "json")):
