@@ -1,78 +1,51 @@
-"""`vitac admin`: the organizer's commands. They work on the database directly and write the audit log."""
+"""`vitac admin`: the organizer's commands, for the service of this machine or one at an address."""
 
-import sys
+from collections.abc import Callable, Mapping
+from typing import Any
 
-import structlog
 import typer
 
-from . import (
-    appeal,
-    audit,
-    backup,
-    evaluation,
-    judging,
-    notice,
-    quota,
-    receipt,
-    station,
-    submission,
-    team,
-    token,
-    worker,
-)
-from . import rejudging as rejudge
-from .competition import advancement as advance
-from .competition import competition, results, track
-from .messages import announcement, question
+from ..terminal.options import TokenFile
+from ..verbs import add_verbs
+from . import competition, files, machine
+from .door import Server, open_door
+from .verbs import NOUNS
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
+FURTHER: Mapping[tuple[str, str], Callable[..., Any]] = {
+    ("competition", "check"): competition.check,
+    ("competition", "apply"): competition.apply,
+    ("results", "publish"): files.publish,
+    ("receipt", "export"): files.export,
+    ("token", "add"): files.add_token,
+    ("track", "check"): machine.check_track,
+    ("appeal", "replay"): machine.replay,
+}
+"""Verbs that are more than a request."""
+
 
 @app.callback()
-def log_beside_the_output() -> None:
-    """Organize the competition: teams, tokens, submissions, evaluations, workers."""
-    # Events go to stderr, so that the output, above all JSON, holds what was asked for and nothing else.
-    structlog.configure(logger_factory=lambda *_: structlog.PrintLogger(sys.stderr))
+def organize(context: typer.Context, server: Server = None, token_file: TokenFile = None) -> None:
+    """Organize competitions: teams, tokens, submissions, evaluations, workers.
+
+    On the machine of the service without --server, whether it runs or not; from elsewhere with --server and an
+    organizer's token, of VITAC_TOKEN or of `vitac login`. VITAC_SERVER is not used here.
+    """
+    context.find_root().obj = {"server": server, "token_file": token_file}
 
 
-app.add_typer(competition.app, name="competition", help="Competitions: check, apply, show, lists, reveal.")
-app.add_typer(advance.app, name="advance", help="Who takes part in a later stage: propose, confirm, list.")
-app.add_typer(
-    results.app, name="results", help="The end of a competition: freeze, unfreeze, winners, finalize, reopen, publish."
-)
-app.add_typer(judging.app, name="judging", help="Judges' marks: rubric, mark, conflict, show.")
-app.add_typer(receipt.app, name="receipt", help="Receipts of final results: key, witnesses, export.")
-app.add_typer(
-    rejudge.app,
-    name="rejudge",
-    help="Evaluate again, and decide whether the new results count: start, list, show, apply, discard.",
-)
-app.add_typer(track.app, name="track", help="Track files of your own: check.")
-app.add_typer(
-    team.app,
-    name="team",
-    help="Teams: add, list, show, accept, refuse, rename, merge, disqualify, reinstate, captain, remove-member, data, "
-    "delete.",
-)
-app.add_typer(quota.app, name="quota", help="Quotas of teams: list, set.")
-app.add_typer(token.app, name="token", help="API tokens: add, list, revoke.")
-app.add_typer(
-    submission.app,
-    name="submission",
-    help="Submissions: list, show, copies, clear, withdraw-clearance, requeue, cancel, disqualify, reinstate, "
-    "remove-description, restore-description.",
-)
-app.add_typer(
-    evaluation.app,
-    name="evaluation",
-    help="Evaluations: list, show, unserved, restart, restart-unserved, requeue, cancel.",
-)
-app.add_typer(worker.app, name="worker", help="Workers: list, show, cordon, uncordon, drain.")
-app.add_typer(station.app, name="station", help="Laboratories whose agents play trials: add, list, remove.")
-app.add_typer(audit.app, name="audit", help="The audit log: list.")
-app.add_typer(announcement.app, name="announcement", help="Announcements to everybody: publish, list, withdraw.")
-app.add_typer(question.app, name="question", help="Questions of teams: list, answer, hide.")
-app.add_typer(appeal.app, name="appeal", help="Appeals of teams: list, show, replay, rule.")
-app.add_typer(notice.app, name="notice", help="E-mails and webhooks to teams: list, retry.")
-app.command("backup")(backup.back_up)
-app.command("restore")(backup.restore)
+def _add_nouns() -> None:
+    for name, noun in NOUNS.items():
+        verbs = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+        verbs.callback()(lambda: None)  # so that a single verb is not the noun itself
+        for further in noun.further:
+            verbs.command(further)(FURTHER[name, further])
+        add_verbs(verbs, noun.verbs, open_door, Server)
+        listed = ", ".join([*noun.further, *(verb.name for verb in noun.verbs)])
+        app.add_typer(verbs, name=name, help=f"{noun.title}: {listed}.")
+
+
+_add_nouns()
+app.command("backup")(machine.back_up)
+app.command("restore")(machine.restore)

@@ -63,7 +63,7 @@ class Client:
 
     def call(self, method: str, path: str, body: Json | None = None) -> Json:
         """Send JSON and return what is answered; nothing for an answer without content."""
-        content = None if body is None else [json.dumps(body).encode()]
+        content = None if body is None else json.dumps(body).encode()
         headers = {} if body is None else {"Content-Type": "application/json"}
         answer = self.send(method, path, headers=headers, content=content)
         return decode_object(answer) if answer.content else {}
@@ -147,7 +147,7 @@ class Client:
         *,
         headers: Mapping[str, str] = MappingProxyType({}),
         params: Mapping[str, Any] = MappingProxyType({}),
-        content: Iterable[bytes] | None = None,
+        content: Iterable[bytes] | bytes | None = None,
         timeout_s: float = TIMEOUT_S,
     ) -> httpx.Response:
         """Send a request and return its answer.

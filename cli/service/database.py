@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from sqlalchemy.orm import Session
 from vitac.server.database.availability import failures_explained
 from vitac.server.services import Services
 from vitac.server.settings import Settings
@@ -49,8 +48,8 @@ def open_service(settings: Settings, *, statement_timeout_s: float | None = None
 
 
 @contextmanager
-def transaction() -> Iterator[Session]:
-    """Open the service that the environment names and one transaction on its database.
+def open_for_command() -> Iterator[Services]:
+    """Open the service that the environment names for a command that nobody wants to wait for.
 
     Raises:
         DatabaseUnreachable: it does not answer, is lost meanwhile, or a statement takes too long, as behind a lock.
@@ -59,9 +58,8 @@ def transaction() -> Iterator[Session]:
         _said_if_slow(),
         failures_explained(STATEMENT_TIMEOUT_S),
         open_service(load_settings(), statement_timeout_s=STATEMENT_TIMEOUT_S) as services,
-        services.database.transaction() as session,
     ):
-        yield session
+        yield services
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from ..accounts.sending import NoticeSender
 from ..limiter import ConcurrencyLimiter, SignInLimiters, WindowLimiter
 from ..operations.exposition import Exposition
 from ..operations.housekeeping import Housekeeping
+from ..principals import Principal
 from ..services import Services, open_services
 from ..settings import Settings
 from ..submissions.watch import Changes
@@ -66,6 +67,7 @@ def create_app(
     services: Services | None = None,
     uploads_at: Sequence[tuple[str, str]] = (),
     sweeps: bool = True,
+    caller: Principal | None = None,
 ) -> FastAPI:
     """Return the application. It opens database and files at its start, unless open `services` are given.
 
@@ -74,6 +76,7 @@ def create_app(
         services: already open ones; they are left open at the end.
         uploads_at: methods and paths of further routes that take uploads.
         sweeps: look for lost work; False where the process that started this one does.
+        caller: who asks without a token; only for an application that listens to nobody outside of this process.
     """
     app = FastAPI(
         title="ViTac Arena",
@@ -86,6 +89,8 @@ def create_app(
         redoc_url=None,
     )
     app.state.settings = settings
+    app.state.services = services
+    app.state.caller = caller
     app.state.changes = Changes()
     set_limiters(app, settings)
     _add_routes(app)

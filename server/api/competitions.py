@@ -26,7 +26,7 @@ from ..decisions.exporting import export_receipts
 from ..decisions.publishing import archive_view, result_files
 from ..errors import ProblemCode, ServiceError
 from ..views.competition import AdvancementView, ArchiveView, CompetitionListView, CompetitionView
-from .access import ChangingServicesOf, CompetitionOrganizerOf, ServicesOf
+from .access import ChangingServicesOf, CompetitionOrganizerOf, OrganizerOf, ServicesOf
 from .problems import RESPONSES
 
 router = APIRouter(tags=["competitions"], responses=RESPONSES)
@@ -168,7 +168,8 @@ def confirm_advancement(
     """Let the proposed teams, more of them or fewer, take part in a stage."""
     with services.database.transaction() as session:
         found = Competition.find(session, competition, track=track).stage(track, stage)
-        base = decision.revision if services.database.is_trial else decision.revision or ""
+        is_looked_at = services.database.is_trial or decision.shown is not None
+        base = decision.revision if is_looked_at else decision.revision or ""
         advancement.confirm(session, principal, found, add=decision.add, without=decision.without, base=base)
         view = advancement.propose(session, principal, found)
         require_shown("the teams", decision.shown, view.revision)
@@ -313,16 +314,16 @@ def reveal_list(
 
 
 @router.get(
-    "/competitions/{competition}/tracks/{track}/receipts",
+    "/leaderboards/{track}/receipts",
     response_class=FileResponse,
     responses={200: {"content": {"application/zip": {}}, "description": "The file for `vitac receipt audit`."}},
 )
 def export_board(
     services: ServicesOf,
-    principal: CompetitionOrganizerOf,  # noqa: ARG001
-    competition: str,
+    principal: OrganizerOf,  # noqa: ARG001 - says who may
     track: str,
     *,
+    competition: str | None = None,
     task: Annotated[str | None, Query(description="The board of this task; by default that of all tasks.")] = None,
     stage: Annotated[str | None, Query(description="Name of the stage; by default the one that opened last.")] = None,
     kind: Annotated[

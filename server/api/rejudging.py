@@ -33,7 +33,9 @@ class Application(BaseModel):
     """What is applied."""
 
     model_config = ConfigDict(extra="forbid")
-    shown: str = Field(max_length=64, description="`revision` of the rejudgement as it was looked at.")
+    shown: str | None = Field(
+        default=None, max_length=64, description="`revision` of the rejudgement as it was looked at; none: as it is."
+    )
 
 
 @router.get("")

@@ -248,6 +248,8 @@ def test_only_commands_of_the_service_bring_server_and_database(checkout: Checko
         ("sandbox", "base"),
         ("admin appeal replay 1", "server"),
         ("admin appeal list", "server"),
+        ("admin --server http://a.test appeal list", "base"),
+        ("admin appeal list --server=http://a.test", "base"),
         ("witness serve", "server"),
         ("witness run address", "base"),
     ],

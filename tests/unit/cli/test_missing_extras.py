@@ -82,6 +82,14 @@ def test_physics_that_may_not_be_compiled_is_one_sentence(repository: Path, tmp_
     assert "Unset it and run the command again" in said.splitlines()[-1]
 
 
+@pytest.mark.parametrize(
+    "words", ["team list", "competition apply competitions/vitac-2025.yaml", "results publish new"]
+)
+def test_organizers_elsewhere_need_nothing_of_the_server(repository: Path, tmp_path: Path, words: str) -> None:
+    code, said = run(repository, tmp_path, f"admin --server http://127.0.0.1:9 {words}", SERVER)
+    assert (code, "No service answers at http://127.0.0.1:9" in said) == (1, True), said
+
+
 def imported(repository: Path) -> Iterator[str]:
     """Every package that some module of the product imports, wherever in it."""
     for path in (path for folder in FOLDERS for path in (repository / folder).rglob("*.py")):

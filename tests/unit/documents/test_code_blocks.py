@@ -48,6 +48,7 @@ NOT_RUN = {
         "needs a competition with results; tests/unit/cli/admin does",
     r"admin (announcement|competition (apply cup.yaml$|lists|reveal)|quota set)\b":
         "would change what follows; tests/unit/cli/admin does",
+    r"admin .*--server": "needs an organizer's token; tests/unit/cli/admin/test_from_elsewhere.py has one",
     r"\bcurl\b": "asks a service at an address that stands for any",
     r"vitac submit run.jsonl|VITAC_TRACKS_DIR": "needs a whole log, or a track file that the server has",
 }  # fmt: skip

@@ -7,11 +7,11 @@ import structlog
 from cli_service import CliService, submission_folder
 from service_factories import claim, make_record, play_all, shard_ids, store
 from typer.testing import Result
-from vitac.cli.admin.consent import ConsentMissing
+from vitac.cli.client.answers import RequestRefused
+from vitac.cli.verbs import ConsentMissing
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server.database.models import Submission, Worker
 from vitac.server.database.states import WorkerState
-from vitac.server.errors import ServiceError
 
 from competitions import make_competition, open_now, put_in_place
 
@@ -50,22 +50,22 @@ def play(service: CliService, submission_id: str) -> None:
 def test_an_added_team_can_submit_with_the_printed_token(service: CliService, tmp_path: Path) -> None:
     added = json.loads(admin(service, "team", "add", "Bears", "--contact", "b@example.org", "--json").stdout)
     token = tmp_path / "token"
-    token.write_text(added["secret"])
+    token.write_text(added["token"]["secret"])
     folder = submission_folder(tmp_path / "mine")
     assert service.run("submit", str(folder), "--token-file", str(token)).exit_code == 0
     shown: Any = read(service, "team", "show", "bears")
     assert [member["role"] for member in shown.pop("members")] == ["captain"]
-    assert shown == added["team"] | {"invitations": []}
+    assert {name: shown[name] for name in added["team"]} == added["team"]
     assert "Bears" in admin(service, "team", "list").stdout
 
 
 def test_a_taken_name_is_refused(service: CliService) -> None:
-    assert isinstance(admin(service, "team", "add", "TEAM  a").exception, ServiceError)
+    assert isinstance(admin(service, "team", "add", "TEAM  a").exception, RequestRefused)
 
 
 def test_an_unknown_team_is_refused(service: CliService) -> None:
     refused = admin(service, "team", "show", "nobody")
-    assert isinstance(refused.exception, ServiceError)
+    assert isinstance(refused.exception, RequestRefused)
     assert "vitac admin team list" in str(refused.exception)
 
 
@@ -96,12 +96,12 @@ def test_a_token_is_for_a_team_or_for_organizers(service: CliService, arguments:
 
 def test_a_dry_run_shows_no_secret_that_is_not_kept(service: CliService) -> None:
     added = json.loads(admin(service, "team", "add", "Bears", "--dry-run", "--json").stdout)
-    assert (added["team"]["name"], added["team"]["id"], added["secret"]) == ("Bears", None, None)
+    assert (added["team"]["name"], added["team"]["id"], added["token"]["secret"]) == ("Bears", None, None)
     shown = admin(service, "token", "add", "--organizer", "--dry-run").stdout
     assert "organizer" in shown
     assert "vitac_" not in shown
     assert "not shown again" not in shown + admin(service, "team", "add", "Bears", "--dry-run").stdout
-    assert isinstance(admin(service, "team", "add", "Team A", "--dry-run").exception, ServiceError)
+    assert isinstance(admin(service, "team", "add", "Team A", "--dry-run").exception, RequestRefused)
     assert [token["role"] for token in read(service, "token", "list")] == ["team"]  # type: ignore[attr-defined]
     assert "Bears" not in admin(service, "team", "list").stdout
 
@@ -168,13 +168,13 @@ def test_requeues_and_cancels_by_evaluation(service: CliService, submission_id: 
     assert (queued["id"], queued["evaluation"]["state"]) == (submission_id, "queued")
     assert queued["evaluation"]["id"] == evaluation_of(service) != first
     refused = admin(service, "evaluation", "cancel", first, "--yes")
-    assert isinstance(refused.exception, ServiceError)
+    assert isinstance(refused.exception, RequestRefused)
     assert "a newer run" in str(refused.exception)
 
 
 def test_an_unknown_evaluation_is_refused(service: CliService) -> None:
     refused = admin(service, "evaluation", "show", "00000000-0000-4000-8000-000000000000")
-    assert isinstance(refused.exception, ServiceError)
+    assert isinstance(refused.exception, RequestRefused)
 
 
 def test_events_are_logged_beside_the_output(service: CliService, capsys: pytest.CaptureFixture[str]) -> None:
@@ -208,7 +208,9 @@ def test_lists_and_shows_workers(service: CliService) -> None:
     shown = read(service, "worker", "show", worker_id)
     assert isinstance(shown, dict)
     assert (shown["host"], shown["state"]) == ("box", "refusing")
-    assert isinstance(admin(service, "worker", "show", "00000000-0000-4000-8000-000000000000").exception, ServiceError)
+    assert isinstance(
+        admin(service, "worker", "show", "00000000-0000-4000-8000-000000000000").exception, RequestRefused
+    )
 
 
 def test_an_organizer_of_one_competition_signs_in_and_sees_only_that(service: CliService, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 from typer.core import TyperCommand, TyperGroup
 from vitac.cli.admin.app import app
-from vitac.cli.admin.consent import NOTHING_CHANGED, ConsentMissing
+from vitac.cli.verbs import NOTHING_CHANGED, ConsentMissing
 from vitac.server.accounts import members, messages, teams
 from vitac.server.accounts.outbox import announce
 from vitac.server.accounts.tokens import list_tokens
@@ -110,6 +110,7 @@ CHANGES = {
     "appeal rule": (["APPEAL", "So.", "--reject"], "appeal.rule"),
     "appeal replay": (["APPEAL", TASK, "3"], "appeal.replay"),
     "quota set": (["Team A", "tokens", "7"], "team.quota"),
+    "quota reset": (["LIMITED", "tokens"], "team.quota"),
     "submission cancel": (["SUBMISSION", "--yes"], "submission.cancel"),
     "submission requeue": (["CANCELLED", "--yes"], "submission.requeue"),
     "submission disqualify": (["SUBMISSION", "--reason", "trained on the list", "--yes"], "submission.disqualify"),
@@ -202,6 +203,9 @@ def there_is(service: CliService, name: str, tmp_path: Path) -> str:
         with service.database.transaction() as session:
             add_station(session, CONSOLE, "lab")
             return "lab"
+    if name == "LIMITED":
+        service.run("admin", "quota", "set", "Team A", "tokens", "7")
+        return "Team A"
     if name == "TOKEN":
         with service.database.transaction() as session:
             return str(list_tokens(session, CONSOLE)[0].id)

@@ -3,8 +3,8 @@ from pathlib import Path
 
 from cli_service import CliService, submission_folder
 from databases import fresh_database
-from vitac.cli.admin.backup import RESTART
-from vitac.cli.admin.consent import NOTHING_CHANGED
+from vitac.cli.admin.machine import RESTART
+from vitac.cli.verbs import NOTHING_CHANGED
 from vitac.server.operations.restore import ServiceNotEmpty
 
 
@@ -23,7 +23,7 @@ def test_backup_is_restored_into_an_empty_service(service: CliService, tmp_path:
         tried = service.run("admin", "restore", str(tmp_path / "backup.tar"), "--dry-run", "--json")
         assert (tried.exit_code, json.loads(tried.stdout)) == (0, json.loads(done.stdout))
         assert tried.stderr.strip() == NOTHING_CHANGED
-        assert "No team yet" in service.run("admin", "team", "list").stdout
+        assert "No such team" in service.run("admin", "team", "list").stdout
         restored = service.run("admin", "restore", str(tmp_path / "backup.tar"), "--yes")
         assert restored.exit_code == 0, restored.output
         assert RESTART in restored.stderr

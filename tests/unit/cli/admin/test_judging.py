@@ -2,7 +2,7 @@ import json
 
 from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
-from vitac.server.errors import ServiceError
+from vitac.cli.client.answers import RequestRefused
 
 from competitions import make_competition, open_now, put_in_place
 
@@ -27,15 +27,11 @@ def test_an_organizer_writes_down_what_judges_say(service: CliService) -> None:
             assert ("no judge with a token is named 'Dr. Y'" in done.stderr) == (judge == "Dr. Y")
             (team,) = json.loads(service.run("admin", "judging", "show", TRACK, "--json").stdout)
             assert (judge in team["judges"]) == (option == "--json")
-        assert json.loads(done.stdout) == {
-            "submission": str(submission.id),
-            "judge": judge,
-            "marks": {"clarity": float(mark)},
-        }
+        assert json.loads(done.stdout) == {"judge": judge, "has_token": judge == "Prof. X"}
     (team,) = json.loads(service.run("admin", "judging", "show", TRACK, "--json").stdout)
     assert (team["mark"], team["judges"], team["total"]) == (7.25, ["Dr. Y", "Prof. X"], 0.5 * 0.4 + 0.5 * 0.725)
     unshown = service.run("admin", "judging", "mark", str(submission.id), "clarity=1", "--judge", "x" * 500)
-    assert isinstance(unshown.exception, ServiceError)
+    assert isinstance(unshown.exception, RequestRefused)
     wrong = service.run("admin", "judging", "mark", str(submission.id), "clarity", "--judge", "X")
     assert wrong.exit_code == 2
     conflict = ("admin", "judging", "conflict", "Ants", "--judge", "Dr. Y", "--reason", "friend")
@@ -44,7 +40,7 @@ def test_an_organizer_writes_down_what_judges_say(service: CliService) -> None:
     assert (team["judges"], team["conflicts"]) == (["Dr. Y", "Prof. X"], [])
     assert "no judge with a token is named 'Dr. Y'" in service.run(*conflict, "--dry-run").stderr
     noted = json.loads(service.run(*conflict, "--json").stdout)
-    assert noted == {"team": "Ants", "judge": "Dr. Y", "reason": "friend"}
+    assert noted == {"judge": "Dr. Y", "has_token": False}
     assert "Dr. Y" in service.run("admin", "judging", "show", TRACK).stdout
     refused = service.run("admin", "judging", "mark", str(submission.id), "clarity=1", "--judge", "Dr. Y")
-    assert isinstance(refused.exception, ServiceError)
+    assert isinstance(refused.exception, RequestRefused)

@@ -4,11 +4,11 @@ import json
 from datetime import UTC, datetime
 
 from cli_service import CliService, evaluated_submission
+from vitac.cli.client.answers import RequestRefused
 from vitac.server.accounts import teams
 from vitac.server.appeals import appeals
 from vitac.server.database.models import Notice
 from vitac.server.database.states import NoticeChannel, NoticeKind
-from vitac.server.errors import ServiceError
 
 WHEN = datetime(2031, 2, 1, 12, 30, 15, 250_000, tzinfo=UTC)
 
@@ -32,7 +32,7 @@ def test_a_notice_that_was_given_up_is_listed_and_tried_again(service: CliServic
         assert (tried["given_up_at"], tried["attempts"]) == (None, 0)
     assert service.run("admin", "notice", "retry", number).exit_code == 0
     again = service.run("admin", "notice", "retry", number)
-    assert isinstance(again.exception, ServiceError)
+    assert isinstance(again.exception, RequestRefused)
     assert "not given up yet" in str(again.exception)
 
 

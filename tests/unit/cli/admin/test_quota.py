@@ -10,14 +10,16 @@ def limit_of(service: CliService, quota: str) -> object:
 
 def test_a_limit_is_set_and_reset(service: CliService) -> None:
     before = limit_of(service, "tokens")
-    for given, shown in (("7", 7), ("unlimited", None), ("default", before)):
+    for given, shown in (("7", 7), ("unlimited", None)):
         unchanged = limit_of(service, "tokens")
         dry = service.run("admin", "quota", "set", "team a", "tokens", given, "--dry-run")
-        assert (dry.exit_code, dry.stdout.strip()) == (0, f"tokens of Team A: {given}")
+        assert (dry.exit_code, dry.stdout.strip()) == (0, f"tokens of team a: {given}")
         assert limit_of(service, "tokens") == unchanged
         done = service.run("admin", "quota", "set", "team a", "tokens", given, "--json")
         assert done.exit_code == 0, done.output
         assert json.loads(done.stdout)["limit"] == limit_of(service, "tokens") == shown
+    assert service.run("admin", "quota", "reset", "team a", "tokens").exit_code == 0
+    assert limit_of(service, "tokens") == before
 
 
 def test_an_unknown_quota_or_limit_is_wrong_usage(service: CliService) -> None:

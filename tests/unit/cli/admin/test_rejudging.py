@@ -3,8 +3,8 @@ import json
 import quick_worker
 from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, outdate, submit_scored
-from vitac.cli.admin.consent import ConsentMissing
-from vitac.server.errors import ServiceError
+from vitac.cli.client.answers import RequestRefused
+from vitac.cli.verbs import ConsentMissing
 
 
 def test_a_rejudgement_is_started_shown_and_applied(service: CliService) -> None:
@@ -15,13 +15,14 @@ def test_a_rejudgement_is_started_shown_and_applied(service: CliService) -> None
     assert service.run("admin", "rejudge", "list").stdout.strip() == "There is none."
     start = ("admin", "rejudge", "start", "--track", TRACK, "--reason", "upgrade")
     assert service.run(*start, "--dry-run").stdout.strip() == "2 submissions"
-    assert json.loads(service.run(*start, "--dry-run", "--json").stdout) == {"id": None, "submissions": 2}
+    tried = json.loads(service.run(*start, "--dry-run", "--json").stdout)
+    assert (tried["id"], len(tried["submissions"])) == (None, 2)
     assert service.run("admin", "rejudge", "list").stdout.strip() == "There is none."
     made = json.loads(service.run(*start, "--json").stdout)
-    assert made["submissions"] == 2
+    assert len(made["submissions"]) == 2
     assert "2 would change" not in service.run("admin", "rejudge", "show", made["id"]).stdout
     early = service.run("admin", "rejudge", "apply", made["id"], "--yes")
-    assert isinstance(early.exception, ServiceError)
+    assert isinstance(early.exception, RequestRefused)
     listed = json.loads(service.run("admin", "rejudge", "list", "--json").stdout)
     assert [(row["id"], row["reason"], row["applied_at"]) for row in listed] == [(made["id"], "upgrade", None)]
     quick_worker.play_queued(service.database)
@@ -41,7 +42,7 @@ def test_a_rejudgement_is_discarded(service: CliService) -> None:
     made = json.loads(service.run("admin", "rejudge", "start", *arguments, "--json").stdout)["id"]
     assert isinstance(service.run("admin", "rejudge", "discard", made).exception, ConsentMissing)
     dry = service.run("admin", "rejudge", "discard", made, "--dry-run", "--json")
-    assert json.loads(dry.stdout) == {"id": made, "discarded": True}
+    assert json.loads(dry.stdout) == {"rejudgement": made, "discarded": True}
     assert "cancelled" not in service.run("admin", "rejudge", "show", made).stdout
     assert service.run("admin", "rejudge", "discard", made, "--yes").stdout.strip() == f"discarded {made}"
     assert "cancelled" in service.run("admin", "rejudge", "show", made).stdout

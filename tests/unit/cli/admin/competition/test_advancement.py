@@ -3,8 +3,9 @@ import json
 import pytest
 from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, outdate, submit_scored
-from vitac.cli.admin.consent import ConsentMissing
-from vitac.server.errors import ProblemCode, ServiceError
+from vitac.cli.client.answers import RequestRefused
+from vitac.cli.verbs import ConsentMissing
+from vitac.server.errors import ProblemCode
 
 from competitions import SECOND, make_competition, open_now, put_in_place
 
@@ -43,7 +44,7 @@ def test_nobody_is_confirmed_without_consent_or_in_a_dry_run(played: CliService)
 
 def test_the_proposal_and_the_organizers_own_choice_are_confirmed(played: CliService) -> None:
     arguments = ("admin", "advance", "confirm", TRACK, SECOND, "--yes")
-    assert json.loads(played.run(*arguments, "--json").stdout)["teams"] == ["Ants"]
+    assert json.loads(played.run(*arguments, "--json").stdout) == ["Ants"]
     base = played.run("admin", "advance", "list", TRACK, SECOND).stderr.split()[-1]
     assert played.run(*arguments, "--add", "bees", "--without", "Ants", "--base", base).exit_code == 0
     assert confirmed(played) == ["Bees"]
@@ -56,8 +57,8 @@ def test_the_second_of_two_who_confirm_from_the_same_list_is_refused_with_the_di
     assert played.run(*arguments, "--add", "Bees", "--base", base).exit_code == 0
     for made_from in ((), ("--base", base)):
         refused = played.run(*arguments, *made_from)
-        assert isinstance(refused.exception, ServiceError)
-        assert refused.exception.code is ProblemCode.CHANGED_MEANWHILE
+        assert isinstance(refused.exception, RequestRefused)
+        assert refused.exception.code == ProblemCode.CHANGED_MEANWHILE
         assert "Yours would add nobody and remove Bees" in str(refused.exception)
     assert confirmed(played) == ["Ants", "Bees"]
     assert played.run(*arguments, "--add", "Bees").exit_code == 0, "it changes nothing"
@@ -75,6 +76,6 @@ def test_a_stage_without_any_team_is_warned_of(played: CliService) -> None:
     arguments = ("admin", "advance", "confirm", TRACK, SECOND, "--without", "Ants")
     for way in ("--dry-run", "--yes"):
         done = played.run(*arguments, way, "--json")
-        assert (done.exit_code, json.loads(done.stdout)["teams"]) == (0, [])
+        assert (done.exit_code, json.loads(done.stdout)) == (0, [])
         assert "WARNING: no team takes part in stage2 of track_1" in done.stderr
     assert played.run("admin", "advance", "confirm", TRACK, SECOND, "--yes").stderr == ""

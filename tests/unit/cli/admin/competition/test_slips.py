@@ -9,10 +9,11 @@ from uuid import UUID
 from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from typer.testing import Result
+from vitac.cli.client.answers import RequestRefused
 from vitac.server.appeals import appeals
 from vitac.server.competitions.competition import Competition
 from vitac.server.database.engine import Database
-from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.errors import ProblemCode
 from vitac.server.principals import Principal
 
 from competitions import FIRST, PUBLIC_RANKING, SECOND, sealed_competition, write_competition
@@ -33,9 +34,9 @@ def cup(first_closes: datetime, **changes: Any) -> dict[str, Any]:
     return content
 
 
-def refused(result: Result, code: ProblemCode) -> ServiceError:
-    assert isinstance(result.exception, ServiceError), result.output
-    assert result.exception.code is code, result.exception
+def refused(result: Result, code: ProblemCode) -> RequestRefused:
+    assert isinstance(result.exception, RequestRefused), result.output
+    assert result.exception.code == code, result.exception
     return result.exception
 
 
@@ -115,11 +116,11 @@ def test_a_competition_whose_organizer_slips_at_every_step_is_right_at_its_end(
     assert service.run(*disqualify).exit_code == 0
     move(service, tmp_path, cup(now - DAY, title="The first cup", summary="By touch."))
     confirm = ("admin", "advance", "confirm", TRACK, SECOND, "--yes")
-    assert json.loads(service.run(*confirm, "--json").stdout)["teams"] == ["Bees", "Cats"]
+    assert json.loads(service.run(*confirm, "--json").stdout) == ["Bees", "Cats"]
     assert service.run("admin", "submission", "reinstate", str(early["Ants"]), "--yes").exit_code == 0
     error = refused(service.run(*confirm), ProblemCode.CHANGED_MEANWHILE)
     assert "add Ants and remove Cats" in str(error)
-    assert service.run(*confirm, "--base", str(error.extras["revision"])).exit_code == 0
+    assert service.run(*confirm, "--base", str(error).rpartition("--base ")[2].split(".")[0]).exit_code == 0
 
     # The final is played, its secret published, and its file would open it again.
     final = play(service, {"Ants": 60, "Bees": 75}, by)

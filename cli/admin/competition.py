@@ -1,0 +1,103 @@
+"""`vitac admin competition check` and `apply`: a competition's file, shown before it is applied."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..terminal.options import TokenFile
+from ..terminal.output import AsJson, moment, print_json, print_table, warn
+from ..verbs import NOTHING_CHANGED, Base, Confirmed, Door, DryRun, Yes, require_consents
+from .door import Server, open_door
+
+CompetitionFile = Annotated[Path, typer.Argument(help="The competition's file (YAML).", exists=True, dir_okay=False)]
+APPLY = "PUT /competitions/{competition}/definition"
+
+
+def check(file: CompetitionFile, as_json: AsJson = False) -> None:
+    """Check a competition's file without a service; the exit code is 0 if it can be applied."""
+    from vitac.server.competitions.definition import read_competition
+
+    found = read_competition(file)
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+        return
+    print_table(
+        ("track", "stage", "opens", "closes", "takes", "list", "for"),
+        [
+            [
+                name,
+                stage.name,
+                moment(stage.opens),
+                moment(stage.closes),
+                ", ".join(stage.accepts) if track.taken_here else "elsewhere",
+                stage.list.value if track.taken_here else None,
+                stage.qualified.sentence if stage.qualified else "all teams",
+            ]
+            for name, track in found.tracks.items()
+            for stage in track.stages
+        ],
+        none="",
+    )
+
+
+def apply(
+    context: typer.Context,
+    file: CompetitionFile,
+    base: Base = None,
+    confirm: Confirmed = None,
+    yes: Yes = False,
+    dry_run: DryRun = False,
+    server: Server = None,
+    token_file: TokenFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show what a competition's file changes, ask, and apply it; other competitions stay as they are."""
+    from vitac.evaluator.strict_model import read_yaml
+    from vitac.server.competitions.definition import CompetitionDefinition
+
+    definition = read_yaml(CompetitionDefinition, file)  # its tracks are known where it is applied
+    content = {"competition": definition.name, "definition": definition.model_dump(mode="json")}
+    values = content | {"base": base, "confirm": confirm or []}
+    with open_door(context, server, token_file) as door:
+        if yes and not dry_run:
+            _show(door.call(APPLY, values), as_json=as_json)
+            return
+        tried = door.call(APPLY, values, dry_run=True)
+        _show(tried, as_json=as_json)
+        if dry_run:
+            _print_revision(tried)
+        elif tried["changes"]:
+            _ask_and_apply(door, content, tried)
+
+
+def _ask_and_apply(door: Door, content: dict[str, Any], tried: Any) -> None:
+    """Ask about what was tried, and apply it; somebody's change meanwhile is refused by its revision."""
+    require_consents(tried["concerns"], f"Apply these {len(tried['changes'])} changes?")
+    confirmed = [concern["name"] for concern in tried["concerns"]]
+    door.call(APPLY, content | {"base": tried["revision"], "confirm": confirmed})
+
+
+def _show(answer: Any, *, as_json: bool) -> None:
+    if as_json:
+        print_json(answer["changes"])
+    else:
+        rows = [[each["place"], _text(each["before"]), _text(each["after"])] for each in answer["changes"]]
+        print_table(("what", "before", "after"), rows, none="Nothing changes.")
+    for warning in answer["warnings"]:
+        warn(warning)
+
+
+def _print_revision(tried: Any) -> None:
+    print(NOTHING_CHANGED, file=sys.stderr)
+    for concern in tried["concerns"]:
+        warn(f"{concern['name']}: {concern['sentence']}")
+    if tried["changes"] and tried["revision"]:
+        print(f"Made against revision {tried['revision']}: --yes needs --base {tried['revision']}.", file=sys.stderr)
+
+
+def _text(value: object) -> str | None:
+    return ", ".join(map(str, value)) if isinstance(value, list) else None if value is None else str(value)

@@ -1,1 +1,0 @@
-"""Nouns of `vitac admin` that run a competition."""

@@ -1,0 +1,145 @@
+"""Verbs of `vitac admin` that write files: results, an export of receipts; and `token add`, whose role is an option."""
+
+from __future__ import annotations
+
+import io
+import sys
+import zipfile
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+from vitac.envs.errors import VitacError
+
+from ..terminal.options import TokenFile
+from ..terminal.output import AsJson, print_json, print_record
+from ..verbs import NOTHING_CHANGED, DryRun, print_fields
+from .door import Server, open_door
+
+CompetitionName = Annotated[
+    str | None, typer.Option("--competition", help="Name of the competition; needed where there are several.")
+]
+
+
+class FileNotWritten(VitacError):
+    """A file or folder exists or cannot be made; name a new one."""
+
+
+def publish(
+    context: typer.Context,
+    folder: Annotated[Path, typer.Argument(help="New folder for the files.")],
+    competition: CompetitionName = None,
+    server: Server = None,
+    token_file: TokenFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write the results as JSON, CSV, a page to print and certificates."""
+    with open_door(context, server, token_file) as door:
+        answer = door.send("GET /competitions/{competition}/results", {"competition": competition})
+    try:
+        folder.mkdir()
+        with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+            archive.extractall(folder)
+            written = [str(folder / name) for name in archive.namelist()]
+    except OSError as error:
+        raise FileNotWritten(f"{folder} cannot be made: {error.strerror}. Name a new folder.") from error
+    if as_json:
+        print_json(written)
+    else:
+        print("\n".join(written))
+
+
+def export(
+    context: typer.Context,
+    track: Annotated[str, typer.Argument(help="Track of the board.")],
+    file: Annotated[Path, typer.Argument(help="New file (zip).")],
+    task: Annotated[str | None, typer.Option(help="The board of this task; by default that of all tasks.")] = None,
+    stage: Annotated[str | None, typer.Option(help="Name of the stage; by default the one that opened last.")] = None,
+    kind: Annotated[
+        Literal["model", "log"], typer.Option(help="Kind of submission on the board; log only with --task.")
+    ] = "model",
+    competition: CompetitionName = None,
+    server: Server = None,
+    token_file: TokenFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a board with receipts, records and teams' sensors for `vitac receipt audit`.
+
+    Records and sensors of a sealed list are left out until its secret is published.
+    """
+    from vitac.server.receipts.export import ExportReader
+
+    values = {"track": track, "task": task, "stage": stage, "kind": kind, "competition": competition}
+    _refuse_existing(file)
+    with open_door(context, server, token_file) as door:
+        answer = door.send("GET /leaderboards/{track}/receipts", values)
+    _refuse_existing(file)
+    try:
+        file.write_bytes(answer.content)
+    except OSError as error:
+        raise FileNotWritten(f"{file} cannot be made: {error.strerror}. Name a new file.") from error
+    with ExportReader.opened(file) as export:
+        found = export.description
+    content = {"file": str(file), "entries": len(found.board.entries), "public_key": found.public_key}
+    print_record(content, as_json=as_json)
+
+
+def _refuse_existing(file: Path) -> None:
+    if file.exists():
+        raise FileNotWritten(f"{file} cannot be made: it exists. Name a new file.")
+
+
+def add_token(
+    context: typer.Context,
+    team: Annotated[
+        str | None, typer.Argument(help="Name or id of the team; none with --organizer or --judge.")
+    ] = None,
+    organizer: Annotated[
+        bool,
+        typer.Option(
+            "--organizer", help="A token that may do everything, or with --competition everything in one competition."
+        ),
+    ] = False,
+    judge: Annotated[
+        bool, typer.Option("--judge", help="A token that reads all teams' submissions and gives marks.")
+    ] = False,
+    competition: Annotated[
+        str | None, typer.Option("--competition", help="With --organizer: the only competition that the token is for.")
+    ] = None,
+    label: Annotated[str | None, typer.Option(help="What the token is for; for a judge, the judge's name.")] = None,
+    days: Annotated[
+        int | None, typer.Option(min=1, help="Days until it expires; default: VITAC_TOKEN_LIFETIME_DAYS.")
+    ] = None,
+    dry_run: DryRun = False,
+    server: Server = None,
+    token_file: TokenFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Add a token and print it; it is shown only once.
+
+    `--organizer --competition NAME` is for somebody who organizes one of several competitions and sees no other.
+    """
+    if (team is not None) + organizer + judge != 1:
+        raise typer.BadParameter("give one of TEAM, --organizer and --judge")
+    if judge and label is None:
+        raise typer.BadParameter("name the judge with --label: marks and conflicts of interest are stored under it")
+    if competition is not None and not organizer:
+        raise typer.BadParameter("--competition is for --organizer: only an organizer's token is for one competition")
+    values = {
+        "team": team,
+        "role": "organizer" if organizer else "judge" if judge else None,
+        "competition": competition,
+        "label": label or "added by an organizer",
+        "expires_in_days": days,
+    }
+    with open_door(context, server, token_file) as door:
+        answer = door.call("POST /tokens", values, dry_run=dry_run)
+    if dry_run:
+        print(NOTHING_CHANGED, file=sys.stderr)
+        answer |= {"id": None, "secret": None}
+    if as_json:
+        print_json(answer)
+        return
+    print_fields(answer)
+    if not dry_run:
+        print("\nThe secret is not shown again. It is used as VITAC_TOKEN.")
