@@ -21,7 +21,7 @@ from ..verbs import Door
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
-IN_PROCESS = "http://in-this-process"
+IN_PROCESS = "http://localhost"
 Server = Annotated[
     str | None, typer.Option(help="Address of a service elsewhere, with an organizer's token; default: this machine's.")
 ]
