@@ -412,7 +412,7 @@ def test_only_its_own_team_waits_for_a_webhook_that_hangs_and_the_sender_stops_n
         raise ValueError("no competition")
 
     monkeypatch.setattr(webhooks, "send", send)
-    monkeypatch.setattr(outbox, "announce_near", fail)
+    monkeypatch.setattr(outbox, "announce_deadlines", fail)
     monkeypatch.setattr(sending, "STOPPED_WITHIN_S", 0.05)
     with database.transaction() as session:
         for name, hooks in (("Ants", sending.WEBHOOKS_AT_ONCE), ("Bees", 1)):

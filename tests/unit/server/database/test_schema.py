@@ -132,7 +132,7 @@ def test_a_process_works_with_a_newer_schema_that_only_adds_and_refuses_another(
 
 def test_a_current_database_is_looked_at_without_alembic(migrated: Database) -> None:
     """A worker starts sooner without it."""
-    looked = "from vitac.server.db import engine, schema; schema.upgrade(engine.Database(sys.argv[1]))"
+    looked = "from vitac.server.database import engine, schema; schema.upgrade(engine.Database(sys.argv[1]))"
     code = f"import sys; {looked}; sys.exit('alembic' in sys.modules)"
     subprocess.run([sys.executable, "-c", code, migrated.address], check=True)
 

@@ -196,7 +196,7 @@ def test_a_dump_may_take_longer_than_a_transaction_may_stand_still(
         threading.Event().wait(1.1)
         dump(*arguments, **options)
 
-    monkeypatch.setattr(binaries, "dump", dump_slowly)
+    monkeypatch.setattr(binaries, "dump_database", dump_slowly)
     impatient = Database(service.database.address)
     back_up(replace(service.services, database=impatient), file)
     impatient.dispose()
@@ -272,7 +272,7 @@ def test_no_other_process_migrates_while_the_database_is_written(
             free.append(try_lock(session, AdvisoryLock.SCHEMA_UPGRADE))
         write(address, dump_file, bin_dir=bin_dir)
 
-    monkeypatch.setattr(binaries, "restore", look_and_write)
+    monkeypatch.setattr(binaries, "restore_database", look_and_write)
     restore(empty, file)
     assert free == [False]
 
