@@ -21,8 +21,7 @@ from vitac.envs.assets import Meshes
 from vitac.envs.fem.linear.elimination import factorise
 from vitac.envs.fem.scene.scene import StepReport
 from vitac.envs.geometry.pegs import PegShape
-from vitac.envs.scene.grasped_scene import Clocks
-from vitac.envs.scene.stopwatch import Stopwatch
+from vitac.envs.scene.grasped_scene import Clocks, Stopwatch
 from vitac.envs.tactile.gel import GelCells, GelDimensions, structured_gel
 from vitac.envs.tasks.insertion.offset import PegOffset
 from vitac.envs.tasks.peg_insertion.scene import PegScene

@@ -24,13 +24,11 @@ import gymnasium
 import numpy as np
 import vitac.envs  # noqa: F401 - registers the environments
 from visible_scenes import STARTS, SeenScene, fusion_scene
-from vitac.envs.vision.pictures import colour_picture, depth_picture, segmentation_picture
-from vitac.envs.vision.rasterizer import View
-from vitac.envs.vision.stereo.camera import depth_of_pair, draw_noise_keys, infrared_pair
+from vitac.envs.vision.look import colour_picture, depth_picture, segmentation_picture
+from vitac.envs.vision.rasterizer import Label, View
+from vitac.envs.vision.stereo.camera import depth_of_pair, draw_noise_keys, infrared_pair, registered_depth_m
 from vitac.envs.vision.stereo.matching import LARGEST_DISPARITY, NO_DISPARITY, PARTS, SMALLEST_DISPARITY
 from vitac.envs.vision.stereo.method import METHOD
-from vitac.envs.vision.stereo.registration import registered_depth_m
-from vitac.envs.vision.surfaces import Label
 from vitac.envs.vision.tactile_picture import draw_tactile_pictures
 
 TACTILE_AIM_MS = 5.0

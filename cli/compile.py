@@ -10,7 +10,7 @@ def command() -> None:
     kind of CPU: for others, set NUMBA_CPU_NAME=generic and NUMBA_CPU_FEATURES= here and where it runs.
     """
     import vitac.envs  # noqa: F401 - registers the environments
-    from vitac.envs.kernel_cache.folders import CacheNotWritable, cache_root, shared_directory
+    from vitac.envs.kernel_cache import CacheNotWritable, cache_root, shared_directory
     from vitac.envs.tasks.definition import Family
     from vitac.envs.tasks.registry import task_definitions
 

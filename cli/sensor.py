@@ -115,8 +115,8 @@ def show(
     from vitac.envs.extras import require_extra
 
     require_extra("show", "matplotlib", "PIL", user="Drawing")
-    from vitac.envs.drawing.design import draw_design
     from vitac.envs.drawing.files import Destination, Frame
+    from vitac.envs.drawing.sensor_view import draw_design
     from vitac.evaluator.sensors.check import accepted_sensor
 
     from .terminal.compiling import compiling_shown
@@ -216,7 +216,7 @@ def _measure_quickly(sensor: Path, out: Path | None) -> None:
 
 
 def _stored_shards_folder() -> Path:
-    from vitac.envs.kernel_cache.folders import cache_root
+    from vitac.envs.kernel_cache import cache_root
 
     return cache_root() / "finished-shards-v1"
 

@@ -12,7 +12,7 @@ SceneT = TypeVar("SceneT")
 
 @dataclass(frozen=True, kw_only=True)
 class BackProjection:
-    """How points follow from a depth picture (`vitac.envs.vision.back_projection`), so that only the picture is sent.
+    """How points follow from a depth picture (`vitac.envs.vision.pinhole`), so that only the picture is sent.
 
     Attributes:
         depth: key of the depth picture.

@@ -4,7 +4,7 @@ import { GELS } from "./forces.js";
 import { textureOf } from "./gel_surface.js";
 import { LEVELS } from "./colours.js";
 
-export const SPREAD_MM = 2; // radius; contacts so near to one another are one arrow (envs/playback_files/arrows.py)
+export const SPREAD_MM = 2; // radius; contacts so near to one another are one arrow (envs/playback_files/scene.py)
 const KPA = 1000; // of 1 N/mm²
 const FAINT = 0.08; // part of the scale below which a colour fades into that of the part
 

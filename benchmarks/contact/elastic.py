@@ -7,12 +7,10 @@ from block_meshes import box_gel, box_surface
 from engine_probe import Probe
 from numpy.typing import NDArray
 from small_scenes import IDENTITY, UPSIDE_DOWN, driven_positions_m
-from vitac.envs.fem.contact.barrier import barrier
+from vitac.envs.fem.contact.barrier import barrier, slip_factor
 from vitac.envs.fem.contact.distance import closest_points
-from vitac.envs.fem.contact.friction import slip_factor
-from vitac.envs.fem.contact.memory import empty_memory
-from vitac.envs.fem.model.bodies import GelBody, RigidBody
-from vitac.envs.fem.model.mesh import GelMesh
+from vitac.envs.fem.contact.forces import empty_memory
+from vitac.envs.fem.model.mesh import GelBody, GelMesh, RigidBody
 from vitac.envs.fem.model.settings import ArenaContactSettings, PairFriction
 from vitac.envs.fem.scene.scene import Scene, SceneState, StepStatus
 from vitac.envs.tasks.settings import require

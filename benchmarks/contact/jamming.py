@@ -14,7 +14,7 @@ import numpy as np
 from block_meshes import box_surface
 from contact.rigid import FreeBody, rubbing
 from small_scenes import IDENTITY
-from vitac.envs.fem.model.bodies import RigidBody
+from vitac.envs.fem.model.mesh import RigidBody
 from vitac.envs.fem.model.settings import ArenaContactSettings
 
 # Between both walls together and the peg [m]: little more than the reach of the barrier, so that the peg hardly tilts.

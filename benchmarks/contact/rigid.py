@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from small_scenes import IDENTITY, driven_positions_m
 from vitac.envs.fem.contact.barrier import barrier
 from vitac.envs.fem.contact.distance import closest_points
-from vitac.envs.fem.model.bodies import GelBody, RigidBody
-from vitac.envs.fem.model.mesh import SurfaceMesh
+from vitac.envs.fem.model.mesh import GelBody, RigidBody, SurfaceMesh
 from vitac.envs.fem.model.settings import ArenaContactSettings, PairFriction
 from vitac.envs.fem.scene.scene import Scene, StepStatus
 from vitac.envs.tasks.settings import require

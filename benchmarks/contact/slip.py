@@ -16,7 +16,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.fem.model.bodies import GEL_MATERIAL, PART_MATERIAL
+from vitac.envs.fem.model.mesh import GEL_MATERIAL, PART_MATERIAL
 from vitac.envs.fem.model.settings import ArenaContactSettings, ContactModel, PairFriction
 from vitac.envs.scene.grasped_scene import GraspedScene
 from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper

@@ -14,14 +14,12 @@ import numpy as np
 from vitac.envs.fem.contact.assembly import PointState, add_contacts
 from vitac.envs.fem.contact.broad_phase import find_candidates, relative_motion
 from vitac.envs.fem.contact.ccd import PointMove, contact_free_fraction, inversion_free_fraction
-from vitac.envs.fem.contact.memory import empty_memory
+from vitac.envs.fem.contact.forces import empty_memory
 from vitac.envs.fem.elastic.elasticity import add_elasticity
 from vitac.envs.fem.linear.elimination import factorise, substitute
-from vitac.envs.fem.model.newton_system import EXACT_MATRIX, NO_MATRIX
-from vitac.envs.fem.model.points import point_positions
+from vitac.envs.fem.model.model import EXACT_MATRIX, NO_MATRIX, point_positions
 from vitac.envs.fem.scene.scene import Scene
-from vitac.envs.fem.solver.assembly import State, StepStart, assemble
-from vitac.envs.fem.solver.workspace import new_workspace
+from vitac.envs.fem.solver.assembly import State, StepStart, assemble, new_workspace
 
 from .replay import Reference, Replay
 

@@ -16,8 +16,7 @@ import numpy as np
 from vitac.envs.assets import Meshes
 from vitac.envs.fem.model.mesh import GelMesh, signed_volumes_m3
 from vitac.envs.geometry.pegs import PegShape
-from vitac.envs.scene.grasped_scene import Clocks
-from vitac.envs.scene.stopwatch import Stopwatch
+from vitac.envs.scene.grasped_scene import Clocks, Stopwatch
 from vitac.envs.tasks.insertion.offset import PegOffset
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 from vitac.envs.tasks.peg_insertion.scene import PegScene

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from vitac.envs.geometry.keys import KeyShape, key_control_points
+from vitac.envs.geometry.keys_and_locks import KeyShape, key_control_points
 from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
 from vitac.envs.tasks.lock_opening.settings import LockOpeningSettings
 from vitac.envs.tasks.lock_opening.task import SUCCESS_Z_RANGE_M

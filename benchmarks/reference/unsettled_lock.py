@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
-from vitac.envs.geometry.keys import KeyShape, key_control_points
+from vitac.envs.geometry.keys_and_locks import KeyShape, key_control_points
 from vitac.envs.geometry.solid import nearest_vertices
-from vitac.envs.scene.grasped_scene import Clocks
-from vitac.envs.scene.stopwatch import Stopwatch
+from vitac.envs.scene.grasped_scene import Clocks, Stopwatch
 from vitac.envs.tasks.lock_opening.scene import LockScene
 from vitac.envs.tasks.lock_opening.settings import LockOpeningSettings
 from vitac.envs.tasks.lock_opening.variation import KeyOffset, LockStart, SensorJitter

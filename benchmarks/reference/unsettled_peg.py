@@ -24,8 +24,7 @@ from vitac.envs.assets import Meshes
 from vitac.envs.fem.model.settings import CutOffSolverSettings, SolverSettings
 from vitac.envs.fem.scene.scene import StepStatus
 from vitac.envs.geometry.pegs import PegShape
-from vitac.envs.scene.grasped_scene import Clocks
-from vitac.envs.scene.stopwatch import Stopwatch
+from vitac.envs.scene.grasped_scene import Clocks, Stopwatch
 from vitac.envs.tasks.insertion.offset import PegOffset
 from vitac.envs.tasks.peg_insertion.scene import PegScene
 from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings

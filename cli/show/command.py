@@ -15,7 +15,7 @@ from .film import film
 from .playing import EpisodeStart, NothingToShow, Shown, ShownEpisode, find_start, no_such_env_step, player
 
 if TYPE_CHECKING:
-    from vitac.envs.drawing.colouring import Quantity
+    from vitac.envs.drawing.camera_view import Quantity
     from vitac.envs.drawing.files import Destination, Format, Frame, Picture
     from vitac.envs.drawing.picture import Caption
     from vitac.envs.drawing.playback import Pace, Playback
@@ -92,7 +92,7 @@ def command(
         shown = film(start, (policy, actions), destination, step=step, each_step=each_step, width_px=width)
         _report(shown, as_json=as_json)
         return
-    from vitac.envs.drawing.colouring import Quantity
+    from vitac.envs.drawing.camera_view import Quantity
 
     caption, playback = _played(start, policy, actions, assets, _pace(every, destination))
     width_px = width or (_ANIMATION_WIDTH_PX if destination.format.is_animated else _PICTURE_WIDTH_PX)
@@ -238,8 +238,7 @@ def _render(playback: "Playback", title: str, mode: str, *, width_px: int, momen
         RendererMissing: SAPIEN or a driver for it is missing.
     """
     from vitac.envs.drawing.camera_view import rendered_sheet
-    from vitac.envs.vision.rendering.modes import RenderMode
-    from vitac.envs.vision.rendering.renderer import make_renderer
+    from vitac.envs.vision.renderer import RenderMode, make_renderer
 
     seen = _seen(playback, moments)
     render = make_renderer(RenderMode(mode)).picture

@@ -139,7 +139,7 @@ def player(start: EpisodeStart, policy: Path | None, actions: Path | None) -> It
 def _skip_observations(start: EpisodeStart) -> ShownEpisode:
     """Return the motion straight to the target; for ManiSkill, where nobody has said what that is, the start alone."""
     from vitac.envs.drawing.drawable import straight_to_target
-    from vitac.envs.scene.guided_motion import DESCRIPTION
+    from vitac.envs.scene.perspective import DESCRIPTION
 
     if is_maniskill(start.env_id):
         return ShownEpisode(start=start, next_action=lambda _, __: None, actions=START_ALONE)

@@ -8,8 +8,7 @@ import threading
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
-from vitac.envs.kernel_cache.folders import shared_directory
-from vitac.envs.kernel_cache.progress import STARTED_LOG, CompileProgress
+from vitac.envs.kernel_cache import STARTED_LOG, CompileProgress, shared_directory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

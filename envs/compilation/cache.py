@@ -9,7 +9,7 @@ from typing import Any
 
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
-from ..kernel_cache.folders import cache_directory, note_use, remove_unused
+from ..kernel_cache import cache_directory, note_use, remove_unused
 from .sources import source_digest
 
 _LOG = logging.getLogger("vitac.envs.compilation")

@@ -11,9 +11,7 @@ from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined
 from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import make_concrete_template
 
-from ..kernel_cache.folders import cache_directory
-from ..kernel_cache.progress import STARTED_LOG, CompileProgress
-from ..kernel_cache.turns import CompilingTurn
+from ..kernel_cache import STARTED_LOG, CompileProgress, CompilingTurn, cache_directory
 from .cache import KernelCache
 from .indexing import indices_as_written
 from .libraries import EntryLibrary, PartLibrary
@@ -33,7 +31,7 @@ class KernelDispatcher(CPUDispatcher):
     and not once more for each constant that a caller hands over.
 
     What is not in the cache is compiled by one process at a time: the others wait, and find it there then. Each
-    compilation is logged at the level INFO and counted where others see it (`vitac.envs.kernel_cache.progress`).
+    compilation is logged at the level INFO and counted where others see it (`vitac.envs.kernel_cache`).
     """
 
     _cache: Any

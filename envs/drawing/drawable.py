@@ -2,9 +2,11 @@
 
 from pkgutil import resolve_name
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..errors import VitacError
-from ..scene.guided_motion import NextAction
-from ..scene.perspective import Perspective
+from ..scene.perspective import NextAction, Perspective
 from ..tasks.registry import task_definitions
 
 
@@ -37,3 +39,6 @@ def straight_to_target(env_id: str) -> NextAction:
         raise NotDrawable(f"No motion is known for {env_id}; give actions or a policy.")
     next_action: NextAction = resolve_name(chosen[env_id])
     return next_action
+
+
+FloatArray = NDArray[np.float64]

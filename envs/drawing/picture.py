@@ -1,4 +1,4 @@
-"""Whole pictures of an episode: scene, section, deciding heights, sensors, camera pictures where there are any."""
+"""Pictures of episodes with views, curves and texts, as `vitac show` writes them."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,8 +17,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from ..scene.perspective import Beside, Perspective
-from .camera_view import CameraStrip
-from .colouring import Quantity, colouring
+from .camera_view import CameraStrip, Quantity, colouring
 from .drawable import find_perspective
 from .playback import TRUE_OFFSET, Moment, Playback
 from .plots import BELIEF_COLOUR, INK, QUIET, draw_progress, draw_section

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ..scene.perspective import Perspective, Plane, Progress, SectionView
 from .playback import Moment, Playback
-from .projection.section import section_loops_m
-from .projection.shading import CUT_COLOUR, HELD_COLOUR
+from .projection import section_loops_m
+from .visibility import CUT_COLOUR, HELD_COLOUR
 
 FloatArray = NDArray[np.float64]
 

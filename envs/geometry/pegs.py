@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..fem.model.mesh import SurfaceMesh
-from .polygon import Polygon, as_polygon, mitred_offset
-from .solid import nearest_vertices, prism_faces, rectangle, solid_from_faces
+from .solid import Polygon, as_polygon, mitred_offset, nearest_vertices, prism_faces, rectangle, solid_from_faces
 
 PEG_HEIGHT_MM = 50.0
 # Extent along y of every peg between the two gels.

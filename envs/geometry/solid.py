@@ -1,14 +1,184 @@
-"""Closed triangle surfaces built from flat faces. Used by pegs, holes, keys and locks."""
+"""Closed solids of plane faces: polygons, their triangles by ear clipping, and prisms."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import chain, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..fem.model.mesh import SurfaceMesh
-from .polygon import Polygon
-from .triangulation import triangulate
+
+# Corners of a simple polygon, counter-clockwise, shape [n, 2].
+Polygon = NDArray[np.float64]
+Point = NDArray[np.float64]
+
+
+def as_polygon(corners: list[tuple[float, float]]) -> Polygon:
+    """Return the corner list as an array of shape [n, 2]."""
+    return np.array(corners, dtype=np.float64)
+
+
+def mitred_offset(polygon: Polygon, distance: float) -> Polygon:
+    """Return the counter-clockwise polygon with every edge moved out by `distance`, its ends to the mitre joints."""
+    edges = np.roll(polygon, -1, axis=0) - polygon
+    lengths = np.sqrt(edges[:, 0] * edges[:, 0] + edges[:, 1] * edges[:, 1])
+    normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / lengths[:, None]
+    before = np.roll(normals, 1, axis=0)
+    # The corner moves along the bisector n1 + n2, by d / (1 + n1.n2) so that both edges move by d.
+    stretch = distance / (1.0 + (before * normals).sum(axis=1))
+    return np.asarray(polygon + stretch[:, None] * (before + normals))
+
+
+def orientation(a: Point, b: Point, c: Point) -> float:
+    """Return twice the signed area of the triangle abc: positive for a left turn, 0 for collinear points."""
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+
+def segments_touch(a: Point, b: Point, c: Point, d: Point) -> bool:
+    """Return whether the closed segments ab and cd have a point in common."""
+    abc, abd = orientation(a, b, c), orientation(a, b, d)
+    cda, cdb = orientation(c, d, a), orientation(c, d, b)
+    if abc * abd < 0 and cda * cdb < 0:
+        return True
+    return (
+        (abc == 0 and _within_box(a, b, c))
+        or (abd == 0 and _within_box(a, b, d))
+        or (cda == 0 and _within_box(c, d, a))
+        or (cdb == 0 and _within_box(c, d, b))
+    )
+
+
+def boundaries_touch(first: Polygon, second: Polygon) -> bool:
+    """Return whether the outlines of two polygons have a point in common."""
+    return any(
+        segments_touch(first[i - 1], first[i], second[j - 1], second[j])
+        for i in range(len(first))
+        for j in range(len(second))
+    )
+
+
+def contains(polygon: Polygon, point: Point) -> bool:
+    """Return whether a point lies strictly inside a polygon; unspecified on the outline (crossing number)."""
+    inside = False
+    for i in range(len(polygon)):
+        a, b = polygon[i - 1], polygon[i]
+        if (a[1] > point[1]) != (b[1] > point[1]):
+            upward = b[1] > a[1]
+            inside ^= (orientation(a, b, point) > 0) == upward
+    return inside
+
+
+def overlaps_plate(polygon: Polygon, *, plate: Polygon, hole: Polygon) -> bool:
+    """Return whether a polygon meets the material between a plate's outline and its hole (touching counts).
+
+    If no outlines touch, the polygon lies wholly in the hole, wholly outside the plate, wholly in the material, or
+    around the hole; one corner of each decides.
+    """
+    if boundaries_touch(polygon, hole) or boundaries_touch(polygon, plate):
+        return True
+    in_material = contains(plate, polygon[0]) and not contains(hole, polygon[0])
+    return in_material or contains(polygon, hole[0])
+
+
+def _within_box(a: Point, b: Point, point: Point) -> bool:
+    return bool(min(a[0], b[0]) <= point[0] <= max(a[0], b[0]) and min(a[1], b[1]) <= point[1] <= max(a[1], b[1]))
+
+
+Triangle = tuple[int, int, int]
+
+
+def triangulate(outline: Polygon, holes: tuple[Polygon, ...] = ()) -> list[Triangle]:
+    """Return the counter-clockwise triangles of a polygon with holes that adds no corner.
+
+    Corners are numbered through the outline and then through each hole. The outline runs counter-clockwise; holes may
+    run either way. Each hole is joined to the outline by its shortest free bridge, then ears are clipped, the one with
+    the shortest cut first, so equal input gives equal triangles.
+    """
+    points = np.concatenate([outline, *holes])
+    loops = _loops(outline, holes)
+    ring = loops[0]
+    remaining = loops[1:]
+    while remaining:
+        ring_corner, hole_index, hole_corner = _shortest_bridge(points, ring, remaining)
+        hole = remaining.pop(hole_index)
+        ring = _joined(ring, ring_corner, hole, hole_corner)
+    return _clip_ears(points, ring)
+
+
+def _loops(outline: Polygon, holes: tuple[Polygon, ...]) -> list[list[int]]:
+    """Return the corner indices of the outline (counter-clockwise) and of every hole (clockwise)."""
+    loops = [list(range(len(outline)))]
+    start = len(outline)
+    for hole in holes:
+        loop = list(range(start, start + len(hole)))
+        clockwise = _twice_area(hole) < 0
+        loops.append(loop if clockwise else loop[::-1])
+        start += len(hole)
+    return loops
+
+
+def _twice_area(polygon: Polygon) -> float:
+    following = np.roll(polygon, -1, axis=0)
+    return float((polygon[:, 0] * following[:, 1] - polygon[:, 1] * following[:, 0]).sum())
+
+
+def _shortest_bridge(points: NDArray[np.float64], ring: list[int], holes: list[list[int]]) -> tuple[int, int, int]:
+    """Return the position in the ring, hole, and position in that hole of the shortest segment that crosses no edge."""
+    edges = list(chain.from_iterable(pairwise([*loop, loop[0]]) for loop in (ring, *holes)))
+    candidates = sorted(
+        (_squared_length(points, ring[r], hole[k]), r, h, k)
+        for h, hole in enumerate(holes)
+        for r in range(len(ring))
+        for k in range(len(hole))
+    )
+    for _, r, h, k in candidates:
+        if _is_free(points, ring[r], holes[h][k], edges):
+            return r, h, k
+    raise AssertionError("A hole inside its outline always sees it.")  # pragma: no cover
+
+
+def _is_free(points: NDArray[np.float64], a: int, b: int, edges: list[tuple[int, int]]) -> bool:
+    return not any(
+        segments_touch(points[a], points[b], points[c], points[d]) for c, d in edges if len({a, b, c, d}) == 4
+    )
+
+
+def _joined(ring: list[int], r: int, hole: list[int], k: int) -> list[int]:
+    return [*ring[: r + 1], *hole[k:], *hole[: k + 1], *ring[r:]]
+
+
+def _clip_ears(points: NDArray[np.float64], ring: list[int]) -> list[Triangle]:
+    ring = list(ring)
+    triangles = []
+    while len(ring) > 3:
+        ears = [i for i in range(len(ring)) if _is_ear(points, ring, i)]
+        ear = min(ears, key=lambda i: _squared_length(points, ring[i - 1], ring[(i + 1) % len(ring)]))
+        triangles.append(_corner(ring, ear))
+        del ring[ear]
+    return [*triangles, (ring[0], ring[1], ring[2])]
+
+
+def _corner(ring: list[int], i: int) -> Triangle:
+    return ring[i - 1], ring[i], ring[(i + 1) % len(ring)]
+
+
+def _is_ear(points: NDArray[np.float64], ring: list[int], i: int) -> bool:
+    a, b, c = _corner(ring, i)
+    if orientation(points[a], points[b], points[c]) <= 0:
+        return False
+    return not any(_is_in_triangle(points, a, b, c, other) for other in set(ring) - {a, b, c})
+
+
+def _is_in_triangle(points: NDArray[np.float64], a: int, b: int, c: int, other: int) -> bool:
+    """Return whether a point lies in the closed triangle."""
+    return all(orientation(points[i], points[j], points[other]) >= 0 for i, j in ((a, b), (b, c), (c, a)))
+
+
+def _squared_length(points: NDArray[np.float64], a: int, b: int) -> float:
+    x, y = points[a] - points[b]
+    return float(x * x + y * y)
+
 
 MILLIMETRE_M = 1e-3
 # Coordinate axes in the plane of a prism's profile, and the direction in which it is extruded; each is right-handed.

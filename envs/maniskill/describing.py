@@ -13,8 +13,8 @@ from typing import Any
 
 import yaml
 
-from .catalogue import CATALOGUE_FILE, MODES
-from .observations import flattened, parts_of_state
+from .definition import CATALOGUE_FILE, MODES
+from .state import flattened, parts_of_state
 
 _TIME_LIMIT_S = 300.0
 

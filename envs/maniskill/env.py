@@ -25,11 +25,9 @@ from ..tasks.definition import chosen_observables
 from ..tasks.ending import EndReason
 from ..tasks.options import RNG_SEED, refuse_unknown, seeded_generator
 from ..tasks.settings import read_task_settings
-from .catalogue import catalogue
-from .definition import CPU, PREFIX, ManiSkillSettings, find_definition, needs_driver
+from .definition import CPU, PREFIX, ManiSkillSettings, catalogue, find_definition, needs_driver
 from .driver import has_cuda, has_driver, replace_materials
-from .observations import flattened, unbatched
-from .state import StateReader
+from .state import StateReader, flattened, unbatched
 
 Observation = dict[str, NDArray[Any]]
 

@@ -1,9 +1,6 @@
-"""Reads ManiSkill's state of bodies and joints from SAPIEN, in a tenth of the time of `get_state`, which makes tensors.
+"""What is read of a ManiSkill environment: all of its state, and its observation as plain arrays."""
 
-`env.made` puts it in the place of `get_state` where physics runs on the CPU.
-"""
-
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 from weakref import ref
 
@@ -74,3 +71,30 @@ def _leaves(state: dict[str, Any]) -> Iterator[NDArray[np.float32]]:
             yield from _leaves(value)
         else:
             yield value.numpy()[0]
+
+
+def flattened(observation: Mapping[str, Any], prefix: str = "") -> dict[str, NDArray[Any]]:
+    """Return the leaves of a nested observation by their path, joined by `_`, in their order.
+
+    `sensor_data` and `sensor_param` are left out of the path: the camera's name follows.
+    """
+    leaves: dict[str, NDArray[Any]] = {}
+    for key, value in observation.items():
+        path = prefix if key in {"sensor_data", "sensor_param"} else f"{prefix}{key}_"
+        if isinstance(value, Mapping):
+            leaves |= flattened(value, path)
+        else:
+            leaves[path.removesuffix("_")] = unbatched(value)
+    return leaves
+
+
+def unbatched(value: Any) -> NDArray[Any]:
+    """Return a tensor or array of one environment without its batch dimension, in memory of its own."""
+    array = np.array(value.cpu().numpy() if hasattr(value, "cpu") else value)
+    first = array[0] if array.ndim else array
+    return np.ascontiguousarray(first.astype(np.uint8) if first.dtype == np.bool_ else first)
+
+
+def parts_of_state(observation: Mapping[str, Any]) -> list[tuple[str, int]]:
+    """Return names and sizes of the parts of the `state` vector, from the same observation as a dictionary."""
+    return [(name, int(value.size)) for name, value in flattened(observation).items()]

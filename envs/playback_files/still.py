@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..drawing.playback import Playback
+from ..vision.look import unit_normals
 from ..vision.optics import Intrinsics
-from ..vision.pictures import unit_normals
 from ..vision.pinhole import CameraPose
 from ..vision.rasterizer import View, rasterize
 from .scene import DEFAULT_VIEW, look_up_perspective

@@ -3,22 +3,36 @@
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from time import thread_time
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..fem.contact.forces import PairForces
-from ..fem.model.bodies import GelBody, RigidBody
-from ..fem.model.mesh import SurfaceMesh
+from ..fem.model.mesh import GelBody, RigidBody, SurfaceMesh
 from ..fem.model.settings import AnyContactSettings, ContactSettings, SolverSettings
-from ..fem.scene.node_layout import placed
+from ..fem.scene.layout import placed
 from ..fem.scene.scene import Scene, SceneState, StepReport, StepStatus
 from ..tactile.camera import CameraIntrinsics
 from ..tactile.markers import MarkerSettings
 from ..tactile.sensor import TactileSensor
 from .gripper import SENSOR_COUNT, Gripper, GripperPose, SensorPose
-from .stopwatch import Stopwatch
+
+
+class Stopwatch:
+    """Context manager that adds the CPU time of the calling thread [s] to `elapsed_s`."""
+
+    def __init__(self) -> None:
+        self.elapsed_s = 0.0
+        self._started_s = 0.0
+
+    def __enter__(self) -> None:
+        self._started_s = thread_time()
+
+    def __exit__(self, *exception: object) -> None:
+        self.elapsed_s += thread_time() - self._started_s
+
 
 FloatArray = NDArray[np.float64]
 

@@ -1,8 +1,4 @@
-"""A parallel gripper with a gel on each jaw: where its sensors are, and where it drives their back faces.
-
-The pose is tracked in closed form. Driven nodes end every IPC step exactly on their targets, so the pose that makes the
-targets is the pose of the sensors; fitting it to boundary nodes (challenge-facts 2.4) would find the same numbers.
-"""
+"""The gripper, its sensors and their poses, and equal parts of its motions."""
 
 from dataclasses import dataclass
 
@@ -11,6 +7,7 @@ from numpy.typing import NDArray
 
 from ..compilation import allocating_kernel
 from ..deterministic_math import sine_cosine
+from ..errors import VitacError
 from ..fem.model.mesh import GelMesh
 
 FloatArray = NDArray[np.float64]
@@ -153,3 +150,22 @@ def _turned(rotation: FloatArray, points: FloatArray) -> FloatArray:
         for k in range(3):
             out[i, k] = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z
     return out
+
+
+class MotionError(VitacError):
+    """A motion cannot be divided into IPC steps; the message names the value."""
+
+
+def ipc_steps(amount: float, *, speed_per_s: float, time_step_s: float) -> int:
+    """Return the IPC steps for a motion at a speed: the nearest whole number, ties to even, at least 1.
+
+    The published text rounds up; the 2025 code, which the logs follow, rounds to the nearest [D1].
+
+    Args:
+        amount: length [m] or angle [rad]; its sign does not matter.
+        speed_per_s: [m/s] or [rad/s].
+        time_step_s: length of an IPC step [s].
+    """
+    if not (speed_per_s > 0 and time_step_s > 0):
+        raise MotionError(f"Speed and time step must be positive, got {speed_per_s} 1/s and {time_step_s} s.")
+    return max(1, round(abs(amount) / speed_per_s / time_step_s))

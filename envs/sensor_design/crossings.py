@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import allocating_kernel, kernel
-from ..fem.algebra.vec3 import Vec3, cross, dot, load, subtract
+from ..fem.algebra import Vec3, cross, dot, load, subtract
 from ..fem.contact.distance import POINT_TRIANGLE, closest_points
 
 FloatArray = NDArray[np.float64]

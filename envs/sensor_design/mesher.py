@@ -14,13 +14,11 @@ from numpy.typing import NDArray
 from ..errors import VitacError
 from .columns import Columns
 from .crossings import farthest
-from .height_field import HeightField, Line, heights_of_faces_mm
-from .outlines import add_outlines, convert_to_mm, snap_to_grid
+from .height_field import HeightField, Line, add_outlines, convert_to_mm, heights_of_faces_mm, snap_to_grid
 from .plane_mesh import GRID_PER_MM, PlaneMesh, TooManyPoints
-from .refining import refined_tips
 from .sampling import pulled_corners, samples_of_triangles_mm
 from .surface import DrawnSurface
-from .tetrahedra import Tetrahedra
+from .tetrahedra import Tetrahedra, refined_tips
 
 FloatArray = NDArray[np.float64]
 PlanePoint = tuple[float, float]

@@ -4,10 +4,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+
+
 IndexArray = NDArray[np.int64]
 
+
 _SPACING_MM = 0.5
+
+
 _MAX_CUTS = 64
+
+
 # Where a surface would get more points, they lie further apart; its corners are always among them.
 MAX_SAMPLES = 200_000
 

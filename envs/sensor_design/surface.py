@@ -296,3 +296,17 @@ def _divided_at_t_junctions(vertices_mm: FloatArray, triangles: IndexArray, heig
 def _edges_of(face: tuple[int, int, int]) -> Iterator[tuple[int, int]]:
     a, b, c = face
     return iter(((a, b), (b, c), (c, a)))
+
+
+def placed_on_base(surface: DrawnSurface, *, length_mm: float, width_mm: float) -> DrawnSurface:
+    """Return the surface moved, and stretched by the tolerance of its base, so that its box has this length and width.
+
+    Args:
+        surface: in any place, its longer side along x, sensing face upwards.
+        length_mm: extent along x.
+        width_mm: extent along y.
+    """
+    low, extent = surface.vertices_mm.min(axis=0), surface.extent_mm
+    stretch = np.array([length_mm / extent[0], width_mm / extent[1], 1.0])
+    to = np.array([0.5 * length_mm, 0.5 * width_mm, 0.0])
+    return DrawnSurface(vertices_mm=(surface.vertices_mm - low) * stretch - to, triangles=surface.triangles)

@@ -1,4 +1,4 @@
-"""Our own structured gel meshes, above all the GelSight Mini elastomer (challenge-facts 1.5, docs/gel-mesh.md)."""
+"""The challenge's gel, generated from its dimensions, and how thick a gel is."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -149,3 +149,27 @@ def _oriented(nodes: NDArray[np.float64], tetrahedra: NDArray[np.int64]) -> NDAr
     turned = tetrahedra.copy()
     turned[negative, 2:] = tetrahedra[negative, :1:-1]
     return turned
+
+
+SENSING_NODES = 49
+"""Nodes on the sensing face of the gel of the evaluations (`gel.gelsight_mini_mesh`)."""
+
+MARKER_COUNT = 128
+"""Markers in a marker flow; where fewer are seen the last is repeated."""
+
+
+# From the camera's optical centre to the back face of the gel, for every sensor (challenge-facts 9).
+EYE_TO_BACK_MM = 18.0
+# Heights are rounded to this many decimals of a millimetre, since meshes in files are.
+_DECIMALS = 6
+
+
+def highest_mm(gel: GelMesh) -> float:
+    """Return the height of the gel's highest point above the origin of its frame [mm]."""
+    return round(float(gel.rest_position_m[:, 2].max()) * 1e3, _DECIMALS)
+
+
+def eye_distance_m(gel: GelMesh) -> float:
+    """Return the distance of the camera behind the origin of the gel's frame [m]: 20 mm for the challenge's gel."""
+    back_mm = round(float(gel.rest_position_m[gel.driven_nodes, 2].min()) * 1e3, _DECIMALS)
+    return (EYE_TO_BACK_MM - back_mm) * 1e-3

@@ -23,7 +23,7 @@ from ..deterministic_math import normal_pairs, sine_cosine
 from ..errors import VitacError
 from ..fem.model.mesh import GelMesh
 from .camera import CHALLENGE_CAMERA, CameraIntrinsics, project
-from .sizes import MARKER_COUNT
+from .gel import MARKER_COUNT
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -22,8 +22,7 @@ from ..errors import VitacError
 from ..fem import SOLVER_VERSION
 from ..fem.model.mesh import GelMesh, SurfaceMesh
 from ..observable import Observable
-from ..scene.grasped_scene import Clocks, GraspedScene
-from ..scene.stopwatch import Stopwatch
+from ..scene.grasped_scene import Clocks, GraspedScene, Stopwatch
 from ..tactile.design import SensorDesign
 from ..vision.still import StillCamera
 from .contact_model import with_contact_model

@@ -7,15 +7,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from .back_projection import point_cloud
-from .look import CHALLENGE_LOOK, Look
-from .optics import COLOUR_INTRINSICS, HEIGHT_PX, WIDTH_PX
-from .pictures import colour_picture, depth_picture, segmentation_picture, unit_normals
-from .pinhole import CameraPose
-from .point_cloud import ObjectClouds, draw_points, object_clouds
-from .rasterizer import View, rasterize
+from .look import CHALLENGE_LOOK, Look, colour_picture, depth_picture, segmentation_picture, unit_normals
+from .optics import COLOUR_INTRINSICS, HEIGHT_PX, WIDTH_PX, point_cloud
+from .pinhole import CameraPose, ObjectClouds, draw_points, object_clouds
+from .rasterizer import Body, FloatArray, Label, View, VisibleSurfaces, rasterize
 from .stereo.camera import InfraredPair, depth_of_pair, draw_noise_keys, infrared_pair
-from .surfaces import Body, FloatArray, Label, VisibleSurfaces
 
 
 class DepthMode(StrEnum):

@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 from ..scene.grasped_scene import GraspedScene
 from ..scene.gripper import SENSOR_COUNT
 from ..scene.perspective import Perspective, Plane
+from .look import colour_picture
 from .optics import HEIGHT_PX, WIDTH_PX, Intrinsics
-from .pictures import colour_picture
 from .pinhole import CameraPose
-from .rasterizer import rasterize
-from .surfaces import Body, Label, VisibleSurfaces
+from .rasterizer import Body, Label, VisibleSurfaces, rasterize
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import kernel, large_kernel
-from ..fem.algebra.vec3 import Vec3
+from ..fem.algebra import Vec3
 from ..fem.model.mesh import GelMesh
 from ..scene.grasped_scene import GraspedScene
 from ..tactile.camera import CHALLENGE_CAMERA, CameraIntrinsics, camera_frame
-from ..tactile.thickness import eye_distance_m, highest_mm
+from ..tactile.gel import eye_distance_m, highest_mm
+from .look import draw_noise
 from .optics import TACTILE_HEIGHT_PX as HEIGHT_PX
 from .optics import TACTILE_WIDTH_PX as WIDTH_PX
 from .optics import Intrinsics
-from .pixel_noise import draw_noise
 from .rasterizer import rasterize
 
 FloatArray = NDArray[np.float64]

@@ -64,7 +64,7 @@ def _force_n(scene: "GraspedScene", index: int) -> float:
     In equilibrium it is what the tetrahedra's stress puts on the driven nodes: the sum of V sigma grad N_a, with volume
     V and gradients in the deformed gel (J. Bonet and R. D. Wood, Nonlinear Continuum Mechanics (2008), equation 9.15).
     """
-    from vitac.envs.drawing.stress import cauchy_stress_pa, deformation_gradients
+    from vitac.envs.drawing.scene_view import cauchy_stress_pa, deformation_gradients
 
     gel, physics, pose = scene.gel, scene.physics, scene.sensor_pose(index)
     nodes_m = scene.gel_nodes_m(index)
@@ -211,9 +211,7 @@ def refined_design(design: "SensorDesign", times: float) -> "SensorDesign":
         design: of the sensor.
         times: above 1.
     """
-    from vitac.envs.sensor_design.faces import make_gel
-    from vitac.envs.sensor_design.refining import refined
-    from vitac.envs.sensor_design.tetrahedra import Tetrahedra
+    from vitac.envs.sensor_design.tetrahedra import Tetrahedra, make_gel, refined
 
     nodes_mm = 1e3 * design.gel.rest_position_m
     nodes_mm[:, 2] -= nodes_mm[:, 2].min()

@@ -110,8 +110,7 @@ def make_reference_looks() -> Appearance:
 
 def design_of_gel(gel: "GelMesh") -> "SensorDesign":
     """Return a gel with the default camera and markers, driven and sensing where its geometry says so."""
-    from vitac.envs.sensor_design.faces import make_gel
-    from vitac.envs.sensor_design.tetrahedra import Tetrahedra
+    from vitac.envs.sensor_design.tetrahedra import Tetrahedra, make_gel
     from vitac.envs.tactile.design import SensorDesign
 
     nodes_mm = 1e3 * gel.rest_position_m

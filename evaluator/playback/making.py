@@ -178,8 +178,8 @@ def make(order: PlaybackOrder, on_step: OnStep) -> None:
         StatesDiffer: the record is of another evaluator or platform class, or not true.
         PlaybackTooLarge: the episode does not fit into a file.
     """
-    from vitac.envs.playback_files.cameras import pack_cameras
     from vitac.envs.playback_files.scene import pack_scene
+    from vitac.envs.playback_files.stage import pack_cameras
 
     task = load_track(order.track).tasks[order.record.task]
     if is_maniskill(task.env_id):

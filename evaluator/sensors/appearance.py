@@ -45,7 +45,7 @@ def appearance(made: MadeSensor) -> Appearance:
         MadeSensorDamaged: the mesh is not the one of its digest.
     """
     import numpy as np
-    from vitac.envs.sensor_design.faces import make_gel
+    from vitac.envs.sensor_design.tetrahedra import make_gel
 
     mesh = made.mesh()
     gel, sensing = make_gel(mesh, name="the gel")

@@ -117,7 +117,7 @@ def _reach(design: "SensorDesign") -> Finding:
 
 def _tips(mesh: "Tetrahedra", limits: SensorLimits) -> Finding:
     """Count the nodes of the parts that the grasp reaches: with few of them, another mesh touches differently."""
-    from vitac.envs.sensor_design.refining import tip_sizes
+    from vitac.envs.sensor_design.tetrahedra import tip_sizes
     from vitac.envs.tactile.design import MILLIMETRE_M, TOUCHED_M
 
     sizes = tip_sizes(mesh, depth_mm=TOUCHED_M / MILLIMETRE_M)
@@ -136,7 +136,7 @@ def _tips(mesh: "Tetrahedra", limits: SensorLimits) -> Finding:
 
 def _markers(design: "SensorDesign", limits: SensorLimits) -> Finding:
     """Look whether each marker is where it is drawn, and apart from others: each is seen with a noise of its own."""
-    from vitac.envs.tactile.attachment import Fault
+    from vitac.envs.tactile.design import Fault
 
     markers = design.markers_mm.tolist()
     faults = [Fault(code) for code in design.attachment.faults.tolist()]

@@ -40,8 +40,7 @@ def mesh_with_ftetwild(stl: Path, limits: SensorLimits) -> "Tetrahedra":
     """
     import numpy as np
     from vitac.envs.geometry.stl import read_corners
-    from vitac.envs.sensor_design.placing import placed_on_base
-    from vitac.envs.sensor_design.surface import DrawnSurface
+    from vitac.envs.sensor_design.surface import DrawnSurface, placed_on_base
     from vitac.envs.sensor_design.tetrahedra import Tetrahedra
 
     try:

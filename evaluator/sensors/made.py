@@ -81,7 +81,7 @@ class MadeSensor(StrictModel):
         Raises:
             MadeSensorDamaged: the mesh is not the one of its digest.
         """
-        from vitac.envs.sensor_design.faces import make_gel
+        from vitac.envs.sensor_design.tetrahedra import make_gel
         from vitac.envs.tactile.camera import CameraIntrinsics
         from vitac.envs.tactile.design import SensorDesign
 

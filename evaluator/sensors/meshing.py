@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.sensor_design.placing import placed_on_base
-from vitac.envs.sensor_design.surface import DrawnSurface
+from vitac.envs.sensor_design.surface import DrawnSurface, placed_on_base
 from vitac.envs.sensor_design.tetrahedra import BASE_PLANE_MM, Tetrahedra
 
 from .findings import Finding, Rule
@@ -48,7 +47,7 @@ class MeshedGel:
 
     def design(self, manifest: SensorManifest) -> "SensorDesign":
         """Return the sensor that is simulated."""
-        from vitac.envs.sensor_design.faces import make_gel
+        from vitac.envs.sensor_design.tetrahedra import make_gel
         from vitac.envs.tactile.design import SensorDesign
 
         gel, sensing = make_gel(self.mesh, name="the gel")
@@ -116,7 +115,7 @@ class MeshCheck:
     def _read(self, path: Path) -> Tetrahedra | None:
         """Return the mesh of a tet.msh with the low corner of its box where that of the base is."""
         from vitac.envs.fem.model.mesh import MeshError
-        from vitac.envs.sensor_design.faces import make_gel
+        from vitac.envs.sensor_design.tetrahedra import make_gel
         from vitac.envs.tactile.gel_files import GelFilesError, read_gmsh
 
         limits = self._limits

@@ -26,7 +26,7 @@ from typing import NoReturn
 
 import numpy as np
 from vitac.envs.errors import VitacError
-from vitac.envs.kernel_cache.progress import STARTED_LOG
+from vitac.envs.kernel_cache import STARTED_LOG
 from vitac.envs.maniskill.definition import is_maniskill
 
 from ..agent.isolation.packages import installed_packages

@@ -14,7 +14,7 @@ from typing import IO, Final
 from pydantic import ValidationError
 from vitac import envs, evaluator
 from vitac.envs.errors import VitacError
-from vitac.envs.kernel_cache.folders import shared_directory
+from vitac.envs.kernel_cache import shared_directory
 
 from ..agent.isolation import bubblewrap, packages, seccomp
 from ..agent.limits import GIB, MIB, Limits

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.errors import VitacError
-from vitac.envs.tactile.sizes import MARKER_COUNT
+from vitac.envs.tactile.gel import MARKER_COUNT
 
 from .markers import MarkerFlow, Picture
 

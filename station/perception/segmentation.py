@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.errors import VitacError
-from vitac.envs.vision.back_projection import rays
+from vitac.envs.vision.optics import rays
 
 from ..devices.cameras import ColourDepth, ColourIntrinsics
 

@@ -10,8 +10,8 @@ from vitac.envs.fem.model.mesh import GelMesh
 from vitac.envs.scene.gripper import SensorPose
 from vitac.envs.tactile.camera import CHALLENGE_CAMERA, camera_frame, project
 from vitac.envs.tactile.design import SensorDesign
+from vitac.envs.tactile.gel import eye_distance_m
 from vitac.envs.tactile.markers import interpolated
-from vitac.envs.tactile.thickness import eye_distance_m
 from vitac.envs.vision.tactile_picture import TactileCamera
 
 from .hidden import HiddenSensor

@@ -7,13 +7,12 @@ from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 from vitac.envs.assets import Meshes
-from vitac.envs.fem.model.bodies import GEL_MATERIAL, PART_MATERIAL
+from vitac.envs.fem.model.mesh import GEL_MATERIAL, PART_MATERIAL
 from vitac.envs.fem.model.settings import ArenaContactSettings, PairFriction
 from vitac.envs.geometry.bases import RIM_MM
 from vitac.envs.geometry.pegs import PegShape
-from vitac.envs.scene.grasped_scene import Clocks, PhysicsSettings
+from vitac.envs.scene.grasped_scene import Clocks, PhysicsSettings, Stopwatch
 from vitac.envs.scene.gripper import GripperPose
-from vitac.envs.scene.stopwatch import Stopwatch
 from vitac.envs.tasks.fusion_insertion.scene import FusionScene
 from vitac.envs.tasks.fusion_insertion.settings import FusionInsertionSettings
 from vitac.envs.tasks.fusion_insertion.variation import START_GAP_MM as FUSION_GAP_MM
@@ -31,7 +30,7 @@ from vitac.envs.tasks.peg_insertion.scene import START_GAP_MM, PegScene
 from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
 from vitac.envs.tasks.peg_insertion.variation import PegStart
 from vitac.envs.vision.camera import Sight
-from vitac.envs.vision.rig import RigShift
+from vitac.envs.vision.pinhole import RigShift
 
 from ..description import StationTask
 from .hidden import HiddenSettings

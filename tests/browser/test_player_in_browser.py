@@ -15,7 +15,7 @@ from real_browser import SOFTWARE_WEBGL, launched
 from site_under_test import SiteUnderTest
 from tab_key import press_tab_through
 from vitac.envs.tactile.camera import camera_frame
-from vitac.envs.tactile.thickness import eye_distance_m
+from vitac.envs.tactile.gel import eye_distance_m
 from vitac.envs.vision.tactile_picture import TactileCamera
 from waiting import LIMIT_S, PIXELS_AT_REST, resize, until, wait_for_rest
 

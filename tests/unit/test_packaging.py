@@ -18,7 +18,7 @@ import vitac.envs
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from vitac.cli.main import NOUNS
-from vitac.envs.maniskill.catalogue import catalogue
+from vitac.envs.maniskill.definition import catalogue
 
 FOLDERS = ("cli", "docs", "envs", "evaluator", "migrations", "server", "station", "training", "web", "worker")
 NOT_SHIPPED = {"__pycache__", "node_modules"}

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from starlette.requests import Request
 from starlette.responses import Response
-from vitac.envs.maniskill import scenes
+from vitac.envs.maniskill import batch
 from vitac.envs.maniskill.definition import PREFIX, is_maniskill
 from vitac.evaluator.agent.protocol.frames import ACTION_TYPES
 from vitac.evaluator.tracks import Task
@@ -92,7 +92,7 @@ def find_pictures(task: Task) -> Sequence[Picture]:
     """Return the pictures of a task: its scene, and what a policy sees of it where that is shown."""
     if not is_maniskill(task.env_id):
         return PICTURES.get(task.name, ())
-    file = scenes.file_name(task.env_id.removeprefix(PREFIX))
+    file = batch.file_name(task.env_id.removeprefix(PREFIX))
     if not (STATIC / file).exists():
         return ()
-    return (Picture(file=file, width=scenes.WIDTH, height=scenes.HEIGHT, shows=f"A start of {task.env_id}"),)
+    return (Picture(file=file, width=batch.WIDTH, height=batch.HEIGHT, shows=f"A start of {task.env_id}"),)

@@ -11,17 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel, large_kernel
-from ..algebra.mat3 import add_matrices, outer, scale_matrix, transpose
-from ..algebra.vec3 import add, dot, load, scale, subtract
-from ..model.model import Model, Parameters
-from ..model.newton_system import EXACT_MATRIX, NO_MATRIX, PROJECTED_MATRIX, NewtonSystem
-from .barrier import barrier
+from ..algebra import add, add_matrices, dot, load, outer, scale, scale_matrix, subtract, transpose
+from ..model.model import EXACT_MATRIX, NO_MATRIX, PROJECTED_MATRIX, Model, NewtonSystem, Parameters
+from .barrier import (
+    barrier,
+    mollifier,
+    squared_cross_norm,
+    squared_cross_norm_blocks,
+    squared_cross_norm_gradient,
+    update_dual,
+)
 from .broad_phase import Candidates
 from .contact import Contact, ContactGeometry, Friction, NormalForce, contact_geometry, contact_terms, weighted_sum
 from .distance import EDGE_EDGE, NO_SLIDING, closest_points
-from .friction import update_dual
-from .memory import ContactMemory, recall_slip
-from .mollifier import mollifier, squared_cross_norm, squared_cross_norm_blocks, squared_cross_norm_gradient
+from .forces import ContactMemory, recall_slip
 from .stencil import (
     ALL_MODES,
     FIRST,

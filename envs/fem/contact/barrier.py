@@ -1,13 +1,11 @@
-"""The IPC barrier on the plain distance.
+"""Barrier, friction and mollifier of one contact."""
 
-    b(d) = -(d - d_hat)^2 ln(d / d_hat)  for 0 < d < d_hat, else 0        [m^2]
-
-Li et al., Incremental Potential Contact (ACM TOG 2020), equations 5-6, here on the distance itself rather than its
-square, as the 2025 challenge does. Times kappa / h^2 [N/m] it is an energy.
-"""
+import numpy as np
+from numpy.typing import NDArray
 
 from ...compilation import kernel
 from ...deterministic_math import natural_log
+from ..algebra import Mat3, Vec3, add, cross, dot, identity_and_outer, identity_and_outers, scale, subtract
 
 
 @kernel
@@ -20,3 +18,86 @@ def barrier(d: float, d_hat: float) -> tuple[float, float, float]:
     first = -gap * (2.0 * log_ratio + ratio)
     second = -2.0 * log_ratio - 4.0 * ratio + ratio * ratio
     return value, first, second
+
+
+@kernel
+def slip_potential(y: float, s: float) -> float:
+    """Return f0(y) [m], the integral of f1."""
+    if y >= s:
+        return y
+    return y * y * (1.0 - y / (3.0 * s)) / s + s / 3.0
+
+
+# Length of the dual variable of a contact that had none, as part of the friction force: it may yet stick or slide.
+_FIRST_DUAL = 0.75
+
+
+@kernel
+def update_dual(dual: NDArray[np.float64], k: int, u: Vec3, s: float) -> Vec3:
+    """Take the dual variable of contact k to the slip u [m]; return phi / a [m], which is u where u has not moved."""
+    u_0, phi_0 = (dual[k, 0], dual[k, 1], dual[k, 2]), (dual[k, 3], dual[k, 4], dual[k, 5])
+    a, _ = slip_factor(np.sqrt(dot(u, u)), s)
+    phi = scale(_FIRST_DUAL * a, u)
+    if not np.isnan(u_0[0]):
+        a_0, slope_0 = slip_factor(np.sqrt(dot(u_0, u_0)), s)
+        turn = slope_0 / a_0 * dot(u_0, subtract(u, u_0))
+        phi = add(scale(a_0, u), scale(turn, phi_0))
+        size = np.sqrt(dot(phi, phi))
+        if size > 1.0:
+            phi = scale(1.0 / size, phi)
+    dual[k, 0], dual[k, 1], dual[k, 2] = u
+    dual[k, 3], dual[k, 4], dual[k, 5] = phi
+    return scale(1.0 / a, phi)
+
+
+@kernel
+def slip_factor(y: float, s: float) -> tuple[float, float]:
+    """Return f1(y)/y [1/m] and (f1'(y) - f1(y)/y)/y^2 [1/m^3], where f1 = f0' is the fraction of the Coulomb force.
+
+    Both are finite at y = 0: f1/y = 2/s - y/s^2 and f1' - f1/y = -y/s^2 below s; f1 = 1 above. The second is divided by
+    y^2 so that it multiplies u u^T; at y = 0 it is replaced by 0, since u u^T vanishes faster.
+    """
+    if y >= s:
+        return 1.0 / y, -1.0 / (y * y * y)
+    second = 0.0 if y == 0.0 else -1.0 / (s * s * y)
+    return 2.0 / s - y / (s * s), second
+
+
+@kernel
+def squared_cross_norm(u: Vec3, v: Vec3) -> float:
+    """Return C = |u x v|^2 [m^4]."""
+    w = cross(u, v)
+    return dot(w, w)
+
+
+@kernel
+def mollifier(c: float, eps: float) -> tuple[float, float, float]:
+    """Return E [-], de/dc and d2e/dc2; exactly (1, 0, 0) from c = eps on."""
+    if c >= eps:
+        return 1.0, 0.0, 0.0
+    ratio = c / eps
+    return ratio * (2.0 - ratio), 2.0 * (1.0 - ratio) / eps, -2.0 / (eps * eps)
+
+
+@kernel
+def squared_cross_norm_gradient(u: Vec3, v: Vec3) -> tuple[Vec3, Vec3]:
+    """Return (dc/du, dc/dv) [m^3]: dc/du = 2 (|v|^2 u - (u . v) v), and the same with u and v exchanged."""
+    uv = dot(u, v)
+    return (
+        scale(2.0, subtract(scale(dot(v, v), u), scale(uv, v))),
+        scale(2.0, subtract(scale(dot(u, u), v), scale(uv, u))),
+    )
+
+
+@kernel
+def squared_cross_norm_blocks(u: Vec3, v: Vec3) -> tuple[Mat3, Mat3, Mat3]:
+    """Return the rows of d2c/du du, d2c/du dv and d2c/dv dv [m^2].
+
+    They are 2 (|v|^2 I - v v^T), 4 u v^T - 2 v u^T - 2 (u . v) I and 2 (|u|^2 I - u u^T).
+    """
+    uu, vv, uv = dot(u, u), dot(v, v), dot(u, v)
+    return (
+        identity_and_outer(2.0 * vv, -2.0, v),
+        identity_and_outers(-2.0 * uv, 4.0, u, v, -2.0),
+        identity_and_outer(2.0 * uu, -2.0, u),
+    )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import allocating_kernel, kernel, large_kernel
-from ..algebra.vec3 import Vec3, add, dot, load, scale, subtract
+from ..algebra import Vec3, add, dot, load, scale, subtract
 from ..model.model import Surfaces
 from .distance import EDGE_EDGE, POINT_TRIANGLE, closest_points
 

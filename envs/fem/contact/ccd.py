@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel
-from ..algebra.vec3 import Vec3, add, cross, dot, load, scale, subtract
+from ..algebra import Vec3, add, cross, dot, load, scale, subtract
 from ..model.model import Elastic
 from .broad_phase import Candidates, Corners
 from .contact import Quad

@@ -27,11 +27,23 @@ from typing import NamedTuple
 import numpy as np
 
 from ...compilation import kernel
-from ..algebra.mat3 import Mat3, add_matrices, apply_rows, identity_and_outer, identity_and_outers, multiply_rows
-from ..algebra.vec3 import Vec3, add, combine, dot, scale, subtract
-from ..model.newton_system import NO_MATRIX, PROJECTED_MATRIX
+from ..algebra import (
+    Mat3,
+    Vec3,
+    add,
+    add_matrices,
+    apply_rows,
+    combine,
+    dot,
+    identity_and_outer,
+    identity_and_outers,
+    multiply_rows,
+    scale,
+    subtract,
+)
+from ..model.model import NO_MATRIX, PROJECTED_MATRIX
+from .barrier import slip_factor
 from .distance import Coefficients, Sliding
-from .friction import slip_factor
 
 Vec4 = Coefficients
 Quad = tuple[Vec3, Vec3, Vec3, Vec3]

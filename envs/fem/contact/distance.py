@@ -16,7 +16,7 @@ where (x) is the Kronecker product over points and coordinates. Cases as in Li e
 """
 
 from ...compilation import kernel
-from ..algebra.vec3 import Vec3, add, dot, scale, subtract
+from ..algebra import Vec3, add, dot, scale, subtract
 
 POINT_TRIANGLE = 0
 EDGE_EDGE = 1

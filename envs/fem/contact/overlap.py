@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import allocating_kernel, kernel
-from ..algebra.vec3 import Vec3, cross, dot, load, subtract
+from ..algebra import Vec3, cross, dot, load, subtract
 from ..model.model import Surfaces
 from .broad_phase import IndexArray, Search, find_body_boxes, write_near_rows
 

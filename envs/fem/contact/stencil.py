@@ -15,12 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel
-from ..algebra.lanes import add_sum_of_two, write_sum_of_three
-from ..algebra.mat3 import Mat3
-from ..algebra.vec3 import Vec3
+from ..algebra import Mat3, Vec3, add_sum_of_two, write_sum_of_three
 from ..linear.system import GEL_STRIDE, NO_PLACE, block_place, gel_block_place
-from ..model.model import PRESCRIBED, Model, Points
-from ..model.newton_system import NewtonSystem
+from ..model.model import PRESCRIBED, Model, NewtonSystem, Points
 from .distance import Coefficients
 
 FloatArray = NDArray[np.float64]

@@ -1,7 +1,8 @@
-"""Scratch for many tetrahedra at once: what `elasticity` computes for all of them in one loop, which LLVM vectorises.
+"""Scratch for many tetrahedra at once, and the deformation of one.
 
-A row holds one number of every tetrahedron of the batch, and all rows stand in one array, so that the compiler knows
-that no two of them overlap. The first rows are for any material; a material has rows of its own after them.
+What `elasticity` computes for all of them in one loop is vectorised by LLVM. A row holds one number of every
+tetrahedron of the batch, and all rows stand in one array, so that the compiler knows that no two of them overlap. The
+first rows are for any material; a material has rows of its own after them.
 """
 
 from collections.abc import Sequence
@@ -12,10 +13,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel
-from ..algebra.vec3 import Vec3, add, scale
-from .deformation import Corners
+from ..algebra import (
+    Mat3,
+    Vec3,
+    add,
+    combine,
+    cross,
+    dot,
+    scale,
+    subtract,
+)
+
+# One vector for each of the four corners.
+Corners = tuple[Vec3, Vec3, Vec3, Vec3]
+
+
+@kernel
+def deformation_gradient(x: Corners, dN_dX: Corners) -> Mat3:
+    """Return the columns of F of a tetrahedron with corners x [m] and rest gradients of the shape functions [1/m].
+
+    The gradient of corner 0 is taken to be minus the sum of the others.
+    """
+    u, v, w = subtract(x[1], x[0]), subtract(x[2], x[0]), subtract(x[3], x[0])
+    g1, g2, g3 = dN_dX[1], dN_dX[2], dN_dX[3]
+    return (
+        combine(g1[0], u, g2[0], v, g3[0], w),
+        combine(g1[1], u, g2[1], v, g3[1], w),
+        combine(g1[2], u, g2[2], v, g3[2], w),
+    )
+
+
+@kernel
+def cofactors(F: Mat3) -> tuple[Mat3, float]:
+    """Return the columns of the cofactor matrix of F (J F^-T), and J = det F."""
+    c0 = cross(F[1], F[2])
+    return (c0, cross(F[2], F[0]), cross(F[0], F[1])), dot(F[0], c0)
+
 
 FloatArray = NDArray[np.float64]
+
 
 # Tetrahedra in a batch. Of a loop over much fewer LLVM makes a long piece of code without vectors.
 BATCH = 32

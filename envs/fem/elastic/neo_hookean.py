@@ -17,17 +17,31 @@ from numpy.typing import NDArray
 
 from ...compilation import kernel
 from ...deterministic_math import natural_log
-from ..algebra.mat3 import (
+from ..algebra import (
     Mat3,
+    Vec3,
+    add,
     add_matrices,
     apply_columns,
+    dot,
     identity_and_outers,
     outer_square,
+    scale,
     scale_matrix,
 )
-from ..algebra.vec3 import Vec3, add, dot, scale
-from .batch import ROWS, first_rows, get_corners, get_number, get_vector, rest_gradients, set_number, set_vector
-from .deformation import Corners, cofactors, deformation_gradient
+from .batch import (
+    ROWS,
+    Corners,
+    cofactors,
+    deformation_gradient,
+    first_rows,
+    get_corners,
+    get_number,
+    get_vector,
+    rest_gradients,
+    set_number,
+    set_vector,
+)
 
 FloatArray = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel, large_kernel
-from ..algebra.lanes import LANES, subtract_products
+from ..algebra import LANES, subtract_products
 from .system import BlockLayout, Fronts, SystemLayout
 
 FloatArray = NDArray[np.float64]

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel
-from ..algebra.mat3 import Mat3
-from .fronts import Elimination
+from ..algebra import Mat3
+from .ordering import Elimination
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

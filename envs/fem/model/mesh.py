@@ -1,4 +1,4 @@
-"""Meshes of the bodies in a scene, checked once on construction: tetrahedral gels and closed rigid surfaces."""
+"""Meshes of gels and rigid parts, and the bodies that they are placed as."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import VitacError
-from ..linear.fronts import Elimination, plan_elimination
+from ..linear.ordering import Elimination, plan_elimination
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -277,3 +277,49 @@ def _check_indices(name: str, element: str, indices: IndexArray, corners: int, n
     if repeated.any():
         row = int(np.flatnonzero(repeated)[0])
         raise MeshError(f"{name}: {element} {row} names a node twice: {indices[row].tolist()}.")
+
+
+# Materials of bodies that are given no other.
+GEL_MATERIAL = "gel"
+PART_MATERIAL = "part"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GelBody:
+    """A gel in a scene, placed by world = rotation @ rest + translation.
+
+    Attributes:
+        mesh: tetrahedral mesh.
+        rotation: shape [3, 3].
+        translation_m: [m], shape [3].
+        youngs_modulus_pa: Young's modulus [Pa].
+        poisson_ratio: Poisson's ratio [-].
+        density_kg_m3: density [kg/m^3].
+        friction: friction coefficient [-], for contact models that take the mean of two bodies.
+        material: its name, for contact models with friction coefficients by pair of materials.
+    """
+
+    mesh: GelMesh
+    rotation: FloatArray
+    translation_m: FloatArray
+    youngs_modulus_pa: float = 3e5
+    poisson_ratio: float = 0.3
+    density_kg_m3: float = 1000.0
+    friction: float = 87.5
+    material: str = GEL_MATERIAL
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RigidBody:
+    """A rigid part in a scene (an affine body), placed by world = rotation @ body + translation.
+
+    A fixed one never moves.
+    """
+
+    mesh: SurfaceMesh
+    rotation: FloatArray
+    translation_m: FloatArray
+    density_kg_m3: float = 500.0
+    friction: float = 1.0
+    material: str = PART_MATERIAL
+    fixed: bool = False

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...compilation import kernel
 from ..linear.system import SystemLayout
 
 FloatArray = NDArray[np.float64]
@@ -93,3 +94,50 @@ class Model(NamedTuple):
     unknowns: Unknowns
     system: SystemLayout
     parameters: Parameters
+
+
+# Which matrix goes with the forces: none, the exact Jacobian, or its positive semi-definite replacement.
+NO_MATRIX = 0
+EXACT_MATRIX = 1
+PROJECTED_MATRIX = 2
+
+
+class NewtonSystem(NamedTuple):
+    """Forces, matrix and right-hand side, with the motion of the prescribed nodes that these are for."""
+
+    gradient: FloatArray  # [n, 3] dE/dx [N], prescribed nodes included
+    entries: FloatArray  # the matrix, see `linear.system`
+    coupling: FloatArray  # [n, 3] Jacobian times the prescribed motion [N]
+    right_hand_side: FloatArray  # [3 u] [N]
+    prescribed_move: FloatArray  # [n, 3] motion left for the prescribed nodes [m], zero for others
+    moves: MaskArray  # [1] whether any of it is left, so that there is a coupling
+
+
+def new_newton_system(layout: SystemLayout, nodes: int) -> NewtonSystem:
+    """Return the arrays for a system of this layout and number of nodes; no prescribed motion."""
+    return NewtonSystem(
+        gradient=np.empty((nodes, 3)),
+        entries=np.empty(layout.size),
+        coupling=np.empty((nodes, 3)),
+        right_hand_side=np.empty(layout.block.n + layout.block.m),
+        prescribed_move=np.zeros((nodes, 3)),
+        moves=np.empty(1, dtype=np.bool_),
+    )
+
+
+@kernel
+def point_positions(points: Points, x: FloatArray, y: FloatArray) -> None:
+    """Write positions (or displacements) of all surface points, y [p, 3], from those of the nodes, x [n, 3]."""
+    nodes, weights, count = points.nodes, points.weights, points.node_count
+    for p in range(len(count)):
+        if count[p] == 1:
+            for k in range(3):
+                y[p, k] = x[nodes[p, 0], k]
+        else:
+            for k in range(3):
+                y[p, k] = (
+                    weights[p, 0] * x[nodes[p, 0], k]
+                    + weights[p, 1] * x[nodes[p, 1], k]
+                    + weights[p, 2] * x[nodes[p, 2], k]
+                    + weights[p, 3] * x[nodes[p, 3], k]
+                )

@@ -5,7 +5,7 @@ from enum import StrEnum
 from typing import ClassVar, NamedTuple
 
 from ...errors import VitacError
-from .bodies import GEL_MATERIAL, PART_MATERIAL, GelBody, RigidBody
+from .mesh import GEL_MATERIAL, PART_MATERIAL, GelBody, RigidBody
 
 
 class UnknownMaterials(VitacError):

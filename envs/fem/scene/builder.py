@@ -6,14 +6,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..affine.affine_body import frame_mass
+from ..affine import frame_mass
 from ..elastic.neo_hookean import lame_parameters_pa
 from ..linear.system import SystemLayout, gel_block_places, system_layout
-from ..model.bodies import GelBody, RigidBody
-from ..model.mesh import GelMesh
+from ..model.mesh import GelBody, GelMesh, RigidBody
 from ..model.model import PRESCRIBED, Affine, Elastic, Model, Parameters, Points, Surfaces, Unknowns
 from ..model.settings import AnyContactSettings, SolverSettings
-from .node_layout import NodeLayout
+from .layout import NodeLayout
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -9,30 +9,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..contact.forces import PairForces, no_forces, pair_forces
-from ..contact.memory import ContactMemory, empty_memory, sorted_memory
+from ..contact.forces import ContactMemory, PairForces, empty_memory, no_forces, pair_forces, sorted_memory
 from ..contact.overlap import find_overlap
-from ..elastic.stretch import measure_stretches
-from ..model.bodies import GelBody, RigidBody
-from ..model.points import point_positions
+from ..elastic.elasticity import measure_stretches
+from ..model.mesh import GelBody, RigidBody
+from ..model.model import point_positions
 from ..model.settings import AnyContactSettings, ContactSettings, CutOffSolverSettings, SolverSettings
+from ..solver.assembly import new_workspace
 from ..solver.iterate import IpcStep, remember_step
-from ..solver.newton import (
-    SOLVED,
-    UNSOLVED,
-    UNSTABLE,
-    Counter,
-    Measure,
-    Record,
-    Tolerances,
-    forces_at,
-    solve_step,
-)
+from ..solver.newton import SOLVED, UNSOLVED, UNSTABLE, Counter, Measure, Record, Tolerances, forces_at, solve_step
 from ..solver.path import BalancePath
-from ..solver.workspace import new_workspace
 from .builder import build_model
-from .checks import SceneError, check_bodies, check_settings
-from .node_layout import NodeLayout
+from .layout import NodeLayout, SceneError, check_bodies, check_settings
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -1,13 +1,4 @@
-"""Forces and Newton system of one IPC step, summed over all terms.
-
-The step minimises, at friction forces consistent with its solution,
-
-    E(x) = sum_nodes m |x - x_hat|^2 / (2 h^2) + sum_tets V psi(F) + sum_bodies (affine inertia + orthogonality)
-         + sum_pairs (kappa / h^2) e(c) b(d) + sum_contacts mu N f0(|u|)                          [J]
-
-which is the incremental potential of Li et al., Incremental Potential Contact (ACM TOG 2020), equation 5, over h^2.
-Each term adds itself; this module calls them in a fixed order.
-"""
+"""Sums forces and matrix of all terms, inertia among them, into the arrays of a scene."""
 
 from typing import NamedTuple
 
@@ -15,18 +6,76 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel, large_kernel
-from ..affine.orthogonality import add_orthogonality
-from ..algebra.rows import add_rows, any_nonzero
+from ..affine import add_orthogonality
+from ..algebra import add_rows, add_to_row, any_nonzero, load, scale, subtract
 from ..contact.assembly import PointState, add_contacts
 from ..contact.broad_phase import Candidates
-from ..contact.memory import ContactMemory
-from ..elastic.elasticity import add_elasticity
-from ..model.model import Model
-from ..model.newton_system import NO_MATRIX, NewtonSystem
-from .inertia import add_inertia
-from .workspace import Workspace
+from ..contact.forces import ContactMemory
+from ..contact.stencil import Stencil, new_stencil
+from ..elastic.elasticity import add_elasticity, new_elastic_batch
+from ..linear.elimination import Factor, new_factor
+from ..linear.system import SystemLayout, block_place
+from ..model.model import NO_MATRIX, Model, NewtonSystem, new_newton_system
 
 FloatArray = NDArray[np.float64]
+
+
+@kernel
+def add_inertia(model: Model, x: FloatArray, x_hat: FloatArray, system: NewtonSystem, matrix: int) -> None:
+    """Add the force m (x - x_hat) / h^2 [N] and the matrix m / h^2 [N/m] of free nodes and movable bodies."""
+    inverse_h2 = 1.0 / (model.parameters.time_step_s * model.parameters.time_step_s)
+    gradient, entries, layout = system.gradient, system.entries, model.system.block
+    unknown_nodes, masses = model.unknowns.node, model.unknowns.node_mass_kg
+    for u in range(layout.nodes):
+        node = unknown_nodes[u]
+        m = masses[node] * inverse_h2
+        add_to_row(gradient, node, scale(m, subtract(load(x, node), load(x_hat, node))))
+        if matrix != NO_MATRIX:
+            place, stride = block_place(layout, u, u)
+            _add_multiple_of_identity(entries, place, stride, m)
+    affine = model.affine
+    for i in range(len(affine.first_node)):
+        node, unknown = affine.first_node[i], affine.first_unknown[i]
+        for k in range(4):
+            for j in range(4):
+                m = affine.mass_kg[i, k, j] * inverse_h2
+                offset = subtract(load(x, node + j), load(x_hat, node + j))
+                add_to_row(gradient, node + k, scale(m, offset))
+                if matrix != NO_MATRIX:
+                    place, stride = block_place(layout, unknown + k, unknown + j)
+                    _add_multiple_of_identity(entries, place, stride, m)
+
+
+@kernel
+def _add_multiple_of_identity(entries: FloatArray, place: int, stride: int, m: float) -> None:
+    for k in range(3):
+        entries[place + k * (stride + 1)] += m
+
+
+IndexArray = NDArray[np.int64]
+
+
+class Workspace(NamedTuple):
+    """Arrays that `assemble` and the elimination fill."""
+
+    system: NewtonSystem
+    factor: Factor
+    smallest: FloatArray  # [2] smallest gap [m], smallest det F
+    active: IndexArray  # [1] pairs closer than d_hat
+    batch: FloatArray  # of tetrahedra at a time, see `elastic.batch`
+    stencil: Stencil  # of one contact at a time
+
+
+def new_workspace(layout: SystemLayout, nodes: int) -> Workspace:
+    """Return the arrays for a system of this layout and number of nodes."""
+    return Workspace(
+        system=new_newton_system(layout, nodes),
+        factor=new_factor(layout),
+        smallest=np.empty(2),
+        active=np.empty(1, dtype=np.int64),
+        batch=new_elastic_batch(),
+        stencil=new_stencil(),
+    )
 
 
 class State(NamedTuple):

@@ -1,4 +1,4 @@
-"""The iterate of a solve, the step that leads on from it, and the list of pairs that may touch on the way."""
+"""One Newton iteration: its direction, how far it goes, and what is left of the forces there."""
 
 from typing import NamedTuple
 
@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import allocating_kernel, kernel, large_kernel
-from ..algebra.rows import add_rows, copy_rows, scale_rows
+from ..algebra import add_rows, copy_rows, scale_rows
 from ..contact.broad_phase import Candidates, find_candidates, relative_motion
-from ..contact.memory import ContactMemory, remember_slips
-from ..model.model import PRESCRIBED, Model
-from ..model.points import point_positions
-from .assembly import State, StepStart
+from ..contact.ccd import PointMove, contact_free_fraction, inversion_free_fraction
+from ..contact.forces import ContactMemory, remember_slips
+from ..linear.elimination import factorise, substitute
+from ..model.model import EXACT_MATRIX, NO_MATRIX, PRESCRIBED, PROJECTED_MATRIX, Model, point_positions
+from .assembly import State, StepStart, Workspace, assemble
 
 FloatArray = NDArray[np.float64]
 
@@ -177,3 +178,124 @@ def _place_prescribed(model: Model, x_target: FloatArray, x: FloatArray) -> None
         if model.unknowns.slot[node] == PRESCRIBED:
             for k in range(3):
                 x[node, k] = x_target[node, k]
+
+
+@kernel
+def largest_residual(model: Model, gradient: FloatArray) -> float:
+    """Return the largest force left on an unknown node or frame point [N]."""
+    largest = 0.0
+    for node in model.unknowns.node:
+        g = gradient[node]
+        largest = max(largest, np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]))
+    return largest
+
+
+@kernel
+def force_along(model: Model, solution: FloatArray, gradient: FloatArray) -> float:
+    """Sum of gradient times step over the unknowns [J]: negative while the forces act along the step."""
+    total = 0.0
+    for u in range(len(model.unknowns.node)):
+        for k in range(3):
+            total += solution[3 * u + k] * gradient[model.unknowns.node[u], k]
+    return total
+
+
+@large_kernel
+def force_along_at(model: Model, candidates: Candidates, s: Solve, workspace: Workspace, fraction: float) -> float:
+    """Return the force along the step, see `force_along`, when a part of it is made."""
+    add_rows(s.iterate.x, fraction, s.step.x, s.trial.x)
+    point_positions(model.points, s.trial.x, s.trial.y)
+    assemble(model, candidates, s.trial, s.start, workspace, NO_MATRIX)
+    return force_along(model, s.step.solution, workspace.system.gradient)
+
+
+# Factors are used again as long as the forces fall to this part.
+_REUSING_DROP = 0.1
+
+
+@large_kernel
+def find_direction(model: Model, candidates: Candidates, s: Solve, workspace: Workspace, cautious: bool) -> int:
+    """Write the Newton step of the unknowns; returns which matrix gave it, NO_MATRIX if none could.
+
+    A cautious one takes the exact matrix only where all its pivots are positive and, once no prescribed motion is left,
+    the step goes with the forces.
+    """
+    solution, system = s.step.solution, workspace.system
+    assemble(model, candidates, s.iterate, s.start, workspace, EXACT_MATRIX)
+    if _solve(model, workspace, solution, cautious):
+        uphill = cautious and not system.moves[0] and force_along(model, solution, system.gradient) >= 0.0
+        if not uphill:
+            return EXACT_MATRIX
+    assemble(model, candidates, s.iterate, s.start, workspace, PROJECTED_MATRIX)
+    return PROJECTED_MATRIX if _solve(model, workspace, solution, True) else NO_MATRIX
+
+
+@large_kernel
+def reuse_factors(model: Model, candidates: Candidates, s: Solve, workspace: Workspace, residual_before: float) -> bool:
+    """Write a step with the factors of an earlier iteration; False if the last one did not reduce the forces enough."""
+    assemble(model, candidates, s.iterate, s.start, workspace, NO_MATRIX)
+    gradient = workspace.system.gradient
+    if largest_residual(model, gradient) > _REUSING_DROP * residual_before:
+        return False
+    for u in range(len(model.unknowns.node)):
+        node = model.unknowns.node[u]
+        for k in range(3):
+            s.step.solution[3 * u + k] = -gradient[node, k]
+    substitute(model.system, workspace.factor, s.step.solution)
+    return True
+
+
+@large_kernel
+def _solve(model: Model, workspace: Workspace, solution: FloatArray, positive: bool) -> bool:
+    if not factorise(model.system, workspace.system.entries, workspace.factor, positive):
+        return False
+    for i in range(len(solution)):
+        solution[i] = workspace.system.right_hand_side[i]
+    substitute(model.system, workspace.factor, solution)
+    return True
+
+
+# How far the forces along a cautious step may have turned round at its end, and how often it may be shortened.
+_OVERSHOOT = 0.5
+_SHORTENINGS = 8
+
+
+@large_kernel
+def feasible_fraction(model: Model, candidates: Candidates, s: Solve) -> float:
+    """Return the largest part of the step on which no pair closes too much of its gap and no tetrahedron inverts."""
+    fraction = inversion_free_fraction(model.elastic, s.iterate.x, s.step.x, 1.0)
+    points = PointMove(s.iterate.y, s.step.y, s.iterate.motion, s.step.motion_ahead)
+    return contact_free_fraction(candidates, points, model.parameters.ccd_gap_fraction, fraction)
+
+
+@large_kernel
+def falling_fraction(model: Model, candidates: Candidates, s: Solve, workspace: Workspace, fraction: float) -> float:
+    """Return the part of a step away from a balance at whose end the forces still act along it; by halving."""
+    bound_motion(s)
+    for _ in range(_SHORTENINGS):
+        if force_along_at(model, candidates, s, workspace, fraction) < 0.0:
+            break
+        fraction *= 0.5
+    return fraction
+
+
+@large_kernel
+def fraction_without_overshoot(
+    model: Model, candidates: Candidates, s: Solve, workspace: Workspace, fraction: float
+) -> float:
+    """Return the part of a step at whose end the forces along it are turned round by half at most; by regula falsi."""
+    here = force_along(model, s.step.solution, workspace.system.gradient)
+    bound_motion(s)
+    for _ in range(_SHORTENINGS):
+        there = force_along_at(model, candidates, s, workspace, fraction)
+        if there <= -_OVERSHOOT * here:
+            break
+        fraction *= max(0.1, min(0.5, here / (here - there)))
+    return fraction
+
+
+@kernel
+def bound_motion(s: Solve) -> None:
+    """Write a bound of how far pairs of bodies have moved anywhere along the step."""
+    for k in range(len(s.trial.motion)):
+        s.trial.motion[k] = max(s.iterate.motion[k], s.step.motion_ahead[k])

@@ -29,27 +29,62 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...compilation import allocating_kernel, kernel
-from ..model.model import Model
-from ..model.newton_system import EXACT_MATRIX, NO_MATRIX
-from .assembly import assemble
-from .direction import find_direction, reuse_factors
-from .forces import largest_residual
+from ...compilation import allocating_kernel, kernel, large_kernel
+from ..contact.broad_phase import Candidates
+from ..linear.elimination import factorise, has_negative_determinant, negative_curvature_direction
+from ..model.model import EXACT_MATRIX, NO_MATRIX, PROJECTED_MATRIX, Model
+from .assembly import Workspace, assemble
 from .iterate import (
     LONGEST_MOVE_M,
     IpcStep,
+    Solve,
+    falling_fraction,
+    feasible_fraction,
+    find_direction,
+    fraction_without_overshoot,
+    largest_residual,
     list_candidates,
     look_ahead,
     make_step,
     new_solve,
+    reuse_factors,
     shorten_long_move,
     write_remaining_motion,
     write_step,
 )
 from .relaxation import relax
-from .stability import find_escape, is_stable
-from .step_length import falling_fraction, feasible_fraction, fraction_without_overshoot
-from .workspace import Workspace
+
+
+@large_kernel
+def is_stable(model: Model, candidates: Candidates, s: Solve, workspace: Workspace, matrix: int) -> bool:
+    """Return whether the exact Jacobian has no negative determinant.
+
+    A projected one cannot tell and is replaced, as is one whose friction had dual variables on their way.
+    """
+    if matrix == PROJECTED_MATRIX or model.parameters.remembers_slip:
+        assemble(model, candidates, s.iterate, s.start, workspace, EXACT_MATRIX)
+        if not factorise(model.system, workspace.system.entries, workspace.factor, False):
+            return False
+    return not has_negative_determinant(workspace.factor)
+
+
+@large_kernel
+def find_escape(model: Model, candidates: Candidates, s: Solve, workspace: Workspace) -> int:
+    """Write a longest step along negative curvature; NO_MATRIX if there is none."""
+    solution = s.step.solution
+    assemble(model, candidates, s.iterate, s.start, workspace, EXACT_MATRIX)
+    if not factorise(model.system, workspace.system.entries, workspace.factor, False):
+        return NO_MATRIX
+    negative_curvature_direction(model.system, workspace.factor, solution)
+    largest = 0.0
+    for i in range(len(solution)):
+        largest = max(largest, abs(solution[i]))
+    if not 0.0 < largest < np.inf:
+        return NO_MATRIX
+    for i in range(len(solution)):
+        solution[i] *= LONGEST_MOVE_M / largest
+    return EXACT_MATRIX
+
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from ...compilation import allocating_kernel
 from ..linear.elimination import factorise, has_negative_determinant, substitute
-from ..model.model import Model
-from ..model.newton_system import EXACT_MATRIX
-from ..model.points import point_positions
-from .assembly import assemble
+from ..model.model import EXACT_MATRIX, Model, point_positions
+from .assembly import Workspace, assemble
 from .iterate import (
     LONGEST_MOVE_M,
     IpcStep,
+    feasible_fraction,
     list_candidates,
     look_ahead,
     make_step,
@@ -28,8 +27,6 @@ from .iterate import (
     shorten_long_move,
     write_remaining_motion,
 )
-from .step_length import feasible_fraction
-from .workspace import Workspace
 
 FloatArray = NDArray[np.float64]
 

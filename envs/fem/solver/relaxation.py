@@ -17,16 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import allocating_kernel, kernel, large_kernel
-from ..algebra.rows import copy_rows
+from ..algebra import copy_rows
 from ..linear.elimination import factorise, has_negative_determinant, substitute
 from ..linear.system import block_place
-from ..model.model import Model
-from ..model.newton_system import EXACT_MATRIX
-from .assembly import assemble
-from .forces import force_along_at, largest_residual
+from ..model.model import EXACT_MATRIX, Model
+from .assembly import Workspace, assemble
 from .iterate import (
     LONGEST_MOVE_M,
     Solve,
+    bound_motion,
+    feasible_fraction,
+    force_along_at,
+    largest_residual,
     list_candidates,
     look_ahead,
     make_step,
@@ -34,8 +36,6 @@ from .iterate import (
     write_remaining_motion,
     write_step,
 )
-from .step_length import bound_motion, feasible_fraction
-from .workspace import Workspace
 
 FloatArray = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...fem.model.mesh import SurfaceMesh
 from ...vision.observables import OBJECT_POINT_CLOUD
-from ...vision.rig import RigShift
+from ...vision.pinhole import RigShift
 from ..ending import Flags
 from ..insertion.env import InsertionEnv
 from ..insertion.settings import training_ranges

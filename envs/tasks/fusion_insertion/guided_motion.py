@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...scene.guided_motion import ActionArray, longest_action
+from ...scene.perspective import ActionArray, longest_action
 from ..insertion.guided_motion import way_to_the_hole
 from ..task_env import Info, Observation
 from .definition import TASK

@@ -5,8 +5,7 @@ import numpy as np
 from ...assets import Meshes
 from ...errors import VitacError
 from ...fem.model.mesh import SurfaceMesh
-from ...geometry.bases import RIM_MM, base_surface
-from ...geometry.hexagons import hexagon_bottom_vertices, hexagon_peg_surface
+from ...geometry.bases import RIM_MM, base_surface, hexagon_bottom_vertices, hexagon_peg_surface
 from ...geometry.pegs import PegShape, bottom_vertices, peg_surface
 from .variation import Target
 

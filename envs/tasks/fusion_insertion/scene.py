@@ -10,8 +10,8 @@ from ...geometry.bases import RIM_MM
 from ...scene.grasped_scene import Clocks, fixed_at_origin
 from ...vision.camera import DepthMode, RigCamera, Sight
 from ...vision.look import draw_clutter
-from ...vision.rig import colour_camera_pose
-from ...vision.surfaces import Body, Label
+from ...vision.pinhole import colour_camera_pose
+from ...vision.rasterizer import Body, Label
 from ..insertion.scene import InsertionScene, Parts
 from .meshes import base_mesh, peg_bottom, peg_mesh
 from .settings import FusionInsertionSettings

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...geometry.bases import HEXAGON_HOLE_Y_MM, RIM_MM
-from ...vision.rig import NOMINAL, RigShift
+from ...vision.pinhole import NOMINAL, RigShift
 from ..insertion.offset import PegOffset
 from ..options import choice, numbers, refusal
 from .definition import TASK

@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...deterministic_math import sine_cosine
-from ...fem.model.bodies import RigidBody
-from ...fem.model.mesh import GelMesh, SurfaceMesh
+from ...fem.model.mesh import GelMesh, RigidBody, SurfaceMesh
 from ...geometry.pegs import GRIPPED_WIDTH_MM, PEG_HEIGHT_MM
 from ...scene.grasped_scene import Clocks, GraspedScene
-from ...scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
-from ...scene.motion import ipc_steps
+from ...scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose, ipc_steps
+from ...tactile.gel import highest_mm
 from ...tactile.sensor import TactileSensor
-from ...tactile.thickness import highest_mm
 from .settings import InsertionSettings
 from .state import InsertionState, OffsetT
 

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...fem.model.mesh import SurfaceMesh
-from ...geometry.keys import KeyShape
+from ...geometry.keys_and_locks import KeyShape
 from ..ending import Flags
 from ..task_env import Info, TactileTaskEnv
 from .definition import TASK

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...scene.guided_motion import ActionArray, longest_action
+from ...scene.perspective import ActionArray, longest_action
 from ..task_env import Info, Observation
 from .definition import TASK
 from .task import SUCCESS_Z_RANGE_M

@@ -2,8 +2,7 @@
 
 from ...assets import Meshes
 from ...fem.model.mesh import SurfaceMesh
-from ...geometry.keys import KeyShape, key_surface
-from ...geometry.locks import OWN_CLEARANCE, lock_surface
+from ...geometry.keys_and_locks import OWN_CLEARANCE, KeyShape, key_surface, lock_surface
 
 
 def key_mesh(meshes: Meshes, shape: KeyShape) -> SurfaceMesh:

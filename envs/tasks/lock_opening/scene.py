@@ -6,15 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import Meshes
-from ...fem.model.bodies import RigidBody
-from ...fem.model.mesh import GelMesh
-from ...geometry.keys import KEY_HALF_THICKNESS_MM, KeyShape, key_control_points
-from ...geometry.locks import lock_control_points
+from ...fem.model.mesh import GelMesh, RigidBody
+from ...geometry.keys_and_locks import KEY_HALF_THICKNESS_MM, KeyShape, key_control_points, lock_control_points
 from ...geometry.solid import nearest_vertices
 from ...scene.grasped_scene import Clocks, GraspedScene, fixed_at_origin
-from ...scene.gripper import Gripper, GripperPose, SensorMount
-from ...scene.motion import ipc_steps
-from ...tactile.thickness import highest_mm
+from ...scene.gripper import Gripper, GripperPose, SensorMount, ipc_steps
+from ...tactile.gel import highest_mm
 from .meshes import key_mesh, lock_mesh
 from .settings import LockOpeningSettings
 from .task import CEILING_Z_M, LockState

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from math import isfinite
 
 from ...fem.model.settings import ContactSettings
-from ...geometry.locks import OWN_CLEARANCE
+from ...geometry.keys_and_locks import OWN_CLEARANCE
 from ...scene.grasped_scene import PhysicsSettings
 from ...tactile.markers import MarkerSettings
 from ..settings import require

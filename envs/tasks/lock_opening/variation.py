@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...geometry.keys import KeyShape
+from ...geometry.keys_and_locks import KeyShape
 from ..options import choice, drawn_shape, numbers, refusal
 from .definition import TASK
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...deterministic_math import sine_cosine
 from ...geometry.pegs import CHALLENGE_FORM, PLATE_OUTLINE_MM, PegForm, PegShape, hole_outline_mm, profile_mm
-from ...geometry.polygon import overlaps_plate
+from ...geometry.solid import overlaps_plate
 from ..insertion.offset import PegOffset
 from ..options import choice, drawn_shape, numbers, refusal
 from .definition import TASK

@@ -11,7 +11,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
-from vitac.envs.vision import back_projection
+from vitac.envs.vision import optics
 
 from ..limits import Limits
 from ..verdicts import SandboxFailed
@@ -25,7 +25,7 @@ INSIDE_BACK_PROJECTION: Final = "/opt/vitac/back_projection.py"
 INSIDE_CODE: Final = "/opt/vitac/code"
 INSIDE_KERNELS: Final = "/opt/vitac/kernels"
 _RUNTIME: Final = Path(__file__).parents[1] / "runtime" / "agent.py"
-_BACK_PROJECTION: Final = Path(back_projection.__file__)
+_BACK_PROJECTION: Final = Path(optics.__file__)
 DEVICES: Final = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom")
 """Devices that hold nothing, so that a policy may keep them open."""
 _FIRST_UID: Final = 1_000_000_000

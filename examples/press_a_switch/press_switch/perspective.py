@@ -4,8 +4,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.scene.guided_motion import ActionArray
-from vitac.envs.scene.perspective import Beside, InfoView, Perspective, Plane, Progress, SectionView, signed
+from vitac.envs.scene.perspective import (
+    ActionArray,
+    Beside,
+    InfoView,
+    Perspective,
+    Plane,
+    Progress,
+    SectionView,
+    signed,
+)
 
 from .definition import CLOSES_AT_N
 

@@ -6,14 +6,12 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
-from vitac.envs.fem.model.bodies import RigidBody
-from vitac.envs.fem.model.mesh import SurfaceMesh
+from vitac.envs.fem.model.mesh import RigidBody, SurfaceMesh
 from vitac.envs.geometry.solid import prism_faces, rectangle, solid_from_faces
 from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, fixed_at_origin
-from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose, SensorMount
-from vitac.envs.scene.motion import ipc_steps
+from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose, SensorMount, ipc_steps
+from vitac.envs.tactile.gel import highest_mm
 from vitac.envs.tactile.markers import MarkerSettings
-from vitac.envs.tactile.thickness import highest_mm
 
 from .definition import TASK
 

@@ -6,10 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from vectors import columns3, vec3
-from vitac.envs.fem.algebra import mat3
-from vitac.envs.fem.algebra import vec3 as tuples
-from vitac.envs.fem.algebra.mat3 import Mat3
-from vitac.envs.fem.algebra.rows import add_rows, any_nonzero, copy_rows, scale_rows
+from vitac.envs.fem import algebra
+from vitac.envs.fem import algebra as tuples
+from vitac.envs.fem.algebra import Mat3, add_rows, any_nonzero, copy_rows, scale_rows
 
 FloatArray = NDArray[np.float64]
 seeds = given(st.integers(0, 10**6))
@@ -34,10 +33,10 @@ def test_products_of_vectors_are_numpys(seed: int) -> None:
 def test_products_of_matrices_are_numpys(seed: int) -> None:
     A, B = np.random.default_rng(seed).normal(size=(2, 3, 3))
     v = A[0] - B[1]
-    assert mat3.apply_rows(rows3(A), vec3(v)) == pytest.approx(A @ v)
-    assert mat3.apply_columns(columns3(A), vec3(v)) == pytest.approx(A @ v)
-    np.testing.assert_allclose(mat3.multiply_rows(rows3(A), rows3(B)), A @ B, atol=1e-12)
-    np.testing.assert_allclose(mat3.outer_square(columns3(A)), A @ A.T, atol=1e-12)
+    assert algebra.apply_rows(rows3(A), vec3(v)) == pytest.approx(A @ v)
+    assert algebra.apply_columns(columns3(A), vec3(v)) == pytest.approx(A @ v)
+    np.testing.assert_allclose(algebra.multiply_rows(rows3(A), rows3(B)), A @ B, atol=1e-12)
+    np.testing.assert_allclose(algebra.outer_square(columns3(A)), A @ A.T, atol=1e-12)
 
 
 @some
@@ -45,15 +44,15 @@ def test_products_of_matrices_are_numpys(seed: int) -> None:
 def test_identity_and_outer_products_are_numpys(seed: int) -> None:
     a, b = np.random.default_rng(seed).normal(size=(2, 3))
     expected = 2.0 * np.eye(3) + 3.0 * np.outer(a, b) - 0.5 * np.outer(b, a)
-    np.testing.assert_allclose(mat3.identity_and_outers(2.0, 3.0, vec3(a), vec3(b), -0.5), expected, atol=1e-12)
-    symmetric = mat3.identity_and_outer(2.0, 3.0, vec3(a))
+    np.testing.assert_allclose(algebra.identity_and_outers(2.0, 3.0, vec3(a), vec3(b), -0.5), expected, atol=1e-12)
+    symmetric = algebra.identity_and_outer(2.0, 3.0, vec3(a))
     np.testing.assert_allclose(symmetric, 2.0 * np.eye(3) + 3.0 * np.outer(a, a), atol=1e-12)
 
 
 def test_transposing_turns_rows_into_columns_and_back() -> None:
     A = np.arange(9.0).reshape(3, 3)
-    assert mat3.transpose(rows3(A)) == columns3(A)
-    assert mat3.transpose(mat3.transpose(rows3(A))) == rows3(A)
+    assert algebra.transpose(rows3(A)) == columns3(A)
+    assert algebra.transpose(algebra.transpose(rows3(A))) == rows3(A)
 
 
 def test_target_of_a_sum_of_rows_may_be_one_of_its_terms() -> None:

@@ -7,7 +7,7 @@ import pytest
 from engine_probe import Probe
 from numpy.typing import NDArray
 from small_scenes import Grip
-from vitac.envs.fem.algebra.vec3 import load
+from vitac.envs.fem.algebra import load
 from vitac.envs.fem.contact.broad_phase import Candidates, relative_motion
 from vitac.envs.fem.contact.distance import EDGE_EDGE, POINT_TRIANGLE, closest_points
 

@@ -5,7 +5,7 @@ import pytest
 from block_meshes import box_gel
 from numpy.typing import NDArray
 from small_scenes import IDENTITY
-from vitac.envs.fem.algebra.vec3 import dot, load
+from vitac.envs.fem.algebra import dot, load
 from vitac.envs.fem.contact.broad_phase import Candidates
 from vitac.envs.fem.contact.ccd import (
     PointMove,
@@ -15,7 +15,7 @@ from vitac.envs.fem.contact.ccd import (
     inversion_free_fraction,
 )
 from vitac.envs.fem.contact.distance import EDGE_EDGE, POINT_TRIANGLE, closest_points
-from vitac.envs.fem.model.bodies import GelBody
+from vitac.envs.fem.model.mesh import GelBody
 from vitac.envs.fem.model.model import Elastic
 from vitac.envs.fem.scene.scene import Scene
 

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from vectors import differences, vec3
-from vitac.envs.fem.contact.barrier import barrier
-from vitac.envs.fem.contact.friction import slip_factor, slip_potential, update_dual
-from vitac.envs.fem.contact.mollifier import (
+from vitac.envs.fem.contact.barrier import (
+    barrier,
     mollifier,
+    slip_factor,
+    slip_potential,
     squared_cross_norm,
     squared_cross_norm_blocks,
     squared_cross_norm_gradient,
+    update_dual,
 )
 
 FloatArray = NDArray[np.float64]

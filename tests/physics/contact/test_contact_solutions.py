@@ -10,8 +10,7 @@ from engine_probe import Probe
 from falling_bodies import GRAVITY_M_S2, Fall, H, on_incline, turned_about_y
 from numpy.typing import NDArray
 from small_scenes import IDENTITY, Grip, driven_positions_m
-from vitac.envs.fem.model.bodies import GelBody, RigidBody
-from vitac.envs.fem.model.mesh import SurfaceMesh
+from vitac.envs.fem.model.mesh import GelBody, RigidBody, SurfaceMesh
 from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
 
 FloatArray = NDArray[np.float64]

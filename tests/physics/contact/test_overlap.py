@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from small_scenes import IDENTITY
 from vectors import random_rotation, vec3
 from vitac.envs.fem.contact.overlap import segment_crosses_triangle
-from vitac.envs.fem.model.bodies import GelBody, RigidBody
-from vitac.envs.fem.scene.checks import SceneError
+from vitac.envs.fem.model.mesh import GelBody, RigidBody
+from vitac.envs.fem.scene.layout import SceneError
 from vitac.envs.fem.scene.scene import Scene
 
 FloatArray = NDArray[np.float64]

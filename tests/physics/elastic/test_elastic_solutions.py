@@ -10,8 +10,7 @@ from engine_probe import Probe
 from numpy.typing import NDArray
 from small_scenes import IDENTITY, driven_positions_m
 from vectors import random_rotation
-from vitac.envs.fem.model.bodies import GelBody
-from vitac.envs.fem.model.mesh import GelMesh
+from vitac.envs.fem.model.mesh import GelBody, GelMesh
 from vitac.envs.fem.scene.scene import Scene, StepStatus
 
 FloatArray = NDArray[np.float64]

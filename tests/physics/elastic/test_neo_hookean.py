@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from vectors import columns3, differences, random_rotation, vec3
-from vitac.envs.fem.algebra.mat3 import apply_columns
-from vitac.envs.fem.elastic.deformation import Corners, cofactors, deformation_gradient
+from vitac.envs.fem.algebra import apply_columns
+from vitac.envs.fem.elastic.batch import Corners, cofactors, deformation_gradient
 from vitac.envs.fem.elastic.neo_hookean import (
     Strained,
     lame_parameters_pa,

@@ -16,8 +16,7 @@ from vitac.envs.fem.linear.elimination import (
     new_factor,
     substitute,
 )
-from vitac.envs.fem.linear.fronts import Elimination, plan_elimination
-from vitac.envs.fem.linear.ordering import elimination_order, minimum_degree
+from vitac.envs.fem.linear.ordering import Elimination, elimination_order, minimum_degree, plan_elimination
 from vitac.envs.fem.linear.system import NO_PLACE, SystemLayout, add_block, gel_block_places, system_layout
 
 FloatArray = NDArray[np.float64]

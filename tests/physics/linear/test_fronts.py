@@ -6,7 +6,7 @@ from block_meshes import box_gel
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from vitac.envs.fem.linear.fronts import Elimination, plan_elimination
+from vitac.envs.fem.linear.ordering import Elimination, plan_elimination
 
 IndexArray = NDArray[np.int64]
 Graph = tuple[int, list[tuple[int, int]]]

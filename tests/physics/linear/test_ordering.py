@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from vitac.envs.fem.linear.fronts import plan_elimination
-from vitac.envs.fem.linear.ordering import elimination_order, minimum_degree
+from vitac.envs.fem.linear.ordering import elimination_order, minimum_degree, plan_elimination
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -8,9 +8,16 @@ import pytest
 from block_meshes import box_gel, box_surface
 from numpy.typing import NDArray
 from small_scenes import IDENTITY
-from vitac.envs.fem.model.bodies import GelBody, RigidBody
-from vitac.envs.fem.model.mesh import GelMesh, MeshError, SurfaceMesh, signed_volumes_m3, unique_edges
-from vitac.envs.fem.scene.checks import SceneError
+from vitac.envs.fem.model.mesh import (
+    GelBody,
+    GelMesh,
+    MeshError,
+    RigidBody,
+    SurfaceMesh,
+    signed_volumes_m3,
+    unique_edges,
+)
+from vitac.envs.fem.scene.layout import SceneError
 from vitac.envs.fem.scene.scene import Scene
 
 BLOCK = box_gel((0.006, 0.005, 0.004), (2, 2, 2), name="block.msh")

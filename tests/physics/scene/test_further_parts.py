@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 from vitac.envs.assets import Meshes
-from vitac.envs.fem.model.bodies import GelBody, RigidBody
+from vitac.envs.fem.model.mesh import GelBody, RigidBody
 from vitac.envs.geometry.solid import prism_faces, rectangle, solid_from_faces
-from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, fixed_at_origin
+from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, Stopwatch, fixed_at_origin
 from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
-from vitac.envs.scene.stopwatch import Stopwatch
+from vitac.envs.tactile.gel import highest_mm
 from vitac.envs.tactile.markers import MarkerSettings
-from vitac.envs.tactile.thickness import highest_mm
 
 LOOSE_BODY = 4
 LOOSE_AT_MM, HELD_AT_MM = 0.5, 6.0

@@ -10,7 +10,7 @@ from block_meshes import box_gel, box_surface
 from engine_probe import Probe
 from numpy.typing import NDArray
 from small_scenes import IDENTITY, Grip, driven_positions_m
-from vitac.envs.fem.model.bodies import GelBody, RigidBody
+from vitac.envs.fem.model.mesh import GelBody, RigidBody
 from vitac.envs.fem.model.settings import CutOffSolverSettings, SolverSettings
 from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
 

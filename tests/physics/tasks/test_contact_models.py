@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 import vitac.envs
-from vitac.envs.fem.contact.memory import empty_memory
+from vitac.envs.fem.contact.forces import empty_memory
 from vitac.envs.fem.model.settings import ContactModel
 from vitac.envs.scene.grasped_scene import PhysicsSettings
 from vitac.envs.tasks.settings import SettingsError

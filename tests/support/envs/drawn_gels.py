@@ -6,8 +6,7 @@ from math import cos, pi, sin
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.geometry.polygon import as_polygon
-from vitac.envs.geometry.solid import Face, prism_faces, rectangle, solid_from_faces
+from vitac.envs.geometry.solid import Face, as_polygon, prism_faces, rectangle, solid_from_faces
 from vitac.envs.sensor_design.surface import DrawnSurface
 
 FloatArray = NDArray[np.float64]

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from vitac.envs.fem.contact.forces import PairForces
-from vitac.envs.fem.model.bodies import GelBody, RigidBody
+from vitac.envs.fem.model.mesh import GelBody, RigidBody
 from vitac.envs.fem.scene.scene import StepReport, StepStatus
 
 

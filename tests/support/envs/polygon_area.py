@@ -1,7 +1,7 @@
 """Areas of polygons, to compare shapes with; imported by tests."""
 
 import numpy as np
-from vitac.envs.geometry.polygon import Polygon
+from vitac.envs.geometry.solid import Polygon
 
 
 def signed_area(polygon: Polygon) -> float:

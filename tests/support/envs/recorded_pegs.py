@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
 from vitac.envs.fem.scene.scene import StepReport
 from vitac.envs.geometry.pegs import PegShape
-from vitac.envs.scene.grasped_scene import Clocks, GraspedScene
-from vitac.envs.scene.stopwatch import Stopwatch
+from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, Stopwatch
 from vitac.envs.tasks.insertion.offset import PegOffset
 from vitac.envs.tasks.peg_insertion.scene import PegScene
 from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings

@@ -13,7 +13,7 @@ import gymnasium
 import numpy as np
 import vitac.envs
 from visible_scenes import STARTS, fusion_scene
-from vitac.envs.vision.pictures import colour_picture
+from vitac.envs.vision.look import colour_picture
 from vitac.envs.vision.stereo.camera import depth_of_pair, draw_noise_keys, infrared_pair
 
 

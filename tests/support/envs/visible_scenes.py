@@ -7,15 +7,12 @@ from math import radians
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.deterministic_math import sine_cosine
-from vitac.envs.geometry.bases import RIM_MM, base_surface
-from vitac.envs.geometry.hexagons import hexagon_peg_surface
+from vitac.envs.geometry.bases import RIM_MM, base_surface, hexagon_peg_surface
 from vitac.envs.geometry.pegs import PegShape, peg_surface
 from vitac.envs.tactile.gel import gelsight_mini_mesh
 from vitac.envs.vision.optics import COLOUR_INTRINSICS, HEIGHT_PX, WIDTH_PX, Intrinsics
-from vitac.envs.vision.pinhole import CameraPose
-from vitac.envs.vision.rasterizer import View, rasterize
-from vitac.envs.vision.rig import colour_camera_pose
-from vitac.envs.vision.surfaces import Body, Label, VisibleSurfaces
+from vitac.envs.vision.pinhole import CameraPose, colour_camera_pose
+from vitac.envs.vision.rasterizer import Body, Label, View, VisibleSurfaces, rasterize
 
 FloatArray = NDArray[np.float64]
 

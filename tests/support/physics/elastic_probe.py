@@ -10,12 +10,11 @@ from block_meshes import box_gel
 from engine_probe import dense_matrix
 from numpy.typing import NDArray
 from vitac.envs.fem.elastic.elasticity import add_elasticity, new_elastic_batch
-from vitac.envs.fem.model.bodies import GelBody
-from vitac.envs.fem.model.mesh import GelMesh
-from vitac.envs.fem.model.newton_system import EXACT_MATRIX, PROJECTED_MATRIX, new_newton_system
+from vitac.envs.fem.model.mesh import GelBody, GelMesh
+from vitac.envs.fem.model.model import EXACT_MATRIX, PROJECTED_MATRIX, new_newton_system
 from vitac.envs.fem.model.settings import ContactSettings, SolverSettings
 from vitac.envs.fem.scene.builder import build_model
-from vitac.envs.fem.scene.node_layout import NodeLayout
+from vitac.envs.fem.scene.layout import NodeLayout
 
 FloatArray = NDArray[np.float64]
 

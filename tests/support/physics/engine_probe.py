@@ -6,14 +6,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.fem.contact.broad_phase import Candidates, find_candidates, relative_motion
-from vitac.envs.fem.contact.memory import ContactMemory
+from vitac.envs.fem.contact.forces import ContactMemory
 from vitac.envs.fem.linear.system import GEL_STRIDE, NO_PLACE, SystemLayout, block_place, gel_block_place
-from vitac.envs.fem.model.model import PRESCRIBED, Model
-from vitac.envs.fem.model.newton_system import EXACT_MATRIX, PROJECTED_MATRIX
-from vitac.envs.fem.model.points import point_positions
+from vitac.envs.fem.model.model import EXACT_MATRIX, PRESCRIBED, PROJECTED_MATRIX, Model, point_positions
 from vitac.envs.fem.scene.scene import Scene
-from vitac.envs.fem.solver.assembly import State, StepStart, assemble
-from vitac.envs.fem.solver.workspace import Workspace, new_workspace
+from vitac.envs.fem.solver.assembly import State, StepStart, Workspace, assemble, new_workspace
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -5,7 +5,7 @@ from balance_check import Balance, BalanceCheck
 from block_meshes import box_gel, box_surface
 from numpy.typing import NDArray
 from small_scenes import IDENTITY, driven_positions_m
-from vitac.envs.fem.model.bodies import GelBody, RigidBody
+from vitac.envs.fem.model.mesh import GelBody, RigidBody
 from vitac.envs.fem.model.settings import AnyContactSettings
 from vitac.envs.fem.scene.scene import Scene, StepReport
 

@@ -3,8 +3,7 @@
 import numpy as np
 from block_meshes import box_gel, box_surface
 from numpy.typing import NDArray
-from vitac.envs.fem.model.bodies import GelBody, RigidBody
-from vitac.envs.fem.model.mesh import GelMesh
+from vitac.envs.fem.model.mesh import GelBody, GelMesh, RigidBody
 from vitac.envs.fem.model.settings import AnyContactSettings, ArenaContactSettings, PairFriction, SolverSettings
 from vitac.envs.fem.scene.scene import Scene, StepReport
 

@@ -12,17 +12,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from vitac.envs.compilation import kernel
-from vitac.envs.fem.algebra.mat3 import (
+from vitac.envs.fem.algebra import (
     Mat3,
     add_matrices,
     apply_columns,
+    dot,
     identity_and_outers,
     outer_square,
+    scale,
     scale_matrix,
 )
-from vitac.envs.fem.algebra.vec3 import dot, scale
 from vitac.envs.fem.elastic.batch import (
     ROWS,
+    Corners,
+    cofactors,
+    deformation_gradient,
     first_rows,
     get_corners,
     get_number,
@@ -31,7 +35,6 @@ from vitac.envs.fem.elastic.batch import (
     set_number,
     set_vector,
 )
-from vitac.envs.fem.elastic.deformation import Corners, cofactors, deformation_gradient
 
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]
 

@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from vitac.envs.fem.algebra.mat3 import Mat3
-from vitac.envs.fem.algebra.vec3 import Vec3
+from vitac.envs.fem.algebra import Mat3, Vec3
 
 FloatArray = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from uuid import UUID
 
 from vitac.envs.drawing.drawable import straight_to_target
 from vitac.envs.drawing.playback import Pace, Playback, record
-from vitac.envs.playback_files.cameras import pack_cameras
 from vitac.envs.playback_files.scene import pack_scene
+from vitac.envs.playback_files.stage import pack_cameras
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import EpisodeOutcome

@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from vitac.envs.assets import AssetsMissing, Meshes, assets_dir_from_environment, mesh_hash
-from vitac.envs.geometry.keys import KeyShape
+from vitac.envs.geometry.keys_and_locks import KeyShape
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.geometry.stl import StlError
 from vitac.envs.tactile.gel_files import GelFilesError

@@ -11,11 +11,11 @@ import pytest
 from example_policies import flow, imported
 from numpy.typing import NDArray
 from visible_scenes import STARTS, fusion_scene
-from vitac.envs.geometry.hexagons import hexagon_peg_surface
+from vitac.envs.geometry.bases import hexagon_peg_surface
 from vitac.envs.geometry.pegs import PegShape, peg_surface
-from vitac.envs.vision.pictures import colour_picture, depth_picture, segmentation_picture
-from vitac.envs.vision.rig import colour_camera_pose
-from vitac.envs.vision.surfaces import Label
+from vitac.envs.vision.look import colour_picture, depth_picture, segmentation_picture
+from vitac.envs.vision.pinhole import colour_camera_pose
+from vitac.envs.vision.rasterizer import Label
 from vitac.evaluator.submission.manifest import load_manifest
 
 CUBOID, HEXAGON = STARTS[3], STARTS[4]

@@ -253,7 +253,7 @@ def test_a_rendering_of_an_env_step_is_drawn_where_sapien_is_and_else_refused(
     monkeypatch.setitem(sys.modules, "sapien", None)
     code, _, err = run(*arguments)
     assert (code, "need SAPIEN" in err, (tmp_path / "still.png").exists()) == (1, True, False)
-    monkeypatch.setattr("vitac.envs.vision.rendering.renderer.make_renderer", renderer)
+    monkeypatch.setattr("vitac.envs.vision.renderer.make_renderer", renderer)
     assert run(*arguments)[0] == 0
     assert rendered == [mode]
     with Image.open(tmp_path / "still.png") as image:

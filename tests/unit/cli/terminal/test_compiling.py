@@ -9,9 +9,8 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 from vitac.cli.terminal import compiling
 from vitac.cli.terminal.compiling import compiling_shown
-from vitac.envs.kernel_cache import folders
-from vitac.envs.kernel_cache.progress import CompileProgress
-from vitac.envs.kernel_cache.turns import CompilingTurn
+from vitac.envs import kernel_cache
+from vitac.envs.kernel_cache import CompileProgress, CompilingTurn
 from worker_fakes import eventually
 
 STARTED = "vitac: compiling the physics, once for each version (about half a minute)\n"
@@ -152,7 +151,7 @@ def test_a_cache_that_cannot_be_written_is_not_watched(
 ) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("VITAC_CACHE_DIR", str(tmp_path / "file"))
-    assert folders.shared_directory() is None
+    assert kernel_cache.shared_directory() is None
     before = set(threading.enumerate())
     with compiling_shown():
         assert set(threading.enumerate()) <= before

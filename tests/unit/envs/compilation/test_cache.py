@@ -15,18 +15,20 @@ from cloned_sources import clone, run_with
 from llvmlite import binding  # type: ignore[import-untyped]
 
 SMALL_KERNELS = """
-from vitac.envs.fem.algebra import mat3, vec3
+from vitac.envs.fem import algebra
+from vitac.envs.fem.contact import barrier
 v = (1.0, 2.0, 3.0)
-vec3.cross(v, v)
-mat3.scale_matrix(2.0, (v, v, v))
+algebra.cross(v, v)
+barrier.squared_cross_norm(v, v)
 """
-ALL_SMALL = ["entry vec3.cross", "part vec3.scale", "entry mat3.scale_matrix"]
+BARRIER = ["part algebra.cross", "part algebra.dot", "entry contact.barrier.squared_cross_norm"]
+ALL_SMALL = ["entry algebra.cross", *BARRIER]
 
 
 def small_compiled_by(sources: Path, cache: str, **environment: str) -> list[str]:
     """What a process compiles that plays the small kernels."""
     ran = run_with(sources, SMALL_KERNELS, VITAC_CACHE_DIR=cache, **environment)
-    return [name.replace("vitac.envs.fem.algebra.", "") for name in ran.compiled]
+    return [name.replace("vitac.envs.fem.", "") for name in ran.compiled]
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +43,9 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("changed", "expected"),
     [
-        ("fem/algebra/mat3.py", ["part vec3.scale", "entry mat3.scale_matrix"]),
-        ("fem/algebra/vec3.py", ALL_SMALL),
-        ("fem/algebra/rows.py", []),
+        ("fem/contact/barrier.py", BARRIER),
+        ("fem/algebra.py", ALL_SMALL),
+        ("fem/contact/distance.py", []),
         ("compilation/kernels.py", ALL_SMALL),
     ],
 )
@@ -64,11 +66,11 @@ def test_sources_that_change_while_a_process_runs_do_not_name_what_it_compiles(t
     imports, calls = SMALL_KERNELS.split("v =")
     change = f"""
 from pathlib import Path
-path = Path({str(sources)!r}) / "vitac/envs/fem/algebra/mat3.py"
+path = Path({str(sources)!r}) / "vitac/envs/fem/contact/barrier.py"
 path.write_text(path.read_text() + "# changed")
 v ="""
     run_with(sources, imports + change + calls, VITAC_CACHE_DIR=cache)
-    assert small_compiled_by(sources, cache) == ["part vec3.scale", "entry mat3.scale_matrix"]
+    assert small_compiled_by(sources, cache) == BARRIER
 
 
 def test_machine_code_is_stored_with_the_names_of_its_functions_and_not_their_ir(filled: Path) -> None:
@@ -104,7 +106,7 @@ def test_a_full_disk_does_not_fail_the_physics(tmp_path: Path) -> None:
     sources = clone(tmp_path / "clone")
     full = "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))\n"
     done = subprocess.run(
-        [sys.executable, "-c", full + SMALL_KERNELS + "print(vec3.cross((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))"],
+        [sys.executable, "-c", full + SMALL_KERNELS + "print(algebra.cross((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))"],
         env=os.environ | {"PYTHONPATH": str(sources), "PYTHONDONTWRITEBYTECODE": "1", "VITAC_CACHE_DIR": cache},
         check=False,
         capture_output=True,

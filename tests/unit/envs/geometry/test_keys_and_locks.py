@@ -5,28 +5,26 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from polygon_area import signed_area
-from vitac.envs.geometry.keys import (
-    KEY_HALF_THICKNESS_MM,
-    KEYS,
-    KeyShape,
-    box_corners_m,
-    key_control_points,
-    key_surface,
-    profile_mm,
-)
-from vitac.envs.geometry.locks import (
+from vitac.envs.geometry.keys_and_locks import (
     BLOCK_HALF_WIDTH_MM,
     BLOCK_HEIGHT_MM,
     CHANNEL_CEILING_MM,
     CHANNEL_FLOOR_MM,
     CHANNEL_HALF_WIDTH_MM,
     CHANNEL_START_MM,
+    KEY_HALF_THICKNESS_MM,
+    KEYS,
     LOCKS,
+    KeyShape,
+    box_corners_m,
+    key_control_points,
+    key_surface,
     lock_control_points,
     lock_dimensions,
     lock_surface,
+    profile_mm,
 )
-from vitac.envs.geometry.polygon import contains
+from vitac.envs.geometry.solid import contains
 
 EACH = pytest.mark.parametrize("shape", KeyShape)
 

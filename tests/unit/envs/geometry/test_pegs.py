@@ -21,7 +21,7 @@ from vitac.envs.geometry.pegs import (
     peg_surface,
     profile_mm,
 )
-from vitac.envs.geometry.polygon import contains
+from vitac.envs.geometry.solid import contains
 
 # Smallest and largest width, taper, bulge, slant and clearance of `peg-insertion-robust`.
 RANGES = ([0.85, -0.2, -0.2, -2.0, 0.5], [1.1, 0.2, 0.2, 2.0, 2.0])

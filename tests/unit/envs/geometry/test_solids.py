@@ -8,8 +8,16 @@ import numpy as np
 import pytest
 from polygon_area import signed_area
 from vitac.envs.fem.model.mesh import SurfaceMesh, unique_edges
-from vitac.envs.geometry.keys import KEYS, KeyShape, key_control_points, key_surface, profile_mm
-from vitac.envs.geometry.locks import LOCKS, lock_control_points, lock_surface
+from vitac.envs.geometry.keys_and_locks import (
+    KEYS,
+    LOCKS,
+    KeyShape,
+    key_control_points,
+    key_surface,
+    lock_control_points,
+    lock_surface,
+    profile_mm,
+)
 from vitac.envs.geometry.pegs import (
     BOTTOM_CORNERS_MM,
     PegShape,

@@ -1,8 +1,7 @@
 """Everything that an environment of ManiSkill shows can be sent to a policy."""
 
 import numpy as np
-from vitac.envs.maniskill.catalogue import MODES, catalogue
-from vitac.envs.maniskill.definition import find_definition
+from vitac.envs.maniskill.definition import MODES, catalogue, find_definition
 from vitac.evaluator.agent.protocol.frames import array_code
 
 LARGEST_MB = 2.2

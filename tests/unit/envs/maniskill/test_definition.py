@@ -1,8 +1,7 @@
 """ManiSkill environments as tasks, from the catalogue alone: this runs without ManiSkill."""
 
 import pytest
-from vitac.envs.maniskill.catalogue import MODES, catalogue
-from vitac.envs.maniskill.definition import ManiSkillTaskRejected, find_definition, is_maniskill
+from vitac.envs.maniskill.definition import MODES, ManiSkillTaskRejected, catalogue, find_definition, is_maniskill
 from vitac.envs.tasks.definition import Family
 from vitac.envs.tasks.settings import SettingsError
 

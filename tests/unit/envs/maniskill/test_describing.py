@@ -1,7 +1,7 @@
 """Why an environment cannot be a task, as the catalogue says it."""
 
 import pytest
-from vitac.envs.maniskill.catalogue import catalogue
+from vitac.envs.maniskill.definition import catalogue
 from vitac.envs.maniskill.describing import _reason
 
 KINDS = (

@@ -5,9 +5,10 @@ import pytest
 from unpacked_files import Unpacked, unpack
 from vitac.envs.drawing.drawable import NotDrawable
 from vitac.envs.drawing.playback import Playback
+from vitac.envs.fem.contact.forces import PairForces, no_forces
 from vitac.envs.playback_files import scene
 from vitac.envs.playback_files.container import PlaybackTooLarge
-from vitac.envs.playback_files.scene import SCENE_BYTES, pack_scene
+from vitac.envs.playback_files.scene import PLACES, SCENE_BYTES, make_arrows, pack_scene
 
 
 @pytest.fixture
@@ -144,3 +145,35 @@ def test_arrows_of_the_gels_are_as_large_as_their_forces(peg_playback: Playback,
     assert forces_n[:, 1:].min() == 5
     assert not arrows_n[:, 2:].any()  # this peg touches nothing
     assert peg_file.header["force_limit_n"] is None
+
+
+LEFT, HELD, FIXED = 0, 2, 3
+
+
+def found(*pairs: tuple[int, int, tuple[float, float, float], tuple[float, float, float]]) -> PairForces:
+    return PairForces(
+        np.array([pair[:2] for pair in pairs]),
+        np.array([pair[2] for pair in pairs]) * 1e-3,
+        np.array([pair[3] for pair in pairs]),
+    )
+
+
+def test_an_arrow_of_a_gel_adds_up_its_contacts_whichever_body_comes_first() -> None:
+    places_m, forces_n = make_arrows(found((HELD, LEFT, (0, 0, 0), (3, 0, 0)), (LEFT, HELD, (4, 0, 0), (-1, 0, 0))))
+    assert forces_n[0].tolist() == [4, 0, 0]
+    np.testing.assert_allclose(places_m[0], [1e-3, 0, 0])
+    assert not forces_n[1:].any()
+
+
+def test_contacts_with_the_fixed_part_are_one_arrow_for_each_place() -> None:
+    near, far = (0, 0, 0), (10, 0, 0)
+    _, forces_n = make_arrows(
+        found((HELD, FIXED, near, (0, 0, 1)), (HELD, FIXED, far, (0, 0, 5)), (HELD, FIXED, (0, 1, 0), (0, 0, 2)))
+    )
+    assert forces_n[2:4].tolist() == [[0, 0, 5], [0, 0, 3]]
+
+
+def test_nothing_that_touches_is_no_arrow_and_many_places_are_the_strongest() -> None:
+    assert not make_arrows(no_forces())[1].any()
+    row = [(HELD, FIXED, (5.0 * at, 0.0, 0.0), (0.0, 0.0, float(at))) for at in range(1, 10)]
+    assert make_arrows(found(*row))[1][2:, 2].tolist() == [9, 8, 7, 6, 5, 4][:PLACES]

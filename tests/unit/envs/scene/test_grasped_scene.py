@@ -6,13 +6,12 @@ from fake_scene import FakeScene
 from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
 from vitac.envs.fem.contact.forces import PairForces
-from vitac.envs.fem.model.bodies import RigidBody
+from vitac.envs.fem.model.mesh import RigidBody
 from vitac.envs.fem.scene.scene import StepStatus
 from vitac.envs.geometry.pegs import PegShape
-from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings
+from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, Stopwatch
 from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
-from vitac.envs.scene.measured_pose import held_pose_mm_deg, rigid_fit
-from vitac.envs.scene.stopwatch import Stopwatch
+from vitac.envs.scene.observables import held_pose_mm_deg, rigid_fit
 from vitac.envs.tactile.markers import MarkerSettings
 from vitac.envs.tasks.peg_insertion.meshes import hole_mesh, peg_mesh
 
@@ -295,3 +294,23 @@ def test_drift_grows_with_the_simulated_time_and_is_the_same_for_all_markers(fak
     flow = made.marker_flow(np.random.default_rng(1))
     assert flow[:, 1, :, 0] == pytest.approx(flow[:, 0, :, 0], abs=1e-3)
     assert flow[:, 1, :, 1] - flow[:, 0, :, 1] == pytest.approx(1.0, abs=1e-3)  # 2 px/s over 5 x 0.1 s
+
+
+def test_sums_the_time_within_its_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    ticks = iter([1.0, 1.5, 10.0, 12.0])
+    monkeypatch.setattr("vitac.envs.scene.grasped_scene.thread_time", lambda: next(ticks))
+    watch = Stopwatch()
+    with watch:
+        pass
+    with watch:
+        pass
+    assert watch.elapsed_s == 2.5
+
+
+def test_counts_a_block_that_raises(monkeypatch: pytest.MonkeyPatch) -> None:
+    ticks = iter([0.0, 3.0])
+    monkeypatch.setattr("vitac.envs.scene.grasped_scene.thread_time", lambda: next(ticks))
+    watch = Stopwatch()
+    with pytest.raises(ZeroDivisionError), watch:
+        raise ZeroDivisionError
+    assert watch.elapsed_s == 3.0

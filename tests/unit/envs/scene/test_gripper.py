@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose, _turned
+from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose, MotionError, _turned, ipc_steps
 from vitac.envs.tactile.gel import gelsight_mini_mesh
 
 POSE = GripperPose(x_m=0.001, y_m=-0.002, z_m=0.0621, angle_rad=0.1, half_opening_m=0.0171)
@@ -99,3 +99,39 @@ def test_moved_turns_about_its_own_centre_and_closes() -> None:
     assert moved.z_m == pytest.approx(0.0601)
     assert moved.angle_rad == pytest.approx(0.1 + pi / 2)
     assert moved.half_opening_m == pytest.approx(0.0170)
+
+
+@pytest.mark.parametrize(
+    ("amount", "speed", "time_step_s", "expected"),
+    [
+        (0.975e-3, 5e-3, 0.1, 2),  # grasp of the peg
+        (1.1e-3, 5e-3, 0.1, 2),
+        (0.225e-3, 1e-3, 0.1, 2),  # descent before the first env step
+        (1.375e-3, 2e-3, 0.2, 3),  # grasp of the key
+        (2e-3, 5e-3, 0.1, 4),
+        (2.83e-3, 5e-3, 0.1, 6),
+        (0.06981317, 0.2, 0.1, 3),  # 4 degrees
+        (0.125e-3, 5e-3, 0.1, 1),
+        (2e-3, 2e-3, 0.2, 5),
+        (0.0, 5e-3, 0.1, 1),
+    ],
+)
+def test_counts_are_those_of_the_2025_code(amount: float, speed: float, time_step_s: float, expected: int) -> None:
+    assert ipc_steps(amount, speed_per_s=speed, time_step_s=time_step_s) == expected
+
+
+def test_ties_go_to_the_even_count() -> None:
+    assert ipc_steps(2.5, speed_per_s=1.0, time_step_s=1.0) == 2
+    assert ipc_steps(3.5, speed_per_s=1.0, time_step_s=1.0) == 4
+
+
+@given(st.floats(-10, 10))
+def test_sign_does_not_matter_and_one_is_the_least(amount: float) -> None:
+    count = ipc_steps(amount, speed_per_s=1.0, time_step_s=0.1)
+    assert count == ipc_steps(-amount, speed_per_s=1.0, time_step_s=0.1) >= 1
+
+
+@pytest.mark.parametrize(("speed", "time_step_s"), [(0.0, 0.1), (1.0, 0.0), (-1.0, 0.1)])
+def test_refuses_a_speed_or_time_step_that_is_not_positive(speed: float, time_step_s: float) -> None:
+    with pytest.raises(MotionError, match="must be positive"):
+        ipc_steps(1.0, speed_per_s=speed, time_step_s=time_step_s)

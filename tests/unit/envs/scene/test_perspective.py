@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from vitac.envs.scene.guided_motion import longest_action
-from vitac.envs.scene.perspective import Plane, signed
+from vitac.envs.scene.perspective import Plane, longest_action, signed
 
 
 def test_heights_are_positive_on_the_normals_side() -> None:

@@ -11,13 +11,10 @@ from pathlib import Path
 import drawn_gels
 import numpy as np
 import pytest
-from vitac.envs.sensor_design.faces import make_gel
 from vitac.envs.sensor_design.height_field import NotAHeightField
 from vitac.envs.sensor_design.mesher import FeatureBelowResolution, MeshGoal, max_distance_mm, mesh_height_field
-from vitac.envs.sensor_design.placing import placed_on_base
-from vitac.envs.sensor_design.refining import tip_sizes
-from vitac.envs.sensor_design.surface import DrawnSurface
-from vitac.envs.sensor_design.tetrahedra import Tetrahedra
+from vitac.envs.sensor_design.surface import DrawnSurface, placed_on_base
+from vitac.envs.sensor_design.tetrahedra import Tetrahedra, make_gel, tip_sizes
 
 GOAL = MeshGoal(
     length_mm=25.25,

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from vitac.envs.sensor_design.refining import refined, refined_tips, tip_sizes
-from vitac.envs.sensor_design.tetrahedra import Tetrahedra
+from vitac.envs.sensor_design.tetrahedra import Tetrahedra, refined, refined_tips, tip_sizes
 
 CUBE = Tetrahedra(
     nodes_mm=np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 2.0) for x in (0.0, 3.0)]),

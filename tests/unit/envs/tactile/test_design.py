@@ -5,15 +5,14 @@ import drawn_gels
 import numpy as np
 import own_sensors
 import pytest
-from vitac.envs.sensor_design.faces import make_gel
 from vitac.envs.sensor_design.mesher import MeshGoal, mesh_height_field
-from vitac.envs.sensor_design.placing import placed_on_base
-from vitac.envs.tactile.attachment import Fault, attach_along_rays
+from vitac.envs.sensor_design.surface import placed_on_base
+from vitac.envs.sensor_design.tetrahedra import make_gel
 from vitac.envs.tactile.camera import camera_frame, project
-from vitac.envs.tactile.design import TOUCHED_M, NothingReached, SensorDesign
+from vitac.envs.tactile.design import TOUCHED_M, Fault, NothingReached, SensorDesign, attach_along_rays
+from vitac.envs.tactile.gel import eye_distance_m, highest_mm
 from vitac.envs.tactile.markers import MarkerSettings
 from vitac.envs.tactile.sensor import DesignedSensor, MarkersNotAttached
-from vitac.envs.tactile.thickness import eye_distance_m, highest_mm
 
 QUIET = MarkerSettings(noise_px=0.0, loss_probability=0.0)
 

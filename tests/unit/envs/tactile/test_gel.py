@@ -4,9 +4,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from vitac.envs.fem.model.mesh import GelMesh, signed_volumes_m3
-from vitac.envs.tactile.gel import GelCells, GelDimensions, gelsight_mini_mesh, structured_gel
+from vitac.envs.tactile.gel import (
+    GelCells,
+    GelDimensions,
+    eye_distance_m,
+    gelsight_mini_mesh,
+    highest_mm,
+    structured_gel,
+)
 from vitac.envs.tactile.gel_files import read_gel
-from vitac.envs.tactile.thickness import eye_distance_m, highest_mm
 
 CUBIC_MILLIMETRE_M3 = 1e-9
 

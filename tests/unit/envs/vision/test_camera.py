@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from visible_scenes import STARTS, fusion_scene
 from vitac.envs.vision.camera import DepthMode, RigCamera, Sight
-from vitac.envs.vision.surfaces import Body, Label, VerticesDoNotFit
+from vitac.envs.vision.rasterizer import Body, Label, VerticesDoNotFit
 
 SCENE = fusion_scene(STARTS[4])
 PICTURES = ("colours", "depth_m", "segmentation", "point_cloud_m")

@@ -2,8 +2,17 @@
 
 import numpy as np
 import pytest
-from vitac.envs.vision.look import LARGEST_CLUTTER, Look, draw_clutter
-from vitac.envs.vision.surfaces import Label
+from visible_scenes import STARTS, fusion_scene
+from vitac.envs.vision.look import (
+    LARGEST_CLUTTER,
+    Look,
+    colour_picture,
+    depth_picture,
+    draw_clutter,
+    segmentation_picture,
+    unit_normals,
+)
+from vitac.envs.vision.rasterizer import Label
 
 
 def test_clutter_is_closed_stands_on_the_ground_and_leaves_the_base_free() -> None:
@@ -25,3 +34,95 @@ def test_fewer_boxes_are_the_first_of_more() -> None:
     for (box, label), (other, as_other) in zip(few, many, strict=False):
         assert np.array_equal(box.vertices_m, other.vertices_m)
         assert label is as_other
+
+
+Start = tuple[float, float, float, float, int]
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_the_references_colour_rule_finds_peg_and_base_and_nothing_else(start: Start) -> None:
+    """challenge-facts 4.5: peg where R > 200, G < 100, B < 100; base where B > 200, G < 100."""
+    scene = fusion_scene(start)
+    view = scene.view()
+    red, green, blue = np.moveaxis(colour_picture(view, scene.surfaces, scene.vertices_m), 2, 0)
+    label = segmentation_picture(view, scene.surfaces)
+    peg = (red > 200) & (green < 100) & (blue < 100)
+    base = (blue > 200) & (green < 100)
+    np.testing.assert_array_equal(peg, label == Label.PEG)
+    np.testing.assert_array_equal(base, label == Label.BASE)
+
+
+def test_colours_lie_in_the_ranges_of_the_challenges_pictures() -> None:
+    """challenge-facts 15."""
+    scene = fusion_scene(STARTS[0])
+    view = scene.view()
+    picture = colour_picture(view, scene.surfaces, scene.vertices_m)
+    label = segmentation_picture(view, scene.surfaces)
+    ranges = {
+        Label.NOTHING: ((255, 255), (255, 255), (255, 255)),
+        Label.BASE: ((16, 68), (16, 68), (255, 255)),
+        Label.PEG: ((21, 255), (4, 71), (65, 255)),
+        Label.LEFT_GEL: ((147, 160), (255, 255), (255, 255)),
+        Label.RIGHT_GEL: ((147, 160), (255, 255), (255, 255)),
+    }
+    for name, channels in ranges.items():
+        found = picture[label == name]
+        assert len(found) > 200
+        for channel, (low, high) in enumerate(channels):
+            assert low <= found[:, channel].min() <= found[:, channel].max() <= high
+
+
+def test_the_two_front_faces_of_the_hexagon_differ_and_those_of_the_cuboid_are_one() -> None:
+    def greens(hexagon: int) -> int:
+        scene = fusion_scene((0.0, 0.0, 0.0, 6.0, hexagon))
+        view = scene.view()
+        picture = colour_picture(view, scene.surfaces, scene.vertices_m)
+        peg = picture[segmentation_picture(view, scene.surfaces) == Label.PEG][:, 1]
+        _, counts = np.unique(peg, return_counts=True)
+        return int((counts > 300).sum())
+
+    # The peg's top face is the further one.
+    assert (greens(1), greens(0)) == (3, 2)
+
+
+def test_depth_is_zero_where_nothing_is_seen() -> None:
+    scene = fusion_scene(STARTS[3])
+    view = scene.view()
+    depth_m, label = depth_picture(view), segmentation_picture(view, scene.surfaces)
+    assert depth_m.dtype == np.float32
+    np.testing.assert_array_equal(depth_m == 0.0, label == Label.NOTHING)
+    assert depth_m[label != Label.NOTHING] == pytest.approx(view.depth_m[label != Label.NOTHING], abs=4e-8)
+
+
+def test_unit_normals_point_outwards() -> None:
+    """Over a convex body, away from its centre."""
+    scene = fusion_scene(STARTS[0])
+    peg = scene.surfaces.triangles[scene.surfaces.labels == Label.PEG]
+    normals = unit_normals(scene.vertices_m, peg)
+    middles = scene.vertices_m[peg].mean(axis=1)
+    assert np.linalg.norm(normals, axis=1) == pytest.approx(np.ones(len(peg)))
+    assert ((middles - scene.vertices_m[np.unique(peg)].mean(axis=0)) * normals).sum(axis=1).min() > 0
+
+
+def test_turned_hues_hide_peg_and_base_from_the_colour_rule_and_nothing_else_changes() -> None:
+    scene = fusion_scene(STARTS[0])
+    view = scene.view()
+    plain = colour_picture(view, scene.surfaces, scene.vertices_m)
+    turned = colour_picture(view, scene.surfaces, scene.vertices_m, Look(peg_hue_deg=120.0, base_hue_deg=120.0))
+    label = segmentation_picture(view, scene.surfaces)
+    green = turned[label == Label.PEG]
+    assert (green[:, 1] > green[:, [0, 2]].max(axis=1)).all()
+    assert (turned[label == Label.BASE][:, 0] > 200).all()
+    others = np.isin(label, (Label.NOTHING, Label.LEFT_GEL, Label.RIGHT_GEL))
+    np.testing.assert_array_equal(turned[others], plain[others])
+
+
+def test_brightness_dims_all_and_the_light_moves_what_is_bright() -> None:
+    scene = fusion_scene(STARTS[0])
+    view = scene.view()
+    plain, dim, other = (
+        colour_picture(view, scene.surfaces, scene.vertices_m, look).astype(int)
+        for look in (Look(), Look(brightness=0.5), Look(light_deg=120.0))
+    )
+    assert np.abs(dim - 0.5 * plain).max() <= 1.0
+    assert (other != plain).any()

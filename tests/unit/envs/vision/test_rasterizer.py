@@ -6,7 +6,7 @@ from ray_caster import cast, pixel_centres
 from visible_scenes import STARTS, SeenScene, fusion_scene, random_scene
 from vitac.envs.vision.optics import COLOUR_INTRINSICS, HEIGHT_PX, WIDTH_PX, Intrinsics
 from vitac.envs.vision.pinhole import CameraPose
-from vitac.envs.vision.rasterizer import NEAR_M, NO_TRIANGLE, rasterize
+from vitac.envs.vision.rasterizer import NEAR_M, NO_TRIANGLE, Body, Label, VerticesDoNotFit, VisibleSurfaces, rasterize
 
 SMALL = Intrinsics(70.0, 65.0, 33.3, 22.8)
 SMALL_HEIGHT_PX, SMALL_WIDTH_PX = 48, 64
@@ -135,3 +135,31 @@ def test_a_camera_between_two_bodies_sees_only_the_one_before_it() -> None:
     vertices = pose.transform_to_camera(np.concatenate([wall, -wall]))
     view = rasterize(vertices, np.array([[0, 1, 2], [3, 4, 5]]), SMALL, height_px=HEIGHT_PX, width_px=WIDTH_PX)
     assert set(view.triangle.ravel().tolist()) == {0, NO_TRIANGLE}
+
+
+TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def two_bodies() -> VisibleSurfaces:
+    return VisibleSurfaces(
+        [
+            Body(vertex_count=4, triangles=TRIANGLES, label=Label.PEG),
+            Body(vertex_count=5, triangles=TRIANGLES[:1], label=Label.LEFT_GEL),
+        ]
+    )
+
+
+def test_triangles_count_through_the_bodies_vertices() -> None:
+    assert two_bodies().triangles.tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6]]
+    assert two_bodies().labels.tolist() == [Label.PEG, Label.PEG, Label.LEFT_GEL]
+
+
+def test_vertices_stand_in_the_order_of_the_bodies() -> None:
+    first, second = np.zeros((4, 3)), np.ones((5, 3))
+    assert two_bodies().vertices_m([first, second])[:, 0].tolist() == [0.0] * 4 + [1.0] * 5
+
+
+@pytest.mark.parametrize("counts", [(4,), (4, 4), (5, 4), (4, 5, 4)])
+def test_refuses_vertices_of_other_bodies(counts: tuple[int, ...]) -> None:
+    with pytest.raises(VerticesDoNotFit, match=r"expected \[\(4, 3\), \(5, 3\)\]"):
+        two_bodies().vertices_m([np.zeros((count, 3)) for count in counts])

@@ -1,7 +1,7 @@
 """The track of ManiSkill that is shipped; read without ManiSkill."""
 
 import pytest
-from vitac.envs.maniskill.catalogue import catalogue
+from vitac.envs.maniskill.definition import catalogue
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.tracks import Task, list_tracks, load_track
 from vitac.evaluator.tracks.registry import archive_folders

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from visible_scenes import STARTS, fusion_scene
 from vitac.envs.vision.camera import DepthMode, Sight
-from vitac.envs.vision.surfaces import Label
+from vitac.envs.vision.rasterizer import Label
 from vitac.station.devices.cameras import ColourDepth, ColourIntrinsics
 from vitac.station.perception.segmentation import NothingAtPrompt, SamMissing, make_segmenter, object_points_m, segment
 

@@ -9,7 +9,7 @@ from vitac.envs.tasks.definition import UnknownObservationKey
 from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
 from vitac.envs.tasks.settings import SettingsError
 from vitac.envs.vision.observables import SEGMENTATION
-from vitac.envs.vision.surfaces import Label
+from vitac.envs.vision.rasterizer import Label
 
 LEFT = {"start": (2.0, -4.0, 6.0, 5.0, 1), "rng_seed": (0, 1)}
 NOMINAL: dict[str, Any] = {}

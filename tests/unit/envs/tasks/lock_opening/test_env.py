@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fake_scene import FakeScene
 from vitac.envs.fem.scene.scene import StepStatus
-from vitac.envs.geometry.keys import KeyShape, key_control_points
+from vitac.envs.geometry.keys_and_locks import KeyShape, key_control_points
 from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
 from vitac.envs.tasks.lock_opening.scene import MOUNTS, SENSOR_X_MM
 from vitac.envs.tasks.options import ResetOptionsError

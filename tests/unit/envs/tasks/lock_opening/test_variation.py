@@ -2,7 +2,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vitac.envs.geometry.keys import KeyShape
+from vitac.envs.geometry.keys_and_locks import KeyShape
 from vitac.envs.tasks.lock_opening.variation import KeyOffset, LockStart, SensorJitter, choose_start
 from vitac.envs.tasks.options import ResetOptionsError
 

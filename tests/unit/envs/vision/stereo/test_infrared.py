@@ -3,17 +3,19 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from vitac.envs.vision.look import unit_normals
 from vitac.envs.vision.optics import Intrinsics
-from vitac.envs.vision.pictures import unit_normals
 from vitac.envs.vision.rasterizer import rasterize
-from vitac.envs.vision.stereo.dot_pattern import dot_pattern
 from vitac.envs.vision.stereo.infrared import (
     ALBEDO,
     AMBIENT,
+    HALF_WIDTH,
     SPECKLE_SD,
+    TEXELS,
     THERMAL_SD_GREY,
     InfraredView,
     Projector,
+    dot_pattern,
     infrared_picture,
 )
 
@@ -105,3 +107,27 @@ def test_neighbouring_pixels_have_independent_noise() -> None:
     middle = picture(wall(0.5), 0.0, pattern=FULL_LIGHT)[50:100, 75:125].astype(float)
     for a, b in ((middle[:, :-1], middle[:, 1:]), (middle[:-1], middle[1:])):
         assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < 0.06
+
+
+# Two texels are about one pixel of the infrared cameras, whose focal length is 596 px.
+TEXELS_PER_BLOCK = 14
+
+
+def test_pattern_covers_more_than_the_colour_cameras_picture() -> None:
+    assert dot_pattern().shape == (TEXELS, TEXELS)
+    assert HALF_WIDTH > 320 / 604.3075
+
+
+def test_every_block_of_the_matcher_holds_light_and_dark() -> None:
+    pattern = dot_pattern()[: TEXELS // TEXELS_PER_BLOCK * TEXELS_PER_BLOCK, : TEXELS // TEXELS_PER_BLOCK * 14]
+    blocks = pattern.reshape(TEXELS // TEXELS_PER_BLOCK, TEXELS_PER_BLOCK, -1, TEXELS_PER_BLOCK)
+    assert (blocks.max(axis=(1, 3)) > 60).mean() > 0.99
+    assert (blocks.min(axis=(1, 3)) == 0).all()
+
+
+def test_rows_do_not_repeat_within_the_matchers_window() -> None:
+    """A pattern that looked like itself 1 to 95 pixels further would be matched there."""
+    rows = dot_pattern()[400:414].astype(np.float64) - dot_pattern()[400:414].mean()
+    energy = float((rows * rows).sum())
+    shifted = [float((rows[:, :-shift] * rows[:, shift:]).sum()) / energy for shift in range(8, 190)]
+    assert max(shifted) < 0.4

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from vitac.envs.vision.stereo import matching
-from vitac.envs.vision.stereo.matching import LARGEST_DISPARITY, MATCHES, NO_DISPARITY, PARTS, disparities
+from vitac.envs.vision.stereo.matching import (
+    LARGEST_DISPARITY,
+    MATCHES,
+    NO_DISPARITY,
+    PARTS,
+    disparities,
+    median_of_neighbours,
+)
 
 LARGEST_BLOCK_COST = 48 * 49
 
@@ -168,3 +175,22 @@ def test_what_only_the_left_picture_shows_is_not_matched() -> None:
     # Left of the stripe, columns 10 to 29 fall behind it in the right picture.
     assert (found[:, 14:26] != NO_DISPARITY).mean() < 0.1
     assert np.abs(found[:, 4:7] / PARTS - 55).max() < 0.2
+
+
+def test_every_disparity_becomes_the_median_of_those_found_around_it() -> None:
+    random = np.random.default_rng(0)
+    found = random.integers(1, 100, (17, 23)).astype(np.int32)
+    found[random.random(found.shape) < 0.4] = 0
+    smoothed = median_of_neighbours(found)
+    for j in range(17):
+        for i in range(23):
+            around = found[max(0, j - 1) : j + 2, max(0, i - 1) : i + 2]
+            ordered = np.sort(around[around > 0])
+            expected = ordered[(len(ordered) - 1) // 2] if found[j, i] else 0
+            assert smoothed[j, i] == expected
+
+
+def test_a_single_wrong_match_vanishes() -> None:
+    found = np.full((5, 5), 70, np.int32)
+    found[2, 2] = 50
+    assert (median_of_neighbours(found) == 70).all()

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
-from vitac.envs.vision import back_projection
+from vitac.envs.vision import optics
 from vitac.evaluator.agent import runtime
 from vitac.evaluator.agent.protocol.frames import (
     HEADER_MAX_BYTES,
@@ -208,15 +208,15 @@ def test_runtime_makes_the_cloud_that_the_environment_would(
     keep_depth: bool, far_end: tuple[socket.socket, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """To the last bit; the depth picture goes on to the policy only where it reads that, too."""
-    monkeypatch.setattr(AGENT, "BACK_PROJECTION", Path(back_projection.__file__))
+    monkeypatch.setattr(AGENT, "BACK_PROJECTION", Path(optics.__file__))
     depth_m = np.random.default_rng(0).uniform(0.0, 1.0, (30, 40)).astype(np.float32)
-    optics = [604.3075, 603.0, 317.2341, 233.7944]
-    spec = CloudSpec(name="cloud", depth="depth", keep_depth=keep_depth, intrinsics=optics)
+    lens = [604.3075, 603.0, 317.2341, 233.7944]
+    spec = CloudSpec(name="cloud", depth="depth", keep_depth=keep_depth, intrinsics=lens)
     ours, connection = far_end
     question = PolicyQuestion(kind=QuestionKind.OBSERVE, arrays={"depth": depth_m}, clouds=(spec,))
     ours.sendall(b"".join(encode_question(1, question)))
     arrays = connection.read()[2]
     assert set(arrays) == ({"depth", "cloud"} if keep_depth else {"cloud"})
-    expected = back_projection.point_cloud(depth_m, tuple(optics))
+    expected = optics.point_cloud(depth_m, tuple(lens))
     assert arrays["cloud"].dtype == np.float32
     assert arrays["cloud"].tobytes() == expected.tobytes()

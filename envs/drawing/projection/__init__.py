@@ -1,1 +1,0 @@
-"""From surfaces in space to flat pictures: camera, visibility, outlines, sections and shading."""

@@ -1,1 +1,0 @@
-"""Small vectors, matrices and rows of arrays as kernels use them."""
