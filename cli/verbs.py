@@ -216,6 +216,7 @@ class Verb:
         parse: makes the value of a field of what was typed.
         asks: question before a change that cannot be undone, with arguments as `{team}`.
         tries: whether what a dry run answers is shown before the question.
+        looks: whether the operation wants to know what was looked at, also where nobody is asked.
         done: sentence to print in place of the record.
         of: field of the answer that holds what is printed.
         columns: fields of a table, if it is one.
@@ -240,6 +241,7 @@ class Verb:
     parse: Mapping[str, Callable[[Any], object]] = field(default_factory=dict)
     asks: str | None = None
     tries: bool = False
+    looks: bool = False
     done: str | None = None
     of: str | None = None
     columns: Sequence[str] = ()
@@ -377,6 +379,8 @@ def run(verb: Verb, door: Door, given: dict[str, Any], *, yes: bool, dry_run: bo
         if not verb.tries:
             _print(verb, answer, given, dry_run=False, as_json=as_json)
         return
+    if verb.looks and not dry_run:
+        values["shown"] = door.call(verb.operation, values, dry_run=True)["revision"]
     answer = door.call(verb.operation, values, dry_run=dry_run)
     _print(verb, answer, given, dry_run=dry_run, as_json=as_json)
 

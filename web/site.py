@@ -92,24 +92,26 @@ class Site:
 
     async def ask(self, query: Callable[[Session], ResultT]) -> ResultT:
         """Return what functions of the service layer give in one transaction, which may change something."""
-        return await _run_in_time(self.services.database.transaction, query)
+        return await _run_in_time(lambda: _run(self.services.database.transaction, query))
+
+    async def run(self, work: Callable[[], ResultT]) -> ResultT:
+        """Return what a function gives that opens its transactions itself, as the routes of the API do."""
+        return await _run_in_time(work)
 
     async def read(self, query: Callable[[Session], ResultT]) -> ResultT:
         """Return what functions of the service layer give that only read."""
-        return await _run_in_time(self.services.database.reading, query)
+        return await _run_in_time(lambda: _run(self.services.database.reading, query))
 
 
-async def _run_in_time(
-    opened: Callable[[], AbstractContextManager[Session]], query: Callable[[Session], ResultT]
-) -> ResultT:
-    """Run a query in a thread, and leave it there when the database does not answer.
+async def _run_in_time(work: Callable[[], ResultT]) -> ResultT:
+    """Run something in a thread, and leave it there when the database does not answer.
 
     Raises:
         ServiceError: it does not.
     """
     try:
         async with asyncio.timeout(PAGE_TIMEOUT_S):
-            return await asyncio.to_thread(_run, opened, query)
+            return await asyncio.to_thread(work)
     except TimeoutError as error:
         raise ServiceError(
             ProblemCode.DATABASE_UNAVAILABLE, "The database does not answer. Nothing is lost; reload this page later."

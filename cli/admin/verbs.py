@@ -247,6 +247,7 @@ NOUNS: Mapping[str, Noun] = {
                 help="Replace the present results by the new ones.",
                 asks="Replace the present results by these?",
                 tries=True,
+                looks=True,
                 of="submissions",
                 show=views.print_rejudged,
             ),

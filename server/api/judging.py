@@ -35,7 +35,7 @@ class NewMarks(BaseModel):
 class NewConflict(BaseModel):
     """A judge's conflict of interest with a team."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", str_strip_whitespace=True)
     team: str = Field(max_length=100, pattern=_ONE_LINE, description="Name or id.")
     reason: str = Field(min_length=1, max_length=500, pattern=_ONE_LINE)
     judge: JudgeName

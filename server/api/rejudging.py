@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from ..competitions.competition import Competition
 from ..decisions import rejudging
 from ..decisions.rejudging import rejudgement_detail_view, rejudgement_view
+from ..errors import ProblemCode, ServiceError
 from ..views.rejudging import RejudgementDetailView, RejudgementView
 from .access import ChangingServicesOf, CompetitionOrganizerOf, ServicesOf
 from .problems import RESPONSES
@@ -34,7 +35,9 @@ class Application(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     shown: str | None = Field(
-        default=None, max_length=64, description="`revision` of the rejudgement as it was looked at; none: as it is."
+        default=None,
+        max_length=64,
+        description="`revision` of the rejudgement as it was looked at; a dry run needs none.",
     )
 
 
@@ -71,6 +74,8 @@ def apply_rejudgement(
     services: ChangingServicesOf, principal: CompetitionOrganizerOf, rejudgement_id: UUID, application: Application
 ) -> RejudgementDetailView:
     """Make the new results those of their submissions; refused if they are no longer those that were looked at."""
+    if application.shown is None and not services.database.is_trial:
+        raise ServiceError(ProblemCode.INVALID_REQUEST, "Give `shown`: the revision of what you looked at.")
     with services.database.transaction() as session:
         rows = rejudging.apply(session, principal, rejudgement_id, shown=application.shown)
         return rejudgement_detail_view(session, rejudging.find(session, principal, rejudgement_id), rows)

@@ -1,25 +1,21 @@
 """The organizers' desk: what waits for them, each with the form that settles it, and the last lines of the audit log.
 
-The forms call the same functions as `vitac admin`.
+The forms call the routes that `vitac admin` calls.
 """
 
 from collections.abc import Callable, Mapping
 
-from sqlalchemy.orm import Session
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
-from vitac.server.accounts import messages, teams
-from vitac.server.appeals import appeals
-from vitac.server.database.models import Team
+from vitac.server.api.appeals import put_ruling
+from vitac.server.api.members import change_team
+from vitac.server.api.messages import hide_question, post_announcement, put_answer, withdraw_announcement
 from vitac.server.operations.desk import read_desk
-from vitac.server.principals import Principal
 
 from ..site import get_site, page, require_viewer
 from .addresses import board_address
-from .forms import act, read_id, read_number
-
-Change = Callable[[Session, Principal, Mapping[str, str]], object]
+from .forms import submit
 
 ADDRESS = "/desk"
 
@@ -40,38 +36,17 @@ async def change(request: Request) -> Response:
     name = request.path_params["action"]
     if name not in CHANGES:
         raise HTTPException(404)
-    return await act(request, CHANGES[name], back=ADDRESS)
+    route, fixed = CHANGES[name]
+    return await submit(request, route, back=ADDRESS, fixed=fixed)
 
 
-def _team(session: Session, by: Principal, fields: Mapping[str, str]) -> Team:
-    return teams.find_as_organizer(session, by, str(read_id(fields, "id")))
-
-
-def _answer(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
-    return messages.answer_question(
-        session, by, read_number(fields, "id"), fields.get("text", ""), public="public" in fields
-    )
-
-
-def _rule(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
-    upheld = fields.get("upheld") == "yes"
-    return appeals.rule(session, by, read_number(fields, "id"), fields.get("text", ""), upheld=upheld)
-
-
-def _announce(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
-    title, text = fields.get("title", ""), fields.get("text", "")
-    return messages.publish_announcement(session, by, title=title, text=text, notify="notify" in fields)
-
-
-CHANGES: Mapping[str, Change] = {
-    "accept": lambda session, by, fields: teams.accept(session, by, _team(session, by, fields)),
-    "refuse": lambda session, by, fields: teams.refuse(
-        session, by, _team(session, by, fields), fields.get("reason", "")
-    ),
-    "answer": _answer,
-    "hide": lambda session, by, fields: messages.hide_question(session, by, read_number(fields, "id")),
-    "rule": _rule,
-    "announce": _announce,
-    "withdraw": lambda session, by, fields: messages.withdraw_announcement(session, by, read_number(fields, "id")),
+CHANGES: Mapping[str, tuple[Callable[..., object], Mapping[str, object]]] = {
+    "accept": (change_team, {"accepted": True}),
+    "refuse": (change_team, {"accepted": False}),
+    "answer": (put_answer, {}),
+    "hide": (hide_question, {}),
+    "rule": (put_ruling, {}),
+    "announce": (post_announcement, {}),
+    "withdraw": (withdraw_announcement, {}),
 }
 """What the forms of the page do, by the last part of their address."""

@@ -1,19 +1,101 @@
-"""One action of a form: who may send it, the change in one transaction, and where the browser goes then."""
+"""Forms: parsed as the route of the API declares that makes the change, then the browser is led back."""
 
 from collections.abc import Callable, Mapping
-from typing import TypeVar
+from functools import cache
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 from uuid import UUID
 
-from pydantic import BaseModel, ValidationError
+from fastapi.params import Security
+from pydantic import BaseModel, TypeAdapter, ValidationError
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.principals import Principal
+from vitac.server.principals import Audience, Principal
 
 from ..site import get_site, signed_in_form
 
 FormT = TypeVar("FormT", bound=BaseModel)
+ID = "id"
+"""Field of a form with the id of what it is about."""
+
+
+async def submit(
+    request: Request,
+    route: Callable[..., object],
+    *,
+    back: str,
+    ids: Mapping[str, object] | None = None,
+    fixed: Mapping[str, object] | None = None,
+    read: Callable[[Mapping[str, str]], Mapping[str, object]] = dict,
+    takes_back: Callable[..., object] | None = None,
+) -> Response:
+    """Call a route of the API with a form, then lead back to the page with the form.
+
+    Who may, ids and input are as the route declares them.
+
+    Args:
+        request: with the form.
+        route: the function of the API.
+        back: address of the page.
+        ids: what the address of the page says of its parameters; another one is the field `id`.
+        fixed: values of its input that the form stands for.
+        read: makes values of the fields, where these are not the input itself.
+        takes_back: called in place of the route where the form gives no reason.
+
+    Raises:
+        ServiceError: the service refuses it.
+    """
+    viewer, fields = await signed_in_form(request)
+    site, given = get_site(request), ids or {}
+    if takes_back is not None and "reason" not in fields:
+        route = takes_back
+    arguments: dict[str, object] = {"services": site.services}
+    for name, hint in _declared(route).items():
+        if name == "principal":
+            _require_audience(hint, viewer.principal, given.get("competition"))
+            arguments[name] = viewer.principal
+        elif isinstance(hint, type) and issubclass(hint, BaseModel):
+            arguments[name] = checked_form(hint, _filled(hint, read(fields)) | dict(fixed or {}))
+        elif name != "services":
+            arguments[name] = given[name] if name in given else _read_id(hint, fields.get(ID, ""))
+    await site.run(lambda: route(**arguments))
+    return RedirectResponse(back, status_code=303)
+
+
+@cache
+def _declared(route: Callable[..., object]) -> Mapping[str, Any]:
+    hints = get_type_hints(route, include_extras=True)
+    return {name: hint for name, hint in hints.items() if name != "return"}
+
+
+def _require_audience(hint: Any, principal: Principal, competition: object) -> None:
+    """Refuse whom the declaration of a route refuses by role."""
+    for declared in get_args(hint) if get_origin(hint) is Annotated else ():
+        if isinstance(declared, Security):
+            for scope in declared.scopes or ():
+                Audience(scope).require(principal, None if competition is None else str(competition))
+
+
+def _filled(model: type[BaseModel], fields: Mapping[str, object]) -> dict[str, object]:
+    """Return what a form says of an input: a box that is not ticked is left out by browsers, an empty text is none."""
+    found: dict[str, object] = {}
+    for name, field in model.model_fields.items():
+        value = fields.get(name)
+        if field.annotation is bool:
+            found[name] = value or False
+        elif value is not None and (field.is_required() or not isinstance(value, str) or value.strip()):
+            found[name] = value
+    return found
+
+
+def _read_id(hint: Any, text: str) -> object:
+    try:
+        return TypeAdapter(hint).validate_python(text)
+    except ValidationError as error:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST, f"Expected an id or a number as {ID}, got {text!r:.40}. Reload the page."
+        ) from error
 
 
 async def act(
@@ -29,7 +111,7 @@ async def act(
     return RedirectResponse(back, status_code=303)
 
 
-def checked_form(form: type[FormT], values: Mapping[str, str | None]) -> FormT:
+def checked_form(form: type[FormT], values: Mapping[str, object]) -> FormT:
     """Return the values of a form as the API takes them.
 
     Raises:
@@ -40,20 +122,6 @@ def checked_form(form: type[FormT], values: Mapping[str, str | None]) -> FormT:
     except ValidationError as error:
         problems = " ".join(f"{problem['loc'][0]}: {problem['msg']}." for problem in error.errors())
         raise ServiceError(ProblemCode.INVALID_REQUEST, problems) from error
-
-
-def read_number(fields: Mapping[str, str], name: str) -> int:
-    """Return the number of a row out of a form.
-
-    Raises:
-        ServiceError: there is none.
-    """
-    given = fields.get(name, "")
-    if not (given.isascii() and given.isdigit() and len(given) < 10 and int(given)):
-        raise ServiceError(
-            ProblemCode.INVALID_REQUEST, f"Expected a number as {name}, got {given!r:.40}. Reload the page."
-        )
-    return int(given)
 
 
 def read_id(fields: Mapping[str, str], name: str) -> UUID:

@@ -2,18 +2,15 @@
 
 from collections.abc import Mapping
 
-from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
 from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.figures.table import FigureRow, make_rows, reference_figures
-from vitac.server.decisions import judging as marking
+from vitac.server.api.judging import post_conflict, put_marks
 from vitac.server.decisions.sheet import sheets
-from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.principals import Principal
 
 from ..site import get_site, page, require_viewer
-from .forms import act, read_id
+from .forms import submit
 
 ADDRESS = "/judging"
 _MARK = "mark-"
@@ -34,36 +31,16 @@ async def judging(request: Request) -> Response:
 async def give_marks(request: Request) -> Response:
     """Keep the marks of a form."""
 
-    def given(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
-        marks = {name.removeprefix(_MARK): _mark(text) for name, text in fields.items() if name.startswith(_MARK)}
-        marking.give_marks(session, by, read_id(fields, "id"), marks, judge=_judge(fields))
+    def read(fields: Mapping[str, str]) -> Mapping[str, object]:
+        marks = {name.removeprefix(_MARK): text for name, text in fields.items() if name.startswith(_MARK)}
+        return {**fields, "marks": marks}
 
-    return await act(request, given, back=ADDRESS)
+    return await submit(request, put_marks, back=ADDRESS, read=read)
 
 
 async def declare_conflict(request: Request) -> Response:
     """Note that a judge does not judge a team."""
-
-    def declared(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
-        reason = " ".join(fields.get("reason", "").split())
-        if not 1 <= len(reason) <= 500:
-            raise ServiceError(
-                ProblemCode.INVALID_REQUEST, f"Expected a reason of 1 to 500 characters, got {len(reason)}."
-            )
-        marking.declare_conflict(session, by, fields.get("team", ""), reason, judge=_judge(fields))
-
-    return await act(request, declared, back=ADDRESS)
-
-
-def _judge(fields: Mapping[str, str]) -> str | None:
-    return fields.get("judge", "").strip()[:100] or None
-
-
-def _mark(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ServiceError(ProblemCode.INVALID_REQUEST, f"Expected a mark from 0 to 10, got {text!r:.40}.") from None
+    return await submit(request, post_conflict, back=ADDRESS)
 
 
 def _rows(figures: SensorFigures) -> list[FigureRow]:

@@ -1,16 +1,14 @@
 """Announcements, and questions with their answers: one page for everybody, with the form that asks."""
 
-from collections.abc import Mapping
-
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
-from vitac.server.accounts.messages import ask_question, list_announcements, list_questions
-from vitac.server.principals import Principal
+from vitac.server.accounts.messages import list_announcements, list_questions
+from vitac.server.api.messages import post_question
 from vitac.server.views.messages import AnnouncementView, QuestionView
 
 from ..site import get_site, get_viewer, page
-from .forms import act
+from .forms import submit
 
 ADDRESS = "/announcements"
 
@@ -29,8 +27,4 @@ async def messages(request: Request) -> Response:
 
 async def ask(request: Request) -> Response:
     """Ask the organizers."""
-
-    def asked(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
-        return ask_question(session, by, fields.get("text", ""), public="public" in fields)
-
-    return await act(request, asked, back=ADDRESS)
+    return await submit(request, post_question, back=ADDRESS)

@@ -1,19 +1,18 @@
 """The organizers' page of rejudgements: what would change, and the forms that start, apply and discard one."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
+from vitac.server.api.rejudging import apply_rejudgement, discard_rejudgement, post_rejudgement
 from vitac.server.competitions.competition import Competition
 from vitac.server.database.models import Rejudgement
 from vitac.server.decisions import rejudging
 from vitac.server.decisions.rejudging import rejudgement_detail_view, rejudgement_view
-from vitac.server.principals import Principal
 
 from ..site import get_site, page, require_viewer
-from .forms import act, read_id
+from .forms import submit
 
 ADDRESS = "/rejudging"
 
@@ -65,28 +64,14 @@ def _place(session: Session, found: Rejudgement) -> str:
 
 async def start(request: Request) -> Response:
     """Evaluate the models of a stage again."""
-
-    def started(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
-        named = fields.get("stage", "").strip() or None
-        track = fields.get("track", "")
-        competition = fields.get("competition") or by.competition
-        stage = Competition.find_by_track(session, track, competition).shown_stage(track, named)
-        rejudging.start(session, by, stage, reason=fields.get("reason", ""))
-
-    return await act(request, started, back=ADDRESS)
+    return await submit(request, post_rejudgement, back=ADDRESS)
 
 
 async def apply(request: Request) -> Response:
     """Make the new results count, if they are those that the page showed."""
-
-    def applied(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
-        rejudging.apply(session, by, read_id(fields, "id"), shown=fields.get("shown", ""))
-
-    return await act(request, applied, back=ADDRESS)
+    return await submit(request, apply_rejudgement, back=ADDRESS)
 
 
 async def discard(request: Request) -> Response:
     """Leave the present results as they are."""
-    return await act(
-        request, lambda session, by, fields: rejudging.discard(session, by, read_id(fields, "id")), back=ADDRESS
-    )
+    return await submit(request, discard_rejudgement, back=ADDRESS)

@@ -121,7 +121,7 @@ def pages() -> APIRouter:
         ("/sensors/reference/shape", sensors.reference_shape, "GET"),
         ("/submissions/{submission_id}/document", sensors.document, "GET"),
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
-        ("/submissions/{submission_id}/cancel", submissions.cancel, "POST"),
+        ("/submissions/{submission_id}/cancel", sharing.cancel, "POST"),
         ("/submissions/{submission_id}/public", sharing.set_public, "POST"),
         ("/submissions/{submission_id}/description", sharing.describe, "POST"),
         ("/submissions/{submission_id}/description/removal", sharing.set_removal, "POST"),

@@ -300,6 +300,9 @@ class FixedDatabase:
 
     reading = transaction
 
+    def flush(self) -> None:
+        """Keep what was changed, as it is kept already."""
+
 
 def answered_by(data_of: Callable[[FixedData], Callable[..., Any]], module: ModuleType, name: str) -> None:
     """Have a function of the service answered by fixed data where its first argument belongs to it."""
@@ -365,7 +368,7 @@ for _module, _name, _data_of in (
     (stills, "find_stills", lambda data: lambda _, ids: dict.fromkeys(ids, data.stills[0]) if data.stills else {}),
     (comparisons, "list_choices", lambda _: lambda *_, **__: ()),
     (recent, "newest_public_episode", lambda data: lambda _: data.public_one),
-    (messages, "shown", lambda data: lambda: data.said),
+    (messages, "list_announcements", lambda data: lambda: data.said),
     (files, "find_digest", lambda data: lambda place, file: (place, file)),
     (files, "read", lambda data: lambda _, key: data.file_at(*key)),
     (sensors, "document", lambda data: data.document),

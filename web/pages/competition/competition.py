@@ -1,6 +1,6 @@
 """The competition's home page: schedule, tracks, rules, prizes, commitments, winners."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -9,14 +9,14 @@ from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
 from vitac.server.accounts import messages
-from vitac.server.competitions import applying
+from vitac.server.api import competitions as routes
 from vitac.server.competitions.view import competition_list_view, competition_view
 from vitac.server.views.competition import CompetitionView
 from vitac.server.views.messages import AnnouncementView
 
 from ...site import get_principal, get_site, get_viewer, page
 from ..addresses import board_address, competition_address, read_competition_name
-from ..forms import act
+from ..forms import submit
 
 N_SAID = 3
 """Number of the newest announcements on the page; all of them have a page of their own."""
@@ -84,19 +84,14 @@ def list_countdowns(found: CompetitionView, now: datetime) -> list[Countdown]:
 
 async def freeze(request: Request) -> Response:
     """Freeze the boards for everybody but organizers."""
-    competition = read_competition_name(request)
-    return await act(
-        request,
-        lambda session, by, _: applying.freeze_boards(session, by, competition),
-        back=competition_address(competition),
-    )
+    return await _change_boards(request, routes.freeze)
 
 
 async def unfreeze(request: Request) -> Response:
     """Show all results on the boards again."""
+    return await _change_boards(request, routes.unfreeze)
+
+
+async def _change_boards(request: Request, route: Callable[..., object]) -> Response:
     competition = read_competition_name(request)
-    return await act(
-        request,
-        lambda session, by, _: applying.unfreeze_boards(session, by, competition),
-        back=competition_address(competition),
-    )
+    return await submit(request, route, back=competition_address(competition), ids={"competition": competition})

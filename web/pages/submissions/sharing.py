@@ -4,23 +4,22 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
-from uuid import UUID
 
-from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.tracks import load_track
+from vitac.server.api import submissions as routes
 from vitac.server.api.conditional import answer
 from vitac.server.database.states import EvaluationState
 from vitac.server.leaderboards import descriptions, public_pages
-from vitac.server.principals import VISITOR, Principal
-from vitac.server.submissions import clearance
+from vitac.server.principals import VISITOR
 from vitac.server.views.submissions import SubmissionView
 
 from ...sharing.citation import Citation, cite
 from ...sharing.preview import draw_preview
 from ...site import Viewer, get_site, open_to_all, signed_in_form
 from ..addresses import as_id
+from ..forms import submit
 from ..submission_detail import read_detail
 
 KEPT_S = 300
@@ -64,13 +63,7 @@ async def shared(request: Request, viewer: Viewer | None, found: SubmissionView,
 
 async def set_public(request: Request) -> Response:
     """Let everybody see the result of a submission, or its team only."""
-    viewer, fields = await signed_in_form(request)
-    submission_id = as_id(request.path_params["submission_id"])
-    public = fields.get("public") == "yes"
-    await get_site(request).ask(
-        lambda session: public_pages.set_public(session, viewer.principal, submission_id, public=public)
-    )
-    return RedirectResponse(f"/submissions/{submission_id}#sharing", status_code=303)
+    return await _submit(request, routes.put_public, part="#sharing")
 
 
 async def describe(request: Request) -> Response:
@@ -86,30 +79,30 @@ async def describe(request: Request) -> Response:
 
 async def set_removal(request: Request) -> Response:
     """Hide a description from others for the reason given; without one restore it."""
-    return await _set_for_reason(request, descriptions.remove, descriptions.restore)
+    return await _submit(request, routes.put_removal, takes_back=routes.delete_removal)
 
 
 async def set_clearance(request: Request) -> Response:
     """Rank a submission that was found to be a copy, for the reason given; without one take that back."""
-    return await _set_for_reason(request, clearance.clear, clearance.withdraw)
+    return await _submit(request, routes.put_clearance, takes_back=routes.delete_clearance)
 
 
-async def _set_for_reason(
+async def cancel(request: Request) -> Response:
+    """Cancel the evaluation of a submission."""
+    return await _submit(request, routes.cancel_submission)
+
+
+async def _submit(
     request: Request,
-    act: Callable[[Session, Principal, UUID, str], None],
-    withdraw: Callable[[Session, Principal, UUID], None],
+    route: Callable[..., object],
+    *,
+    part: str = "",
+    takes_back: Callable[..., object] | None = None,
 ) -> Response:
-    viewer, fields = await signed_in_form(request)
-    submission_id, reason = as_id(request.path_params["submission_id"]), fields.get("reason")
-
-    def change(session: Session) -> None:
-        if reason is None:
-            withdraw(session, viewer.principal, submission_id)
-        else:
-            act(session, viewer.principal, submission_id, reason)
-
-    await get_site(request).ask(change)
-    return RedirectResponse(f"/submissions/{submission_id}", status_code=303)
+    """Call a route with a form of a submission's page."""
+    submission_id = as_id(request.path_params["submission_id"])
+    back = f"/submissions/{submission_id}{part}"
+    return await submit(request, route, ids={"submission_id": submission_id}, back=back, takes_back=takes_back)
 
 
 @open_to_all

@@ -10,7 +10,7 @@ from uuid import UUID
 from sqlalchemy.orm import Session
 from sse_starlette import ServerSentEvent
 from starlette.requests import Request
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import Response
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import UnknownTrack, load_track
 from vitac.server.api.streams import CountedStream, OpenStreams
@@ -19,7 +19,6 @@ from vitac.server.competitions.view import competition_list_view, track_stages
 from vitac.server.database.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from vitac.server.errors import TRACK_REMOVED
 from vitac.server.playbacks.stills import find_stills, list_stills
-from vitac.server.submissions import runs
 from vitac.server.submissions.listing import list_submissions
 from vitac.server.submissions.watch import Changes
 from vitac.server.views.evaluations import TaskProgressView
@@ -29,7 +28,7 @@ from vitac.server.views.submissions import EpisodeView, RankView, SubmissionList
 
 from ...plots.map import EpisodeMap, episode_map, title_of_task
 from ...rendering import render
-from ...site import Site, Viewer, get_principal, get_site, get_viewer, open_to_all, page, require_viewer, signed_in_form
+from ...site import Site, Viewer, get_principal, get_site, get_viewer, open_to_all, page, require_viewer
 from ..addresses import as_id, board_address, board_query
 from ..leaderboards.tabs import find_stage_title
 from ..submission_detail import SubmissionDetail, read_detail
@@ -124,14 +123,6 @@ async def events(request: Request) -> Response:
     await _values(request, viewer)  # refuses a submission of another team before the stream starts
     streams = OpenStreams.from_request(request, get_site(request).services)
     return CountedStream(streams, viewer.principal, _views(request))
-
-
-async def cancel(request: Request) -> Response:
-    """Cancel the evaluation of a submission."""
-    viewer, _ = await signed_in_form(request)
-    submission_id = as_id(request.path_params["submission_id"])
-    await get_site(request).ask(lambda session: runs.cancel(session, viewer.principal, submission_id))
-    return RedirectResponse(f"/submissions/{submission_id}", status_code=303)
 
 
 async def _views(request: Request) -> AsyncIterator[ServerSentEvent]:

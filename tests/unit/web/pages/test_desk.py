@@ -43,9 +43,9 @@ def test_an_organizer_settles_what_waits_and_everybody_sees_what_is_theirs(servi
         waiting = [teams.register(session, CONSOLE, name=name, waits=True) for name in ("Bees", "Cats")]
 
     assert team.send("/announcements", "/announcements/ask", text="<script>?", public="yes").status_code == 303
-    opened = team.send("/appeals", "/appeals/open", submission=str(submission.id), text="Look again.")
+    opened = team.send("/appeals", "/appeals/open", submission_id=str(submission.id), text="Look again.")
     assert opened.status_code == 303, opened.text
-    assert team.send("/appeals", "/appeals/open", submission="x", text="Look again.").status_code == 422
+    assert team.send("/appeals", "/appeals/open", submission_id="x", text="Look again.").status_code == 422
     shown = organizer.get("/desk").text
     for what in ("Bees", "Cats", "&lt;script&gt;?", "Look again.", "appeal.open"):
         assert what in shown

@@ -172,8 +172,10 @@ def test_forms_of_descriptions_lead_to_the_service(
     assert browser.post(f"{PAGE}/description", data={"text": "A", "base": "1"}).status_code == 403
     answer = browser.post(f"{PAGE}/description", data={"text": "A", "base": "1", "form_token": token})
     assert (answer.status_code, answer.headers["location"]) == (303, f"{PAGE}#about")
+    assert browser.post(f"{PAGE}/description/removal", data={"form_token": token}).status_code == 403
+    sign_in(browser, "organizers")
     for fields in ({"reason": "No."}, {}):
-        browser.post(f"{PAGE}/description/removal", data={"form_token": token} | fields)
+        browser.post(f"{PAGE}/description/removal", data={"form_token": form_token(browser)} | fields)
     written = {"text": "A", "base": "1", "code": "", "paper": "", "discussion": ""}
     assert done == [("Gelbots", written), "No.", "restored"]
 
