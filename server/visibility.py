@@ -1,6 +1,6 @@
 """Which submissions exist for whom, who may change them, and what of them is shown.
 
-Another team's is answered as if there were none; `vitac.server.leaderboards.public_pages` knows of those that are public.
+Another team's is answered as if there were none; `vitac.server.leaderboards.public_pages` knows which ones are public.
 """
 
 from dataclasses import dataclass
