@@ -13,7 +13,7 @@ import typer
 class Noun:
     """One entry of `vitac --help`.
 
-    `vitac.cli.<module>` has a function `command` (no verbs) or a `typer.Typer` named `app` (several verbs).
+    `vitac.cli.<module>` has a function `command` (no verbs) or a `typer.Typer` named `<app>` (several verbs).
     `extra` is that of the package's extras which it needs, if any.
     """
 
@@ -21,6 +21,7 @@ class Noun:
     module: str
     summary: str
     extra: str | None = None
+    app: str = "app"
 
 
 _SERVER = "server"
@@ -57,8 +58,8 @@ NOUNS = (
     Noun(name="logout", module="client.logout", summary="Delete the stored token."),
     Noun(name="whoami", module="client.whoami", summary="Show team, token and quotas."),
     Noun(name="team", module="client.team", summary="Show the team; invite, join, remove members."),
-    Noun(name="question", module="client.question", summary="Ask the organizers, and read their answers."),
-    Noun(name="appeal", module="client.appeal", summary="Appeal against an evaluation of your team."),
+    Noun(name="question", module="client.team", app="question", summary="Ask the organizers, and read their answers."),
+    Noun(name="appeal", module="client.team", app="appeal", summary="Appeal against an evaluation of your team."),
     Noun(name="submit", module="client.submit", summary="Upload a submission to a service."),
     Noun(name="status", module="client.status", summary="Show your submissions on a service."),
     Noun(name="publish", module="client.publish", summary="Make a submission's result public."),
@@ -123,8 +124,8 @@ def build_app(arguments: Sequence[str]) -> typer.Typer:
             app.command(noun.name, help=noun.summary)(_listed_only)
             continue
         module = import_module(f"vitac.cli.{noun.module}")
-        if hasattr(module, "app"):
-            app.add_typer(module.app, name=noun.name, help=noun.summary)
+        if hasattr(module, noun.app):
+            app.add_typer(getattr(module, noun.app), name=noun.name, help=noun.summary)
         else:
             app.command(noun.name)(module.command)
     return app

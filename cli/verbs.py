@@ -30,6 +30,8 @@ from .terminal.output import AsJson, moment, print_json, print_pairs, print_reco
 
 OPERATIONS = Path(__file__).with_name("operations.json")
 PREFIX = "/api/v1"
+OWN_TEAM = "the team of the token"
+"""Stands for its id in the table of a team's own verbs."""
 NOTHING_CHANGED = "Dry run: nothing was changed."
 """Printed on stderr, so that the output is what the change itself would print."""
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:\d\d)")
@@ -55,8 +57,8 @@ class CompetitionNotNamed(VitacError):
     """The service has no competition, or several of which one has to be named."""
 
 
-class MemberUnknown(VitacError):
-    """The team has no member of that name."""
+class NoTeam(VitacError):
+    """The token belongs to no team, or the team has no such member."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,21 +179,30 @@ class Door:
         return names[0]
 
     def find_team(self, named: str) -> str:
-        """Return the id of a team by its name or id."""
-        (team,) = self.call("GET /teams", {"name": named})
-        return str(team["id"])
+        """Return the id of a team by its name or id, or of the token's own.
+
+        Raises:
+            NoTeam: the token is an organizer's or a judge's.
+        """
+        if named != OWN_TEAM:
+            (team,) = self.call("GET /teams", {"name": named})
+            return str(team["id"])
+        own = self.client.me()["team"]
+        if own is None:
+            raise NoTeam("This token belongs to no team; `vitac whoami` shows whose it is.")
+        return str(own["id"])
 
     def find_member(self, team: str, named: str) -> str:
         """Return the id of a member of a team by name.
 
         Raises:
-            MemberUnknown: the team has none of that name.
+            NoTeam: the team has none of that name.
         """
         shown = self.call("GET /teams/{team_id}", {"team_id": team})
         for member in shown["members"]:
             if member["name"].casefold() == named.casefold() and member["left_at"] is None:
                 return str(member["id"])
-        raise MemberUnknown(f"{shown['name']} has no member {named!r}; its page and `team show` list them.")
+        raise NoTeam(f"{shown['name']} has no member {named!r}; its page and `team show` list them.")
 
 
 OpenDoor = Callable[[typer.Context, str | None, Path | None], AbstractContextManager[Door]]

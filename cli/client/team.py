@@ -1,53 +1,202 @@
-"""`vitac team`: the own team and its members, over the API."""
+"""`vitac team`, `question` and `appeal`: what a team does at a service; most verbs are requests, listed in tables."""
 
 import sys
-from typing import Annotated
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
-from vitac.server.database.states import NoticeKind
 
 from ..terminal.options import Server, TokenFile
-from ..terminal.output import AsJson, print_json, print_pairs, print_records
-from . import credentials, webhook
-from .http import Client, Json, make_client
-from .own_team import NoTeam, own_path
-
-app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
-app.add_typer(webhook.app, name="webhook", help="Addresses that get the team's notices: list, add, remove.")
+from ..terminal.outcomes import print_meanings
+from ..terminal.output import AsJson, print_json, print_pairs
+from ..verbs import OWN_TEAM, Door, Given, Verb, add_verbs, print_fields, print_rows
+from . import credentials
+from .http import make_client
 
 MemberName = Annotated[str, typer.Argument(help="The member's name, as `vitac team show` prints it.")]
+Kinds = Annotated[
+    list[str] | None,
+    typer.Argument(
+        help="Kinds of notices to mute: accepted, finished, failed, promoted, deadline or announcement; without any, "
+        "you get all."
+    ),
+]
+MEMBER = "/teams/{team_id}/members/{member_id}"
+OWN = {"team_id": OWN_TEAM}
+
+
+@contextmanager
+def open_door(_: object, server: str | None, token_file: Path | None) -> Iterator[Door]:
+    """Open the service that options or environment name, else that of the last login."""
+    yield Door(client=make_client(server, token_file))
+
+
+def _noun(verbs: Sequence[Verb]) -> typer.Typer:
+    app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+    add_verbs(app, verbs, open_door)
+    return app
+
+
+def _print_invitation(answer: Any, _: Given) -> None:
+    print_fields({"code": answer["code"], "until": answer["expires_at"]})
+    print("\nThe code is shown only once, and is valid for one person: `vitac team join CODE NAME`.")
+
+
+def _print_webhook(answer: Any, _: Given) -> None:
+    print_pairs({name: answer[name] for name in ("id", "address", "secret")})
+    print("\nThe secret is shown only once; the receiver checks each notice with it.")
+
+
+def _print_appeal(answer: Any, _: Given) -> None:
+    print_fields({name: value for name, value in answer.items() if name != "replays"})
+    print()
+    columns = ("task", "episode", "corrected", "old_outcome", "outcome", "same_states")
+    print_rows(answer["replays"], columns, none="No episode was played again.")
+    print_meanings(end for replay in answer["replays"] for end in (replay["old_outcome"], replay["outcome"]))
+
+
+question = _noun(
+    [
+        Verb(
+            "list",
+            "GET /questions",
+            help="List the team's questions and the public ones with their answers, newest first.",
+            only=(),
+            of="items",
+            columns=("id", "team", "public", "text", "answer"),
+            none="No question.",
+        ),
+        Verb(
+            "ask",
+            "POST /questions",
+            help="Ask the organizers.",
+            arguments=("text",),
+            usual={"public": False},
+            words={"public": "--public/--private"},
+        ),
+    ]
+)
+appeal = _noun(
+    [
+        Verb(
+            "list",
+            "GET /appeals",
+            help="List the team's appeals, newest first.",
+            only=(),
+            of="items",
+            columns=("id", "state", "submission_name", "task", "episode", "opened_at", "ruling"),
+            none="No appeal.",
+        ),
+        Verb(
+            "open",
+            "POST /appeals",
+            help="Appeal against the newest evaluation of a submission.",
+            arguments=("submission_id", "text"),
+            only_json=("replays",),
+        ),
+        Verb(
+            "show",
+            "GET /appeals/{appeal_id}",
+            help="Show an appeal, its ruling, and what was played again for it.",
+            show=_print_appeal,
+        ),
+        Verb(
+            "withdraw",
+            "POST /appeals/{appeal_id}/withdraw",
+            help="Withdraw an appeal that is not decided yet.",
+            only_json=("replays",),
+        ),
+    ]
+)
+app = _noun(
+    [
+        Verb(
+            "data",
+            "GET /teams/{team_id}/data",
+            help="Print all data that the service stores about the team, as JSON.",
+            fixed=OWN,
+            show=lambda answer, _: print_json(answer),
+        ),
+        Verb(
+            "invite",
+            "POST /teams/{team_id}/invitations",
+            help="Print a code with which one person joins the team; for its captain.",
+            fixed=OWN,
+            unknown=("id", "code"),
+            show=_print_invitation,
+        ),
+        Verb(
+            "remove",
+            f"DELETE {MEMBER}",
+            help="Remove a member, whose token ends at once; for the captain, or to leave the team.",
+            fixed=OWN,
+            done="{member} is no longer in the team",
+        ),
+        Verb(
+            "captain",
+            "PUT /teams/{team_id}/captain",
+            help="Make another member the captain.",
+            fixed=OWN,
+            arguments=("member_id",),
+            done="{member} is the captain",
+        ),
+        Verb(
+            "confirm-email",
+            f"PATCH {MEMBER}",
+            help="Confirm the address for your notices with the code of the e-mail that asks for it.",
+            fixed=OWN,
+            only=("email_code",),
+            arguments=("email_code",),
+            needed=("email_code",),
+            done="notices of {member} are sent from now on",
+        ),
+    ]
+)
+webhook = _noun(
+    [
+        Verb(
+            "list",
+            "GET /teams/{team_id}/webhooks",
+            help="List the team's webhooks, oldest first.",
+            fixed=OWN,
+            of="items",
+            columns=("id", "address", "created_at"),
+            none="No webhook.",
+        ),
+        Verb(
+            "add",
+            "POST /teams/{team_id}/webhooks",
+            help="Post the team's notices to an address, and print the secret that signs them.",
+            fixed=OWN,
+            arguments=("address",),
+            unknown=("id", "secret"),
+            show=_print_webhook,
+        ),
+        Verb(
+            "remove",
+            "DELETE /teams/{team_id}/webhooks/{webhook_id}",
+            help="Post no further notices to an address.",
+            fixed=OWN,
+            done="{webhook} no longer gets notices",
+        ),
+    ]
+)
+app.add_typer(webhook, name="webhook", help="Addresses that get the team's notices: list, add, remove.")
 
 
 @app.command()
 def show(server: Server = None, token_file: TokenFile = None, as_json: AsJson = False) -> None:
     """Show the team, its members and its open invitations."""
-    found = _own_team(make_client(server, token_file))
+    found = Door(client=make_client(server, token_file)).call("GET /teams/{team_id}", OWN)
     if as_json:
         print_json(found)
         return
     print_pairs({"team": found["name"], "state": _state(found), "open invitations": len(found["invitations"])})
     print()
     present = [member for member in found["members"] if member["left_at"] is None]
-    print_records(present, ("name", "role", "email", "has_password", "joined_at"), none="", as_json=False)
-
-
-@app.command()
-def data(server: Server = None, token_file: TokenFile = None) -> None:
-    """Print all data that the service stores about the team, as JSON."""
-    client = make_client(server, token_file)
-    print_json(client.call("GET", f"{own_path(client)}/data"))
-
-
-@app.command()
-def invite(server: Server = None, token_file: TokenFile = None, as_json: AsJson = False) -> None:
-    """Print a code with which one person joins the team; for its captain."""
-    client = make_client(server, token_file)
-    made = client.call("POST", f"{own_path(client)}/invitations")
-    if as_json:
-        print_json(made)
-        return
-    print_pairs({"code": made["code"], "until": made["expires_at"]})
-    print("\nThe code is shown only once, and is valid for one person: `vitac team join CODE NAME`.")
+    print_rows(present, ("name", "role", "email", "has_password", "joined_at"), none="")
 
 
 @app.command()
@@ -60,30 +209,13 @@ def join(
 ) -> None:
     """Join a team, print your token, which is shown only once, and store it for the other commands."""
     client = make_client(server, None, with_token=False)
-    answer = client.call("POST", "/api/v1/teams/join", {"code": code, "name": name, "email": email})
+    answer = Door(client=client).call("POST /teams/join", {"code": code, "name": name, "email": email})
     secret = answer["token"]["secret"]
     if as_json:
         print_json(answer)
     else:
         print_pairs({"team": answer["team"]["name"], "server": client.server, "token": secret})
     credentials.keep(client.server, secret)
-
-
-@app.command()
-def remove(member: MemberName, server: Server = None, token_file: TokenFile = None) -> None:
-    """Remove a member, whose token ends at once; for the captain, or to leave the team."""
-    client = make_client(server, token_file)
-    client.call("DELETE", _path_of_member(client, member))
-    print(f"{member} is no longer in the team")
-
-
-@app.command()
-def captain(member: MemberName, server: Server = None, token_file: TokenFile = None) -> None:
-    """Make another member the captain."""
-    client = make_client(server, token_file)
-    team = _own_team(client)
-    client.call("PUT", f"/api/v1/teams/{team['id']}/captain", {"member_id": _member(team, member)["id"]})
-    print(f"{member} is the captain")
 
 
 @app.command()
@@ -94,39 +226,17 @@ def email(
     token_file: TokenFile = None,
 ) -> None:
     """Set the address to which your notices are sent."""
-    client = make_client(server, token_file)
-    client.call("PATCH", _path_of_member(client, member), {"email": address})
+    _change_member(server, token_file, member, {"email": address})
     print(f"notices of {member}: {address or 'none'}")
     if address is not None:
         print("A code was sent there; `vitac team confirm-email` with it, and notices follow.")
 
 
-@app.command("confirm-email")
-def confirm_email(
-    member: MemberName,
-    code: Annotated[str, typer.Argument(help="Code from the e-mail that asks to confirm the address.")],
-    server: Server = None,
-    token_file: TokenFile = None,
-) -> None:
-    """Confirm the address for your notices."""
-    client = make_client(server, token_file)
-    client.call("PATCH", _path_of_member(client, member), {"email_code": code})
-    print(f"notices of {member} are sent from now on")
-
-
 @app.command()
-def mute(
-    member: MemberName,
-    kinds: Annotated[
-        list[NoticeKind] | None, typer.Argument(help="Kinds of notices to mute; without any, you get all.")
-    ] = None,
-    server: Server = None,
-    token_file: TokenFile = None,
-) -> None:
+def mute(member: MemberName, kinds: Kinds = None, server: Server = None, token_file: TokenFile = None) -> None:
     """Choose the notices that you do not want by e-mail; replaces the earlier choice."""
-    client = make_client(server, token_file)
     muted = sorted(set(kinds or ()))
-    client.call("PATCH", _path_of_member(client, member), {"muted": muted})
+    _change_member(server, token_file, member, {"muted": muted})
     print(f"{member} gets no notices of: {', '.join(muted)}" if muted else f"{member} gets all notices")
 
 
@@ -136,13 +246,12 @@ def password(member: MemberName, server: Server = None, token_file: TokenFile = 
 
     It is read from a prompt, or from the first line of standard input; the second line is the old one if you have one.
     """
-    client = make_client(server, token_file)
     if sys.stdin.isatty():
         old = typer.prompt("Old password (empty if you have none)", hide_input=True, default="", show_default=False)
         given = typer.prompt("New password", hide_input=True, confirmation_prompt=True, default="", show_default=False)
     else:
         given, old = (sys.stdin.readline().rstrip("\n") for _ in range(2))
-    client.call("PATCH", _path_of_member(client, member), {"password": given or None, "old_password": old or None})
+    _change_member(server, token_file, member, {"password": given or None, "old_password": old or None})
     print(f"{member} {'has a new' if given else 'has no'} password")
 
 
@@ -152,7 +261,7 @@ def renew_token(
 ) -> None:
     """Replace your token: print and store a new one; the old one ends."""
     client = make_client(server, token_file)
-    made = client.call("POST", f"{_path_of_member(client, member)}/token")
+    made = Door(client=client).call(f"POST {MEMBER}/token", OWN | {"member_id": member})
     if as_json:
         print_json(made)
     else:
@@ -160,23 +269,15 @@ def renew_token(
     credentials.keep(client.server, made["secret"])
 
 
-def _own_team(client: Client) -> Json:
-    return client.call("GET", own_path(client))
+def _change_member(server: str | None, token_file: Path | None, member: str, body: dict[str, object]) -> None:
+    """Change a member by exactly this input, in which null takes something away."""
+    client = make_client(server, token_file)
+    door = Door(client=client)
+    path = f"/api/v1/teams/{door.find_team(OWN_TEAM)}/members/{door.find_member(OWN_TEAM, member)}"
+    client.call("PATCH", path, body)
 
 
-def _path_of_member(client: Client, name: str) -> str:
-    team = _own_team(client)
-    return f"/api/v1/teams/{team['id']}/members/{_member(team, name)['id']}"
-
-
-def _member(team: Json, name: str) -> Json:
-    for member in team["members"]:
-        if member["name"].casefold() == name.casefold() and member["left_at"] is None:
-            return dict(member)
-    raise NoTeam(f"{team['name']} has no member {name!r}; `vitac team show` lists them.")
-
-
-def _state(team: Json) -> str:
+def _state(team: dict[str, Any]) -> str:
     if team["disqualified_for"]:
         return f"disqualified: {team['disqualified_for']}"
     if team["refused_for"]:

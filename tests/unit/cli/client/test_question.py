@@ -53,4 +53,6 @@ def test_what_cannot_be_asked_is_said(service: CliService) -> None:
     with service.database.transaction() as session:
         organizer = make_secret(session, CONSOLE)
         assert messages.list_questions(session, CONSOLE) == []
-    assert "There is no team" in str(service.run_with_input("", "question", "ask", "Why?", token=organizer).exception)
+    assert "Only teams may do this" in str(
+        service.run_with_input("", "question", "ask", "Why?", token=organizer).exception
+    )
