@@ -14,7 +14,7 @@ for _id in ENVIRONMENTS:
         gymnasium.register(
             _id,
             entry_point="vitac.envs.tasks.making:make",
-            vector_entry_point="vitac.envs.tasks.vector_env:ForkedVectorEnv",
+            vector_entry_point="vitac.envs.tasks.making:ForkedVectorEnv",
             kwargs={"env_id": _id},
         )
 

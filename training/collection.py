@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.tasks.fidelity import Fidelity
+from vitac.envs.tasks.settings import Fidelity
 from vitac.evaluator.version import evaluator_hash
 
 from .episodes import TASK, Actor, ActorInput, Episodes, FloatArray, MakeActor, joined, make_environment, play

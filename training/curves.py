@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt, TypeAdapter, ValidationError
 from vitac.envs.errors import VitacError
-from vitac.envs.tasks.fidelity import FIDELITY, Fidelity
+from vitac.envs.tasks.settings import FIDELITY, Fidelity
 from vitac.evaluator.scoring.score import interval_of_mean, rate
 from vitac.evaluator.strict_model import StrictModel
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
-from vitac.envs.tasks.fidelity import Fidelity
+from vitac.envs.tasks.settings import Fidelity
 from vitac.evaluator.strict_model import StrictModel, read_yaml
 
 from .learning.critic import Count, CriticPlan

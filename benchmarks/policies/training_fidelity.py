@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "variants"))
 import numpy as np
 from players import EXAMPLES, Example, Planner, Player
 from vitac.envs.tactile.camera import CHALLENGE_CAMERA, project
-from vitac.envs.tasks.fidelity import Fidelity
+from vitac.envs.tasks.settings import Fidelity
 from vitac.evaluator.scoring.comparison import mcnemar_p_value
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.tracks import find_task

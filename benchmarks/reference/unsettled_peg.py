@@ -25,10 +25,8 @@ from vitac.envs.fem.model.settings import CutOffSolverSettings, SolverSettings
 from vitac.envs.fem.scene.scene import StepStatus
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, Stopwatch
-from vitac.envs.tasks.insertion.offset import PegOffset
-from vitac.envs.tasks.peg_insertion.scene import PegScene
-from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
-from vitac.envs.tasks.peg_insertion.variation import PegStart
+from vitac.envs.tasks.insertion.interface import PegOffset
+from vitac.envs.tasks.peg_insertion.scene import PegInsertionSettings, PegScene, PegStart
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from physics_report.figures import outcomes

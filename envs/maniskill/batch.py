@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import VitacError
-from ..tasks.options import RNG_SEED
-from ..tasks.settings import read_task_settings
+from ..tasks.settings import RNG_SEED, read_task_settings
 from .definition import PREFIX, ManiSkillSettings, catalogue
 from .env import ManiSkillEnv, made
 

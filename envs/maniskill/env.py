@@ -21,10 +21,8 @@ from numpy.typing import NDArray
 
 from ..errors import VitacError
 from ..extras import install_command
-from ..tasks.definition import chosen_observables
-from ..tasks.ending import EndReason
-from ..tasks.options import RNG_SEED, refuse_unknown, seeded_generator
-from ..tasks.settings import read_task_settings
+from ..tasks.definition import EndReason, chosen_observables
+from ..tasks.settings import RNG_SEED, read_task_settings, refuse_unknown, seeded_generator
 from .definition import CPU, PREFIX, ManiSkillSettings, catalogue, find_definition, needs_driver
 from .driver import has_cuda, has_driver, replace_materials
 from .state import StateReader, flattened, unbatched

@@ -13,7 +13,7 @@ from ..fem.contact.forces import PairForces
 from ..scene.gripper import SENSOR_COUNT
 from ..scene.perspective import Perspective
 from ..tactile.markers import SensingSurface
-from ..tasks.ending import LARGEST_SURFACE_DIFF_M
+from ..tasks.definition import LARGEST_SURFACE_DIFF_M
 from ..tasks.registry import task_definitions
 from .container import Changes, PlaybackTooLarge, pack, whole_numbers
 

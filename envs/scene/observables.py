@@ -1,7 +1,6 @@
-"""What can be observed of any grasped scene, where the held part really is among it; light to import."""
+"""Observables of the parts that scenes are composed of; a task lists those that its policies see."""
 
 from enum import StrEnum
-from math import atan2, hypot
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -9,32 +8,12 @@ from numpy.typing import NDArray
 
 from ..observable import Observable
 from ..tactile.gel import MARKER_COUNT, SENSING_NODES
+from .measured_pose import held_pose_mm_deg
 
 if TYPE_CHECKING:
     from .grasped_scene import GraspedScene
 
 FloatArray = NDArray[np.float64]
-
-
-def held_pose_mm_deg(grasped: "GraspedScene") -> FloatArray:
-    """Return where the held part is: its own origin (x, y, z) and its roll, pitch and yaw [mm, deg], shape [6].
-
-    The turns are made about the world's axes: about x, then y, then z.
-    """
-    rest_m = grasped.held.mesh.vertices_m
-    turned, moved_m = rigid_fit(rest_m, grasped.held_vertices_m(np.arange(len(rest_m))))
-    roll = atan2(turned[2, 1], turned[2, 2])
-    pitch = atan2(-turned[2, 0], hypot(turned[2, 1], turned[2, 2]))
-    yaw = atan2(turned[1, 0], turned[0, 0])
-    return np.concatenate([moved_m * 1e3, np.degrees([roll, pitch, yaw])])
-
-
-def rigid_fit(rest_m: FloatArray, world_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the rotation and the translation [m] that bring points nearest to where they are (Kabsch 1976)."""
-    rest_middle_m, middle_m = rest_m.mean(axis=0), world_m.mean(axis=0)
-    left, _, right = np.linalg.svd((world_m - middle_m).T @ (rest_m - rest_middle_m))
-    rotation = (left * [1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    return rotation, middle_m - rotation @ rest_middle_m
 
 
 class HasGrasp(Protocol):

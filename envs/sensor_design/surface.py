@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from math import dist, hypot
 
 import numpy as np
 from numpy.typing import NDArray
@@ -265,15 +264,16 @@ def _divided_at_t_junctions(vertices_mm: FloatArray, triangles: IndexArray, heig
     def is_low(face: tuple[int, int, int]) -> bool:
         a, b, c = (points[corner] for corner in face)
         (ux, uy, uz), (vx, vy, vz) = ([to - at for to, at in zip(end, a, strict=True)] for end in (b, c))
-        area = hypot(uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)
-        return area <= height_mm * max(dist(a, b), dist(b, c), dist(c, a))
+        n = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        longest = max(_squared_mm2(a, b), _squared_mm2(b, c), _squared_mm2(c, a))
+        return bool(sum(along * along for along in n) <= height_mm * height_mm * longest)
 
     waiting = deque(sorted(low))
     while waiting:
         number = waiting.popleft()
         if number not in low:
             continue
-        a, b = max(_edges_of(faces[number]), key=lambda edge: dist(points[edge[0]], points[edge[1]]))
+        a, b = max(_edges_of(faces[number]), key=lambda edge: _squared_mm2(points[edge[0]], points[edge[1]]))
         neighbour = owner.get((b, a))
         if neighbour is None:
             continue
@@ -291,6 +291,10 @@ def _divided_at_t_junctions(vertices_mm: FloatArray, triangles: IndexArray, heig
         around = {owner.get((q, p)) for face in flipped.values() for p, q in _edges_of(face)}
         waiting.extend(sorted(n for n in around if n in low))
     return np.array(faces, dtype=np.int64)
+
+
+def _squared_mm2(first: list[float], second: list[float]) -> float:
+    return sum((b - a) * (b - a) for a, b in zip(first, second, strict=True))
 
 
 def _edges_of(face: tuple[int, int, int]) -> Iterator[tuple[int, int]]:

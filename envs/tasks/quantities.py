@@ -1,13 +1,16 @@
-"""Quantities that may differ from episode to episode, drawn from ranges that a track file states; light to import.
+"""Quantities that differ from episode to episode: published training ranges, or those that a track file names.
 
-Each task lists its own and those that all tasks have. A policy never sees what was drawn.
+Each task lists its own and those that all tasks have; a policy never sees what was drawn. Light to import.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from enum import StrEnum
+from typing import Any, TypeVar
 
-from .settings import SettingsError, nearest
+import numpy as np
+
+from .settings import SettingsError, nearest, require
 
 Draws = Mapping[str, tuple[float, float]]
 """Lowest and highest value of quantities by name; each is drawn uniformly."""
@@ -25,7 +28,7 @@ class Quantity:
         nominal: value in the 2025 evaluation; success is plotted against the distance from it where both sides are
             equally hard.
         two_sided: whether both sides of the nominal value are equally hard.
-        apply: gives the settings of a task with this value.
+        apply: gives the settings of a task with this value; those with the setting of the same name by default.
     """
 
     name: str
@@ -33,7 +36,7 @@ class Quantity:
     meaning: str
     range: tuple[float, float]
     nominal: float
-    apply: Callable[[Any, float], Any]
+    apply: Callable[[Any, float], Any] | None = None
     two_sided: bool = False
 
     @property
@@ -92,6 +95,18 @@ def check_draws(env_id: str, draws: Mapping[str, Sequence[float]], known: Sequen
     return {name: (float(draws[name][0]), float(draws[name][1])) for name in draws}
 
 
+def check_quantities(settings: Any, quantities: Sequence[Quantity]) -> None:
+    """Refuse settings outside of the ranges of the quantities with their names.
+
+    Raises:
+        SettingsError: one is.
+    """
+    for quantity in quantities:
+        (low, high), value = quantity.range, getattr(settings, quantity.name)
+        unit = {"1": "", "degree": " degrees"}.get(quantity.unit, f" {quantity.unit}")
+        require(low <= value <= high, quantity.name, value, f"{low:g} to {high:g}{unit}")
+
+
 TOUCH_QUANTITIES = (
     Quantity(
         name="gel_modulus_kpa",
@@ -107,7 +122,6 @@ TOUCH_QUANTITIES = (
         meaning="Indentation of each gel",
         range=(0.3, 1.5),
         nominal=0.875,
-        apply=setting("indentation_mm"),
     ),
     Quantity(
         name="gel_friction",
@@ -169,3 +183,65 @@ TOUCH_QUANTITIES = (
     ),
 )
 """Quantities of every task with two tactile sensors."""
+
+
+SettingsT = TypeVar("SettingsT")
+
+Ranges = Mapping[str, tuple[float, float]]
+"""Lowest and highest value of settings, in the order of the draws; those of the physics as `physics.name`."""
+
+
+class Randomization(StrEnum):
+    """Which settings differ from episode to episode."""
+
+    NONE = "none"
+    """None do; every episode has those that the environment was made with."""
+    CHALLENGE = "challenge"
+    """Draw every quantity that has a published training range from it (challenge-facts 3)."""
+
+
+def find_randomization(value: str) -> Randomization:
+    """Return the randomization that an argument names.
+
+    Raises:
+        SettingsError: it names none.
+    """
+    try:
+        return Randomization(value)
+    except ValueError:
+        expected = ", ".join(Randomization)
+        raise SettingsError(f"Argument 'randomization' is {value!r}, expected one of {expected}.") from None
+
+
+def drawn_settings(settings: SettingsT, ranges: Ranges, random: np.random.Generator) -> SettingsT:
+    """Return the settings with those that have a range drawn from it, uniformly, in the order of the ranges."""
+    own: dict[str, Any] = {}
+    physics: dict[str, Any] = {}
+    for name, (low, high) in ranges.items():
+        group, _, field = name.rpartition(".")
+        (physics if group else own)[field] = float(random.uniform(low, high))
+    if physics:
+        own["physics"] = replace(settings.physics, **physics)  # type: ignore[attr-defined]
+    return replace(settings, **own)  # type: ignore[type-var]
+
+
+def draw_quantities(draws: Draws, random: np.random.Generator) -> dict[str, float]:
+    """Draw every quantity uniformly from its range; nothing is drawn where there are no ranges.
+
+    Each has a generator of its own, seeded by its name and by one child of the episode's generator. So another quantity
+    or range leaves the others as they are, and the numbers of starts and markers too.
+    """
+    if not draws:
+        return {}
+    seed = int(random.spawn(1)[0].integers(2**63))
+    parts = {name: np.random.default_rng((seed, *name.encode())).random() for name in draws}
+    return {name: float(f"{low + (high - low) * parts[name]:.6g}") for name, (low, high) in draws.items()}
+
+
+def with_quantities(settings: SettingsT, quantities: Sequence[Quantity], drawn: Mapping[str, float]) -> SettingsT:
+    """Return the settings of a task with these values of its quantities."""
+    for quantity in quantities:
+        if quantity.name in drawn:
+            apply = quantity.apply or setting(quantity.name)
+            settings = apply(settings, drawn[quantity.name])
+    return settings

@@ -25,14 +25,28 @@ from ..observable import Observable
 from ..scene.grasped_scene import Clocks, GraspedScene, Stopwatch
 from ..tactile.design import SensorDesign
 from ..vision.still import StillCamera
-from .contact_model import with_contact_model
-from .definition import TaskDefinition, append_tables, chosen_observables
-from .ending import EndReason, Flags
-from .fidelity import Fidelity, find_fidelity, with_fidelity
-from .options import RNG_SEED, chosen_shapes, refuse_unknown, seeded_generator
-from .quantities import check_draws
-from .randomization import Randomization, Ranges, draw_quantities, drawn_settings, find_randomization, with_quantities
-from .settings import read_task_settings, require
+from .definition import EndReason, Flags, TaskDefinition, append_tables, chosen_observables
+from .quantities import (
+    Randomization,
+    Ranges,
+    check_draws,
+    draw_quantities,
+    drawn_settings,
+    find_randomization,
+    with_quantities,
+)
+from .settings import (
+    RNG_SEED,
+    Fidelity,
+    chosen_shapes,
+    find_fidelity,
+    read_task_settings,
+    refuse_unknown,
+    require,
+    seeded_generator,
+    with_contact_model,
+    with_fidelity,
+)
 from .snapshot import EpisodeSnapshot, Generators
 
 FloatArray = NDArray[np.float64]

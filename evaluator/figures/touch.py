@@ -11,7 +11,7 @@ from .figures import Row, SensitivityMap, TouchFigures, rounded
 
 if TYPE_CHECKING:
     from vitac.envs.tactile.design import SensorDesign
-    from vitac.envs.tactile.sensor import Response
+    from vitac.envs.tactile.response import Response
 
 FloatArray = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ def touch_figures(design: "SensorDesign", *, youngs_modulus_pa: float, poisson_r
         youngs_modulus_pa: of the gel [Pa].
         poisson_ratio: of the gel.
     """
-    from vitac.envs.tactile.sensor import compute_response
+    from vitac.envs.tactile.response import compute_response
 
     response = compute_response(design, youngs_modulus_pa=youngs_modulus_pa, poisson_ratio=poisson_ratio)
     x_mm, y_mm = _line(_HALF_X_MM), _line(_HALF_Y_MM)

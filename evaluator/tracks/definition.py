@@ -14,9 +14,9 @@ from vitac.envs.errors import VitacError
 from vitac.envs.maniskill.definition import find_definition, is_maniskill
 from vitac.envs.observable import Observable
 from vitac.envs.tasks.definition import ActionComponent, Family, TaskDefinition
-from vitac.envs.tasks.fidelity import FIDELITY, Fidelity
 from vitac.envs.tasks.quantities import Quantity, check_draws
 from vitac.envs.tasks.registry import task_definitions
+from vitac.envs.tasks.settings import FIDELITY, Fidelity
 
 from ..package_sets import PackageSet
 from ..ranking import DEFAULT_RANKING, Ranking, make_ranking

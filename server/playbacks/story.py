@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from vitac.envs.drawing.drawable import NotDrawable, find_perspective
 from vitac.envs.scene.perspective import Perspective
-from vitac.envs.tasks.ending import LARGEST_SURFACE_DIFF_M
+from vitac.envs.tasks.definition import LARGEST_SURFACE_DIFF_M
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, counted_env_steps
 
 from ..views.playbacks import StoryMomentView

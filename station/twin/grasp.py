@@ -13,22 +13,20 @@ from vitac.envs.geometry.bases import RIM_MM
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, PhysicsSettings, Stopwatch
 from vitac.envs.scene.gripper import GripperPose
-from vitac.envs.tasks.fusion_insertion.scene import FusionScene
-from vitac.envs.tasks.fusion_insertion.settings import FusionInsertionSettings
-from vitac.envs.tasks.fusion_insertion.variation import START_GAP_MM as FUSION_GAP_MM
-from vitac.envs.tasks.fusion_insertion.variation import (
+from vitac.envs.tasks.fusion_insertion.scene import START_GAP_MM as FUSION_GAP_MM
+from vitac.envs.tasks.fusion_insertion.scene import (
     Z_TARGET_MM,
+    FusionInsertionSettings,
     FusionOffset,
+    FusionScene,
     FusionShape,
     FusionStart,
     RigVariation,
     Target,
 )
-from vitac.envs.tasks.insertion.offset import PegOffset
+from vitac.envs.tasks.insertion.interface import PegOffset
 from vitac.envs.tasks.insertion.scene import InsertionScene
-from vitac.envs.tasks.peg_insertion.scene import START_GAP_MM, PegScene
-from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
-from vitac.envs.tasks.peg_insertion.variation import PegStart
+from vitac.envs.tasks.peg_insertion.scene import START_GAP_MM, PegInsertionSettings, PegScene, PegStart
 from vitac.envs.vision.camera import Sight
 from vitac.envs.vision.pinhole import RigShift
 

@@ -10,8 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 import vitac.envs
-from vitac.envs.tasks.making import NumericInfos
-from vitac.envs.tasks.vector_env import ForkedVectorEnv
+from vitac.envs.tasks.making import ForkedVectorEnv, NumericInfos
 
 ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
 WAYS: dict[str, Callable[[Any], Any]] = {

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vitac.envs.tasks.contact_model import with_contact_model
 from vitac.envs.tasks.definition import Family
+from vitac.envs.tasks.settings import with_contact_model
 from vitac.evaluator.episodes.episode import json_info, make_environment
 from vitac.evaluator.episodes.records import canonical_json
 from vitac.evaluator.logs.log import MAX_INFO_BYTES, MAX_INFO_VALUES, count_values

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 import vitac.envs
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
-from vitac.envs.tasks.making import NumericInfos
+from vitac.envs.tasks.making import ForkedVectorEnv, NumericInfos
 from vitac.envs.tasks.task_env import ActionError
-from vitac.envs.tasks.vector_env import ForkedVectorEnv
 
 ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
 KINDS = {"sync": SyncVectorEnv, "async": AsyncVectorEnv, None: ForkedVectorEnv}

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.errors import VitacError
-from vitac.envs.scene.observables import held_pose_mm_deg
+from vitac.envs.scene.measured_pose import held_pose_mm_deg
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.tracks import Task
 

@@ -1,23 +1,25 @@
-"""The fusion task as others need to know it: actions, observables and where its parts lie."""
+"""The fusion task as others need to know it: actions, observables, how it is drawn; light to import."""
 
 from typing import Protocol
 
 import numpy as np
 
+from ...geometry.bases import RIM_MM
 from ...observable import Observable
 from ...scene.observables import CONTACT_FORCES, MEASURED_POSE, SURFACE_POINTS, played_shape
 from ...vision.observables import DEPTH_PICTURE, OBJECT_POINT_CLOUD, POINT_CLOUD, RGB_IMAGES, RGB_PICTURE
 from ...vision.stereo.method import METHOD
-from ..definition import ActionComponent, TaskDefinition
+from ..definition import SURFACE_DIFF, ActionComponent, TaskDefinition
 from ..insertion.interface import (
     INSERTION_QUANTITIES,
     MARKER_FLOW,
     PEG_HEIGHT,
     gt_offset,
     horizontal_actions,
+    insertion_perspective,
     relative_motion,
+    section_from_above,
 )
-from ..measures import SURFACE_DIFF
 from ..quantities import Quantity, setting
 
 
@@ -84,14 +86,13 @@ LOOK_QUANTITIES = (
     ),
 )
 
-CAMERA_QUANTITIES = (
+CAMERA_QUANTITIES = PICTURE_DELAY, CAMERA_X, CAMERA_Z, CAMERA_TURN = (
     Quantity(
         name="picture_delay",
         unit="1",
         meaning="Part of an env step by which pictures lag behind",
         range=(0.0, 1.0),
         nominal=0.0,
-        apply=setting("picture_delay"),
     ),
     Quantity(
         name="camera_x_mm",
@@ -100,7 +101,6 @@ CAMERA_QUANTITIES = (
         range=(-20.0, 20.0),
         nominal=0.0,
         two_sided=True,
-        apply=setting("camera_x_mm"),
     ),
     Quantity(
         name="camera_z_mm",
@@ -109,7 +109,6 @@ CAMERA_QUANTITIES = (
         range=(-20.0, 20.0),
         nominal=0.0,
         two_sided=True,
-        apply=setting("camera_z_mm"),
     ),
     Quantity(
         name="camera_turn_deg",
@@ -118,7 +117,6 @@ CAMERA_QUANTITIES = (
         range=(-3.0, 3.0),
         nominal=0.0,
         two_sided=True,
-        apply=setting("camera_turn_deg"),
     ),
 )
 
@@ -146,8 +144,21 @@ TASK = TaskDefinition(
     optional_observables=(RGB_IMAGES,),
     measures=(SURFACE_DIFF, PEG_HEIGHT),
     methods=(METHOD,),
-    perspective="vitac.envs.tasks.fusion_insertion.perspective:PERSPECTIVE",
-    guided_motion="vitac.envs.tasks.fusion_insertion.guided_motion:guide_to_the_hole",
+    perspective="vitac.envs.tasks.fusion_insertion.definition:PERSPECTIVE",
+    guided_motion="vitac.envs.tasks.fusion_insertion.env:guide_to_the_hole",
     quantities=(*INSERTION_QUANTITIES, *LOOK_QUANTITIES, *CAMERA_QUANTITIES),
     info_lengths={PEG_HEIGHT.name: 6},
+)
+
+
+PERSPECTIVE = insertion_perspective(
+    fixed_name="base",
+    section=section_from_above(
+        "holes and peg from above",
+        peg_z_m=40e-3,
+        fixed_z_m=RIM_MM * 1e-3 - 0.1e-3,
+        limits_mm=((-52.0, 52.0), (-25.0, 70.0)),
+    ),
+    title="peg above rim [mm]",
+    depth_mm=1.0,
 )

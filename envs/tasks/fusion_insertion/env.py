@@ -1,27 +1,95 @@
 """`ViTac/FusionInsertion-v1`: see which hole fits the peg, go there, and insert it by touch."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import radians
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...fem.model.mesh import SurfaceMesh
+from ...geometry.bases import (
+    HEXAGON_HOLE_Y_MM,
+    RIM_MM,
+)
+from ...scene.perspective import ActionArray, longest_action
 from ...vision.observables import OBJECT_POINT_CLOUD
-from ...vision.pinhole import RigShift
-from ..ending import Flags
-from ..insertion.env import InsertionEnv
-from ..insertion.settings import training_ranges
-from ..randomization import drawn_settings
+from ...vision.pinhole import NOMINAL, RigShift
+from ..definition import Flags
+from ..insertion.env import InsertionEnv, way_to_the_hole
+from ..insertion.interface import is_beyond
+from ..insertion.scene import InsertionState, compute_flags, training_ranges
+from ..quantities import drawn_settings
+from ..settings import choice, numbers, refusal
 from ..task_env import Info, Observation
 from .definition import TASK
-from .info import SeenObjects
-from .meshes import base_mesh, peg_mesh
-from .scene import FusionScene
-from .settings import FusionInsertionSettings
-from .task import judge_flags
-from .variation import SHAPE, START, FusionShape, Target, choose_rig, choose_start
+from .scene import (
+    Z_TARGET_MM,
+    FusionInsertionSettings,
+    FusionOffset,
+    FusionScene,
+    FusionShape,
+    FusionStart,
+    RigVariation,
+    Target,
+    base_mesh,
+    peg_mesh,
+)
+
+ENV_ID = TASK.env_id
+START = "start"
+SHAPE = "shape"
+
+
+# The task's own limits of the commanded offset; z is measured from the rim's height.
+LARGEST_X_MM = 12.0
+LARGEST_Y_MM = 30.0
+LARGEST_THETA_DEG = 20.0
+LARGEST_Z_MM = 15.0
+_START_Y_MM = HEXAGON_HOLE_Y_MM / 2.0
+
+
+# A start may lie so far from the middle between the holes that its offset is still allowed.
+_LARGEST_START_Y_MM = LARGEST_Y_MM - _START_Y_MM
+_LARGEST_START_Z_MM = LARGEST_Z_MM + Z_TARGET_MM
+
+
+# Only a peg in the right hole is as near as this to it.
+SUCCESS_XY_MM = 6.0
+SUCCESS_THETA_DEG = 10.0
+
+
+def judge_flags(state: InsertionState[FusionOffset], *, max_steps: int, insertion_depth_mm: float) -> Flags:
+    """Return the flags of an env step; success asks for depth, for the right hole, and for no flag."""
+    reached = state.is_deeper_than(insertion_depth_mm) and _is_at_target(state.offset)
+    return compute_flags(state, max_steps=max_steps, left_range=_left_range(state.offset), reached=reached)
+
+
+def _left_range(offset: FusionOffset) -> bool:
+    """Return whether an offset is beyond a limit; its z is compared with the rim's height, as the challenge does."""
+    return (
+        is_beyond(offset.x_mm, LARGEST_X_MM)
+        or is_beyond(offset.y_mm, LARGEST_Y_MM)
+        or is_beyond(offset.theta_deg, LARGEST_THETA_DEG)
+        or is_beyond(offset.z_mm - RIM_MM, LARGEST_Z_MM)
+    )
+
+
+def _is_at_target(offset: FusionOffset) -> bool:
+    near = abs(offset.x_mm) < SUCCESS_XY_MM and abs(offset.y_mm) < SUCCESS_XY_MM
+    return near and abs(offset.theta_deg) < SUCCESS_THETA_DEG
+
+
+class SeenObjects(TypedDict):
+    """What the rig saw, after the challenge's entries; only where `object_point_cloud` is observed.
+
+    Attributes:
+        peg_seen: a pixel of the peg has a depth; otherwise its cloud is zeros.
+        base_seen: the same of the base.
+    """
+
+    peg_seen: bool
+    base_seen: bool
 
 
 class FusionInsertionEnv(InsertionEnv[FusionScene, FusionInsertionSettings]):
@@ -120,3 +188,101 @@ class FusionInsertionEnv(InsertionEnv[FusionScene, FusionInsertionSettings]):
         objects = self.task_scene.sight().objects
         seen: SeenObjects = {"peg_seen": objects.peg_seen, "base_seen": objects.base_seen}
         return {**seen}
+
+
+_HOVER_MM = 0.6
+_DEPTH_MM = 2.0
+_CLOSE = 1e-3
+# Offset z at which the peg's lower end is as high as the rim.
+_RIM_OFFSET_MM = 9.5
+
+
+def guide_to_the_hole(_: Observation, info: Info) -> ActionArray:
+    """Take the offset away while hovering, then descend; the gripper's own axes turn with it."""
+    *horizontal, z_mm = info["gt_offset_mm_deg"].tolist()
+    there = max(abs(value) for value in horizontal) < _CLOSE
+    height_mm = -_DEPTH_MM if there else _HOVER_MM
+    way = (*way_to_the_hole(horizontal), _RIM_OFFSET_MM + height_mm - z_mm)
+    return longest_action(np.array(way), np.array(TASK.action_scale))
+
+
+def choose_rig(
+    random: np.random.Generator, *, turn_rad: float, offset_m: float, placed: RigShift = NOMINAL
+) -> RigVariation:
+    """Draw the rig of an episode: four numbers, also where it is not shifted, and the noise from a child generator.
+
+    The child leaves the numbers that the markers get as they are.
+
+    Args:
+        random: the episode's generator.
+        turn_rad: largest turn either way [rad].
+        offset_m: largest offset either way along every axis [m].
+        placed: where it stands before that.
+    """
+    turn, x, y, z = random.uniform(-1.0, 1.0, 4).tolist()
+    (noise,) = random.spawn(1)
+    return RigVariation(
+        shift=RigShift(
+            turn_rad=placed.turn_rad + turn * turn_rad,
+            offset_m=tuple(at + part * offset_m for at, part in zip(placed.offset_m, (x, y, z), strict=True)),
+        ),
+        noise_seed=int(noise.integers(2**63)),
+    )
+
+
+def choose_start(
+    options: dict[str, Any],
+    random: np.random.Generator,
+    *,
+    shapes: Sequence[FusionShape] = tuple(FusionShape),
+    xy_mm: float,
+    theta_deg: float,
+    z_mm: tuple[float, ...],
+) -> FusionStart:
+    """Return the start given by the options, or draw one: x, y, theta, z, and then the side.
+
+    Args:
+        options: may hold `start`: x and y from the middle between the holes [mm], theta [deg], z above the lowest
+            start [mm], and 1 for left or 0 for right; and `shape`, which must then be that of the side, or else fixes
+            the side of a drawn start.
+        random: the episode's generator.
+        shapes: that may be drawn.
+        xy_mm: largest |x| and |y| of a drawn start.
+        theta_deg: largest |theta| of a drawn start.
+        z_mm: smallest and largest z of a drawn start.
+
+    Raises:
+        ResetOptionsError: the option is no usable start.
+    """
+    wanted = options.get(START)
+    shape = None if options.get(SHAPE) is None else choice(ENV_ID, SHAPE, options[SHAPE], FusionShape)
+    if wanted is not None:
+        return _given(wanted, shape)
+    x, y, theta = random.uniform(-1.0, 1.0, 3).tolist()
+    z = random.uniform(z_mm[0], z_mm[1])
+    side = Target.LEFT if random.random() < 0.5 else Target.RIGHT
+    if shape is None and side.shape not in shapes:
+        (shape,) = shapes
+    target = side if shape is None else Target.from_shape(shape)
+    return _placed((x * xy_mm, y * xy_mm, theta * theta_deg, z), target)
+
+
+def _given(value: Any, shape: FusionShape | None) -> FusionStart:
+    expected = (
+        f"expected (x mm, y mm, theta deg, z mm, left 1 or right 0) with |x| of at most {LARGEST_X_MM:g}, |y| of at "
+        f"most {_LARGEST_START_Y_MM:g}, |theta| of at most {LARGEST_THETA_DEG:g}, z of 0 to {_LARGEST_START_Z_MM:g}"
+    )
+    x, y, theta, z, left = numbers(ENV_ID, START, value, 5, expected)
+    inside = abs(x) <= LARGEST_X_MM and abs(y) <= _LARGEST_START_Y_MM and abs(theta) <= LARGEST_THETA_DEG
+    if not (inside and 0.0 <= z <= _LARGEST_START_Z_MM and left in (0.0, 1.0)):
+        raise refusal(ENV_ID, START, value, expected)
+    target = Target.LEFT if left else Target.RIGHT
+    if shape is not None and target is not Target.from_shape(shape):
+        raise refusal(ENV_ID, SHAPE, shape.value, f"expected {target.shape}, which is the peg of the start's side")
+    return _placed((x, y, theta, z), target)
+
+
+def _placed(start: Sequence[float], target: Target) -> FusionStart:
+    x, y, theta, z = start
+    offset = FusionOffset(x_mm=x, y_mm=y + _START_Y_MM - target.y_mm, theta_deg=theta, z_mm=z + RIM_MM - Z_TARGET_MM)
+    return FusionStart(offset=offset, target=target)

@@ -1,21 +1,217 @@
-"""Scene of the fusion task: a peg held by two gels above a base with two holes, and the rig (challenge-facts 2.3)."""
+"""Scene of the fusion task: settings, parts, a peg held by two gels above a base with two holes, and the rig."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import Meshes
-from ...geometry.bases import RIM_MM
-from ...scene.grasped_scene import Clocks, fixed_at_origin
+from ...errors import VitacError
+from ...fem.model.mesh import SurfaceMesh
+from ...geometry.bases import (
+    HEXAGON_HOLE_Y_MM,
+    LARGEST_CLEARANCE_MM,
+    OFFICIAL_CLEARANCE_MM,
+    RIM_MM,
+    base_surface,
+    hexagon_bottom_vertices,
+    hexagon_peg_surface,
+)
+from ...geometry.pegs import PegShape, bottom_vertices, peg_surface
+from ...scene.grasped_scene import Clocks, PhysicsSettings, fixed_at_origin
+from ...tactile.markers import MarkerSettings
 from ...vision.camera import DepthMode, RigCamera, Sight
-from ...vision.look import draw_clutter
-from ...vision.pinhole import colour_camera_pose
+from ...vision.look import CHALLENGE_LOOK, Look, draw_clutter
+from ...vision.pinhole import RigShift, colour_camera_pose
 from ...vision.rasterizer import Body, Label
-from ..insertion.scene import InsertionScene, Parts
-from .meshes import base_mesh, peg_bottom, peg_mesh
-from .settings import FusionInsertionSettings
-from .variation import START_GAP_MM, Z_TARGET_MM, FusionOffset, FusionShape, FusionStart, RigVariation, Target
+from ..insertion.interface import GRIPPER_X, GRIPPER_Z, PegOffset
+from ..insertion.scene import InsertionScene, Parts, check_friction, check_settings
+from ..quantities import check_quantities
+from ..settings import require
+from .definition import CAMERA_QUANTITIES, CAMERA_TURN, CAMERA_X, CAMERA_Z, PICTURE_DELAY, TASK
+
+
+@dataclass(frozen=True, kw_only=True)
+class FusionInsertionSettings:
+    """What the task leaves open; lengths in mm and angles in degrees are the challenge's own interface.
+
+    Attributes:
+        max_steps: env steps after which an episode is cut off.
+        action_scale_mm_deg: motion at an action of 1: x [mm], y [mm], theta [deg], z [mm].
+        step_penalty: P in the reward.
+        final_reward: reward of success.
+        insertion_depth_mm: how deep all of the peg's lower end must be below the rim.
+        indentation_mm: how far each gel is pressed into the peg.
+        gripper_x_mm: grasp centre along the peg's x axis.
+        gripper_z_mm: grasp centre above the peg's upper end.
+        peg_friction: friction coefficient of the peg.
+        base_friction: friction coefficient of the base.
+        clearance_mm: gap between a centred peg and its hole; other bases than the evaluated one are for training.
+        depth_mode: "stereo" as the camera measures depth, which is scored; "gt" for the exact one.
+        look: colours, light and clutter in the pictures.
+        picture_delay: part of an env step by which pictures lag behind, from 0 to 1.
+        camera_x_mm: offset of the rig from its nominal place along the world's x, away from the base.
+        camera_z_mm: the same upwards.
+        camera_turn_deg: turn of the rig about the world's y axis.
+        random_xy_mm: largest |x| and |y| of a random start.
+        random_theta_deg: largest |theta| of a random start.
+        random_z_mm: smallest and largest z of a random start.
+        random_physics: draw friction, indentation and grip for every episode, over the challenge's training ranges
+            and in place of the values above; for training.
+        random_camera_turn_rad: largest turn of the rig either way, drawn for every episode; for training.
+        random_camera_offset_m: largest offset of the rig either way along every axis; for training.
+        physics: materials of the gels and time stepping.
+        markers: ranges of the marker grid.
+    """
+
+    max_steps: int = 50
+    action_scale_mm_deg: tuple[float, ...] = TASK.action_scale
+    step_penalty: float = 0.8
+    final_reward: float = 50.0
+    insertion_depth_mm: float = 1.0
+    indentation_mm: float = 0.875
+    gripper_x_mm: float = GRIPPER_X.nominal
+    gripper_z_mm: float = GRIPPER_Z.nominal
+    peg_friction: float = 9.5
+    base_friction: float = 0.5
+    clearance_mm: float = OFFICIAL_CLEARANCE_MM
+    depth_mode: str = DepthMode.STEREO.value
+    look: Look = CHALLENGE_LOOK
+    picture_delay: float = PICTURE_DELAY.nominal
+    camera_x_mm: float = CAMERA_X.nominal
+    camera_z_mm: float = CAMERA_Z.nominal
+    camera_turn_deg: float = CAMERA_TURN.nominal
+    random_xy_mm: float = 5.0
+    random_theta_deg: float = 10.0
+    random_z_mm: tuple[float, ...] = (3.0, 9.0)
+    random_physics: bool = False
+    random_camera_turn_rad: float = 0.0
+    random_camera_offset_m: float = 0.0
+    physics: PhysicsSettings = field(default_factory=PhysicsSettings)
+    markers: MarkerSettings = field(default_factory=MarkerSettings)
+
+    def __post_init__(self) -> None:
+        check_settings(self, action_numbers=len(TASK.actions))
+        check_friction("base_friction", self.base_friction)
+        depth, clearance = self.insertion_depth_mm, self.clearance_mm
+        require(0 < depth <= 12, "insertion_depth_mm", depth, "0 to 12 mm, less than the hole's depth")
+        require(0 < clearance < LARGEST_CLEARANCE_MM, "clearance_mm", clearance, "more than 0 and less than 7.5 mm")
+        require(self.depth_mode in set(DepthMode), "depth_mode", self.depth_mode, f"one of {', '.join(DepthMode)}")
+        check_quantities(self, CAMERA_QUANTITIES)
+        self._check_random_ranges()
+
+    def _check_random_ranges(self) -> None:
+        require(0 <= self.random_xy_mm <= 7, "random_xy_mm", self.random_xy_mm, "0 to 7 mm")
+        require(0 <= self.random_theta_deg <= 20, "random_theta_deg", self.random_theta_deg, "0 to 20 degrees")
+        z = self.random_z_mm
+        require(len(z) == 2 and 0 <= z[0] <= z[1] <= 20, "random_z_mm", z, "two numbers of 0 to 20 mm, rising")
+        turn, offset = self.random_camera_turn_rad, self.random_camera_offset_m
+        require(0 <= turn <= 0.1, "random_camera_turn_rad", turn, "0 to 0.1 rad")
+        require(0 <= offset <= 0.05, "random_camera_offset_m", offset, "0 to 0.05 m")
+
+
+# Height of the peg's lower end above the rim at z = 0.
+START_GAP_MM = 1.0
+# What the challenge takes off every height to get an offset [D20].
+Z_TARGET_MM = 6.9
+
+
+class FusionShape(StrEnum):
+    """Which peg is held."""
+
+    HEXAGON = "hexagon"
+    CUBOID = "cuboid"
+
+
+class Target(StrEnum):
+    """Which hole is the right one; it says which peg is held, too."""
+
+    LEFT = "left"  # the hexagonal hole, at larger y
+    RIGHT = "right"  # the rectangular hole, at the origin
+
+    @classmethod
+    def from_shape(cls, shape: FusionShape) -> "Target":
+        """Return the hole that a peg belongs into."""
+        return cls.LEFT if shape is FusionShape.HEXAGON else cls.RIGHT
+
+    @property
+    def shape(self) -> FusionShape:
+        """Peg that belongs into the hole."""
+        return FusionShape.HEXAGON if self is Target.LEFT else FusionShape.CUBOID
+
+    @property
+    def y_mm(self) -> float:
+        """Centre of the hole in the world [mm]."""
+        return HEXAGON_HOLE_Y_MM if self is Target.LEFT else 0.0
+
+    @property
+    def direction(self) -> float:
+        """1 for left, -1 for right, as in the challenge's `gt_direction`."""
+        return 1.0 if self is Target.LEFT else -1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FusionOffset(PegOffset):
+    """Pose of the peg (and the gripper) relative to the right hole.
+
+    Attributes:
+        z_mm: 9.5 where the peg's lower end is as high as the rim [mm].
+    """
+
+    z_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class FusionStart:
+    """Start of an episode: where the peg stands, and which hole is the right one."""
+
+    offset: FusionOffset
+    target: Target
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigVariation:
+    """What differs between the rigs of two episodes.
+
+    Attributes:
+        shift: departure from the nominal pose.
+        noise_seed: seed of the noise in its pictures.
+    """
+
+    shift: RigShift
+    noise_seed: int
+
+
+class BaseElsewhere(VitacError):
+    """The base in the assets folder does not stand where the task expects it; use the one with 2.0 mm of clearance."""
+
+
+def peg_mesh(meshes: Meshes, target: Target) -> SurfaceMesh:
+    """Return the peg for this hole."""
+    if target is Target.LEFT:
+        return meshes.part(hexagon_peg_surface, "peg_in_hole/hexagon_peg.STL")
+    return meshes.part(lambda: peg_surface(PegShape.CUBOID), "peg_in_hole/cuboid_peg.STL")
+
+
+def peg_bottom(peg: SurfaceMesh, target: Target) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":
+    """Find the vertices at the lower corners of a peg, in the order of the logs."""
+    found = hexagon_bottom_vertices(peg) if target is Target.LEFT else bottom_vertices(PegShape.CUBOID, peg)
+    return np.asarray(found, dtype=np.int64)
+
+
+def base_mesh(meshes: Meshes, clearance_mm: float) -> SurfaceMesh:
+    """Return the base with both holes and garages.
+
+    Raises:
+        BaseElsewhere: it was read from a file that has another origin, as the challenge's with 1.0 mm has.
+    """
+    base = meshes.part(lambda: base_surface(clearance_mm), f"peg_in_hole/sim_hole_base_{clearance_mm:.1f}mm.STL")
+    rim_mm = float(base.vertices_m[:, 2].max()) * 1e3
+    if abs(rim_mm - RIM_MM) > 1e-3:
+        raise BaseElsewhere(f"The rim of {base.name} is {rim_mm:.3f} mm high, expected {RIM_MM:g} mm.")
+    return base
+
 
 # Sets the numbers of clutter apart from the noise, whose stream has the number of the env step here.
 _CLUTTER_STREAM = 2**32

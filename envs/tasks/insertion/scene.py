@@ -1,9 +1,9 @@
-"""A peg held upright by two gels above its hole: placing, grasping, driving and measuring it."""
+"""A peg between two upright gels above its hole: settings, offset, motions, and what an env step is judged by."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from math import radians
-from typing import Generic, TypeVar
+from math import isfinite, radians
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,143 @@ from numpy.typing import NDArray
 from ...deterministic_math import sine_cosine
 from ...fem.model.mesh import GelMesh, RigidBody, SurfaceMesh
 from ...geometry.pegs import GRIPPED_WIDTH_MM, PEG_HEIGHT_MM
-from ...scene.grasped_scene import Clocks, GraspedScene
+from ...scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings
 from ...scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose, ipc_steps
 from ...tactile.gel import highest_mm
+from ...tactile.markers import MarkerSettings
 from ...tactile.sensor import TactileSensor
-from .settings import InsertionSettings
-from .state import InsertionState, OffsetT
+from ..definition import Flags, surface_moved_too_far
+from ..quantities import Ranges, check_quantities
+from ..settings import require
+from .interface import GRIPPER_X, PegOffset
+
+OffsetT = TypeVar("OffsetT", bound=PegOffset)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InsertionState(Generic[OffsetT]):
+    """What an env step is judged by.
+
+    Attributes:
+        env_steps: played so far, this one included.
+        offset: commanded offset from the hole.
+        surface_diff_m: of the left and the right sensor [m], shape [2].
+        peg_relative_z_mm: height of each bottom corner of the peg above the rim, measured [mm], shape [n].
+    """
+
+    env_steps: int
+    offset: OffsetT
+    surface_diff_m: NDArray[np.float64]
+    peg_relative_z_mm: NDArray[np.float64]
+
+    def is_deeper_than(self, depth_mm: float) -> bool:
+        """Return whether all of the peg's lower end is further below the rim than this [mm]."""
+        return bool((self.peg_relative_z_mm < -depth_mm).all())
+
+
+def compute_flags(state: InsertionState[OffsetT], *, max_steps: int, left_range: bool, reached: bool) -> Flags:
+    """Return the flags of an env step; the goal counts as reached only where no other flag is raised.
+
+    A large surface motion is such a flag rather than a threshold of its own [D7].
+    """
+    tactile = surface_moved_too_far(state.surface_diff_m)
+    steps = state.env_steps >= max_steps
+    return Flags(
+        tactile_movement_too_large=tactile,
+        too_many_steps=steps,
+        error_too_large=left_range,
+        is_success=reached and not (tactile or steps or left_range),
+    )
+
+
+_WORDS = {3: "three", 4: "four"}
+
+
+class InsertionSettings(Protocol):
+    """Settings of a task that inserts a peg."""
+
+    @property
+    def max_steps(self) -> int:
+        """Env steps after which an episode is cut off."""
+
+    @property
+    def action_scale_mm_deg(self) -> tuple[float, ...]:
+        """Motion at an action of 1: x [mm], y [mm], theta [deg], and z [mm] where the action has it."""
+
+    @property
+    def step_penalty(self) -> float:
+        """P in the reward."""
+
+    @property
+    def final_reward(self) -> float:
+        """Reward of success."""
+
+    @property
+    def indentation_mm(self) -> float:
+        """How far each gel is pressed into the peg."""
+
+    @property
+    def gripper_x_mm(self) -> float:
+        """Grasp centre along the peg's x axis."""
+
+    @property
+    def gripper_z_mm(self) -> float:
+        """Grasp centre above the peg's upper end."""
+
+    @property
+    def peg_friction(self) -> float:
+        """Friction coefficient of the peg."""
+
+    @property
+    def physics(self) -> PhysicsSettings:
+        """Materials of the gels and time stepping."""
+
+    @property
+    def markers(self) -> MarkerSettings:
+        """Ranges of the marker grid."""
+
+
+def training_ranges(fixed_friction: str) -> Ranges:
+    """Return the ranges of the published training (challenge-facts 3).
+
+    Args:
+        fixed_friction: the setting with the friction coefficient of the part with the hole.
+    """
+    return {
+        "physics.gel_friction": (50.0, 125.0),
+        "peg_friction": (4.0, 15.0),
+        fixed_friction: (0.0, 1.0),
+        "indentation_mm": (0.5, 1.25),
+        "gripper_x_mm": (-1.0, 1.0),
+        "gripper_z_mm": (-10.0, -6.0),
+    }
+
+
+def check_settings(settings: InsertionSettings, *, action_numbers: int) -> None:
+    """Refuse settings that no insertion task can be played with.
+
+    Raises:
+        SettingsError: one is out of range.
+    """
+    require(settings.max_steps >= 1, "max_steps", settings.max_steps, "at least 1")
+    scale = settings.action_scale_mm_deg
+    usable = len(scale) == action_numbers and all(isfinite(value) and 0 <= value <= 20 for value in scale)
+    require(usable, "action_scale_mm_deg", scale, f"{_WORDS[action_numbers]} numbers of 0 to 20")
+    indentation_mm = settings.indentation_mm
+    require(0 < indentation_mm <= 2, "indentation_mm", indentation_mm, "0 to 2 mm, half the gel")
+    check_quantities(settings, (GRIPPER_X,))
+    require(-17 <= settings.gripper_z_mm <= 0, "gripper_z_mm", settings.gripper_z_mm, "-17 to 0 mm")
+    check_friction("peg_friction", settings.peg_friction)
+
+
+def check_friction(name: str, value: float) -> None:
+    """Refuse a friction coefficient that is out of range.
+
+    Raises:
+        SettingsError: it is.
+    """
+    require(0 <= value <= 1e3, name, value, "0 to 1000")
+
 
 FloatArray = NDArray[np.float64]
 SettingsT = TypeVar("SettingsT", bound=InsertionSettings)

@@ -1,20 +1,134 @@
 """`ViTac/LockOpening-v1`: align a key in its lock and lift it, holding it between two tactile sensors."""
 
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from typing import Any, ClassVar, TypedDict
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...fem.model.mesh import SurfaceMesh
 from ...geometry.keys_and_locks import KeyShape
-from ..ending import Flags
-from ..task_env import Info, TactileTaskEnv
-from .definition import TASK
-from .info import LockInfo
-from .meshes import key_mesh, lock_mesh
-from .scene import LockScene
-from .settings import TRAINING_RANGES, LockOpeningSettings
-from .task import alignment_error, judge_flags, reward
-from .variation import JITTER, OFFSET, SHAPE, choose_start
+from ...scene.perspective import ActionArray, longest_action
+from ..definition import Flags
+from ..settings import choice, drawn_shape, numbers, refusal
+from ..task_env import Info, Observation, TactileTaskEnv
+from .definition import SUCCESS_Z_RANGE_M, TASK, alignment_error, judge_flags, reward
+from .scene import (
+    TRAINING_RANGES,
+    KeyOffset,
+    LockOpeningSettings,
+    LockScene,
+    LockStart,
+    SensorJitter,
+    key_mesh,
+    lock_mesh,
+)
+
+ENV_ID = TASK.env_id
+SHAPE, OFFSET, JITTER = "shape", "offset_mm", "sensor_jitter_mm"
+
+
+# A start at which the key's tip is clear of the end wall and its shaft and teeth of floor, ceiling and walls.
+X_RANGE_MM = (-1.4, 40.0)
+LARGEST_Y_MM = 0.8
+LARGEST_Z_MM = 0.8
+LARGEST_JITTER_MM = 4.0
+
+
+def choose_start(
+    options: dict[str, Any],
+    random: np.random.Generator,
+    *,
+    shapes: Sequence[KeyShape] = tuple(KeyShape),
+    x_mm: float,
+    jitter_mm: float,
+) -> LockStart:
+    """Return the start given by the options; what they leave open is drawn: key, x, then size and sign of each jitter.
+
+    Args:
+        options: may hold `shape`, `offset_mm` and `sensor_jitter_mm`.
+        random: the episode's generator.
+        shapes: that may be drawn.
+        x_mm: a drawn offset has x from 0 to this, y = z = 0.
+        jitter_mm: largest drawn jitter either way.
+
+    Raises:
+        ResetOptionsError: an option is not a known key or not a usable offset or jitter.
+    """
+    given = options.get(SHAPE)
+    shape = drawn_shape(shapes, random) if given is None else choice(ENV_ID, SHAPE, given, KeyShape)
+    wanted = options.get(OFFSET)
+    offset = KeyOffset(x_mm=x_mm * random.random(), y_mm=0.0, z_mm=0.0) if wanted is None else _offset(wanted)
+    off = options.get(JITTER)
+    jitter = _random_jitter(random, jitter_mm) if off is None else _jitter(off)
+    return LockStart(shape=shape, offset=offset, jitter=jitter)
+
+
+def _random_jitter(random: np.random.Generator, jitter_mm: float) -> SensorJitter:
+    x_mm = _random_sided(random, jitter_mm)
+    return SensorJitter(x_mm=x_mm, z_mm=_random_sided(random, jitter_mm))
+
+
+def _random_sided(random: np.random.Generator, largest: float) -> float:
+    """Return a size from 0 to the largest, then a sign."""
+    size = largest * random.random()
+    return size if random.integers(2) else -size
+
+
+def _offset(value: Any) -> KeyOffset:
+    low, high = X_RANGE_MM
+    expected = (
+        f"expected (x, y, z) in mm with {low:g} <= x <= {high:g}, |y| <= {LARGEST_Y_MM:g}, |z| <= {LARGEST_Z_MM:g}"
+    )
+    x_mm, y_mm, z_mm = numbers(ENV_ID, OFFSET, value, 3, expected)
+    if not (low <= x_mm <= high and abs(y_mm) <= LARGEST_Y_MM and abs(z_mm) <= LARGEST_Z_MM):
+        raise refusal(ENV_ID, OFFSET, value, expected)
+    return KeyOffset(x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
+
+
+def _jitter(value: Any) -> SensorJitter:
+    expected = f"expected (x, z) in mm within {LARGEST_JITTER_MM:g} either way"
+    x_mm, z_mm = numbers(ENV_ID, JITTER, value, 2, expected)
+    if max(abs(x_mm), abs(z_mm)) > LARGEST_JITTER_MM:
+        raise refusal(ENV_ID, JITTER, value, expected)
+    return SensorJitter(x_mm=x_mm, z_mm=z_mm)
+
+
+FloatArray = NDArray[np.float64]
+
+
+class LockInfo(TypedDict):
+    """The challenge's entries, in the order of its logs (challenge-facts 6.4); the base adds how the episode ended.
+
+    Points are in the world [m], each of shape [4, 3].
+
+    Attributes:
+        steps: env steps played so far.
+        key1_pts_m: top corners of the key's rear measured tooth.
+        key2_pts_m: top corners of the front measured tooth.
+        key_side_pts_m: corners of the key's tip.
+        lock1_pts_m: lower corners of the slot for the rear tooth.
+        lock2_pts_m: lower corners of the slot for the front tooth.
+        lock_side_pts_m: corners of the lock's entrance face.
+        surface_diff_m: mean motion of the left and the right sensing surface since the grasp [m], shape [2].
+        tactile_movement_too_large: one of them is more than the task allows.
+        relative_motion_mm: motion of the gripper (x, y, z) since the reset [mm], shape [3].
+        error_too_large: a tooth is far out of place.
+        is_success: the task is solved.
+    """
+
+    steps: int
+    key1_pts_m: FloatArray
+    key2_pts_m: FloatArray
+    key_side_pts_m: FloatArray
+    lock1_pts_m: FloatArray
+    lock2_pts_m: FloatArray
+    lock_side_pts_m: FloatArray
+    surface_diff_m: FloatArray
+    tactile_movement_too_large: bool
+    relative_motion_mm: FloatArray
+    error_too_large: bool
+    is_success: bool
 
 
 class LockOpeningEnv(TactileTaskEnv[LockScene, LockOpeningSettings]):
@@ -89,3 +203,15 @@ class LockOpeningEnv(TactileTaskEnv[LockScene, LockOpeningSettings]):
             "is_success": flags.is_success,
         }
         return {**info}
+
+
+# Above the least height at which the lock opens [mm].
+_LIFT_MARGIN_MM = 0.5
+
+
+def out_and_up(_: Observation, info: Info) -> ActionArray:
+    """Go out until the rear tooth is below its slot, and up into it, at once: the teeth rub along the ceiling."""
+    tooth_m, slot_m = info["key1_pts_m"], info["lock1_pts_m"]
+    inwards_mm = 1e3 * (tooth_m[:, 0].mean() - slot_m[:, 0].mean())
+    down_mm = 1e3 * (tooth_m[:, 2].min() - SUCCESS_Z_RANGE_M[0]) - _LIFT_MARGIN_MM
+    return longest_action(np.array([inwards_mm, down_mm]), np.array(TASK.action_scale))

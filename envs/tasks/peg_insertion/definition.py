@@ -1,21 +1,57 @@
-"""The peg task as others need to know it: actions, observables and where its parts lie."""
+"""The peg task as others need to know it: actions, observables, how it is drawn; light to import."""
 
 from ...scene.observables import CONTACT_FORCES, MEASURED_POSE, SURFACE_POINTS, played_shape
 from ...vision.observables import RGB_IMAGES
-from ..definition import TaskDefinition
+from ..definition import SURFACE_DIFF, TaskDefinition
 from ..insertion.interface import (
     INSERTION_QUANTITIES,
     MARKER_FLOW,
     PEG_HEIGHT,
     gt_offset,
     horizontal_actions,
+    insertion_perspective,
     relative_motion,
+    section_from_above,
 )
-from ..measures import SURFACE_DIFF
-from ..quantities import Quantity, setting
+from ..quantities import Quantity
 
 SUCCESS_DEPTH_MM = 0.3
 """How deep all of the peg's lower end must be below the rim."""
+
+FORM_QUANTITIES = PEG_WIDTH, PEG_TAPER, PEG_BULGE, PEG_SLANT = (
+    Quantity(
+        name="peg_width",
+        unit="1",
+        meaning="Width of the peg over that of its shape",
+        range=(0.5, 1.4),
+        nominal=1.0,
+    ),
+    Quantity(
+        name="peg_taper",
+        unit="1",
+        meaning="Taper of the peg beyond that of its shape",
+        range=(-0.3, 0.3),
+        nominal=0.0,
+        two_sided=True,
+    ),
+    Quantity(
+        name="peg_bulge",
+        unit="1",
+        meaning="Width of the peg's middle third beyond that of its shape",
+        range=(-0.3, 0.3),
+        nominal=0.0,
+        two_sided=True,
+    ),
+    Quantity(
+        name="peg_slant_mm",
+        unit="mm",
+        meaning="Slant of the peg from one gripped face to the other",
+        range=(-4.0, 4.0),
+        nominal=0.0,
+        two_sided=True,
+    ),
+)
+"""What peg and hole are made by, beside the clearance."""
 
 TASK = TaskDefinition(
     env_id="ViTac/PegInsertion-v1",
@@ -32,46 +68,19 @@ TASK = TaskDefinition(
     ),
     optional_observables=(RGB_IMAGES,),
     measures=(SURFACE_DIFF, PEG_HEIGHT),
-    perspective="vitac.envs.tasks.peg_insertion.perspective:PERSPECTIVE",
-    guided_motion="vitac.envs.tasks.peg_insertion.guided_motion:to_the_hole",
-    accepts_start="vitac.envs.tasks.peg_insertion.variation:accepts_start",
-    quantities=(
-        *INSERTION_QUANTITIES,
-        Quantity(
-            name="peg_width",
-            unit="1",
-            meaning="Width of the peg over that of its shape",
-            range=(0.5, 1.4),
-            nominal=1.0,
-            apply=setting("peg_width"),
-        ),
-        Quantity(
-            name="peg_taper",
-            unit="1",
-            meaning="Taper of the peg beyond that of its shape",
-            range=(-0.3, 0.3),
-            nominal=0.0,
-            two_sided=True,
-            apply=setting("peg_taper"),
-        ),
-        Quantity(
-            name="peg_bulge",
-            unit="1",
-            meaning="Width of the peg's middle third beyond that of its shape",
-            range=(-0.3, 0.3),
-            nominal=0.0,
-            two_sided=True,
-            apply=setting("peg_bulge"),
-        ),
-        Quantity(
-            name="peg_slant_mm",
-            unit="mm",
-            meaning="Slant of the peg from one gripped face to the other",
-            range=(-4.0, 4.0),
-            nominal=0.0,
-            two_sided=True,
-            apply=setting("peg_slant_mm"),
-        ),
-    ),
+    perspective="vitac.envs.tasks.peg_insertion.definition:PERSPECTIVE",
+    guided_motion="vitac.envs.tasks.peg_insertion.env:to_the_hole",
+    accepts_start="vitac.envs.tasks.peg_insertion.env:accepts_start",
+    quantities=(*INSERTION_QUANTITIES, *FORM_QUANTITIES),
     info_lengths={PEG_HEIGHT.name: 8},
+)
+
+
+PERSPECTIVE = insertion_perspective(
+    fixed_name="plate",
+    section=section_from_above(
+        "hole and peg from above", peg_z_m=25e-3, fixed_z_m=19.9e-3, limits_mm=((-30.0, 30.0), (-22.5, 22.5))
+    ),
+    title="peg above plate [mm]",
+    depth_mm=SUCCESS_DEPTH_MM,
 )

@@ -1,20 +1,130 @@
 """`ViTac/PegInsertion-v1`: insert a peg that is held between two tactile sensors."""
 
+from collections.abc import Sequence
+from math import radians
 from typing import Any, ClassVar
 
 import numpy as np
 
+from ...deterministic_math import sine_cosine
 from ...fem.model.mesh import SurfaceMesh
-from ...geometry.pegs import PegShape
-from ..ending import Flags
-from ..insertion.env import InsertionEnv
-from ..insertion.settings import training_ranges
-from .definition import TASK
-from .meshes import hole_mesh, peg_mesh
-from .scene import PegScene
-from .settings import PegInsertionSettings
-from .task import judge_flags
-from .variation import OFFSET, SHAPE, choose_start
+from ...geometry.pegs import (
+    CHALLENGE_FORM,
+    PLATE_OUTLINE_MM,
+    PegForm,
+    PegShape,
+    hole_outline_mm,
+    profile_mm,
+)
+from ...geometry.solid import overlaps_plate
+from ...scene.perspective import ActionArray, longest_action
+from ..definition import Flags
+from ..insertion.env import InsertionEnv, way_to_the_hole
+from ..insertion.interface import PegOffset, is_beyond
+from ..insertion.scene import InsertionState, compute_flags, training_ranges
+from ..settings import choice, drawn_shape, numbers, refusal
+from ..task_env import Info, Observation
+from .definition import SUCCESS_DEPTH_MM, TASK
+from .scene import PegInsertionSettings, PegScene, PegStart, hole_mesh, peg_mesh
+
+ENV_ID = TASK.env_id
+SHAPE, OFFSET = "shape", "offset_mm_deg"
+
+
+# The task's own limits of the commanded offset.
+LARGEST_XY_MM = 12.0
+LARGEST_THETA_DEG = 15.0
+
+
+def choose_start(
+    options: dict[str, Any],
+    random: np.random.Generator,
+    *,
+    shapes: Sequence[PegShape] = tuple(PegShape),
+    form: PegForm = CHALLENGE_FORM,
+    xy_mm: float,
+    theta_deg: float,
+) -> PegStart:
+    """Return the start given by the options; what they leave open is drawn: first the shape, then a blocked offset.
+
+    Args:
+        options: may hold `shape` and `offset_mm_deg`.
+        random: the episode's generator.
+        shapes: that may be drawn.
+        form: of peg and hole.
+        xy_mm: largest |x| and |y| of a drawn offset.
+        theta_deg: largest |theta| of a drawn offset.
+
+    Raises:
+        ResetOptionsError: an option is not a known shape or not a usable offset.
+    """
+    given = options.get(SHAPE)
+    shape = drawn_shape(shapes, random) if given is None else choice(ENV_ID, SHAPE, given, PegShape)
+    wanted = options.get(OFFSET)
+    offset = (
+        random_blocked_offset(shape, random, form=form, xy_mm=xy_mm, theta_deg=theta_deg)
+        if wanted is None
+        else _offset(wanted)
+    )
+    return PegStart(shape=shape, offset=offset)
+
+
+def random_blocked_offset(
+    shape: PegShape, random: np.random.Generator, *, form: PegForm = CHALLENGE_FORM, xy_mm: float, theta_deg: float
+) -> PegOffset:
+    """Return a uniform offset (drawn x, y, theta), drawn again until the peg cannot just fall into the hole.
+
+    The 2025 code asks a collision library about the solids; prisms with one axis collide where their profiles do.
+    """
+    while True:
+        x, y, theta = random.uniform(-1.0, 1.0, 3).tolist()
+        offset = PegOffset(x_mm=x * xy_mm, y_mm=y * xy_mm, theta_deg=theta * theta_deg)
+        if is_blocked(shape, offset, form):
+            return offset
+
+
+def accepts_start(shape: str, offset_mm_deg: tuple[float, float, float]) -> bool:
+    """Return whether an episode may start there: the peg must not just fall into the hole."""
+    x_mm, y_mm, theta_deg = offset_mm_deg
+    return is_blocked(PegShape(shape), PegOffset(x_mm=x_mm, y_mm=y_mm, theta_deg=theta_deg))
+
+
+def is_blocked(shape: PegShape, offset: PegOffset, form: PegForm = CHALLENGE_FORM) -> bool:
+    """Return whether the peg's profile at this offset meets the plate's material."""
+    sine, cosine = sine_cosine(radians(offset.theta_deg))
+    x, y = profile_mm(shape, form).T
+    placed = np.column_stack([cosine * x - sine * y + offset.x_mm, sine * x + cosine * y + offset.y_mm])
+    return overlaps_plate(placed, plate=PLATE_OUTLINE_MM, hole=hole_outline_mm(shape, form))
+
+
+def _offset(value: Any) -> PegOffset:
+    expected = (
+        f"expected (x mm, y mm, theta deg) within {LARGEST_XY_MM:g} mm and {LARGEST_THETA_DEG:g} degrees either way"
+    )
+    x_mm, y_mm, theta_deg = numbers(ENV_ID, OFFSET, value, 3, expected)
+    if max(abs(x_mm), abs(y_mm)) > LARGEST_XY_MM or abs(theta_deg) > LARGEST_THETA_DEG:
+        raise refusal(ENV_ID, OFFSET, value, expected)
+    return PegOffset(x_mm=x_mm, y_mm=y_mm, theta_deg=theta_deg)
+
+
+SUCCESS_COMMANDED_DEPTH_MM = 0.35
+
+
+def judge_flags(state: InsertionState[PegOffset], *, max_steps: int, z_step_mm: float) -> Flags:
+    """Return the flags of an env step.
+
+    The limits of the offset are tested once per env step on the commanded values, not after each IPC step as published
+    [D3]. Success asks for the commanded *and* the measured depth [D6].
+    """
+    offset = state.offset
+    left_range = (
+        is_beyond(offset.x_mm, LARGEST_XY_MM)
+        or is_beyond(offset.y_mm, LARGEST_XY_MM)
+        or is_beyond(offset.theta_deg, LARGEST_THETA_DEG)
+    )
+    deep_enough = state.env_steps * z_step_mm > SUCCESS_COMMANDED_DEPTH_MM
+    reached = deep_enough and state.is_deeper_than(SUCCESS_DEPTH_MM)
+    return compute_flags(state, max_steps=max_steps, left_range=left_range, reached=reached)
 
 
 class PegInsertionEnv(InsertionEnv[PegScene, PegInsertionSettings]):
@@ -63,3 +173,8 @@ class PegInsertionEnv(InsertionEnv[PegScene, PegInsertionSettings]):
     def _judge(self) -> Flags:
         settings = self.settings
         return judge_flags(self.task_scene.state(), max_steps=settings.max_steps, z_step_mm=settings.z_step_mm)
+
+
+def to_the_hole(_: Observation, info: Info) -> ActionArray:
+    """Take the offset away."""
+    return longest_action(np.array(way_to_the_hole(info["gt_offset_mm_deg"].tolist())), np.array(TASK.action_scale))

@@ -1,16 +1,119 @@
-"""Scene of the peg task: a peg held by two gels above a plate with its hole (challenge-facts 2.1)."""
+"""Scene of the peg task: settings, parts, and motions of a peg held by two gels above a plate with its hole."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import Meshes
-from ...geometry.pegs import PLATE_THICKNESS_MM, bottom_vertices
-from ...scene.grasped_scene import Clocks, fixed_at_origin
-from ..insertion.offset import PegOffset
-from ..insertion.scene import TRAVEL_SPEED_M_S, InsertionScene, Parts
-from .meshes import hole_mesh, peg_mesh
-from .settings import PegInsertionSettings
-from .variation import PegStart
+from ...fem.model.mesh import SurfaceMesh
+from ...geometry.pegs import (
+    CHALLENGE_FORM,
+    PLATE_THICKNESS_MM,
+    PegForm,
+    PegShape,
+    bottom_vertices,
+    hole_surface,
+    peg_surface,
+)
+from ...scene.grasped_scene import Clocks, PhysicsSettings, fixed_at_origin
+from ...tactile.markers import MarkerSettings
+from ..insertion.interface import CLEARANCE, GRIPPER_X, GRIPPER_Z, PegOffset
+from ..insertion.scene import TRAVEL_SPEED_M_S, InsertionScene, Parts, check_friction, check_settings
+from ..quantities import check_quantities
+from ..settings import require
+from .definition import FORM_QUANTITIES, PEG_BULGE, PEG_SLANT, PEG_TAPER, PEG_WIDTH, TASK
+
+
+@dataclass(frozen=True, kw_only=True)
+class PegInsertionSettings:
+    """What the task leaves open; lengths in mm and angles in degrees are the challenge's own interface.
+
+    Attributes:
+        max_steps: env steps after which an episode is cut off.
+        z_step_mm: descent at the end of every env step.
+        action_scale_mm_deg: motion at an action of 1: x [mm], y [mm], theta [deg].
+        step_penalty: P in the reward.
+        final_reward: reward of success.
+        indentation_mm: how far each gel is pressed into the peg.
+        gripper_x_mm: grasp centre along the peg's x axis.
+        gripper_z_mm: grasp centre above the peg's upper end.
+        peg_friction: friction coefficient of the peg.
+        hole_friction: friction coefficient of the plate.
+        clearance_mm: gap between a centred peg and its hole.
+        peg_width: factor of the peg's width in the middle of the grasp, see `PegForm`.
+        peg_taper: by how much that factor differs at the gripped faces.
+        peg_bulge: by how much that factor is larger in the middle third.
+        peg_slant_mm: by how much the gripped faces lie on different sides of the middle.
+        random_xy_mm: largest |x| and |y| of a random start.
+        random_theta_deg: largest |theta| of a random start.
+        physics: materials of the gels and time stepping.
+        markers: ranges of the marker grid.
+    """
+
+    max_steps: int = 8
+    z_step_mm: float = 0.125
+    action_scale_mm_deg: tuple[float, ...] = TASK.action_scale
+    step_penalty: float = 1.0
+    final_reward: float = 10.0
+    indentation_mm: float = 0.875
+    gripper_x_mm: float = GRIPPER_X.nominal
+    gripper_z_mm: float = GRIPPER_Z.nominal
+    peg_friction: float = 9.5
+    hole_friction: float = 0.5
+    clearance_mm: float = CLEARANCE.nominal
+    peg_width: float = PEG_WIDTH.nominal
+    peg_taper: float = PEG_TAPER.nominal
+    peg_bulge: float = PEG_BULGE.nominal
+    peg_slant_mm: float = PEG_SLANT.nominal
+    random_xy_mm: float = 5.0
+    random_theta_deg: float = 10.0
+    physics: PhysicsSettings = field(default_factory=PhysicsSettings)
+    markers: MarkerSettings = field(default_factory=MarkerSettings)
+
+    def __post_init__(self) -> None:
+        check_settings(self, action_numbers=len(TASK.actions))
+        check_friction("hole_friction", self.hole_friction)
+        check_quantities(self, (CLEARANCE, *FORM_QUANTITIES))
+        require(0 < self.z_step_mm <= 5, "z_step_mm", self.z_step_mm, "0 to 5 mm")
+        require(0 < self.random_xy_mm <= 12, "random_xy_mm", self.random_xy_mm, "0 to 12 mm")
+        require(0 <= self.random_theta_deg <= 15, "random_theta_deg", self.random_theta_deg, "0 to 15 degrees")
+
+    @property
+    def form(self) -> PegForm:
+        """Form of peg and hole."""
+        return PegForm(
+            width=self.peg_width,
+            taper=self.peg_taper,
+            bulge=self.peg_bulge,
+            slant_mm=self.peg_slant_mm,
+            clearance_mm=self.clearance_mm,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PegStart:
+    """Start of an episode."""
+
+    shape: PegShape
+    offset: PegOffset
+
+
+def peg_mesh(meshes: Meshes, shape: PegShape, form: PegForm = CHALLENGE_FORM) -> SurfaceMesh:
+    """Return the peg of this shape."""
+    return _part(meshes, form, lambda: peg_surface(shape, form), f"{shape}_peg.STL")
+
+
+def hole_mesh(meshes: Meshes, shape: PegShape, form: PegForm = CHALLENGE_FORM) -> SurfaceMesh:
+    """Return the plate with the hole for this peg, 1.5 mm of clearance per side where the form has no other."""
+    return _part(meshes, form, lambda: hole_surface(shape, form), f"{shape}_hole_1.5mm.STL")
+
+
+def _part(meshes: Meshes, form: PegForm, generate: Callable[[], SurfaceMesh], file: str) -> SurfaceMesh:
+    """Return a part; the challenge has files of its own form only, so all others are generated."""
+    return meshes.part(generate, f"peg_in_hole/{file}") if form == CHALLENGE_FORM else generate()
+
 
 # Free space between peg and plate before the grasp.
 START_GAP_MM = 0.1

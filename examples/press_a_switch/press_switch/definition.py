@@ -4,8 +4,7 @@ from typing import TYPE_CHECKING
 
 from vitac.envs.observable import Observable
 from vitac.envs.scene.observables import CONTACT_FORCES, marker_flow
-from vitac.envs.tasks.definition import ActionComponent, Measure, TaskDefinition
-from vitac.envs.tasks.measures import SURFACE_DIFF
+from vitac.envs.tasks.definition import SURFACE_DIFF, ActionComponent, Measure, TaskDefinition
 
 if TYPE_CHECKING:
     from .scene import SwitchScene

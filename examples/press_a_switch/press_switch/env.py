@@ -4,8 +4,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 from vitac.envs.fem.model.mesh import SurfaceMesh
-from vitac.envs.tasks.ending import Flags, surface_moved_too_far
-from vitac.envs.tasks.options import choice, drawn_shape, numbers, refusal
+from vitac.envs.tasks.definition import Flags, surface_moved_too_far
+from vitac.envs.tasks.settings import choice, drawn_shape, numbers, refusal
 from vitac.envs.tasks.task_env import Info, TactileTaskEnv
 
 from .definition import CLOSES_AT_N, TASK

@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.wrappers import FlattenObservation
-from vitac.envs.tasks.insertion.goal import InsertionGoal
+from vitac.envs.tasks.insertion.env import InsertionGoal
 from vitac.envs.tasks.making import NumericInfos
 
 pytestmark = pytest.mark.filterwarnings("default")  # theirs are not our errors

@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from vitac.envs.tasks.fidelity import Fidelity
+from vitac.envs.tasks.settings import Fidelity
 from vitac.training.collection import ActorKind, CollectedBatch, collect
 from vitac.training.demonstrations.collecting import collect as collect_demonstrations
 from vitac.training.pool import map_in_order

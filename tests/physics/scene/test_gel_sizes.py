@@ -8,10 +8,8 @@ from vitac.envs.fem.scene.scene import StepReport, StepStatus
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, Stopwatch
 from vitac.envs.tactile.gel import GelCells, GelDimensions, gelsight_mini_mesh, structured_gel
-from vitac.envs.tasks.insertion.offset import PegOffset
-from vitac.envs.tasks.peg_insertion.scene import PegScene
-from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
-from vitac.envs.tasks.peg_insertion.variation import PegStart
+from vitac.envs.tasks.insertion.interface import PegOffset
+from vitac.envs.tasks.peg_insertion.scene import PegInsertionSettings, PegScene, PegStart
 
 FINE = structured_gel(name="fine", cells=GelCells(x=8, y=7, layers=2))
 THICK_DOME = structured_gel(

@@ -4,8 +4,7 @@ from typing import Any
 
 import numpy as np
 from visible_scenes import STARTS
-from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
-from vitac.envs.tasks.fusion_insertion.guided_motion import guide_to_the_hole
+from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv, guide_to_the_hole
 
 
 def unseen() -> FusionInsertionEnv:

@@ -8,10 +8,8 @@ from vitac.envs.assets import Meshes
 from vitac.envs.fem.scene.scene import StepReport
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, Stopwatch
-from vitac.envs.tasks.insertion.offset import PegOffset
-from vitac.envs.tasks.peg_insertion.scene import PegScene
-from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
-from vitac.envs.tasks.peg_insertion.variation import PegStart
+from vitac.envs.tasks.insertion.interface import PegOffset
+from vitac.envs.tasks.peg_insertion.scene import PegInsertionSettings, PegScene, PegStart
 
 FloatArray = NDArray[np.float64]
 OffsetMmDeg = tuple[float, float, float]

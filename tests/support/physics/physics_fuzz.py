@@ -23,7 +23,7 @@ from vitac.envs.geometry.keys_and_locks import KeyShape
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import GraspedScene, PhysicsSettings
 from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
-from vitac.envs.tasks.lock_opening.settings import lock_physics
+from vitac.envs.tasks.lock_opening.scene import lock_physics
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 from vitac.envs.tasks.task_env import TactileTaskEnv
 

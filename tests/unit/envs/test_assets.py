@@ -7,9 +7,8 @@ from vitac.envs.geometry.keys_and_locks import KeyShape
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.geometry.stl import StlError
 from vitac.envs.tactile.gel_files import GelFilesError
-from vitac.envs.tasks.lock_opening.meshes import key_mesh, lock_mesh
-from vitac.envs.tasks.peg_insertion.meshes import hole_mesh, peg_mesh
-from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
+from vitac.envs.tasks.lock_opening.scene import key_mesh, lock_mesh
+from vitac.envs.tasks.peg_insertion.scene import PegInsertionSettings, hole_mesh, peg_mesh
 
 
 def test_meshes_are_generated_by_default() -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from toy_peg import ToyPeg
-from vitac.envs.tasks.fidelity import Fidelity
+from vitac.envs.tasks.settings import Fidelity
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.version import evaluator_parts
 from vitac.training.files import FileDamaged

@@ -11,7 +11,7 @@ from vitac.envs.drawing.playback import Playback
 from vitac.envs.drawing.plots import draw_progress, draw_section
 from vitac.envs.geometry.pegs import PROFILES_MM, PegShape
 from vitac.envs.scene.perspective import Plane
-from vitac.envs.tasks.peg_insertion.perspective import PERSPECTIVE
+from vitac.envs.tasks.peg_insertion.definition import PERSPECTIVE
 
 
 @pytest.fixture

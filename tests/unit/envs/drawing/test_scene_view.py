@@ -16,7 +16,7 @@ from vitac.envs.drawing.scene_view import (
     von_mises_pa,
 )
 from vitac.envs.tactile.gel import gelsight_mini_mesh
-from vitac.envs.tasks.peg_insertion.perspective import PERSPECTIVE
+from vitac.envs.tasks.peg_insertion.definition import PERSPECTIVE
 
 FloatArray = NDArray[np.float64]
 WIDTH_PX, HEIGHT_PX = 240, 180

@@ -16,7 +16,7 @@ from vitac.envs.maniskill import env as adapter
 from vitac.envs.maniskill.abilities import abilities
 from vitac.envs.maniskill.env import ManiSkillEnv, ManiSkillFailed, ManiSkillMissing, compute_seed
 from vitac.envs.tasks.definition import UnknownObservationKey
-from vitac.envs.tasks.options import ResetOptionsError
+from vitac.envs.tasks.settings import ResetOptionsError
 
 PICK_CUBE = "ManiSkill/PickCube-v1"
 START = {"shape": "drawn", "variant": (0.0,), "rng_seed": (5, 3)}

@@ -6,7 +6,8 @@ import pytest
 from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, SensorMount
 from vitac.envs.tactile.gel import gelsight_mini_mesh
 from vitac.envs.tactile.markers import MarkerSettings
-from vitac.envs.tactile.sensor import NoReferenceCaptured, Response, TactileSensor, compute_response
+from vitac.envs.tactile.response import Response, compute_response
+from vitac.envs.tactile.sensor import NoReferenceCaptured, TactileSensor
 from vitac.envs.tasks.lock_opening import scene as lock
 
 

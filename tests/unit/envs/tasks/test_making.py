@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import vitac.envs
 from fake_scene import FakeScene
-from vitac.envs.tasks.ending import EndReason
+from vitac.envs.tasks.definition import EndReason
 from vitac.envs.tasks.making import EqualInfoShapes, NumericInfos, UnexpectedArgument, make
 from vitac.envs.tasks.registry import task_definitions
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from vitac.envs.maniskill.definition import is_maniskill
-from vitac.envs.tasks.peg_insertion.variation import accepts_start
+from vitac.envs.tasks.peg_insertion.env import accepts_start
 from vitac.evaluator.tracks import ListKind, Task, Track, UnknownTrack, list_tracks, load_track
 from vitac.evaluator.tracks.sealed import (
     SecretRejected,

@@ -20,7 +20,7 @@ stable_baselines3 = pytest.importorskip(
 
 from stable_baselines3.common.logger import configure  # noqa: E402
 from toy_touch import ToyTouch  # noqa: E402
-from vitac.envs.tasks.fidelity import Fidelity  # noqa: E402
+from vitac.envs.tasks.settings import Fidelity  # noqa: E402
 from vitac.evaluator.submission.manifest import load_manifest  # noqa: E402
 from vitac.evaluator.tracks import find_task  # noqa: E402
 from vitac.training.files import FileDamaged, NotSaved, load, save  # noqa: E402

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import vitac.envs
 from fake_scene import FakeScene
-from vitac.envs.tasks.insertion.goal import InsertionGoal, NoGoal
+from vitac.envs.tasks.insertion.env import InsertionGoal, NoGoal
 
 PEG, LOCK, FUSION = "ViTac/PegInsertion-v1", "ViTac/LockOpening-v1", "ViTac/FusionInsertion-v1"
 assert vitac.envs.ENVIRONMENTS

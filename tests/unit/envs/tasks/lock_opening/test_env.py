@@ -7,10 +7,10 @@ import pytest
 from fake_scene import FakeScene
 from vitac.envs.fem.scene.scene import StepStatus
 from vitac.envs.geometry.keys_and_locks import KeyShape, key_control_points
-from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
+from vitac.envs.tasks.lock_opening.definition import CEILING_Z_M, PERSPECTIVE, SUCCESS_Z_RANGE_M
+from vitac.envs.tasks.lock_opening.env import LockOpeningEnv, out_and_up
 from vitac.envs.tasks.lock_opening.scene import MOUNTS, SENSOR_X_MM
-from vitac.envs.tasks.options import ResetOptionsError
-from vitac.envs.tasks.settings import SettingsError
+from vitac.envs.tasks.settings import ResetOptionsError, SettingsError
 from vitac.envs.tasks.task_env import ActionError
 
 START = {"shape": "key1", "offset_mm": (0.0, 0.0, 0.0), "sensor_jitter_mm": (1.0, -0.5), "rng_seed": (0, 1)}
@@ -236,3 +236,39 @@ def test_setting_out_of_range_is_refused(name: str, value: Any) -> None:
 def test_mesh_hash_depends_on_settings() -> None:
     assert LockOpeningEnv().mesh_hash() == LockOpeningEnv(privileged=True).mesh_hash()
     assert LockOpeningEnv().mesh_hash() != LockOpeningEnv(key_friction=0.7).mesh_hash()
+
+
+def info(x_mm: float, z_mm: float) -> dict[str, np.ndarray]:
+    """Both teeth this far inside their slots (towards +x) and above the ceiling."""
+    slot_m = np.array([[0.02, -0.003, 0.03], [0.02, 0.003, 0.03], [0.024, -0.003, 0.03], [0.024, 0.003, 0.03]])
+    tooth_m = slot_m + np.array([1e-3 * x_mm, 0.0, 0.0])
+    tooth_m[:, 2] = CEILING_Z_M + 1e-3 * z_mm
+    return {"key1_pts_m": tooth_m, "key2_pts_m": tooth_m - [0.016, 0.0, 0.0], "lock1_pts_m": slot_m}
+
+
+def test_key_deep_in_the_lock_is_pulled_out_as_fast_as_allowed() -> None:
+    action = out_and_up({}, info(-12.0, -0.1))
+    assert action[0] == pytest.approx(-1.0)
+    assert -1.0 < action[1] < 0.0
+
+
+def test_key_below_its_slot_is_only_lifted() -> None:
+    action = out_and_up({}, info(0.0, -0.1))
+    assert action == pytest.approx([0.0, -1.0], abs=1e-6)
+
+
+def test_lift_ends_half_a_millimetre_above_where_the_lock_opens() -> None:
+    opening_mm = 1e3 * (SUCCESS_Z_RANGE_M[0] - CEILING_Z_M)
+    assert out_and_up({}, info(0.0, opening_mm + 0.5)) == pytest.approx([0.0, 0.0], abs=1e-5)
+    assert out_and_up({}, info(0.0, opening_mm + 0.25))[1] == pytest.approx(-0.25, abs=1e-5)
+
+
+def test_place_of_the_rear_tooth_is_told_from_its_slot() -> None:
+    assert PERSPECTIVE.position(info(-1.25, 0.5)) == "rear tooth from its slot x −1.25 mm, z +0.50 mm"
+
+
+def test_heights_are_those_of_both_teeth_above_the_ceiling() -> None:
+    progress = PERSPECTIVE.progress
+    assert progress.heights_mm(info(0.0, 2.0)) == pytest.approx([2.0] * 8)
+    assert progress.goal_mm == pytest.approx(1e3 * (SUCCESS_Z_RANGE_M[0] - CEILING_Z_M))
+    assert not progress.goal_is_below

@@ -3,14 +3,10 @@ from typing import Any
 import numpy as np
 import pytest
 from vitac.envs.geometry.pegs import PegShape
-from vitac.envs.tasks.insertion.offset import PegOffset
-from vitac.envs.tasks.options import ResetOptionsError
-from vitac.envs.tasks.peg_insertion.variation import (
-    PegStart,
-    choose_start,
-    is_blocked,
-    random_blocked_offset,
-)
+from vitac.envs.tasks.insertion.interface import PegOffset
+from vitac.envs.tasks.peg_insertion.env import choose_start, is_blocked, random_blocked_offset
+from vitac.envs.tasks.peg_insertion.scene import PegStart
+from vitac.envs.tasks.settings import ResetOptionsError
 
 GOLDEN_STARTS = [
     ("trapezoid", PegOffset(x_mm=0.5713805020622631, y_mm=3.009080868919721, theta_deg=9.130276349506772)),

@@ -1,12 +1,16 @@
 """Reward of the peg and the fusion task (challenge-facts 6.1, 6.3)."""
 
 from dataclasses import replace
+from math import radians
 
+import numpy as np
 import pytest
-from vitac.envs.tasks.ending import Flags
-from vitac.envs.tasks.fusion_insertion.settings import FusionInsertionSettings
-from vitac.envs.tasks.insertion.reward import insertion_reward
-from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
+from hypothesis import given
+from hypothesis import strategies as st
+from vitac.envs.tasks.definition import Flags
+from vitac.envs.tasks.fusion_insertion.scene import FusionInsertionSettings
+from vitac.envs.tasks.insertion.env import insertion_reward, way_to_the_hole
+from vitac.envs.tasks.peg_insertion.scene import PegInsertionSettings
 
 PEG = replace(PegInsertionSettings(), max_steps=8, step_penalty=1.0, final_reward=10.0)
 FUSION = replace(FusionInsertionSettings(), max_steps=50, step_penalty=0.8, final_reward=50.0)
@@ -41,3 +45,12 @@ def test_a_flag_is_paid_for_even_where_the_goal_is_reached(flags: Flags) -> None
 
 def test_running_out_of_steps_costs_nothing_more() -> None:
     assert insertion_reward(Flags(too_many_steps=True), PEG, progress=1.0, env_steps=8) == 0.0
+
+
+@given(x_mm=st.floats(-12.0, 12.0), y_mm=st.floats(-30.0, 30.0), theta_deg=st.floats(-20.0, 20.0))
+def test_way_ends_at_the_hole_whatever_the_angle(x_mm: float, y_mm: float, theta_deg: float) -> None:
+    along, across, turn = way_to_the_hole((x_mm, y_mm, theta_deg))
+    angle = radians(theta_deg)
+    world = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ [along, across]
+    assert np.allclose(world + np.array([x_mm, y_mm]), 0.0, atol=1e-12)
+    assert theta_deg + turn == 0.0

@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vitac.envs.tasks.fusion_insertion.variation import FusionOffset, FusionShape, FusionStart, Target, choose_start
-from vitac.envs.tasks.options import ResetOptionsError
+from vitac.envs.tasks.fusion_insertion.env import choose_start
+from vitac.envs.tasks.fusion_insertion.scene import FusionOffset, FusionShape, FusionStart, Target
+from vitac.envs.tasks.settings import ResetOptionsError
 
 
 def start(options: dict[str, Any], seed: int = 0) -> FusionStart:

@@ -3,8 +3,9 @@ from typing import Any
 import numpy as np
 import pytest
 from vitac.envs.geometry.keys_and_locks import KeyShape
-from vitac.envs.tasks.lock_opening.variation import KeyOffset, LockStart, SensorJitter, choose_start
-from vitac.envs.tasks.options import ResetOptionsError
+from vitac.envs.tasks.lock_opening.env import choose_start
+from vitac.envs.tasks.lock_opening.scene import KeyOffset, LockStart, SensorJitter
+from vitac.envs.tasks.settings import ResetOptionsError
 
 GOLDEN_START = LockStart(
     shape=KeyShape.KEY3,

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 from vitac.envs.scene.perspective import Perspective
-from vitac.envs.tasks.fusion_insertion import perspective as fusion
-from vitac.envs.tasks.peg_insertion import perspective as peg
+from vitac.envs.tasks.fusion_insertion import definition as fusion
+from vitac.envs.tasks.peg_insertion import definition as peg
 
 
 @pytest.mark.parametrize(

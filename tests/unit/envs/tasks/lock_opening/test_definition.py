@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from vitac.envs.geometry.keys_and_locks import KeyShape, key_control_points, lock_control_points
-from vitac.envs.tasks.ending import EndReason, Flags
-from vitac.envs.tasks.lock_opening.task import LockState, alignment_error, judge_flags, reward
+from vitac.envs.tasks.definition import EndReason, Flags
+from vitac.envs.tasks.lock_opening.definition import LockState, alignment_error, judge_flags, reward
 
 
 def state(
