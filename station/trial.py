@@ -1,4 +1,4 @@
-"""Plays one trial on a station by the challenge's procedure (challenge-facts 10)."""
+"""Plays one trial on a station by the challenge's procedure."""
 
 import math
 from collections.abc import Callable

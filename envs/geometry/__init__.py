@@ -1,1 +1,1 @@
-"""Rigid parts of the tasks, generated from the challenge's dimension tables (challenge-facts 1)."""
+"""Rigid parts of the tasks, generated from the challenge's dimension tables."""

@@ -1,4 +1,4 @@
-"""Base of the fusion task: a plate with two holes and two garages, for a cuboid and a hexagon (challenge-facts 1.4).
+"""Base of the fusion task: a plate with two holes and two garages, for a cuboid and a hexagon.
 
 The origin lies in the plane of the plate's top, below the centre of the rectangular hole. The garages are pockets that
 widen upwards until nothing is left of their rims. Faces that lie in one plane are one face, as in the challenge's file.
@@ -44,7 +44,7 @@ def hexagon_peg_surface() -> SurfaceMesh:
 
 
 def hexagon_bottom_vertices(peg: SurfaceMesh) -> NDArray[np.int64]:
-    """Return the vertices at a hexagon peg's lower corners, in the order of `peg_relative_z_mm` (challenge-facts 1.4).
+    """Return the vertices at a hexagon peg's lower corners, in the order of `peg_relative_z_mm`.
 
     Found by position, so the answer also fits a surface read from a file.
     """

@@ -1,4 +1,4 @@
-"""Pegs and plates of the insertion task: profiles, solids and measured corners (challenge-facts 1.1)."""
+"""Pegs and plates of the insertion task: profiles, solids and measured corners."""
 
 from dataclasses import dataclass
 from enum import StrEnum

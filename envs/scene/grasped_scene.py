@@ -39,7 +39,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicsSettings:
-    """Materials and stepping of a scene; the defaults are the 2025 evaluation's (challenge-facts 3).
+    """Materials and stepping of a scene; the defaults are the 2025 evaluation's.
 
     Attributes:
         time_step_s: length of an IPC step [s].

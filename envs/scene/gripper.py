@@ -159,7 +159,7 @@ class MotionError(VitacError):
 def ipc_steps(amount: float, *, speed_per_s: float, time_step_s: float) -> int:
     """Return the IPC steps for a motion at a speed: the nearest whole number, ties to even, at least 1.
 
-    The published text rounds up; the 2025 code, which the logs follow, rounds to the nearest [D1].
+    The published text rounds up; the 2025 code, which the logs follow, rounds to the nearest.
 
     Args:
         amount: length [m] or angle [rad]; its sign does not matter.

@@ -1,4 +1,4 @@
-"""The sensor's inner camera: its pose on the gel and its pinhole projection (challenge-facts 4.2)."""
+"""The sensor's inner camera: its pose on the gel and its pinhole projection."""
 
 from typing import NamedTuple
 

@@ -158,7 +158,7 @@ MARKER_COUNT = 128
 """Markers in a marker flow; where fewer are seen the last is repeated."""
 
 
-# From the camera's optical centre to the back face of the gel, for every sensor (challenge-facts 9).
+# From the camera's optical centre to the back face of the gel, for every sensor.
 EYE_TO_BACK_MM = 18.0
 # Heights are rounded to this many decimals of a millimetre, since meshes in files are.
 _DECIMALS = 6

@@ -1,6 +1,6 @@
 """Marker flow as a policy sees it: a random grid, carried by the sensing surface, projected, made noisy.
 
-Every observation draws a new grid (challenge-facts 4.2). All randomness comes from the generator that is passed in,
+Every observation draws a new grid. All randomness comes from the generator that is passed in,
 in this order per sensor, left sensor first:
 
 1. interval, rotation, translation x, translation y: one uniform each;

@@ -28,7 +28,7 @@ class TactileSensor:
     """Sees the sensing nodes of a gel from the camera that moves with it.
 
     The camera's pose is not fitted to boundary nodes: the driven nodes reach their targets exactly, so the pose that
-    made the targets is the sensor's pose (challenge-facts 2.4 fits six of them instead, with the same result).
+    made the targets is the sensor's pose (the 2025 code fits six of them instead, with the same result).
 
     Attributes:
         gel: the elastomer.

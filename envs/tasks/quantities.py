@@ -197,7 +197,7 @@ class Randomization(StrEnum):
     NONE = "none"
     """None do; every episode has those that the environment was made with."""
     CHALLENGE = "challenge"
-    """Draw every quantity that has a published training range from it (challenge-facts 3)."""
+    """Draw every quantity that has a published training range from it."""
 
 
 def find_randomization(value: str) -> Randomization:

@@ -126,7 +126,7 @@ def draw_noise(key: np.uint64, counter: np.uint64) -> float:
 
 BACKGROUND = (255, 255, 255)
 # Red, green and blue of faces that look away from the light, and what is added for those that look at it. Within the
-# ranges of the challenge's pictures (challenge-facts 15), so that its colour rule finds peg and base in these too.
+# ranges of the challenge's pictures, so that its colour rule finds peg and base in these too.
 _DARK_AND_GAIN = {
     Label.BASE: ((16.0, 16.0, 255.0), (52.0, 52.0, 0.0)),
     Label.PEG: ((242.0, 4.0, 65.0), (13.0, 54.0, 20.0)),

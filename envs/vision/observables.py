@@ -90,5 +90,5 @@ RGB_IMAGES: Observable[HasGrasp] = Observable(
 """Optional in every task with two tactile sensors: a track file lists it, or an environment's argument.
 
 A record holds no hash of it, since its dots are drawn from the episode's generator at every observation. In the 2025
-code they are another grid than that of `marker_flow` (challenge-facts D17); here they are the same.
+code they are another grid than that of `marker_flow`; here they are the same.
 """

@@ -81,7 +81,7 @@ def colour_camera_pose(y_m: float, z_m: float, shift: RigShift = NOMINAL) -> Cam
 
     Args:
         y_m: commanded y of the peg [m].
-        z_m: 1 mm below the commanded height of the peg's lower end [m] (challenge-facts 4.5: offset z + 6.9 mm).
+        z_m: 1 mm below the commanded height of the peg's lower end [m]: offset z + 6.9 mm.
         shift: departure from the nominal pose.
     """
     sine, cosine = sine_cosine(_TURN_RAD + shift.turn_rad)

@@ -17,7 +17,7 @@ from .optics import Intrinsics
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
-# What lies nearer to the camera's plane is not seen (challenge-facts 15).
+# What lies nearer to the camera's plane is not seen.
 NEAR_M = 0.1
 NO_TRIANGLE = -1
 # A plane this close to the optical centre is seen edge-on: its two sides fall on one line of the picture.

@@ -33,7 +33,7 @@ class RenderMode(StrEnum):
 _FAR_M = 10.0
 _SAMPLES_PER_PIXEL = 4
 _WHITE = 255
-# Colour of each class and the light (challenge-facts 2).
+# Colour of each class and the light.
 _COLOURS = {
     Label.BASE: (0.0, 0.0, 1.0, 1.0),
     Label.PEG: (1.0, 0.0, 0.0, 1.0),

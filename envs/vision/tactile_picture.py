@@ -1,6 +1,6 @@
 """The picture that a sensor's inner camera takes of its gel: shaded by three coloured lights, with the markers as dots.
 
-Shading as in the challenge (Phong's model, challenge-facts 4.4), but of the gel's own deformed surface where that lies
+Shading as in the challenge (Phong's model), but of the gel's own deformed surface where that lies
 nearer to the camera than the body that it touches, against the undeformed gel, with the dots where `marker_flow` sees
 the markers, and with noise in every pixel that follows from the episode's seed. Only exactly rounded operations in a
 fixed order, so the bits are the same on every machine. Channels are blue, green, red, as in the challenge.

@@ -19,7 +19,7 @@ Point = tuple[float, float, float]
 DRIVEN, SENSING = 1, 2
 """Kinds of faces; all others are 0."""
 QUALITY_BINS = 10
-# From the optical centre to the base of every gel (challenge-facts 9).
+# From the optical centre to the base of every gel.
 _EYE_TO_BASE_MM = 18.0
 
 

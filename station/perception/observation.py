@@ -17,7 +17,7 @@ class NoMarkerFollowed(VitacError):
 def marker_flow(left: MarkerFlow, right: MarkerFlow, generator: np.random.Generator) -> NDArray[np.float32]:
     """Return the observation `marker_flow` of the ranked tasks, shape [2, 2, 128, 2] [pixel].
 
-    By the rule of the simulation (challenge-facts 4.2): of 128 or more markers 128 are chosen without replacement, of
+    By the rule of the simulation: of 128 or more markers 128 are chosen without replacement, of
     fewer the last one is repeated.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The topics, service and messages of the challenge's tracker (challenge-facts 10), for ROS 1, ROS 2 and recordings.
+"""The topics, service and messages of the challenge's tracker, for ROS 1, ROS 2 and recordings.
 
 Each type is stated once, as its ROS 1 file; `rosbags` translates it, with the standard types that it names.
 """

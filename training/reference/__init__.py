@@ -1,1 +1,1 @@
-"""The challenge's own method (challenge-facts 8): networks, TD3 with Stable-Baselines3, and submissions made so."""
+"""The challenge's own method: networks, TD3 with Stable-Baselines3, and submissions made so."""

@@ -1,4 +1,4 @@
-"""Trains as the challenge trained its baselines (challenge-facts 8), from the hyperparameters to a submission.
+"""Trains as the challenge trained its baselines, from the hyperparameters to a submission.
 
 Read it from top to bottom: hyperparameters, networks, gradient step, the training loop (`Training.learn`), its state,
 and last the encoder that computes gradients fast. Stable-Baselines3 keeps networks, optimizers and replay buffer, and

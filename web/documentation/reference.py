@@ -15,8 +15,6 @@ from vitac.envs.tasks.registry import task_definitions
 
 PACKAGES = Path(__file__).parents[2]
 """Holds the folders that are imported as `vitac.<folder>`."""
-SOURCE_NOTE = re.compile(r"\s\(challenge-facts\s[^)]*\)|\s\[D\d+\]")
-"""Where a number of the challenge is from, in a list of facts that readers do not have."""
 SECTIONS = {"Args:": "Arguments", "Attributes:": "Attributes", "Returns:": "Returns", "Raises:": "Raises"}
 
 Definition = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
@@ -29,7 +27,7 @@ def environments() -> str:
         module, _, name = task.environment.partition(":")
         if module.startswith("vitac."):  # those of other packages have their own documentation
             (found,) = [node for node in _tree(module).body if isinstance(node, ast.ClassDef) and node.name == name]
-            lines += [f"## {env_id}", SOURCE_NOTE.sub("", append_tables(ast.get_docstring(found) or "", task)), ""]
+            lines += [f"## {env_id}", append_tables(ast.get_docstring(found) or "", task), ""]
     return "\n".join(lines)
 
 
@@ -101,7 +99,7 @@ def _literal(node: ast.stmt) -> str | None:
 def _docstring(text: str | None) -> Iterator[str]:
     """Return a docstring as Markdown: its sections `Args:` and the like become lists."""
     yield ""
-    for line in SOURCE_NOTE.sub("", cleandoc(text or "")).splitlines():
+    for line in cleandoc(text or "").splitlines():
         entry = re.match(r" {4}([\w*, ]+): (.*)", line)
         if line in SECTIONS:
             yield from (f"{SECTIONS[line]}:", "")

@@ -33,7 +33,7 @@ class ContactConstants(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ContactSettings:
-    """Contact as the 2025 challenge models it; defaults are the peg task's (challenge-facts 3).
+    """Contact as the 2025 challenge models it; defaults are the peg task's.
 
     Attributes:
         d_hat_m: distance at which the barrier sets in [m].
@@ -159,7 +159,7 @@ class SolverSettings:
 class CutOffSolverSettings(SolverSettings):
     """The `cut_off` profile: every IPC step ends after a few Newton iterations, whatever forces are left then.
 
-    The 2025 simulator ends its steps so (challenge-facts 4). Only comparisons with its logs use this; a ranked task has
+    The 2025 simulator ends its steps so. Only comparisons with its logs use this; a ranked task has
     the `converged` profile, whose settings and hash do not know of it.
 
     Attributes:

@@ -113,7 +113,7 @@ class FusionInsertionSettings:
 
 # Height of the peg's lower end above the rim at z = 0.
 START_GAP_MM = 1.0
-# What the challenge takes off every height to get an offset [D20].
+# What the challenge takes off every height to get an offset.
 Z_TARGET_MM = 6.9
 
 

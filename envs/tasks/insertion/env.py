@@ -18,7 +18,7 @@ from .scene import InsertionScene, InsertionSettings
 
 
 class InsertionInfo(TypedDict):
-    """The challenge's entries, in the order of its logs (challenge-facts 6.4); the base adds how the episode ended.
+    """The challenge's entries, in the order of its logs; the base adds how the episode ended.
 
     Attributes:
         steps: env steps played so far.
@@ -44,10 +44,10 @@ class InsertionInfo(TypedDict):
 
 
 def insertion_reward(flags: Flags, settings: InsertionSettings, *, progress: float, env_steps: int) -> float:
-    """Return the reward of an env step: progress, less the penalty, plus what the end brings [D13].
+    """Return the reward of an env step: progress, less the penalty, plus what the end brings.
 
     The force, tactile or error flag costs 2 P for every step that is left, less one P, which the published formula does
-    not have [D10]; running out of steps costs nothing more.
+    not have; running out of steps costs nothing more.
 
     Args:
         flags: of the env step.

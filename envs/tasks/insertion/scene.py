@@ -48,7 +48,7 @@ class InsertionState(Generic[OffsetT]):
 def compute_flags(state: InsertionState[OffsetT], *, max_steps: int, left_range: bool, reached: bool) -> Flags:
     """Return the flags of an env step; the goal counts as reached only where no other flag is raised.
 
-    A large surface motion is such a flag rather than a threshold of its own [D7].
+    A large surface motion is such a flag rather than a threshold of its own.
     """
     tactile = surface_moved_too_far(state.surface_diff_m)
     steps = state.env_steps >= max_steps
@@ -108,7 +108,7 @@ class InsertionSettings(Protocol):
 
 
 def training_ranges(fixed_friction: str) -> Ranges:
-    """Return the ranges of the published training (challenge-facts 3).
+    """Return the ranges of the published training.
 
     Args:
         fixed_friction: the setting with the friction coefficient of the part with the hole.

@@ -186,8 +186,8 @@ class LockState:
 def judge_flags(state: LockState, *, max_steps: int) -> Flags:
     """Return the flags of an env step.
 
-    Success means that both teeth stand in absolute windows, not that each is aligned with its slot [D8]; it asks for
-    no flag. No angle is tested [D12].
+    Success means that both teeth stand in absolute windows, not that each is aligned with its slot (as published); it
+    asks for no flag. No angle is tested.
     """
     teeth = (state.rear_tooth_m, state.front_tooth_m)
     return Flags(
@@ -216,7 +216,7 @@ def reward(
     final_reward: float,
     failure_penalty: float,
 ) -> float:
-    """Return the reward of an env step: progress, less penalty and both surfaces' motion, plus the end's part [D11]."""
+    """Return the reward of an env step: progress, less penalty and both surfaces' motion, plus the end's part."""
     final = 0.0
     if flags.is_success:
         final = final_reward

@@ -98,7 +98,7 @@ FloatArray = NDArray[np.float64]
 
 
 class LockInfo(TypedDict):
-    """The challenge's entries, in the order of its logs (challenge-facts 6.4); the base adds how the episode ended.
+    """The challenge's entries, in the order of its logs; the base adds how the episode ended.
 
     Points are in the world [m], each of shape [4, 3].
 
@@ -136,7 +136,7 @@ class LockOpeningEnv(TactileTaskEnv[LockScene, LockOpeningSettings]):
 
     The key starts up to 6.5 mm too deep in its lock, and the sensors grip its handle up to 2 mm off along the key and
     in height; the policy knows neither. World frame: z up, the lock's entrance towards +x. Actions outside -1 to 1
-    are clipped (the 2025 code does not clip [D4]).
+    are clipped (the 2025 code does not clip).
 
     The grid of `marker_flow` is drawn again at every observation.
 

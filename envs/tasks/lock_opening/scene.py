@@ -39,7 +39,7 @@ TRAINING_RANGES = {
     "lock_friction": (0.0, 1.0),
     "indentation_mm": (0.5, 1.25),
 }
-"""Ranges of the published training (challenge-facts 3)."""
+"""Ranges of the published training."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +62,7 @@ class LockOpeningSettings:
         random_x_mm: largest x of a random start.
         jitter_mm: largest displacement of the sensors along the key, and up or down.
         reference_quirks: reproduce the jump of `relative_motion` after the first env step of the 2025 code, which
-            tells the keys apart (challenge-facts 14.2).
+            tells the keys apart.
         physics: materials of the gels and time stepping.
         markers: ranges of the marker grid.
     """
@@ -240,7 +240,7 @@ class LockScene:
         """Return the motion of the gripper's centre since the start [mm], shape [3].
 
         The 2025 code measures from a wrong grasp centre after the first env step, so that x jumps by 20.5, 25.5, 20.5
-        or 30.5 mm and gives the key away (challenge-facts 14.2); only `reference_quirks` does so here.
+        or 30.5 mm and gives the key away; only `reference_quirks` does so here.
         """
         now, first = self.grasped.pose, self._grasp_pose
         motion_mm = np.array([now.x_m - first.x_m, now.y_m - first.y_m, now.z_m - first.z_m]) * 1e3

@@ -113,8 +113,9 @@ SUCCESS_COMMANDED_DEPTH_MM = 0.35
 def judge_flags(state: InsertionState[PegOffset], *, max_steps: int, z_step_mm: float) -> Flags:
     """Return the flags of an env step.
 
-    The limits of the offset are tested once per env step on the commanded values, not after each IPC step as published
-    [D3]. Success asks for the commanded *and* the measured depth [D6].
+    The limits of the offset are tested once per env step on the commanded values, not after each IPC step as published;
+    success asks for the commanded *and* the measured depth (docs/environments.md, "Where the paper and the 2025 code
+    differ").
     """
     offset = state.offset
     left_range = (

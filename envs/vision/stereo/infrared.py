@@ -66,7 +66,7 @@ TriangleMap = NDArray[np.int32]
 
 ALBEDO = METHOD.albedo
 AMBIENT = METHOD.ambient
-# Speckle is a factor of a gamma distribution of mean 1 (challenge-facts 15); so narrow, it is normal.
+# Speckle is a factor of a gamma distribution of mean 1; so narrow, it is normal.
 SPECKLE_SD = 1.0 / sqrt(METHOD.speckle_shape)
 THERMAL_SD_GREY = METHOD.thermal_sd_grey
 # A surface is lit where the projector sees the same triangle in its direction, or another one this little nearer.

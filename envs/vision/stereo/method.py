@@ -44,5 +44,5 @@ class StereoMethod:
     largest_gap_difference_m: float = 0.01
 
 
-# Disparities of the official scene are 62.7 to 82.8 px (challenge-facts 15); 48 to 95 reach from 0.345 to 0.683 m.
+# Disparities of the official scene are 62.7 to 82.8 px; 48 to 95 reach from 0.345 to 0.683 m.
 METHOD = StereoMethod()

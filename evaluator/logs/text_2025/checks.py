@@ -177,7 +177,7 @@ def _moved(before: Sequence[float], action: Sequence[float], rules: PegRules) ->
 
 
 def _reward(step: TextStep, before: Sequence[float], script: Script, rules: PegRules) -> float:
-    """Return progress minus penalty, plus the final reward (challenge-facts 6.1, 6.3)."""
+    """Return progress minus penalty, plus the final reward."""
     progress = hypot(*before) - hypot(*step.info["gt_offset_mm_deg"])
     reward = progress - rules.step_penalty
     if step.info["tactile_movement_too_large"] or step.info["error_too_large"]:

@@ -16,7 +16,7 @@ MAX_LOG_BYTES = 8 << 20
 """Limits on what is read; a real log has lines of up to 10,000 bytes and 5 MB in all."""
 
 # `<date> <time>.<ms> | <LEVEL padded> | <module>:<function>:<line> - <message>`; the organizers' own log starts with
-# stray blanks (challenge-facts 7.1), so blanks before the date are accepted.
+# stray blanks, so blanks before the date are accepted.
 _PREFIX = re.compile(
     r"\s*(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{3}) \| ([A-Z]+) *\| ([\w.]+):([\w<>.]+):(\d+) - (.*)", re.DOTALL
 )

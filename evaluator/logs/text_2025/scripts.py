@@ -1,4 +1,4 @@
-"""The four evaluation scripts of 2025: their episode lists, limits and rules (challenge-facts 5 to 7)."""
+"""The four evaluation scripts of 2025: their episode lists, limits and rules."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -81,7 +81,7 @@ class Script(StrictModel):
     peg: PegRules | None = None
     hole_tops_mm: tuple[PositiveFloat, ...] = ()
     """Vision track only: heights of the hole's top in the books; the published logs have the first, whose geometry had
-    the last all the same (challenge-facts D20)."""
+    the last all the same."""
 
     def starts(self, hole_top_mm: float | None = None) -> list[PrintedStart]:
         """Return the list, in the order of the script's loops.
@@ -131,7 +131,7 @@ class Script(StrictModel):
         return x, y, theta, z + (hole_top_mm or self.hole_tops_mm[0]) - self.hole_tops_mm[-1], left
 
     def _shown(self, offset: tuple[float, ...], hole_top_mm: float | None) -> tuple[float, ...]:
-        """Return the start as the log shows it; in the vision track relative to the target (challenge-facts 2.3, 6)."""
+        """Return the start as the log shows it; in the vision track relative to the target."""
         if not self.hole_tops_mm:
             return offset
         x, y, theta, z, left = offset

@@ -22,7 +22,7 @@ def planned(env: FusionInsertionEnv, start: tuple[float, ...]) -> dict[str, Any]
 
 
 def test_a_planner_that_knows_the_offset_succeeds_at_all_50_starts() -> None:
-    """challenge-facts 15: in 25.3 env steps on average for the hexagon, 25.1 for the cuboid."""
+    """As in the published logs: in 25.3 env steps on average for the hexagon, 25.1 for the cuboid."""
     env = unseen()
     infos = [planned(env, start) for start in STARTS]
     assert [info["end_reason"] for info in infos] == ["success"] * 50

@@ -1,4 +1,4 @@
-"""The organizers' Track 2 log of 2025-01-01 in our physics: every test ends as logged (challenge-facts 15)."""
+"""The organizers' Track 2 log of 2025-01-01 in our physics: every test ends as logged."""
 
 import json
 from collections import Counter

@@ -1,4 +1,4 @@
-"""The organizers' Track 3 log in our physics, under the settings with which it was made (challenge-facts 9a, D14)."""
+"""The organizers' Track 3 log in our physics, under the settings with which it was made."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -16,7 +16,7 @@ from vitac.envs.vision.rasterizer import Body, Label, View, VisibleSurfaces, ras
 
 FloatArray = NDArray[np.float64]
 
-# x, y [mm], theta [deg], z [mm], hexagon (1) or cuboid (0): the evaluated starts (challenge-facts 7).
+# x, y [mm], theta [deg], z [mm], hexagon (1) or cuboid (0): the evaluated starts.
 STARTS = (
     (2.3, -4.1, -3.2, 8.8, 1),
     (-3.0, 0.5, -6.3, 7.9, 1),
@@ -134,7 +134,7 @@ def fusion_scene(start: tuple[float, float, float, float, int]) -> SeenScene:
             ),
         ]
     )
-    # Left: the gel's x points down, its y along +x, its z along -y; right: down, -x, +y (challenge-facts 2.1).
+    # Left: the gel's x points down, its y along +x, its z along -y; right: down, -x, +y.
     x, y, z = gel.rest_position_m.T
     left_m = np.column_stack([y, 0.017 - z, 0.042 - x])
     right_m = np.column_stack([-y, z - 0.017, 0.042 - x])

@@ -1,4 +1,4 @@
-"""Writes 2025 text logs as the organizers' scripts do (challenge-facts 7.1), from parsed ones; for tests."""
+"""Writes 2025 text logs as the organizers' scripts do, from parsed ones; for tests."""
 
 from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime, timedelta
@@ -15,7 +15,7 @@ def text_log(
     totals: Sequence[str] = (),
     team: str = "Touch",
 ) -> str:
-    """The text of a log; episodes as in challenge-facts 13."""
+    """The text of a log; episodes as parsed logs have them."""
     messages = [f"#KEY: {team}", f"this is MD5: {md5}", "Git Repository Information:", "  branch: main"]
     messages.append("\n-----------Parameters-----\n" + f"{'tac_friction':>30}: {'87.5':<60}\n" + "-----End-----\n")
     messages.append(repr(environment))

@@ -54,7 +54,7 @@ class FuzzedStep:
 
 
 def fuzzed_environment(task: str, random: np.random.Generator, assets_dir: Path | None) -> TactileTaskEnv[Any, Any]:
-    """An environment with friction and indentation drawn over their training ranges (challenge-facts 3)."""
+    """An environment with friction and indentation drawn over their training ranges."""
     indentation_mm = float(random.uniform(0.5, 1.25))
     gel_friction = float(random.uniform(50, 125))
     if task == PEG:

@@ -41,7 +41,7 @@ Start = tuple[float, float, float, float, int]
 
 @pytest.mark.parametrize("start", STARTS)
 def test_the_references_colour_rule_finds_peg_and_base_and_nothing_else(start: Start) -> None:
-    """challenge-facts 4.5: peg where R > 200, G < 100, B < 100; base where B > 200, G < 100."""
+    """The challenge's colour rule: peg where R > 200, G < 100, B < 100; base where B > 200, G < 100."""
     scene = fusion_scene(start)
     view = scene.view()
     red, green, blue = np.moveaxis(colour_picture(view, scene.surfaces, scene.vertices_m), 2, 0)
@@ -53,7 +53,7 @@ def test_the_references_colour_rule_finds_peg_and_base_and_nothing_else(start: S
 
 
 def test_colours_lie_in_the_ranges_of_the_challenges_pictures() -> None:
-    """challenge-facts 15."""
+    """As in the challenge's pictures."""
     scene = fusion_scene(STARTS[0])
     view = scene.view()
     picture = colour_picture(view, scene.surfaces, scene.vertices_m)

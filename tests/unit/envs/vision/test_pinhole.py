@@ -1,4 +1,4 @@
-"""The camera rig stands where the facts say (challenge-facts 4.5, 15)."""
+"""The camera rig stands where the challenge puts it."""
 
 import numpy as np
 import pytest

@@ -119,7 +119,7 @@ def test_box_of_an_empty_view_is_empty() -> None:
 
 @pytest.mark.parametrize("start", STARTS)
 def test_the_task_is_seen_at_the_stated_depths_and_places(start: tuple[float, float, float, float, int]) -> None:
-    """challenge-facts 15: 0.396 to 0.523 m, inside a box of about 126 x 139 pixels; ours is two pixels larger."""
+    """The challenge's picture: 0.396 to 0.523 m, inside a box of about 126 x 139 pixels; ours is two pixels larger."""
     view = fusion_scene(start).view()
     rows, columns = view.box
     assert columns.stop - columns.start <= 128

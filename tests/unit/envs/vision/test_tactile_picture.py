@@ -32,7 +32,7 @@ def change(depth_m: float) -> NDArray[np.int64]:
 
 
 def test_an_untouched_gel_has_the_colours_of_the_facts() -> None:
-    """challenge-facts 4.4, red, green, blue at rows 10, 120 and 230."""
+    """The challenge's picture, red, green, blue at rows 10, 120 and 230."""
     picture = taken()
     assert picture.shape == (240, 320, 3)
     assert picture[10, 10].tolist() == [65, 74, 39]

@@ -19,8 +19,7 @@ def test_arguments_and_fields_are_lists_with_their_meaning() -> None:
     assert "\nAttributes:\n\n- `max_steps`: env steps after which an episode is cut off.\n- " in text
 
 
-def test_environments_have_tables_and_no_notes_on_sources() -> None:
+def test_environments_have_tables() -> None:
     text = environments()
     assert "## ViTac/PegInsertion-v1\nInsert a peg into the hole of a plate" in text
     assert "| marker_flow | (2, 2, 128, 2) |" in text
-    assert "challenge-facts" not in text

@@ -14,7 +14,7 @@ def start(options: dict[str, Any], seed: int = 0) -> FusionStart:
 
 
 def test_left_start_counts_from_the_hexagonal_hole() -> None:
-    """challenge-facts 2.3: [x, y + 22.625 - y_target, theta, z + 10.5]."""
+    """As the 2025 code has it: [x, y + 22.625 - y_target, theta, z + 10.5]."""
     found = start({"start": (2.3, -4.1, -3.2, 8.8, 1)})
     assert found.target is Target.LEFT
     assert found.offset.as_array() == pytest.approx([2.3, -4.1 + 22.625 - 45.25, -3.2, 19.3])

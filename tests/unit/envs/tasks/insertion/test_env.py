@@ -1,4 +1,4 @@
-"""Reward of the peg and the fusion task (challenge-facts 6.1, 6.3)."""
+"""Reward of the peg and the fusion task."""
 
 from dataclasses import replace
 from math import radians
