@@ -200,7 +200,7 @@ class Door:
         """
         shown = self.call("GET /teams/{team_id}", {"team_id": team})
         for member in shown["members"]:
-            if member["name"].casefold() == named.casefold() and member["left_at"] is None:
+            if _key(member["name"]) == _key(named) and member["left_at"] is None:
                 return str(member["id"])
         raise NoTeam(f"{shown['name']} has no member {named!r}; its page and `team show` list them.")
 
@@ -470,6 +470,11 @@ def readable(value: Any) -> Any:
     if isinstance(value, list):
         return ", ".join(str(readable(each)) for each in value)
     return value
+
+
+def _key(name: str) -> str:
+    """Return what is equal for all ways to write a name."""
+    return " ".join(name.split()).casefold()
 
 
 def _plain(value: Any) -> Any:

@@ -57,14 +57,6 @@ def print_record(record: Mapping[str, object], *, as_json: bool) -> None:
         print_pairs(record)
 
 
-def print_done(sentence: str, record: Mapping[str, object], *, as_json: bool) -> None:
-    """Print what a command has done: as JSON the record of it, else one sentence."""
-    if as_json:
-        print_json(record)
-    else:
-        print(sentence)
-
-
 def print_records(records: Sequence[Mapping[str, object]], columns: Sequence[str], *, none: str, as_json: bool) -> None:
     """Print records: as JSON, or some of their fields in a table.
 

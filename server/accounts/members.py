@@ -319,19 +319,6 @@ def find(session: Session, by: Principal, team_id: UUID, member_id: UUID) -> Mem
     return found
 
 
-def find_by_name(session: Session, team: Team, name: str) -> Member:
-    """Return the member of that name.
-
-    Raises:
-        ServiceError: the team has none.
-    """
-    wanted = Member.team_id == team.id, Member.name_key == teams.name_key(name)
-    found = session.scalar(select(Member).where(*wanted))
-    if found is None:
-        raise not_found(f"member of {team.name} named", repr(name))
-    return found
-
-
 def find_captain(session: Session, team: Team) -> Member:
     """Return who leads a team."""
     leads = Member.team_id == team.id, Member.role == MemberRole.CAPTAIN, Member.left_at.is_(None)

@@ -138,16 +138,6 @@ def _log(session: Session, stage: Stage, before: Stage, chosen: Collection[str])
     )
 
 
-def qualified_revision(session: Session, stage: Stage) -> str:
-    """Return what a decision says that it was made against; empty where no team is confirmed."""
-    return _compute_revision(_qualified(session, stage))
-
-
-def qualified_teams(session: Session, stage: Stage) -> list[str]:
-    """Return the names of the teams that were confirmed for a stage."""
-    return sorted(_qualified(session, stage).values())
-
-
 def _rule(stage: Stage) -> tuple[Stage, Advancement]:
     """Return the stage whose board decides, and by which rule; the first stage of a track never has one."""
     if stage.before is None or stage.rules.qualified is None:

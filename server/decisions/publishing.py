@@ -6,7 +6,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC
-from pathlib import Path
 
 from jinja2 import Environment
 from sqlalchemy.orm import Session
@@ -99,25 +98,6 @@ flex-direction: column; justify-content: center; break-inside: avoid; }
 
 class ResultsNotWritten(VitacError):
     """The results cannot be written where they were asked for."""
-
-
-def publish(session: Session, folder: Path, competition: str | None = None) -> list[Path]:
-    """Write results.json, results.csv, results.html and certificates.html to a new folder, and return them.
-
-    `competition` is the name of the competition; None: the only one.
-
-    Raises:
-        ResultsNotWritten: the folder exists or cannot be made.
-        ServiceError: there is no competition, or a board has results of another evaluator version.
-    """
-    files = result_files(session, competition)
-    try:
-        folder.mkdir()
-        for name, content in files.items():
-            (folder / name).write_text(content, encoding="utf-8")
-    except OSError as error:
-        raise ResultsNotWritten(f"{folder} cannot be made: {error.strerror}. Name a new folder.") from error
-    return [folder / name for name in files]
 
 
 def result_files(session: Session, name: str | None = None) -> Mapping[str, str]:

@@ -52,5 +52,7 @@ def helps_of(option: str, commands: dict[str, Any]) -> dict[str, str]:
 def test_a_shared_option_has_one_help(commands: dict[str, Any], option: str, at_least: int, others: set[str]) -> None:
     found = helps_of(option, commands)
     assert len(found) >= at_least, found
+    if option == "--server":  # without it an organizer's command works on this machine
+        others |= {name for name in found if name.startswith("admin ")}
     shared = {name: text for name, text in found.items() if name not in others}
     assert len(set(shared.values())) == 1, shared

@@ -16,13 +16,6 @@ def test_no_rows_are_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == "No team yet.\n"
 
 
-def test_what_was_done_is_a_sentence_or_its_record(capsys: pytest.CaptureFixture[str]) -> None:
-    output.print_done("revoked 7", {"id": UUID(int=7)}, as_json=False)
-    assert capsys.readouterr().out == "revoked 7\n"
-    output.print_done("revoked 7", {"id": UUID(int=7)}, as_json=True)
-    assert json.loads(capsys.readouterr().out) == {"id": str(UUID(int=7))}
-
-
 def test_json_writes_times_and_ids_as_text(capsys: pytest.CaptureFixture[str]) -> None:
     made = datetime(2026, 11, 21, tzinfo=UTC)
     output.print_json({"at": made, "id": UUID(int=1), "name": "日本"})

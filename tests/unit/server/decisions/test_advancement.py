@@ -10,7 +10,7 @@ from vitac.server.audit import newest_entries
 from vitac.server.database.engine import Database
 from vitac.server.database.models import Notice, Submission, Team
 from vitac.server.database.states import NoticeKind, Role
-from vitac.server.decisions.advancement import confirm, propose, qualified_teams
+from vitac.server.decisions.advancement import confirm, propose
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.receipts.issuing import list_entries
@@ -106,7 +106,7 @@ def test_a_confirmed_team_may_submit_and_the_decision_is_recorded(database: Data
     begin(database, {"top": 1})
     assert confirmed(database) == ["Ants"]
     with database.transaction() as session:
-        assert qualified_teams(session, stored_stage(session, TRACK, SECOND)) == ["Ants"]
+        assert propose(session, CONSOLE, stored_stage(session, TRACK, SECOND)).confirmed == ["Ants"]
         by = {name: session.query(Team).filter_by(name=name).one().id for name in SUCCESSES}
         for name, allowed in (("Ants", True), ("Bees", False)):
             principal = Principal(role=Role.TEAM, team_id=by[name], team_name=name)

@@ -1,14 +1,13 @@
 import csv
 import json
 from datetime import UTC, datetime
-from pathlib import Path
 
 import pytest
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from submission_steps import refused
 from vitac.server.database.engine import Database
 from vitac.server.decisions.finishing import finalize
-from vitac.server.decisions.publishing import ResultsNotWritten, publish, result_files
+from vitac.server.decisions.publishing import result_files
 from vitac.server.errors import ProblemCode
 from vitac.server.principals import CONSOLE
 
@@ -18,7 +17,7 @@ NASTY = ["=HYPERLINK(1)", "<script>alert(1)</script>", "Plain"]
 
 
 @pytest.fixture
-def files(database: Database, tmp_path: Path) -> dict[str, str]:
+def files(database: Database) -> dict[str, str]:
     """The published files of a competition with three teams, two of which chose their names badly."""
     content = make_competition(prizes=[{"place": "first", "amount": 2000, "winners": 2, "note": "a talk"}])
     del content["tracks"][TRACK]["stages"][1]
@@ -27,14 +26,9 @@ def files(database: Database, tmp_path: Path) -> dict[str, str]:
         for number, name in enumerate(NASTY):
             team = make_principal(session, name)
             submit_scored(session, team, name, {TASK: make_score(50 - number)})
-        written = publish(session, tmp_path / "results")
-    assert {path.name for path in written} == {
-        "results.json",
-        "results.csv",
-        "results.html",
-        "certificates.html",
-    }
-    return {path.name: path.read_text() for path in written}
+        written = dict(result_files(session))
+    assert set(written) == {"results.json", "results.csv", "results.html", "certificates.html"}
+    return written
 
 
 def test_the_json_has_rules_winners_and_boards(files: dict[str, str]) -> None:
@@ -86,16 +80,6 @@ def test_what_is_final_has_its_date(database: Database) -> None:
     assert "size: A4 landscape" not in found["results.html"]
 
 
-def test_a_folder_that_is_there_is_not_touched(database: Database, tmp_path: Path) -> None:
-    with database.transaction() as session:
-        put_in_place(session, open_now(make_competition()))
-        (tmp_path / "mine").write_text("kept")
-        with pytest.raises(ResultsNotWritten, match="Name a new folder"):
-            publish(session, tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
-
-
-def test_without_a_competition_there_are_no_results(database: Database, tmp_path: Path) -> None:
+def test_without_a_competition_there_are_no_results(database: Database) -> None:
     with refused(ProblemCode.NOT_FOUND), database.transaction() as session:
-        publish(session, tmp_path / "results")
-    assert not (tmp_path / "results").exists()
+        result_files(session)
