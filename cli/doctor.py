@@ -1,5 +1,6 @@
 """`vitac doctor`: attacks the sandbox on this machine and says what to install."""
 
+import os
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +18,10 @@ def command(
 ) -> None:
     """Attack the sandbox on this machine: fork bombs, memory, network, files and more; exit 1 if an attack succeeds."""
     from vitac.evaluator.agent.isolation.machine import requirements
+    from vitac.evaluator.agent.isolation.memory_files import FILES_VARIABLE, FileIsolation
     from vitac.evaluator.agent.self_test import is_safe, run
 
+    os.environ.setdefault(FILES_VARIABLE, FileIsolation.MEMORY)  # as workers do
     found = requirements()
     can_run = all(requirement.is_met for requirement in found if requirement.is_needed)
     if not as_json:
@@ -72,7 +75,7 @@ def _conclusion(outcomes: "list[Outcome]", *, can_run: bool, safe: bool) -> str:
         level = next(outcome.isolation for outcome in outcomes if outcome.isolation)
         return (
             f"\nAll {len(outcomes)} attacks were blocked (user: {level.user}, memory: {level.memory}, "
-            f"episodes: {level.episodes})."
+            f"episodes: {level.episodes}, files: {level.files})."
         )
     names = ", ".join(outcome.name for outcome in outcomes if outcome.state != "held")
     return f"\nNOT SAFE: {names}. Do not run other people's submissions on this machine."

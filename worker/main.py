@@ -1,6 +1,7 @@
 """Entry point of a worker process; `vitac worker` calls `run`."""
 
 import asyncio
+import os
 import signal
 import threading
 from collections.abc import Callable, Collection, Iterator
@@ -11,6 +12,7 @@ import structlog
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
+from vitac.evaluator.agent.isolation.memory_files import FILES_VARIABLE, FileIsolation
 from vitac.evaluator.shards.process import ShardProcesses
 from vitac.server.database.availability import DatabaseUnreachable
 from vitac.server.database.states import WorkerOrder, WorkerState
@@ -50,6 +52,7 @@ def run(settings: Settings, stay: Stay = UNLIMITED, *, probe: ProbeIsolation = p
         DatabaseUnreachable: at the start, or for too long afterwards.
         VitacError: the file store cannot be used.
     """
+    os.environ.setdefault(FILES_VARIABLE, FileIsolation.MEMORY)
     opening = open_services(settings, may_run_database=False, awaits_database=not stay.is_limited)
     with opening as services, ShardProcesses() as processes:
         processes.prepare()

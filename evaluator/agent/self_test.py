@@ -63,7 +63,7 @@ class Outcome:
 
 
 _TEMPLATE: Final = """
-import ctypes, os, signal, socket, time
+import ctypes, fcntl, os, signal, socket, time
 
 CANARY_FILE = {canary_file!r}
 SYSCALL = ctypes.CDLL(None, use_errno=True).syscall
@@ -215,6 +215,40 @@ return allowed(
 )""",
     ),
     Probe(name="no rights of root", code="return (os.getuid() == 0) + allowed((105, 0), (106, 0), (169, 0, 0, 0))"),
+    Probe(
+        name="shared files tell nothing",
+        code="""
+file = open("/usr/bin/env", "rb")
+return reached(
+    lambda: fcntl.flock(file, fcntl.LOCK_SH),
+    lambda: fcntl.lockf(file, fcntl.LOCK_SH),
+    lambda: fcntl.fcntl(file, fcntl.F_GETLEASE),
+    lambda: os.statvfs("/usr"),
+    lambda: os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED),
+    os.sync,
+) + allowed(
+    (294, 0), (27, 0, 0, 0), (187, file.fileno(), 0, 4096), (306, file.fileno()), (300, 0, 0), (179, 0, 0, 0, 0)
+)""",
+    ),
+    Probe(
+        name="names tell nothing",
+        # A name that nobody has looked up yet answers several times slower on a disk, where the kernel remembers it.
+        code="""
+def times(names):
+    found = []
+    for name in names:
+        begun = time.perf_counter_ns()
+        os.access(name, 0)
+        found.append(time.perf_counter_ns() - begun)
+    return sorted(found)[len(found) // 2]
+
+cold = 0
+for group in range(8):
+    names = [f"/usr/lib/{os.urandom(8).hex()}" for _ in range(200)]
+    first = times(names)
+    cold += first > 1.8 * min(times(names), times(names))
+return cold >= 6""",
+    ),
     Probe(
         name="episodes share nothing",
         code="""

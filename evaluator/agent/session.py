@@ -18,6 +18,7 @@ from .exchange import Deadlines, EpisodeProcess, Exchange
 from .isolation import process_tree, tracing
 from .isolation.bubblewrap import UserIsolation
 from .isolation.cgroup import MemoryIsolation
+from .isolation.memory_files import FileIsolation
 from .isolation.process_ids import ProcessIds
 from .isolation.sandbox import Sandbox
 from .isolation.shared_core import SharedCore
@@ -56,6 +57,7 @@ class Isolation:
     user: UserIsolation
     memory: MemoryIsolation
     episodes: EpisodeIsolation
+    files: FileIsolation
     process_ids_repeat: bool
     """True where an episode's process id does not show how many episodes there were before."""
     episode_period_s: float = 0.0
@@ -231,6 +233,7 @@ class PolicySession:
             user=sandbox.user_isolation,
             memory=sandbox.memory_isolation,
             episodes=self._episodes,
+            files=sandbox.file_isolation,
             process_ids_repeat=self._loaded is None or self._loaded.process_ids_repeat,
             episode_period_s=self._start_times.period_s,
         )

@@ -35,6 +35,8 @@ _INSTALL: Final = (
     "install bubblewrap (Debian, Ubuntu: `apt-get install bubblewrap`; without root: `apt-get download bubblewrap`, "
     "`dpkg -x` it and name the program in VITAC_BWRAP), then run `vitac doctor`"
 )
+_TOP_FOLDERS: Final = ("/bin", "/lib", "/lib32", "/lib64", "/libx32", "/sbin")
+"""Links into /usr on most systems."""
 _ENVIRONMENT: Final = {
     "HOME": "/tmp",  # noqa: S108 - the sandbox's own tmpfs
     "LANG": "C.UTF-8",
@@ -132,18 +134,41 @@ def passwd_file(uid: int) -> bytes:
     return f"agent:x:{uid}:{uid}:agent:/tmp:/usr/sbin/nologin\n".encode()
 
 
+OWN_FILES: Final = ((_RUNTIME, INSIDE_RUNTIME), (_BACK_PROJECTION, INSIDE_BACK_PROJECTION))
+"""(outside, inside) of our files that every policy's process runs."""
+
+
 def command(
-    *, program: Path, submission: Path, interpreter: Interpreter, limits: Limits, uid: int, descriptors: Descriptors
+    *,
+    program: Path,
+    submission: Path,
+    interpreter: Interpreter,
+    limits: Limits,
+    uid: int,
+    descriptors: Descriptors,
+    system: Path | None = None,
 ) -> list[str]:
-    """Return the whole command line, from bubblewrap to the runtime."""
+    """Return the whole command line, from bubblewrap to the runtime.
+
+    Args:
+        program: bubblewrap.
+        submission: folder of the policy.
+        interpreter: Python and its packages.
+        limits: what the policy may use.
+        uid: of the sandbox.
+        descriptors: that the command inherits.
+        system: folder in memory with all files of system, Python and packages; None: they are bound from the disk.
+    """
+    if system is None:
+        files = [*_system_files(descriptors.passwd), *_writable_folders(limits), *_python_files(interpreter)]
+    else:
+        files = [*_files_in_memory(system, descriptors.passwd), *_writable_folders(limits)]
     return [
         str(program),
         *_privileges(uid),
         *_NAMESPACES,
         *("--json-status-fd", str(descriptors.info), "--seccomp", str(descriptors.seccomp)),
-        *_system_files(descriptors.passwd),
-        *_writable_folders(limits),
-        *_python_files(interpreter),
+        *files,
         *("--ro-bind", str(submission.resolve()), INSIDE_SUBMISSION, "--chdir", INSIDE_SUBMISSION, "--remount-ro", "/"),
         *_environment(interpreter),
         "--",
@@ -211,14 +236,26 @@ def _system_files(passwd: int) -> list[str]:
     arguments = ["--ro-bind", "/usr", "/usr"]
     for folder in ("/etc", "/opt", "/opt/vitac", "/opt/vitac/packages"):
         arguments += ["--perms", "0755", "--dir", folder]
-    for name in ("bin", "lib", "lib32", "lib64", "libx32", "sbin"):
-        system = Path("/", name)
+    for system in map(Path, _TOP_FOLDERS):
         if system.is_symlink():
             arguments += ["--symlink", str(system.readlink()), str(system)]
         elif system.is_dir():
             arguments += ["--ro-bind", str(system), str(system)]
     for optional in ("/etc/ld.so.cache", "/etc/alternatives"):
         arguments += ["--ro-bind-try", optional, optional]
+    return [*arguments, "--perms", "0444", "--file", str(passwd), "/etc/passwd"]
+
+
+def _files_in_memory(root: Path, passwd: int) -> list[str]:
+    """Bind what `memory_files` has copied; nothing else of the host is visible."""
+    arguments = ["--ro-bind", str(root / "usr"), "/usr", "--ro-bind", str(root / "opt"), "/opt"]
+    for system in map(Path, _TOP_FOLDERS):
+        if system.is_symlink():
+            arguments += ["--symlink", str(system.readlink()), str(system)]
+        else:
+            arguments += ["--ro-bind-try", str(root / system.name), str(system)]
+    arguments += ["--perms", "0755", "--dir", "/etc"]
+    arguments += ["--ro-bind-try", str(root / "etc" / "ld.so.cache"), "/etc/ld.so.cache"]
     return [*arguments, "--perms", "0444", "--file", str(passwd), "/etc/passwd"]
 
 
@@ -241,11 +278,9 @@ def _python_files(interpreter: Interpreter) -> list[str]:
         arguments += ["--ro-bind", str(outside), str(inside)]
     for folder in interpreter.masked:
         arguments += ["--tmpfs", str(folder), "--remount-ro", str(folder)]
-    return [
-        *arguments,
-        *("--ro-bind", str(_RUNTIME), INSIDE_RUNTIME),
-        *("--ro-bind", str(_BACK_PROJECTION), INSIDE_BACK_PROJECTION),
-    ]
+    for file, path in OWN_FILES:
+        arguments += ["--ro-bind", str(file), path]
+    return arguments
 
 
 def _folders_above(interpreter: Interpreter) -> list[Path]:

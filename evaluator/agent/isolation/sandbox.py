@@ -21,6 +21,13 @@ from ..verdicts import SandboxFailed
 from . import bubblewrap, cgroup, packages, process_tree, seccomp
 from .bubblewrap import UserIsolation
 from .cgroup import MemoryIsolation
+from .memory_files import (
+    FileIsolation,
+    default_file_isolation,
+    mount_point,
+    prepare_system_files,
+    with_submission_in_memory,
+)
 from .output import OutputTail
 
 _INTERVAL_S: Final = 0.1
@@ -83,11 +90,20 @@ class Sandbox:
         submission: folder that the policy is imported from.
         limits: what it may use.
         packages: sets of packages that its track declares.
+        files: where the files lie that it sees; by default what the machine is set to.
     """
 
-    def __init__(self, submission: Path, *, limits: Limits, packages: tuple[PackageSet, ...] = ()) -> None:
+    def __init__(
+        self,
+        submission: Path,
+        *,
+        limits: Limits,
+        packages: tuple[PackageSet, ...] = (),
+        files: FileIsolation | None = None,
+    ) -> None:
         self._submission = submission
         self._packages = packages
+        self.file_isolation = files or default_file_isolation()
         self.limits = limits
         self._exits = contextlib.ExitStack()
         self._statuses: dict[int, int] = {}
@@ -204,17 +220,25 @@ class Sandbox:
         return read, write
 
     def _command(self, uid: int, descriptors: bubblewrap.Descriptors) -> list[str]:
+        interpreter, system = packages.find_interpreter(self._packages), None
+        if self.file_isolation is FileIsolation.MEMORY:
+            system = prepare_system_files(interpreter, own=bubblewrap.OWN_FILES)
         command = bubblewrap.command(
             program=bubblewrap.find_program(),
-            submission=self._submission,
-            interpreter=packages.find_interpreter(self._packages),
+            submission=self._submission if system is None else mount_point(system),
+            interpreter=interpreter,
             limits=self.limits,
             uid=uid,
             descriptors=descriptors,
+            system=system,
         )
-        if self._group is None:
+        if self._group is not None:
+            command = ["/bin/sh", "-c", _JOIN_GROUPS, "sh", *map(str, self._group.folders), "--", *command]
+        if system is None:
             return command
-        return ["/bin/sh", "-c", _JOIN_GROUPS, "sh", *map(str, self._group.folders), "--", *command]
+        # Before the process joins the control groups: the submission does not count as the policy's memory.
+        size_bytes = self.limits.archive_unpacked_bytes
+        return with_submission_in_memory(command, submission=self._submission, root=system, size_bytes=size_bytes)
 
     def _spawn(self, command: list[str], descriptors: bubblewrap.Descriptors, output: int) -> "subprocess.Popen[bytes]":
         passed = (

@@ -18,14 +18,14 @@ _MEMORY: Final = """
 """
 _FILES: Final = """
     access chdir chmod chown close close_range copy_file_range creat dup dup2 dup3 faccessat faccessat2 fallocate
-    fchdir fchmod fchmodat fchmodat2 fchown fchownat fdatasync fgetxattr flistxattr flock fstat fstatfs fsync ftruncate
+    fchdir fchmod fchmodat fchmodat2 fchown fchownat fdatasync fgetxattr flistxattr fstat fsync ftruncate
     getcwd getdents getdents64 getxattr lchown lgetxattr link linkat listxattr llistxattr lseek lstat mkdir mkdirat
     mknod mknodat newfstatat pread64 preadv pwrite64 pwritev read readlink readlinkat readv rename renameat renameat2
-    rmdir sendfile stat statfs symlink symlinkat truncate umask unlink unlinkat write writev
+    rmdir sendfile stat symlink symlinkat truncate umask unlink unlinkat write writev
 """
 _WAITING: Final = """
     epoll_create epoll_create1 epoll_ctl epoll_ctl_old epoll_pwait epoll_pwait2 epoll_wait epoll_wait_old eventfd
-    eventfd2 inotify_add_watch inotify_init inotify_init1 inotify_rm_watch poll ppoll pselect6 select
+    eventfd2 poll ppoll pselect6 select
     signalfd signalfd4 splice tee vmsplice
 """
 _CHANNEL: Final = """
@@ -64,9 +64,10 @@ _SOCKET_OPTIONS: Final = (2, 3, 4, 6, 7, 8, 9, 13, 16, 17, 18, 19, 20, 21, 30, 3
 machine, nor SO_PEERPIDFD, nor what later kernels add."""
 _IOCTLS: Final = (0x5401, 0x540F, 0x5413, 0x541B, 0x5421, 0x5450, 0x5451)
 """TCGETS (is it a terminal), TIOCGPGRP, TIOCGWINSZ, FIONREAD, FIONBIO, FIONCLEX, FIOCLEX."""
-_FCNTLS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 9, 11, 16, 36, 37, 38, 1025, 1030, 1032, 1034, 1035, 1037)
-"""All but those that write to an open file that later episodes inherit as well: F_SETOWN, SETSIG, SETOWN_EX, SETLEASE,
-NOTIFY, SETPIPE_SZ, ADD_SEALS, SET_RW_HINT, SET_FILE_RW_HINT."""
+_FCNTLS: Final = (0, 1, 2, 3, 4, 9, 11, 16, 1030, 1032, 1034, 1035, 1037)
+"""Neither locks and leases, which sandboxes that run side by side would see on the files that they share (nor is there
+`flock`, `inotify_init` or `statfs`), nor what writes to an open file that later episodes inherit as well: F_SETOWN,
+SETSIG, SETOWN_EX, NOTIFY, SETPIPE_SZ, ADD_SEALS, SET_RW_HINT, SET_FILE_RW_HINT."""
 _PRCTLS: Final = (1, 2, 3, 4, 7, 8, 13, 14, 15, 16, 21, 23, 29, 30, 36, 37, 38, 39, 40, 41, 42, 47)
 """Parent-death signal, dumpable, keepcaps, timing, name, GET_SECCOMP, CAPBSET_READ, timer slack, subreaper,
 no_new_privs, GET_TID_ADDRESS, THP_DISABLE, CAP_AMBIENT. Not SET_SECCOMP: with a filter of its own a policy could fake

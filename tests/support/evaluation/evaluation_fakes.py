@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vitac.evaluator.agent.isolation.bubblewrap import UserIsolation
 from vitac.evaluator.agent.isolation.cgroup import MemoryIsolation
+from vitac.evaluator.agent.isolation.memory_files import FileIsolation
 from vitac.evaluator.agent.session import EpisodeIsolation, Isolation
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 from vitac.evaluator.tracks import Task, Track, load_track
@@ -117,6 +118,7 @@ class FakeSession:
         user=UserIsolation.ROOT,
         memory=MemoryIsolation.WATCHDOG,
         episodes=EpisodeIsolation.FRESH_PROCESS,
+        files=FileIsolation.DISK,
         process_ids_repeat=False,
     )
 

@@ -13,6 +13,7 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 from vitac.evaluator.agent.isolation.bubblewrap import UserIsolation
 from vitac.evaluator.agent.isolation.cgroup import MemoryIsolation
+from vitac.evaluator.agent.isolation.memory_files import FileIsolation
 from vitac.evaluator.agent.session import EpisodeIsolation, Isolation
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import (
@@ -58,6 +59,7 @@ ISOLATION = Isolation(
     user=UserIsolation.ROOT,
     memory=MemoryIsolation.CGROUP_V1,
     episodes=EpisodeIsolation.FROZEN_COPY,
+    files=FileIsolation.DISK,
     process_ids_repeat=True,
 )
 

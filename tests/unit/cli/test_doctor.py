@@ -8,6 +8,7 @@ from vitac.evaluator.agent.isolation import machine
 from vitac.evaluator.agent.isolation.bubblewrap import UserIsolation
 from vitac.evaluator.agent.isolation.cgroup import MemoryIsolation
 from vitac.evaluator.agent.isolation.machine import Requirement
+from vitac.evaluator.agent.isolation.memory_files import FileIsolation
 from vitac.evaluator.agent.self_test import Outcome, ProbeState
 from vitac.evaluator.agent.session import EpisodeIsolation, Isolation
 
@@ -15,6 +16,7 @@ LEVEL = Isolation(
     user=UserIsolation.ROOT,
     memory=MemoryIsolation.CGROUP_V2,
     episodes=EpisodeIsolation.FROZEN_COPY,
+    files=FileIsolation.DISK,
     process_ids_repeat=True,
 )
 
