@@ -255,6 +255,7 @@ def _differences(described: ExportDescription, entry: LeaderboardEntryView, resu
     board = described.board
     tasks = {task.task: task for task in result.tasks}
     ranked_by = reached(board.task, result)
+    values = board.ranking.values(ranked_by, result.submitted_at) if ranked_by else {}
     pairs: list[tuple[str, object, object]] = [
         ("competition", described.competition, result.competition),
         ("track", board.track, result.track),
@@ -263,8 +264,8 @@ def _differences(described: ExportDescription, entry: LeaderboardEntryView, resu
         ("submission", entry.submission_id, result.submission),
         ("submission time", entry.submitted_at, result.submitted_at),
         ("evaluator version", entry.evaluator_version, result.evaluator_version),
-        ("success rate", entry.success_rate, ranked_by and ranked_by.success_rate),
-        ("mean env steps", entry.mean_steps, ranked_by and ranked_by.mean_steps),
+        ("success rate", entry.success_rate, values.get("success_rate")),
+        ("mean env steps", entry.mean_steps, values.get("mean_steps")),
         ("what is measured", entry.measures, ranked_by and ranked_by.measures),
     ]
     for shown in entry.scores:

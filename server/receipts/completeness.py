@@ -266,8 +266,9 @@ def reached(task: str | None, result: Result) -> TaskResult | CombinedResult | N
 
 
 def place(board: LeaderboardView, entry: LeaderboardEntryView) -> tuple[float, ...]:
-    """Return what sorts the entries of a board."""
-    return board.ranking.sort_key(board.ranking.values(entry, entry.submitted_at))
+    """Return what sorts the entries of a board, by the values that it shows."""
+    shown = {"success_rate": entry.success_rate, "mean_steps": entry.mean_steps, **entry.measures}
+    return board.ranking.sort_key({**shown, "submitted_at": entry.submitted_at.timestamp()})
 
 
 def _is_better(
