@@ -223,10 +223,9 @@ return reached(
     lambda: fcntl.flock(file, fcntl.LOCK_SH),
     lambda: fcntl.lockf(file, fcntl.LOCK_SH),
     lambda: fcntl.fcntl(file, fcntl.F_GETLEASE),
-    lambda: os.statvfs("/usr"),
     lambda: os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED),
-    os.sync,
 ) + allowed(
+    (137, 0, 0), (138, 0, 0),
     (294, 0), (27, 0, 0, 0), (187, file.fileno(), 0, 4096), (306, file.fileno()), (300, 0, 0), (179, 0, 0, 0, 0)
 )""",
     ),
@@ -247,7 +246,7 @@ for group in range(8):
     names = [f"/usr/lib/{os.urandom(8).hex()}" for _ in range(200)]
     first = times(names)
     cold += first > 1.8 * min(times(names), times(names))
-return cold >= 6""",
+return int(cold >= 6)""",
     ),
     Probe(
         name="episodes share nothing",

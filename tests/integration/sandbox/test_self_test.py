@@ -12,6 +12,11 @@ from vitac.evaluator.agent.self_test import PROBES, Outcome, Probe, ProbeState, 
 from vitac.evaluator.agent.verdicts import VerdictCode
 
 
+@pytest.fixture(autouse=True)
+def _as_workers_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VITAC_SANDBOX_FILES", "memory")
+
+
 def outcome_of(probe: Probe) -> Outcome:
     (outcome,) = run((probe,))
     return outcome

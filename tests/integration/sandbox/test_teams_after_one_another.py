@@ -12,6 +12,8 @@ REFUSED = {
     "statx": (332, -100, 0, 0, 0, 0), "sysinfo": (99, 0), "getrusage": (98, 0, 0), "memfd_create": (319, 0, 0),
     "shmget": (29, 0, 4096, 0o1777), "semget": (64, 0, 1, 0o1777), "msgget": (68, 0, 0o1777),
     "mq_open": (240, 0, 0o102, 0o600, 0), "add_key": (248, 0, 0, 0, 0, -3), "io_uring_setup": (425, 8, 0),
+    "flock": (73, 0, 1), "inotify_init1": (294, 0), "statfs": (137, 0, 0), "mincore": (27, 0, 0, 0), "sync": (162,),
+    "readahead": (187, 0, 0, 0), "fadvise64": (221, 0, 0, 0, 4), "fanotify_init": (300, 0, 0), "quotactl": (179, 0, 0),
     "name_to_handle_at": (303, -100, 0, 0, 0, 0), "perf_event_open": (298, 0, 0, -1, -1, 0),
 }  # fmt: skip
 """Calls that count for the whole machine, or number what they make by such a counter."""
@@ -67,17 +69,13 @@ def number_of_event():
     return number
 
 
-def watch():
-    return LIBC.inotify_add_watch(LIBC.inotify_init(), b"/tmp", 1)
-
-
 def is_answered(call):
     return LIBC.syscall(*map(ctypes.c_long, call)) >= 0 or ctypes.get_errno() != errno.ENOSYS
 
 
 def read():
     counters = [os.getpid(), os.getppid(), os.getsid(0), child(), thread(), number_of_file("/tmp")]
-    counters += [number_of_file("/dev/shm"), number_of_pipe(), timer(), number_of_event(), watch()]
+    counters += [number_of_file("/dev/shm"), number_of_pipe(), timer(), number_of_event()]
     counters += [os.path.exists("/proc/stat"), os.path.exists("/sys/kernel")]
     return counters + [is_answered(call) for call in REFUSED.values()]
 
@@ -89,7 +87,7 @@ class Policy:
     def act(self, observation):
         return self.counters
 """
-N_COUNTERS = 13 + len(REFUSED)
+N_COUNTERS = 12 + len(REFUSED)
 
 
 def make(folder: Path, times: int) -> Path:

@@ -55,7 +55,8 @@ def test_a_machine_with_other_packages_for_policies_is_refused_with_their_names(
     assert not report.is_sound
 
 
-def test_this_machine_is_sound() -> None:
+def test_this_machine_is_sound(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VITAC_SANDBOX_FILES", "memory")
     report = probe_isolation()
     assert report.problems == ()
     assert report.sandbox is not None

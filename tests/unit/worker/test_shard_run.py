@@ -118,7 +118,8 @@ def test_shard_is_run_from_the_unpacked_submission_and_ended(
         shard = session.get_one(Shard, lease.shard_id)
         assert (shard.state, shard.isolation) == (
             ShardState.DONE,
-            "user: root, memory: cgroup-v1, episodes: frozen-copy, process ids repeat: True, episode period s: 0.0",
+            "user: root, memory: cgroup-v1, episodes: frozen-copy, files: disk, process ids repeat: True, "
+            "episode period s: 0.0",
         )
 
 

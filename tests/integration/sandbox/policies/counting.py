@@ -44,22 +44,6 @@ class counts_resets_in_a_file_made_while_loading(Counting):
                 file.write(b"x")
 
 
-@expects("harmless")
-class counts_resets_in_a_lock_on_an_open_file(Counting):
-    def __init__(self):
-        self.file = open(__file__)
-
-    def reset(self, task):
-        with open(__file__) as other:
-            try:
-                fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                self.seen = 0
-                fcntl.flock(other, fcntl.LOCK_UN)
-            except OSError:
-                self.seen = 1
-        fcntl.flock(self.file, fcntl.LOCK_EX)
-
-
 @expects("shared_state", where="load")
 class counts_resets_in_a_mapping_that_can_become_writeable(Counting):
     def __init__(self):
