@@ -332,7 +332,7 @@ def open_pipe() -> tuple[int, int]:
 
 def describe_room(path: object) -> os.statvfs_result:
     """Stand in for `os.statvfs`, which would show what others store; `multiprocessing` asks it of /dev/shm."""
-    os.stat(path)  # type: ignore[call-overload]  # noqa: PTH116 - raises as the call would
+    os.stat(path)  # type: ignore[arg-type]  # noqa: PTH116 - raises as the call would
     blocks = 16 << 8
     return os.statvfs_result((4096, 4096, blocks, blocks, blocks, blocks, blocks, blocks, 0, 255))
 
