@@ -40,6 +40,7 @@ def pytest_configure(config: pytest.Config) -> None:
     sys.dont_write_bytecode = False
     for name in [name for name in os.environ if name.startswith("VITAC_") and name not in MACHINE_VARIABLES]:
         del os.environ[name]
+    os.environ["VITAC_SANDBOX_FILES"] = "disk"  # but where a test is about memory: half a gigabyte is copied there
 
 
 @pytest.hookimpl(wrapper=True)

@@ -12,6 +12,7 @@ from ..limits import Limits
 from ..verdicts import SandboxFailed
 from . import bubblewrap, cgroup, tracing
 from .bubblewrap import UserIsolation
+from .memory_files import FILES_VARIABLE, memory_folder
 
 _SYSCTL: Final = Path("/proc/sys")
 _DEADLINE_S: Final = 10.0
@@ -32,7 +33,7 @@ class Requirement:
 
 def requirements() -> list[Requirement]:
     """Look for everything; nothing is started but `bwrap --version`."""
-    found = [_bubblewrap(), _seccomp(), *_programs(), _control_group(), _frozen_copies()]
+    found = [_bubblewrap(), _seccomp(), *_programs(), _memory(), _control_group(), _frozen_copies()]
     if bubblewrap.current_user_isolation() is UserIsolation.USER_NAMESPACE:
         found += user_namespaces()
     return found
@@ -95,7 +96,7 @@ def _seccomp() -> Requirement:
 
 
 def _programs() -> list[Requirement]:
-    names = ["prlimit"]
+    names = ["prlimit", "unshare"]
     if bubblewrap.current_user_isolation() is UserIsolation.ROOT:
         names.append("setpriv")
     needed = [_program(name, Path("/usr/bin", name), is_needed=True) for name in names]
@@ -111,6 +112,18 @@ def _program(name: str, path: Path | None, *, is_needed: bool) -> Requirement:
         is_needed=is_needed,
         found=str(path) if is_met else "none",
         remedy="" if is_met else "install util-linux",
+    )
+
+
+def _memory() -> Requirement:
+    try:
+        folder = memory_folder()
+    except SandboxFailed as error:
+        remedy = f"{str(error).removesuffix('.')}, or set {FILES_VARIABLE}=disk where no list is sealed"
+        return Requirement(name="memory for files", is_met=False, is_needed=True, found="none", remedy=remedy)
+    free_mib = shutil.disk_usage(folder).free >> 20
+    return Requirement(
+        name="memory for files", is_met=True, is_needed=True, found=f"{folder}, {free_mib} MiB free", remedy=""
     )
 
 

@@ -41,7 +41,7 @@ def doctor(monkeypatch: pytest.MonkeyPatch, found: Requirement, states: list[Pro
 def test_says_that_all_was_held(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     assert doctor(monkeypatch, requirement(is_met=True), [ProbeState.HELD] * 2) == 0
     out = capsys.readouterr().out
-    assert "All 2 attacks were blocked (user: root, memory: cgroup-v2, episodes: frozen-copy)." in out
+    assert "All 2 attacks were blocked (user: root, memory: cgroup-v2, episodes: frozen-copy, files: disk)." in out
 
 
 def test_an_escape_is_exit_code_1(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -65,3 +65,12 @@ def test_namespaces_matter_to_normal_users_only(uid: int, looks: bool, monkeypat
     monkeypatch.setattr(os, "geteuid", lambda: uid)
     assert any("AppArmor" in item.name for item in requirements()) is looks
     assert any(item.name == "setpriv" for item in requirements()) is not looks
+
+
+def test_memory_for_files_is_needed_and_its_remedies_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert by_name(requirements(), "memory").is_met
+    monkeypatch.setenv("VITAC_MEMORY_DIR", "/proc")
+    requirement = by_name(requirements(), "memory")
+    assert (requirement.is_met, requirement.is_needed) == (False, True)
+    assert "VITAC_MEMORY_DIR" in requirement.remedy
+    assert "VITAC_SANDBOX_FILES=disk" in requirement.remedy
