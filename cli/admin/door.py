@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 import httpx
 import typer
 
+from ..client.answers import RequestRefused
 from ..client.http import Client, make_client
 from ..verbs import Door
 
@@ -61,4 +62,8 @@ def open_door(context: typer.Context, server: str | None, token_file: Path | Non
 
     with open_for_command() as services:
         app = create_app(services.settings, services, caller=CONSOLE)
-        yield Door(client=Client(server=IN_PROCESS, transport=InProcess(app)))
+        try:
+            yield Door(client=Client(server=IN_PROCESS, transport=InProcess(app)))
+        except RequestRefused as error:
+            error.args = (error.detail,)  # status, hints and request ids are for who asks over a network
+            raise

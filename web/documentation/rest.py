@@ -22,6 +22,9 @@ def rest_reference(description: Mapping[str, Any]) -> str:
 def _route(route: Mapping[str, Any]) -> Iterator[str]:
     yield route.get("description") or route["summary"]
     yield ""
+    audiences = [name for needed in route.get("security", ()) for names in needed.values() for name in names]
+    yield f"For {', or '.join(audiences) or 'everybody'}."
+    yield ""
     if route.get("parameters"):
         yield "| parameter | in | type | meaning |"
         yield "|---|---|---|---|"

@@ -9,6 +9,7 @@ DESCRIPTION: dict[str, Any] = {
             "get": {
                 "summary": "Get",
                 "description": "Return one item.",
+                "security": [{"HTTPBearer": ["readers", "everybody"]}],
                 "parameters": [
                     {"name": "id", "in": "path", "required": True, "schema": {"type": "string", "format": "uuid"}},
                     {"name": "kind", "in": "query", "schema": {"anyOf": [{"enum": ["a", "b"]}, {"type": "null"}]},
@@ -45,12 +46,14 @@ def lines() -> list[str]:
 SHOWN = [
     "## GET /items/{id}",
     "Return one item.",
+    "For readers, or everybody.",
     "| `id` | path | string (uuid) |  |",
     "| `kind` | query, optional | `a`, `b` or null | One of \\| two. |",
     "| 200 | [ItemView](#itemview) | It. |",
     "| 204 | none | Nothing. |",
     "## POST /items/{id}",
     "Change it.",
+    "For everybody.",
     "Body: `application/json`, list of [ItemView](#itemview).",
     "| 201 | none | Done. |",
     "### ItemView",
