@@ -163,6 +163,8 @@ def hand_over(session: Session, by: Principal, member: Member) -> None:
     old = find_captain(session, member.team)
     if old.id == member.id:
         return
+    if not by.organizes_service and by.member_id not in {None, old.id}:  # somebody else was made the captain meanwhile
+        raise ServiceError(ProblemCode.FORBIDDEN, f"{old.name} is the captain now; only the captain may do this.")
     old.role = MemberRole.MEMBER
     session.flush()
     member.role = MemberRole.CAPTAIN

@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 from .. import names
 from ..audit import record
 from ..competitions.competition import Competition
-from ..database.models import Member, Team
+from ..database.models import ApiToken, Member, Team
 from ..database.states import MemberRole, Role
 from ..errors import ProblemCode, ServiceError, not_found
 from ..principals import CONSOLE, Principal
@@ -299,6 +299,9 @@ def _find_name_problem(session: Session, by: Principal | None, shown: str, but: 
     alike = next((row.name for row in others if names.look_alike(shown, row.name)), None)
     if alike is not None:
         return f"The name {shown!r} looks like that of team {alike!r}"
+    judges = session.scalars(select(ApiToken.label).where(ApiToken.role == Role.JUDGE))
+    if not is_own and any(names.look_alike(shown, judge) for judge in judges):
+        return f"The name {shown!r} is that of somebody who runs this service"
     if any(names.look_alike(shown, row.pseudonym) for row in others):
         return f"The name {shown!r} looks like one under which another team is shown"
     if not is_own and names.mixes_scripts(shown):

@@ -26,6 +26,8 @@ from ..views.notices import NewWebhookView, WebhookView
 from . import teams
 
 MAX_LENGTH = 500
+_PORTS: Final = (443, 8443)
+"""Those of HTTPS: a notice is not to be a message to a service of another kind."""
 LOOKED_UP_WITHIN_S = 2.0
 """A host that is not found within this time may be named; where it leads is looked at with each notice."""
 _LOOK_UPS = threading.BoundedSemaphore(4)
@@ -76,6 +78,8 @@ def check_address(address: str, *, inside_allowed: bool, what: str = "The webhoo
         raise _invalid(what, address, f"expected {' or '.join(schemes)}://HOST/...")
     if parts.username is not None or parts.password is not None or parts.fragment:
         raise _invalid(what, address, "expected an address without user, password and fragment")
+    if not inside_allowed and (port or 443) not in _PORTS:
+        raise _invalid(what, address, f"expected port {' or '.join(map(str, _PORTS))}, got {port}")
     if not inside_allowed and not _may_be_public(parts.hostname):
         raise _invalid(what, address, f"{parts.hostname} is not an address of the public internet")
     return parts

@@ -113,3 +113,15 @@ def test_an_address_that_is_no_plain_https_is_refused(address: str) -> None:
 def test_a_setting_allows_http_for_hosts_inside() -> None:
     assert webhooks.check_address("http://127.0.0.1:9/x?y=1", inside_allowed=True).port == 9
     assert webhooks.check_address("https://hook.example.org/x", inside_allowed=False).hostname == "hook.example.org"
+
+
+@pytest.mark.parametrize("port", [22, 25, 80, 3306, 6379, 8080])
+def test_a_port_of_another_service_is_refused(port: int) -> None:
+    with pytest.raises(ServiceError, match=f"expected port 443 or 8443, got {port}"):
+        webhooks.check_address(f"https://hook.example.org:{port}/", inside_allowed=False)
+    assert webhooks.check_address(f"http://127.0.0.1:{port}/", inside_allowed=True).port == port
+
+
+def test_the_ports_of_https_are_taken() -> None:
+    for address in ("https://hook.example.org/", "https://hook.example.org:443/", "https://hook.example.org:8443/"):
+        webhooks.check_address(address, inside_allowed=False)

@@ -105,6 +105,19 @@ def test_only_the_captain_and_organizers_invite_remove_and_hand_over(database: D
             members.remove(session, CONSOLE, ann)
 
 
+def test_of_two_changes_of_captain_at_once_the_second_is_refused(database: Database) -> None:
+    with database.transaction() as session:
+        team = make_principal(session)
+        ann, _ = joined(session, team)
+        bob, _ = joined(session, team, "Bob")
+        captain = members.find_captain(session, ann.team)
+        asked_twice = replace(team, member_id=captain.id, leads_team=True)  # both requests were let in as the captain's
+        members.hand_over(session, asked_twice, ann)
+        with pytest.raises(ServiceError, match="Ann is the captain now"):
+            members.hand_over(session, asked_twice, bob)
+        assert members.find_captain(session, ann.team).id == ann.id
+
+
 def test_a_captain_who_wants_to_leave_reads_how_to_hand_over(database: Database) -> None:
     with database.transaction() as session:
         team = make_principal(session)

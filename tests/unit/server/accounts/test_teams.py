@@ -1,7 +1,7 @@
 import threading
 
 import pytest
-from vitac.server.accounts import teams
+from vitac.server.accounts import teams, tokens
 from vitac.server.audit import newest_entries
 from vitac.server.database.engine import Database
 from vitac.server.database.states import Role
@@ -109,6 +109,15 @@ def test_names_of_those_who_run_the_service_are_theirs(database: Database) -> No
         with database.transaction() as session:
             assert teams.register(session, CONSOLE, name=name).name == name
             session.rollback()  # some look like one another
+
+
+def test_the_name_of_a_judge_is_no_name_of_a_team(database: Database) -> None:
+    with database.transaction() as session:
+        tokens.issue(session, CONSOLE, role=Role.JUDGE, label="Prof. X", lifetime=None)
+        for name in ("Prof. X", "prof x", "PROF X"):
+            with pytest.raises(ServiceError, match="is that of somebody who runs this service"):
+                teams.register(session, None, name=name)
+        teams.register(session, None, name="Prof. Y")
 
 
 def test_an_anonymous_competition_does_not_say_which_names_are_taken(database: Database) -> None:
