@@ -4,6 +4,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from io import TextIOWrapper
 from typing import Annotated
 
 import typer
@@ -89,6 +90,7 @@ NOUNS = (
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; exit with 0 for done, 1 for refused, 2 for wrong usage, 130 for Ctrl-C."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
+    _print_what_a_terminal_lacks()
     try:
         build_app(arguments)(arguments, prog_name="vitac")
     except ModuleNotFoundError as error:
@@ -107,6 +109,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
             raise
         print(f"vitac: {error}", file=sys.stderr)
         sys.exit(1)
+
+
+def _print_what_a_terminal_lacks() -> None:
+    """Print letters that the terminal's encoding lacks as escapes, instead of ending at the first one."""
+    if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def build_app(arguments: Sequence[str]) -> typer.Typer:

@@ -90,6 +90,14 @@ def test_organizers_elsewhere_need_nothing_of_the_server(repository: Path, tmp_p
     assert (code, "No service answers at http://127.0.0.1:9" in said) == (1, True), said
 
 
+def test_letters_that_a_terminal_lacks_end_no_command(repository: Path, tmp_path: Path) -> None:
+    content = (repository / "competitions" / "vitac-2025.yaml").read_text().replace("title: ", "title: é", 1)
+    (tmp_path / "cup.yaml").write_text(content)
+    words = "admin competition check {folder}/cup.yaml --json"
+    code, said = run(repository, tmp_path, words, set(), PYTHONIOENCODING="ascii")
+    assert (code, said) == (0, "")
+
+
 def imported(repository: Path) -> Iterator[str]:
     """Every package that some module of the product imports, wherever in it."""
     for path in (path for folder in FOLDERS for path in (repository / folder).rglob("*.py")):
