@@ -80,7 +80,7 @@ def serve(
 ) -> None:
     """Sign the logs that ask for it: `add-checkpoint` of c2sp.org/tlog-witness, which any log may use."""
     import uvicorn
-    from vitac.server.receipts.witness import make_app
+    from vitac.server.receipts.witness_server import make_app
     from vitac.server.transparency.notes import VerifierKey
 
     from .service.web_server import bind, format_address

@@ -90,6 +90,11 @@ def test_organizers_elsewhere_need_nothing_of_the_server(repository: Path, tmp_p
     assert (code, "No service answers at http://127.0.0.1:9" in said) == (1, True), said
 
 
+def test_a_witness_needs_no_web_server(repository: Path, tmp_path: Path) -> None:
+    code, said = run(repository, tmp_path, "witness key --name a.example/v --folder {folder}", SERVER)
+    assert (code, said) == (0, "")
+
+
 def test_letters_that_a_terminal_lacks_end_no_command(repository: Path, tmp_path: Path) -> None:
     content = (repository / "competitions" / "vitac-2025.yaml").read_text().replace("title: ", "title: é", 1)
     (tmp_path / "cup.yaml").write_text(content)

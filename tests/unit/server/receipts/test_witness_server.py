@@ -6,7 +6,8 @@ import httpx
 import pytest
 from made_logs import LOG_KEY
 from made_receipts import KEY
-from vitac.server.receipts.witness import MAX_BODY_BYTES, CheckpointRequest, Witness, make_app
+from vitac.server.receipts.witness import Witness
+from vitac.server.receipts.witness_server import MAX_BODY_BYTES, CheckpointRequest, make_app
 from vitac.server.transparency.merkle import make_tree
 from vitac.server.transparency.notes import OF_LOG, Checkpoint, VerifierKey, sign_checkpoint
 
