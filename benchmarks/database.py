@@ -21,23 +21,24 @@ from time import perf_counter
 from uuid import UUID, uuid4
 
 import numpy as np
-import sweep as long_queue
 from boards import make_statistics
-from sqlalchemy import select, text
+from sqlalchemy import text
+from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord, Timings
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_version, platform_class
 from vitac.server.database.engine import Database
 from vitac.server.database.metrics import Instruments, TotalsWriter
-from vitac.server.database.models import Shard, Worker
+from vitac.server.database.models import Worker
 from vitac.server.database.states import WorkerState
 from vitac.server.evaluations.episode_store import store_episodes
-from vitac.server.evaluations.lifecycle import fail_by_machines
+from vitac.server.evaluations.lifecycle import give_up
 from vitac.server.operations.exposition import Exposition
 from vitac.server.queue import leases, workers
-from vitac.server.queue.sweep import sweep
+from vitac.server.queue.work import claim, name_requirement, sweep
 from vitac.server.services import Services, open_services
-from vitac.server.settings import load_settings
+from vitac.server.settings import Settings, load_settings
+from vitac.worker.worker import POLL_S
 
 TRACK, TASK = "track_1", "peg-insertion"
 EPISODES_OF_SHARD = 30
@@ -46,6 +47,32 @@ INFO_BYTES = 1200
 """Of one env step: a record has 7 KB then, where those of the peg task have 4.5 and those of longer episodes more."""
 LEASE_S = 3600.0
 IDLE_ROUNDS = 200
+SHARDS_OF_ONE = 9
+
+TEAMS = "INSERT INTO teams (id, name, name_key) VALUES (gen_random_uuid(), 'benchmark', 'benchmark')"
+SUBMISSIONS = """
+    INSERT INTO submissions (id, team_id, kind, track, tasks, name, digest, archive_sha256, archive_bytes, manifest)
+    SELECT gen_random_uuid(), teams.id, 'model', 'track_1', ARRAY['peg-insertion'], 'zero',
+           encode(sha256(number::text::bytea), 'hex'), encode(sha256(number::text::bytea), 'hex'), 1, '{}'
+    FROM teams, generate_series(1, :submissions) number
+"""
+EVALUATIONS = """
+    INSERT INTO evaluations
+        (id, submission_id, run, evaluator_version, evaluator_hash, state, episodes_reused, log_tail, list_kind)
+    SELECT gen_random_uuid(), id, 1, :version, repeat('0', 64), 'queued', 0, '', 'public' FROM submissions
+"""
+SHARDS = """
+    WITH cut AS (
+        SELECT id AS evaluation, number, row_number() OVER () AS place
+        FROM evaluations, generate_series(1, :shards) number WHERE state = 'queued'
+    ), added AS (
+        INSERT INTO work (kind, owner, requires, priority, queued_at)
+        SELECT 'shard', 'benchmark', :requires, 5, now() - interval '1 day' FROM cut RETURNING id
+    )
+    INSERT INTO shards (id, evaluation_id, task, number, episodes)
+    SELECT added.id, evaluation, 'peg-insertion', number, ARRAY[number]
+    FROM (SELECT id, row_number() OVER () AS place FROM added) added JOIN cut USING (place)
+"""
 SCRAPES = 20
 
 
@@ -82,11 +109,23 @@ def service(n_shards: int) -> Iterator[Services]:
     try:
         with open_services(load_settings(state_dir=folder / "state", database_url=None)) as services:
             with services.database.transaction() as session:
-                long_queue.fill(session, n_shards)
+                fill(session, n_shards)
             make_statistics(services)
             yield services
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def fill(session: Session, n_shards: int) -> None:
+    """Make the rows of evaluations with nine shards each, which wait."""
+    values = {
+        "submissions": -(-n_shards // SHARDS_OF_ONE),
+        "shards": SHARDS_OF_ONE,
+        "version": evaluator_version(),
+        "requires": name_requirement(evaluator_version()),
+    }
+    for statement in (TEAMS, SUBMISSIONS, EVALUATIONS, SHARDS):
+        session.execute(text(statement), {name: value for name, value in values.items() if f":{name}" in statement})
 
 
 def scrape_figures(services: Services) -> dict[str, float]:
@@ -103,33 +142,38 @@ def scrape_figures(services: Services) -> dict[str, float]:
 
 def claim_figures(services: Services, n_clients: int, count: int) -> dict[str, float]:
     """Return rate and cost of claims."""
-    with services.database.transaction() as session:
-        ids = session.scalars(select(Shard.id).order_by(Shard.id).limit(count)).all()
     with postgres_time(services) as postgres:
-        wall_s = run_in_processes(partial(claim_all, services.database.address), share_out(ids, n_clients))
-    return {"per_s": round(len(ids) / wall_s, 1), "postgres_cpu_ms": postgres.ms_of_one(len(ids))}
+        wall_s = run_in_processes(partial(claim_next, services.database.address), share_out(range(count), n_clients))
+    return {"per_s": round(count / wall_s, 1), "postgres_cpu_ms": postgres.ms_of_one(count)}
 
 
-def claim_all(address: str, ids: Sequence[int]) -> None:
-    """Claim shards, one transaction each; runs in a process of its own."""
+def claim_next(address: str, places: Sequence[int]) -> None:
+    """Claim so many shards and begin them, as a worker does; runs in a process of its own."""
     database = Database(address)
-    worker_id = uuid4()
-    for shard_id in ids:
-        with database.transaction() as session:
-            leases.claim(session, shard_id, worker_id, LEASE_S)
+    settings, worker_id = load_settings(database_url=address, lease_s=LEASE_S), uuid4()
+    for _ in places:
+        begin_next(database, settings, worker_id)
     database.dispose()
+
+
+def begin_next(database: Database, settings: Settings, worker_id: UUID) -> leases.Lease:
+    """Take the next shard and begin it."""
+    claimed = claim(database, settings, worker_id, [name_requirement(evaluator_version())])
+    if claimed is None:
+        raise SystemExit("No shard waits.")
+    with database.transaction() as session:
+        return leases.begin(session, claimed)
 
 
 def episode_figures(services: Services, n_clients: int, count: int) -> dict[str, float]:
     """Return rate, cost and size of stored episodes."""
     with services.database.transaction() as session:
-        waiting = select(Shard.id).where(Shard.state == "queued").order_by(Shard.id)
-        ids = session.scalars(waiting.limit(count // EPISODES_OF_SHARD)).all()
         bytes_before = session.scalar(text("SELECT pg_total_relation_size('episode_results')")) or 0
         wal_before = session.scalar(text("SELECT pg_current_wal_lsn()"))
-    n_episodes = len(ids) * EPISODES_OF_SHARD
+    n_shards = count // EPISODES_OF_SHARD
+    n_episodes = n_shards * EPISODES_OF_SHARD
     with postgres_time(services) as postgres:
-        wall_s = run_in_processes(partial(store_all, services.database.address), share_out(ids, n_clients))
+        wall_s = run_in_processes(partial(store_all, services.database.address), share_out(range(n_shards), n_clients))
     with services.database.transaction() as session:
         n_bytes = (session.scalar(text("SELECT pg_total_relation_size('episode_results')")) or 0) - bytes_before
         wal = session.scalar(text("SELECT pg_current_wal_lsn() - CAST(:before AS pg_lsn)"), {"before": wal_before})
@@ -141,19 +185,17 @@ def episode_figures(services: Services, n_clients: int, count: int) -> dict[str,
     }
 
 
-def store_all(address: str, ids: Sequence[int]) -> None:
+def store_all(address: str, places: Sequence[int]) -> None:
     """Claim shards and store the episodes of each; runs in a process of its own.
 
     Each episode has a transaction of its own, which costs more than the half second that a worker stores together.
     """
     database = Database(address)
     records = [a_record(episode) for episode in range(1, EPISODES_OF_SHARD + 1)]
-    for shard_id in ids:
-        with database.transaction() as session:
-            lease = leases.claim(session, shard_id, uuid4(), LEASE_S)
-        if lease is None:
-            raise SystemExit(f"Shard {shard_id} is not queued.")
-        own = replace(lease, submission_digest=f"{shard_id:064x}")  # no episode is stored already
+    settings = load_settings(database_url=address, lease_s=LEASE_S)
+    for _ in places:
+        lease = begin_next(database, settings, uuid4())
+        own = replace(lease, submission_digest=f"{lease.work_id:064x}")  # no episode is stored already
         for record in records:
             with database.transaction() as session:
                 store_episodes(session, own, [record])
@@ -186,14 +228,18 @@ def idle_figures(services: Services) -> dict[str, float]:
         with database.transaction() as session:
             workers.heartbeat(session, worker_id, WorkerState.READY, disk)
 
+    def poll() -> None:
+        claim(database, settings, worker_id, ["nothing that waits"])
+
     def housekeeping() -> None:
         with database.transaction() as session:
-            sweep(session, settings, give_up=fail_by_machines)
+            sweep(session, settings, give_up=give_up)
         totals.write(database)
 
     return {
         "heartbeats_cpu_ms_per_s": measure_cost(services, heartbeat) / settings.worker_heartbeat_s,
         "housekeeping_cpu_ms_per_s": measure_cost(services, housekeeping) / settings.sweep_interval_s,
+        "polling_cpu_ms_per_s": measure_cost(services, poll) / POLL_S,
     }
 
 
@@ -217,7 +263,7 @@ def measure_cost(services: Services, work: Callable[[], None]) -> float:
 
 
 def share_out(ids: Sequence[int], n_clients: int) -> list[Sequence[int]]:
-    """Give each client every n-th id."""
+    """Give each client every n-th one."""
     return [ids[first::n_clients] for first in range(n_clients)]
 
 

@@ -1,8 +1,8 @@
 """Twenty workers on one database that holds 50,000 submissions: claims, boards and submission pages beside them.
 
 Run it as `python benchmarks/many_workers.py [--workers 20] [--submissions 50000] [--seconds 60] [--json FILE]`. Each
-worker is a process that fetches jobs, claims shards, sends heartbeats and keeps house as a real one, and plays nothing:
-first as fast as it can, then with the pause that a shard of 30 peg episodes takes. `fetch` and `claim` are what a
+worker is a process that claims and begins shards, sends heartbeats and keeps house as a real one, and plays nothing:
+first as fast as it can, then with the pause that a shard of 30 peg episodes takes. `claim` and `begin` are what a
 worker waits for. Times are wall times on a machine that runs all of it.
 """
 
@@ -20,15 +20,14 @@ from pathlib import Path
 from typing import Any
 
 import boards
-from database import LEASE_S, postgres_time, register
-from procrastinate.jobs import Status
-from sqlalchemy import select, text
+from database import LEASE_S, SHARDS, SHARDS_OF_ONE, postgres_time, register
+from sqlalchemy import text
 from vitac.evaluator.version import evaluator_version
-from vitac.server.database.models import Base, Shard
-from vitac.server.database.states import ShardState, WorkerState
+from vitac.server.database.models import Base
+from vitac.server.database.states import WorkerState
 from vitac.server.operations.housekeeping import Housekeeping
-from vitac.server.queue import leases, workers
-from vitac.server.queue.jobs import enqueue_shards, make_worker_app, queue_name
+from vitac.server.queue import leases, work, workers
+from vitac.server.queue.work import name_requirement
 from vitac.server.services import Services, open_services
 from vitac.server.settings import load_settings
 
@@ -39,14 +38,9 @@ SHARD_S = 1.8
 """For which a worker plays a shard of 30 peg episodes on a core (docs/capacity.md)."""
 EVALUATIONS = """
     INSERT INTO evaluations
-        (id, submission_id, run, evaluator_version, evaluator_hash, state, episodes_reused, log_tail)
-    SELECT gen_random_uuid(), id, 2, :version, repeat('0', 64), 'queued', 0, ''
+        (id, submission_id, run, evaluator_version, evaluator_hash, state, episodes_reused, log_tail, list_kind)
+    SELECT gen_random_uuid(), id, 2, :version, repeat('0', 64), 'queued', 0, '', 'public'
     FROM submissions WHERE kind = 'model' ORDER BY submitted_at LIMIT :n
-"""
-SHARDS = """
-    INSERT INTO shards (evaluation_id, task, number, episodes, state, token, attempts)
-    SELECT id, 'peg-insertion', number, ARRAY[number], 'queued', 0, 0
-    FROM evaluations, generate_series(1, 9) number WHERE state = 'queued'
 """
 COPIED = {
     "submissions": {
@@ -59,7 +53,7 @@ COPIED = {
 }
 """Columns of copies that differ, by table."""
 Times = Sequence[tuple[float, float]]
-"""Of each claim: of fetching its job, and of the claim itself [s]."""
+"""Of each claim: of the claim itself, and of beginning its shard [s]."""
 
 
 def main() -> None:
@@ -127,9 +121,8 @@ def fill(services: Services, n: int) -> None:
     """Let evaluations wait, and make statistics of all tables."""
     with services.database.transaction() as session:
         session.execute(text(EVALUATIONS), {"n": n, "version": evaluator_version()})
-        session.execute(text(SHARDS))
-        ids = session.scalars(select(Shard.id).where(Shard.state == ShardState.QUEUED).order_by(Shard.id)).all()
-        enqueue_shards(session, ids, queue_name(evaluator_version()), priority=0)
+        requires = name_requirement(evaluator_version())
+        session.execute(text(SHARDS), {"shards": SHARDS_OF_ONE, "requires": requires})
     boards.make_statistics(services)
 
 
@@ -145,8 +138,8 @@ def together(
     return {
         "claims_per_s": round(len(claims) / seconds, 1),
         "postgres_cores": round(postgres.ms_of_one(1) / 1000 / seconds, 2),
-        "fetch": boards.percentiles([1000 * fetch for fetch, _ in claims]),
-        "claim": boards.percentiles([1000 * claim for _, claim in claims]),
+        "claim": boards.percentiles([1000 * claim for claim, _ in claims]),
+        "begin": boards.percentiles([1000 * begin for _, begin in claims]),
         "pages": pages,
     }
 
@@ -159,32 +152,29 @@ def claim_during(address: str, seconds: float, pause_s: float, _number: int) -> 
         housekeeping = Housekeeping(services, supersedes=False)
         housekeeping.start()
         stack.callback(housekeeping.stop)
-        return asyncio.run(claim_until(services, time.monotonic() + seconds, pause_s))
+        return claim_until(services, time.monotonic() + seconds, pause_s)
 
 
-async def claim_until(services: Services, end: float, pause_s: float) -> Times:
-    """Fetch jobs and claim their shards; return the times of each."""
+def claim_until(services: Services, end: float, pause_s: float) -> Times:
+    """Claim shards and begin them; return the times of each."""
     times: list[tuple[float, float]] = []
     worker_id, beat_at = register(services.database), 0.0
-    async with make_worker_app(services.database.address).open_async() as app:
-        jobs = app.job_manager
-        fetcher = await jobs.register_worker()
-        while (began := time.monotonic()) < end:
-            if began - beat_at > services.settings.worker_heartbeat_s:
-                beat_at = began
-                disk = workers.measure_disk(services.settings.state_dir)
-                with services.database.transaction() as session:
-                    workers.heartbeat(session, worker_id, WorkerState.READY, disk)
-            fetching = time.perf_counter()
-            job = await jobs.fetch_job([queue_name(evaluator_version())], fetcher)
-            if job is None:
-                break
-            claiming = time.perf_counter()
+    settings = services.settings.model_copy(update={"lease_s": LEASE_S})
+    while (began := time.monotonic()) < end:
+        if began - beat_at > settings.worker_heartbeat_s:
+            beat_at = began
+            disk = workers.measure_disk(settings.state_dir)
             with services.database.transaction() as session:
-                leases.claim(session, int(str(job.task_kwargs["shard_id"])), worker_id, LEASE_S)
-            times.append((claiming - fetching, time.perf_counter() - claiming))
-            await jobs.finish_job(job, Status.SUCCEEDED, delete_job=True)
-            await asyncio.sleep(pause_s)
+                workers.heartbeat(session, worker_id, WorkerState.READY, disk)
+        claiming = time.perf_counter()
+        claimed = work.claim(services.database, settings, worker_id, [name_requirement(evaluator_version())])
+        if claimed is None:
+            break
+        beginning = time.perf_counter()
+        with services.database.transaction() as session:
+            leases.begin(session, claimed)
+        times.append((beginning - claiming, time.perf_counter() - beginning))
+        time.sleep(pause_s)
     return times
 
 

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4
 
-from sqlalchemy import func, select
+from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 from vitac.evaluator.agent.isolation.process_tree import cpu_s, descendants, read_text_file, reaped_cpu_s
 from vitac.evaluator.episodes.records import EpisodeRecord
@@ -33,14 +33,13 @@ from vitac.evaluator.scoring.score import score
 from vitac.evaluator.shards.process import IDLE_KEPT_S
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts import teams
-from vitac.server.database.models import Evaluation, Shard, Worker
+from vitac.server.database.models import Evaluation, Shard, Work, Worker
 from vitac.server.database.states import TERMINAL_EVALUATION_STATES, EvaluationState, Role
 from vitac.server.evaluations.episode_store import EpisodeKey, read_stored_records, store_episodes
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.operations.housekeeping import Housekeeping
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.queue import leases, workers
-from vitac.server.queue.jobs import withdraw_jobs
+from vitac.server.queue import leases, work, workers
 from vitac.server.services import Services, open_services
 from vitac.server.settings import load_settings
 from vitac.server.submissions import creation, listing, runs
@@ -51,6 +50,7 @@ from vitac.worker.record_store import TOGETHER_S
 EXAMPLES = Path(__file__).parents[1] / "examples"
 PEG_INSERTION = EXAMPLES / "peg_insertion_heuristic" / "Track_1"
 LOCK_OPENING = EXAMPLES / "lock_opening_heuristic" / "Track_1"
+OURS = "the benchmark"
 WORKER = "from vitac.server.settings import load_settings; from vitac.worker.main import run; run(load_settings())"
 POLL_S = 0.05
 LONG_POLL_S = 0.5
@@ -202,11 +202,10 @@ def storing_s(services: Services, records: Sequence[EpisodeRecord]) -> float:
     with services.database.transaction() as session:
         submission = listing.list_submissions(session, services.settings, CONSOLE).items[0]
         again = runs.run_again(session, CONSOLE, submission.id)
-        # No worker sees these jobs: they are withdrawn in the transaction that adds them.
         evaluation = newest_evaluation(session, again)
         shards = {episode: shard.id for shard in evaluation.shards for episode in shard.episodes}
-        withdraw_jobs(session, shards.values())
-    held = {shard_id: claim(services, shard_id) for shard_id in set(shards.values())}
+        session.execute(update(Work).where(Work.id.in_(shards.values())).values(requires=OURS))  # no worker takes them
+    held = {lease.work_id: lease for lease in (claim_next(services) for _ in set(shards.values()))}
     started = time.perf_counter()
     for together in stored_together(records, shards):
         with services.database.transaction() as session:
@@ -230,13 +229,14 @@ def stored_together(records: Sequence[EpisodeRecord], shards: dict[int, int]) ->
             yield together
 
 
-def claim(services: Services, shard_id: int) -> leases.Lease:
+def claim_next(services: Services) -> leases.Lease:
     """Take a shard for the benchmark itself."""
+    settings = services.settings.model_copy(update={"lease_s": LIMIT_S})
+    claimed = work.claim(services.database, settings, uuid4(), [OURS])
+    if claimed is None:
+        raise SystemExit("A worker has taken a shard of the benchmark.")
     with services.database.transaction() as session:
-        lease = leases.claim(session, shard_id, uuid4(), LIMIT_S)
-    if lease is None:
-        raise SystemExit(f"Shard {shard_id} was taken by a worker.")
-    return lease
+        return leases.begin(session, claimed)
 
 
 def wait_figures(services: Services, principal: Principal, n: int) -> dict[str, float]:

@@ -50,7 +50,6 @@ class ProblemCode(StrEnum):
     REGISTRATION_CLOSED = "registration_closed"
     RESULTS_OUTDATED = "results_outdated"
     SENSOR_REJECTED = "sensor_rejected"
-    SENSOR_CHECKS_UNAVAILABLE = "sensor_checks_unavailable"
     SERVICE_STOPPING = "service_stopping"
     STAGE_CLOSED = "stage_closed"
     STAGE_IN_USE = "stage_in_use"
@@ -119,7 +118,6 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.REGISTRATION_CLOSED: HTTPStatus.FORBIDDEN,
         ProblemCode.RESULTS_OUTDATED: HTTPStatus.CONFLICT,
         ProblemCode.SENSOR_REJECTED: HTTPStatus.UNPROCESSABLE_ENTITY,
-        ProblemCode.SENSOR_CHECKS_UNAVAILABLE: HTTPStatus.SERVICE_UNAVAILABLE,
         ProblemCode.SERVICE_STOPPING: HTTPStatus.SERVICE_UNAVAILABLE,
         ProblemCode.STAGE_CLOSED: HTTPStatus.FORBIDDEN,
         ProblemCode.STAGE_IN_USE: HTTPStatus.CONFLICT,

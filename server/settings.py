@@ -246,9 +246,6 @@ class Settings(BaseSettings):
         "version that they began with, or `restart` them with the new one. The server that starts last decides.",
     )
     worker_slots: PositiveInt = Field(default=1, description="Shards that one worker process runs at the same time.")
-    finished_jobs_kept_h: PositiveInt = Field(
-        default=24, description="How long finished jobs stay in the queue's tables."
-    )
 
     @model_validator(mode="after")
     def _lease_outlives_renewal(self) -> Self:

@@ -4,7 +4,7 @@ const POLL_MS = 1000;
 const LONGEST_POLL_MS = 30000;
 const TOO_MANY_REQUESTS = 429;
 const SERVER_ERRORS = 500;
-const ENDED = new Set(["made", "failed"]);
+const ENDED = new Set(["done", "failed"]);
 
 export async function followUntilMade(player) {
   const form = player.querySelector("form.ask");

@@ -153,7 +153,7 @@ async function start() {
   for (const section of sections.filter(({ dataset }) => ["", "queued", "running"].includes(dataset.state))) {
     followUntilMade(section).catch(() => say(section, "The server cannot be reached. Reload this page to see how far the playback is."));
   }
-  const made = sections.filter((section) => section.dataset.state === "made");
+  const made = sections.filter((section) => section.dataset.state === "done");
   const form = document.querySelector("form.transport");
   if (!made.length || !form) return;
   const [loaded] = await Promise.all([Promise.all(made.map(Player.load)), stillsAreShown()]);

@@ -18,8 +18,7 @@ from vitac.server.queue import workers
 from vitac.server.queue.declared import declared_versions, explain_left_work, explain_other_evaluator
 from vitac.server.services import Services
 
-from .fitness import explain_unfit, fit_families
-from .isolation import IsolationReport
+from .capabilities import IsolationReport, explain_unfit, fit_families
 
 logger = structlog.get_logger(__name__)
 

@@ -5,6 +5,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack
 from enum import StrEnum
 from pathlib import Path
 from typing import ClassVar, Generic, Protocol, TypeVar
@@ -12,8 +13,13 @@ from typing import ClassVar, Generic, Protocol, TypeVar
 import structlog
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
+from vitac.evaluator.tracks.sealed import write_secret
+from vitac.server.competitions.sealing import find_secret
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.queue.leases import LeaseLost
+from vitac.server.evaluations.lifecycle import give_up
+from vitac.server.queue import work
+from vitac.server.queue.kinds import KINDS
+from vitac.server.queue.work import Claim, LeaseLost
 from vitac.server.services import Services
 from vitac.server.storage.blobs import StoredFileLost
 from vitac.server.storage.scratch import has_space, is_disk_full
@@ -36,6 +42,10 @@ class RunEnd(StrEnum):
     BROKE = "broke"  # this machine could not do it; reported
 
 
+class WorkStopped(VitacError):
+    """The process was killed because its work had to end; another worker goes on with it, or nobody."""
+
+
 class RunningProcess(Protocol):
     """What every process that works for a lease offers."""
 
@@ -53,16 +63,21 @@ class LeasedRun(ABC, Generic[ProcessT]):
     step: ClassVar[str]
     """What has to happen now and then, or the process counts as one that hangs: `episode ended`."""
 
-    def __init__(self, services: Services, **names: int | str) -> None:
+    def __init__(self, services: Services, lease: Claim, **names: int | str) -> None:
         """Prepare; nothing is started.
 
         Args:
             services: open services.
-            names: what the lease is on, for log lines.
+            lease: on the work.
+            names: what it is about, for log lines.
         """
+        self.lease = lease
         self._services = services
-        self._logger = structlog.get_logger(type(self).__module__).bind(**names)
-        self._thread_name = "lease-" + "-".join(f"{name}-{number}" for name, number in names.items())
+        self._logger = structlog.get_logger(type(self).__module__).bind(
+            work=lease.work_id, kind=str(lease.kind), attempt=lease.attempt, **names
+        )
+        self._limit_s = KINDS[lease.kind].limit_s
+        self._began_at = time.monotonic()
         self._lock = threading.Lock()
         self._process: ProcessT | None = None
         self._stopping = threading.Event()
@@ -73,7 +88,7 @@ class LeasedRun(ABC, Generic[ProcessT]):
 
     def run(self) -> RunEnd:
         """Work until it is finished, lost, handed back or reported as broken."""
-        renewing = threading.Thread(target=self._keep_lease, name=self._thread_name, daemon=True)
+        renewing = threading.Thread(target=self._keep_lease, name=f"lease-{self.lease.work_id}", daemon=True)
         renewing.start()
         try:
             return self._work_or_end_early()
@@ -92,17 +107,21 @@ class LeasedRun(ABC, Generic[ProcessT]):
     def _work(self) -> None:
         """Do it and store the result; call `_watch` on the process and `_advance` after each step."""
 
-    @abstractmethod
     def _renew(self, session: Session) -> None:
         """Keep the lease for another while."""
+        work.renew(session, self.lease, self._services.settings.lease_s)
 
-    @abstractmethod
     def _hand_back(self, session: Session, delay_s: float = 0.0) -> None:
         """Let another worker do it (after a while); this was no attempt."""
+        work.hand_back(session, self.lease, delay_s=delay_s)
 
-    @abstractmethod
     def _report_broken(self, session: Session, message: str) -> None:
         """Say that this machine could not do it, which counts as an attempt."""
+        work.report_broken(session, self._services.settings, self.lease, message, give_up=give_up)
+
+    def _report_too_slow(self, session: Session, limit_s: float) -> None:
+        """Say that it took longer than an attempt may, which counts as one."""
+        self._report_broken(session, f"It took longer than {limit_s:g} s.")
 
     def _watch(self, process: ProcessT) -> None:
         """Have the process killed when the work has to end, which may be so already."""
@@ -139,6 +158,23 @@ class LeasedRun(ABC, Generic[ProcessT]):
             self._stopping.wait(STORAGE_PAUSE_S)
             self._advance()  # it waits, it does not hang
 
+    def _fetch(self, stack: ExitStack, stage: Callable[[], AbstractContextManager[Path]]) -> Path:
+        """Return where staged files are until the stack is closed."""
+        return self._retry_storage(lambda: stack.enter_context(stage()))
+
+    def _secret_file(self, stack: ExitStack, folder: Path, commitment: str | None) -> Path | None:
+        """Return a file with the secret of the list to play, which only this user reads; None for the public list."""
+        if commitment is None:
+            return None
+        secret = self._database(lambda session: find_secret(session, commitment))
+        file = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sealed-", dir=folder))) / "secret"
+        write_secret(file, secret)
+        return file
+
+    def _is_ended(self) -> bool:
+        """Return whether the process was killed because the work had to end."""
+        return self._stopping.is_set() or self._lost.is_set() or self._is_over_limit()
+
     def _work_or_end_early(self) -> RunEnd:
         try:
             self._work()
@@ -161,6 +197,11 @@ class LeasedRun(ABC, Generic[ProcessT]):
         if self._waits_for_space(error):
             self._database(lambda session: self._hand_back(session, FULL_DISK_PAUSE_S))
             return RunEnd.HANDED_BACK
+        if self._limit_s is not None and self._is_over_limit():
+            limit_s = self._limit_s
+            self._logger.error("work_too_slow", limit_s=limit_s)
+            self._database(lambda session: self._report_too_slow(session, limit_s))
+            return RunEnd.BROKE
         if self._is_idle.is_set():
             message = f"No {self.step} within {self._services.settings.shard_idle_timeout_s:g} s."
         self._logger.error("work_broke", error=message)
@@ -182,7 +223,7 @@ class LeasedRun(ABC, Generic[ProcessT]):
         while not self._over.wait(self._services.settings.lease_renewal_s):
             try:
                 self._database(self._renew)
-                self._end_if_idle()
+                self._end_if_too_slow()
             except LeaseLost:
                 self._lost.set()
                 self._kill()
@@ -190,11 +231,15 @@ class LeasedRun(ABC, Generic[ProcessT]):
             except Exception as error:  # noqa: BLE001 - whatever it is, the work itself continues and reports it
                 self._logger.warning("lease_not_renewed", error=str(error))
 
-    def _end_if_idle(self) -> None:
-        """End a process that hangs: its limits bound the policy, but nothing else bounds the simulation."""
+    def _end_if_too_slow(self) -> None:
+        """End a process that hangs or is over the limit of its kind: nothing else bounds the simulation."""
         if time.monotonic() - self._moved_at > self._services.settings.shard_idle_timeout_s:
             self._is_idle.set()
+        if self._is_idle.is_set() or self._is_over_limit():
             self._kill()
+
+    def _is_over_limit(self) -> bool:
+        return self._limit_s is not None and time.monotonic() - self._began_at > self._limit_s
 
     def _kill(self) -> None:
         with self._lock:

@@ -1,16 +1,19 @@
-"""Entry point of a worker process; `vitac worker` calls `run`."""
+"""Entry point of a worker process, and what ends it; `vitac worker` calls `run`."""
 
-import asyncio
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
 from uuid import UUID
 
 import structlog
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
+from vitac.envs.errors import VitacError
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.isolation.memory_files import FILES_VARIABLE, FileIsolation
 from vitac.evaluator.shards.process import ShardProcesses
@@ -22,12 +25,10 @@ from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
 from vitac.server.storage.scratch import is_disk_full
 
-from .alive import sign_of_life
+from .capabilities import IsolationReport, probe_isolation
 from .heartbeat import START_PATIENCE_S, Heartbeat
-from .isolation import IsolationReport, probe_isolation
 from .shard_run import StartShard
 from .staging import SubmissionStage
-from .stay import UNLIMITED, Stay, WorkerRefused
 from .worker import QueueWorker
 
 logger = structlog.get_logger(__name__)
@@ -42,6 +43,53 @@ PROBE_AGAIN_S = 60.0
 
 LOOK_S = 0.5
 """Time between two looks for a reason to take no more shards."""
+
+
+ALIVE_FILE = "worker.alive"
+"""In the state directory."""
+TOUCHED_EVERY_S = 5.0
+
+ONCE_WAITS_S = 10.0
+"""How long a worker that takes one piece of work waits for it [s]."""
+
+
+class WorkerRefused(VitacError):
+    """A worker with a limited stay may take no shards on this machine; waiting would only cost the time lent to it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stay:
+    """What ends a worker by itself, after the work that it has begun.
+
+    Attributes:
+        runs: shards and playbacks that it takes; None: any number.
+        idle_s: time without work after which it ends [s]; None: it waits.
+        lifetime_s: time from `began` after which it takes no more [s]; None: without limit.
+        began: on the monotonic clock [s].
+    """
+
+    runs: int | None = None
+    idle_s: float | None = None
+    lifetime_s: float | None = None
+    began: float = field(default_factory=time.monotonic, compare=False)
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether anything but a request to stop ends it."""
+        return self != UNLIMITED
+
+    def is_over(self, *, taken: int, idle_s: float) -> bool:
+        """Return whether a worker takes no more work.
+
+        Args:
+            taken: shards and playbacks that it has taken.
+            idle_s: time since it had any [s].
+        """
+        pairs = ((taken, self.runs), (idle_s, self.idle_s), (time.monotonic() - self.began, self.lifetime_s))
+        return any(limit is not None and value >= limit for value, limit in pairs)
+
+
+UNLIMITED = Stay()
 
 
 def run(settings: Settings, stay: Stay = UNLIMITED, *, probe: ProbeIsolation = probe_isolation) -> None:
@@ -140,7 +188,7 @@ def _take_shards(
         # A thread, not the signal's handler: that may interrupt whoever holds the locks which `stop` needs.
         threading.Thread(target=_stop_on_event, args=((stopping, leaving), worker), name="stop", daemon=True).start()
         logger.info("worker_started", worker=str(heartbeat.worker_id), slots=services.settings.worker_slots)
-        asyncio.run(worker.run())
+        worker.run()
         if order() is WorkerOrder.DRAIN:
             stopping.set()
         logger.info("worker_stopped", worker=str(heartbeat.worker_id))
@@ -190,3 +238,24 @@ def _stopped_by_signals(stopping: threading.Event) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def sign_of_life(folder: Path) -> Iterator[None]:
+    """Touch the file while the block runs, whatever the database does; it is removed at the end."""
+    file, over = folder / ALIVE_FILE, threading.Event()
+
+    def touch() -> None:
+        while not over.is_set():
+            with suppress(OSError):  # a full disk
+                file.touch()
+            over.wait(TOUCHED_EVERY_S)
+
+    thread = threading.Thread(target=touch, name="alive", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+        file.unlink(missing_ok=True)

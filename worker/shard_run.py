@@ -1,8 +1,6 @@
 """One claimed shard: run in a process of its own, each episode stored at once."""
 
 import errno
-import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from functools import partial
@@ -15,15 +13,13 @@ from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice, FiguresPart
 from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
-from vitac.evaluator.tracks.sealed import write_secret
 from vitac.server.competitions.competition import find_stage
-from vitac.server.competitions.sealing import find_secret
 from vitac.server.database.models import Submission
 from vitac.server.errors import ServiceError
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episodes, stored_episodes
-from vitac.server.evaluations.lifecycle import finish_shard, report_broken_machine
+from vitac.server.evaluations.lifecycle import finish_shard
 from vitac.server.evaluations.provenance import known_manifest
-from vitac.server.queue import leases
+from vitac.server.playbacks.stills import ask_for_new_stills
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 from vitac.server.storage import stored_files
@@ -44,7 +40,6 @@ from vitac.server.uploads.intake import UPLOAD_FOLDER
 
 from .leased_run import LeasedRun, RunningProcess
 from .record_store import RecordStore
-from .slot import Slot
 from .staging import SubmissionStage
 
 
@@ -63,10 +58,6 @@ class RunningShard(RunningProcess, Protocol):
         """What the shard ended with."""
 
 
-NEXT_FETCHED_S = 0.3
-"""So long before the end of a shard the worker fetches the next job, which then waits for the slot."""
-
-
 StartShard = Callable[[ShardOrder], AbstractContextManager[RunningShard]]
 
 
@@ -81,7 +72,7 @@ class ShardRun(LeasedRun[RunningShard]):
         stage: SubmissionStage,
         lease: Lease,
         start: StartShard,
-        slot: Slot | None = None,
+        leave_slot: Callable[[], object] = lambda: None,
     ) -> None:
         """Prepare; nothing is started.
 
@@ -90,14 +81,14 @@ class ShardRun(LeasedRun[RunningShard]):
             stage: submissions on this machine's disk.
             lease: on the shard.
             start: starts its process.
-            slot: left when all is played and the process has ended, or waits for another shard. What is left is to
-                store the result.
+            leave_slot: called when all is played and the process has ended, or waits for another shard. What is left
+                is to store the result.
         """
-        super().__init__(services, shard=lease.shard_id, attempt=lease.attempt, evaluation=str(lease.evaluation_id))
+        super().__init__(services, lease, evaluation=str(lease.evaluation_id))
         self._stage = stage
         self._lease = lease
         self._start = start
-        self._slot = slot or Slot()
+        self._leave_slot = leave_slot
         self._began_with_space = False
         self._packages: dict[str, str] | None = None
         """What the policy sees, until it is stored."""
@@ -106,6 +97,8 @@ class ShardRun(LeasedRun[RunningShard]):
         stored: StoredEpisodes = self._database(lambda session: stored_episodes(session, self._lease))
         result = self._result_without_running(stored) or self._play(stored)
         self._database(lambda session: finish_shard(session, self._lease, result))
+        settings, evaluation = self._services.settings, self._lease.evaluation_id
+        self._database(lambda session: ask_for_new_stills(session, settings, evaluation))
 
     def _result_without_running(self, stored: StoredEpisodes) -> ShardResult | None:
         """Return the shard's end if nothing is left to play; None otherwise, or if nobody has played the task yet."""
@@ -130,7 +123,7 @@ class ShardRun(LeasedRun[RunningShard]):
             has_learned = result.coefficients is not None or result.figures is not None
             # The next shards begin with what this one has learned of a sensor, and not at all where it has failed.
             if result.end is ShardEnd.COMPLETE and not has_learned:
-                self._slot.leave()
+                self._leave_slot()
         finally:
             store.close()
         if has_learned:
@@ -139,41 +132,25 @@ class ShardRun(LeasedRun[RunningShard]):
 
     def _result_of_process(self, stored: StoredEpisodes, store: RecordStore) -> ShardResult:
         with ExitStack() as stack:
-            path = self._fetch(stack, partial(self._stage.submission, self._lease.kind, self._lease.archive_sha256))
+            path = self._fetch(
+                stack, partial(self._stage.submission, self._lease.submission_kind, self._lease.archive_sha256)
+            )
             made = self._lease.sensor_sha256
             sensor = None if made is None else self._fetch(stack, partial(self._stage.file, made))
             measures = is_measured_by(self._lease)
             known = self._known_part() if measures else None
             figures = FigureChoice.ALL if measures and known is None else FigureChoice.NONE
-            order = self._order(path, stored, secret=self._secret_file(stack), sensor=sensor, figures=figures)
+            secret = self._secret_file(stack, self._stage.folder, self._lease.commitment)
+            order = self._order(path, stored, secret=secret, sensor=sensor, figures=figures)
             process = stack.enter_context(self._start(order))
             stack.callback(self._unwatch)
             self._watch(process)
-            pace = _Pace(len(self._lease.episodes) - len(stored.numbers))
-            for record in process.records():
-                if not pace.played:
+            for number, record in enumerate(process.records()):
+                if number == 0:
                     self._packages = process.packages
                 self._advance()
                 store.add(record)
-                pace.count()
-                if figures is not FigureChoice.ALL and pace.left_s() < NEXT_FETCHED_S:  # they come after all episodes
-                    self._slot.soon_left()
             return process.result if known is None else process.result.model_copy(update={"figures": known})
-
-    def _fetch(self, stack: ExitStack, stage: Callable[[], AbstractContextManager[Path]]) -> Path:
-        """Return where staged files are until the stack is closed."""
-        return self._retry_storage(lambda: stack.enter_context(stage()))
-
-    def _secret_file(self, stack: ExitStack) -> Path | None:
-        """Return a file with the secret of the list to play, which only this user reads; None for the public list."""
-        commitment = self._lease.commitment
-        if commitment is None:
-            return None
-        secret = self._database(lambda session: find_secret(session, commitment))
-        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="sealed-", dir=self._stage.folder))
-        file = Path(folder) / "secret"
-        write_secret(file, secret)
-        return file
 
     def _keep(self, result: ShardResult) -> None:
         """Store what is known of a sensor after a shard: what the estimator has learned, and a part of the figures."""
@@ -201,7 +178,7 @@ class ShardRun(LeasedRun[RunningShard]):
         self, path: Path, stored: StoredEpisodes, *, secret: Path | None, sensor: Path | None, figures: FigureChoice
     ) -> ShardOrder:
         return ShardOrder(
-            kind=self._lease.kind,
+            kind=self._lease.submission_kind,
             submission=path,
             sensor=sensor,
             figures=figures,
@@ -244,15 +221,6 @@ class ShardRun(LeasedRun[RunningShard]):
         self._packages = None
         self._services.instruments.episodes.labels(self._lease.task).inc(len(records))
 
-    def _renew(self, session: Session) -> None:
-        leases.renew(session, self._lease, self._services.settings.lease_s)
-
-    def _hand_back(self, session: Session, delay_s: float = 0.0) -> None:
-        leases.hand_back(session, self._lease, counts_as_attempt=False, delay_s=delay_s)
-
-    def _report_broken(self, session: Session, message: str) -> None:
-        report_broken_machine(session, self._services.settings, self._lease, message)
-
     def _waits_for_space(self, error: Exception) -> bool:
         """Return whether the shard lacked space that it cannot have used up itself.
 
@@ -260,25 +228,3 @@ class ShardRun(LeasedRun[RunningShard]):
         """
         others_disk = isinstance(error, ServiceError)  # that of the stored files
         return super()._waits_for_space(error) and (others_disk or not self._began_with_space)
-
-
-class _Pace:
-    """Tells from the episodes that were played how long the others take.
-
-    Args:
-        episodes: how many there are to play.
-    """
-
-    def __init__(self, episodes: int) -> None:
-        self._left = episodes
-        self.played = 0
-        self._began = time.monotonic()
-
-    def count(self) -> None:
-        """Count an episode as played."""
-        self._left -= 1
-        self.played += 1
-
-    def left_s(self) -> float:
-        """Return the time that those left will take [s]."""
-        return self._left * (time.monotonic() - self._began) / self.played

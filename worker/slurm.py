@@ -13,7 +13,7 @@ from pathlib import Path
 from sqlalchemy.exc import DBAPIError
 from vitac.envs.errors import VitacError
 from vitac.server.database.availability import DatabaseUnreachable
-from vitac.server.queue.depth import count_open_work
+from vitac.server.queue.work import count_open
 from vitac.server.services import Services
 
 JOB_NAME = "vitac-worker"
@@ -31,7 +31,7 @@ class Scaling:
     """What one look at queue and jobs found and did.
 
     Attributes:
-        work: shards and playbacks that wait or run.
+        work: pieces of work that wait or run.
         running: jobs that run.
         pending: jobs that wait for a machine, before anything was done about it.
         submitted: jobs that were added.
@@ -70,7 +70,7 @@ class SlurmScaler:
         """
         try:
             with self.services.database.transaction() as session:
-                work = count_open_work(session)
+                work = count_open(session)
         except DBAPIError as error:
             raise DatabaseUnreachable.from_driver(error) from error
         return self._scale(work)

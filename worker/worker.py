@@ -1,50 +1,54 @@
-"""Takes shards and playbacks from the queue and runs several at a time until a request to stop."""
+"""Claims work and does several pieces of it at a time until a request to stop."""
 
-import asyncio
-import contextlib
 import threading
 import time
 from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 from uuid import UUID
 
+import psycopg
 import structlog
-from procrastinate.exceptions import ProcrastinateException
+from psycopg.conninfo import make_conninfo
 from sqlalchemy.exc import DBAPIError
+from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.playback.process import making
+from vitac.server.appeals import replays
 from vitac.server.database.metrics import RetryReason
-from vitac.server.database.states import WorkerOrder
-from vitac.server.playbacks import work
-from vitac.server.queue import leases
-from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD, make_worker_app
+from vitac.server.database.states import WorkerOrder, WorkKind
+from vitac.server.playbacks import work as playbacks
+from vitac.server.queue import leases, work
 from vitac.server.queue.leases import Lease
+from vitac.server.queue.work import Claim, LeaseLost
 from vitac.server.services import Services
 from vitac.server.traces import span
 
-from .fitness import queues_here
-from .leased_run import DATABASE_PATIENCE_S, RunEnd
-from .playback_run import PlaybackRun, StartPlayback
+from .capabilities import list_abilities
+from .leased_run import DATABASE_PATIENCE_S, LeasedRun, RunEnd
 from .shard_run import ShardRun, StartShard
-from .slot import Slot
+from .short_runs import PlaybackRun, ReplayRun, SensorCheckRun, StartPlayback
 from .staging import SubmissionStage
 
 logger = structlog.get_logger(__name__)
 
 POLL_S = 1.0
-"""A notification wakes the worker at once; polling finds jobs that were enqueued for later."""
-RECONNECT_PAUSE_S = 0.5
+"""A notification wakes the worker at once; polling finds work that had to wait."""
 LOOK_S = 0.5
-"""Time between two looks for an order to take no more shards, or to take some again."""
+"""Time between two looks for an order to take no more work, or to take some again, and at the shares of kinds."""
+_KEEPALIVES: dict[str, Any] = {
+    "keepalives_idle": 10, "keepalives_interval": 5, "keepalives_count": 3, "connect_timeout": 15,
+}  # fmt: skip
+
+AnyRun = LeasedRun[Any]
 
 
 class QueueWorker:
-    """Runs shards and makes playbacks of the queue.
+    """Does work of the queue.
 
-    `run` returns after `stop`, which may be called from any thread, or after the last shard when `order` says so.
-    `taken` counts the shards and playbacks that it took.
+    `run` returns after `stop`, which may be called from any thread, or after the last work when `order` says so.
+    `taken` counts what it took.
     """
 
     def __init__(
@@ -65,182 +69,136 @@ class QueueWorker:
         self._families = families
         self._slots = services.settings.worker_slots
         self._free_slots = threading.Semaphore(self._slots)
+        # As much as runs may be played already while its results are stored.
+        self._free_threads = threading.Semaphore(2 * self._slots)
         self._lock = threading.Lock()
-        self._runs: set[ShardRun | PlaybackRun] = set()
+        self._runs: set[AnyRun] = set()
         self._idle_since = time.monotonic()
         self.taken = 0
-        self._stopping = False
+        self._over_share: Collection[WorkKind] = ()
+        self._looked_at = float("-inf")
+        self._stopping = threading.Event()
         self._order = order
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._stopped: asyncio.Event | None = None
 
     @property
     def idle_s(self) -> float:
-        """Time since it had a shard or playback, or since its start [s]; 0 while it has one."""
+        """Time since it had any work, or since its start [s]; 0 while it has some."""
         with self._lock:
             return 0.0 if self._runs else time.monotonic() - self._idle_since
 
-    async def run(self) -> None:
-        """Work until `stop`; connects again whenever the database went away."""
-        self._loop, self._stopped = asyncio.get_running_loop(), asyncio.Event()
-        if self._stopping:
-            return
-        # As many shards as run may be played already while their results are stored.
-        with ThreadPoolExecutor(2 * self._slots, thread_name_prefix="shard") as threads:
-            while not self._stopped.is_set():
-                try:
-                    await self._work_while_connected(threads, self._stopped)
-                    while self._order() is WorkerOrder.CORDON and not self._stopped.is_set():
-                        await asyncio.sleep(LOOK_S)
-                except (ProcrastinateException, OSError) as error:
-                    logger.warning("queue_away", error=" ".join(repr(error.__cause__ or error).split())[:200])
-                with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(self._stopped.wait(), RECONNECT_PAUSE_S)
+    def run(self) -> None:
+        """Work until `stop`, or an order to drain; go on whenever the database was away."""
+        with ThreadPoolExecutor(2 * self._slots, "work") as threads, Bell(self._services.database.address) as bell:
+            while not self._stopping.is_set() and (order := self._order()) is not WorkerOrder.DRAIN:
+                bell.clear()
+                if order is not WorkerOrder.WORK or not self._take_next(threads):
+                    bell.wait(POLL_S if order is WorkerOrder.WORK else LOOK_S)
 
     def stop(self) -> None:
-        """Give all shards and playbacks back and end."""
+        """Give all work back and end."""
         with self._lock:
-            self._stopping = True
+            self._stopping.set()
             running = list(self._runs)
         for run in running:
             run.stop()
-        if self._loop is not None and self._stopped is not None:
-            with contextlib.suppress(RuntimeError):  # the loop has ended by itself
-                self._loop.call_soon_threadsafe(self._stopped.set)
 
-    async def _wait_for_stop(self, stopped: asyncio.Event) -> None:
-        """Wait until no further shard is to be taken."""
-        while self._order() is WorkerOrder.WORK and not stopped.is_set():
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(stopped.wait(), LOOK_S)
-        if self._order() is WorkerOrder.DRAIN:
-            stopped.set()
-
-    async def _work_while_connected(self, threads: ThreadPoolExecutor, stopped: asyncio.Event) -> None:
-        app = make_worker_app(self._services.database.address)
-
-        @app.task(name=RUN_SHARD)
-        async def run_shard(shard_id: int) -> None:
-            await self._wait_until_next_is_due(threads, self._run_shard, shard_id)
-
-        @app.task(name=MAKE_PLAYBACK)
-        async def make_playback(playback_id: int) -> None:
-            await self._wait_until_next_is_due(threads, self._make_playback, playback_id)
-
-        async with app.open_async():
-            working = asyncio.create_task(
-                app.run_worker_async(
-                    queues=queues_here(self._families),
-                    concurrency=self._slots,
-                    fetch_job_polling_interval=POLL_S,
-                    delete_jobs="always",
-                    install_signal_handlers=False,
-                )
-            )
-            waiting = asyncio.create_task(self._wait_for_stop(stopped))
-            await asyncio.wait({working, waiting}, return_when=asyncio.FIRST_COMPLETED)
-            waiting.cancel()
-            working.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await working
-
-    async def _wait_until_next_is_due(
-        self, threads: ThreadPoolExecutor, do: Callable[[int, Slot], None], number: int
-    ) -> None:
-        """Do a job in a thread, in a slot; return when it is time to fetch the next job, which waits for the slot.
-
-        What is left of the work then continues without its job, which nobody needs: the row and its lease decide.
-        """
-        soon = asyncio.Event()
-        slot = Slot(self._free_slots, partial(asyncio.get_running_loop().call_soon_threadsafe, soon.set))
-        working = asyncio.wrap_future(threads.submit(slot.hold, partial(do, number, slot)))
-        leaving = asyncio.create_task(soon.wait())
-        awaited: set[asyncio.Future[Any]] = {working, leaving}
+    def _take_next(self, threads: ThreadPoolExecutor) -> bool:
+        """Begin the next work in a thread; whether it is time to look again at once."""
+        place = self._find_place()
+        if place is None:
+            return True
+        claim = None
         try:
-            await asyncio.wait(awaited, return_when=asyncio.FIRST_COMPLETED)
-        except asyncio.CancelledError:
-            working.cancel()  # unless it has begun
-            raise
+            # Either may have changed while there was no place.
+            if self._order() is WorkerOrder.WORK and not self._stopping.is_set():
+                claim = self._claim()
+        except DBAPIError as error:
+            logger.warning("queue_away", error=" ".join(str(error).split())[:200])
+        if claim is None:
+            place.give_back()
+            return False
+        with self._lock:
+            self.taken += 1
+        threads.submit(self._do, claim, place)
+        return True
+
+    def _find_place(self) -> "Place | None":
+        """Wait for a moment for a free slot and thread."""
+        if not self._free_slots.acquire(timeout=LOOK_S):
+            return None
+        if not self._free_threads.acquire(timeout=LOOK_S):
+            self._free_slots.release()
+            return None
+        return Place(self._free_slots, self._free_threads)
+
+    def _claim(self) -> Claim | None:
+        abilities, instruments = list_abilities(self._families), self._services.instruments
+        database, settings = self._services.database, self._services.settings
+        if time.monotonic() - self._looked_at > LOOK_S:
+            with database.transaction() as session:
+                self._over_share = work.list_over_share(session, settings)
+            self._looked_at = time.monotonic()
+        began = time.perf_counter()
+        claim = work.claim(database, settings, self._worker_id, abilities, self._over_share)
+        if claim is not None:
+            instruments.claim_s.observe(time.perf_counter() - began)
+            if claim.kind in {WorkKind.SHARD, WorkKind.TRIAL}:
+                instruments.shard_wait_s.observe(claim.waited_s)
+        return claim
+
+    def _do(self, claim: Claim, place: "Place") -> None:
+        """Do claimed work, in a thread."""
+        names: dict[str, int | str] = {"work": claim.work_id, "kind": str(claim.kind)}
+        try:
+            self._end(self._begin(claim, place), claim, names)
+        except LeaseLost as error:
+            logger.warning("work_ended", **names, end=str(RunEnd.LOST), error=str(error))
+        except DBAPIError as error:  # it is away for too long: the sweep gives the work to another
+            logger.error("lease_left", error=" ".join(str(error).split())[:300], **names)
+        except Exception:
+            logger.exception("run_failed", **names)
         finally:
-            leaving.cancel()
-        if working.done():
-            await working
+            place.give_back()
+            with self._lock:
+                self._idle_since = time.monotonic()
 
-    def _run_shard(self, shard_id: int, slot: Slot) -> None:
-        """Do one job, in a thread: the shard's row decides whether there is something to do.
+    def _begin(self, claim: Claim, place: "Place") -> AnyRun:
+        """Return the run of claimed work."""
 
-        A job that waited for its slot when the worker was to take no more is left; the sweep gives its shard another.
-        """
-        if self._stopping or self._order() is not WorkerOrder.WORK:
-            return
-        lease = self._claim(shard_id)
-        if lease is None:
-            return
-        evaluation = str(lease.evaluation_id)
-        run = ShardRun(self._services, self._stage, lease, self._start, slot)
-        names: dict[str, int | str] = {"shard": shard_id, "evaluation": evaluation}
-        played = {**names, "task": lease.task, "attempt": lease.attempt, "waited_s": lease.waited_s}
-        with span("shard", lease.traceparent, played) as found:
-            end = self._ended(run, **names)
-            found["end"] = str(end)
-        if end is None:
-            return
-        self._count(end)
-        log: Callable[..., object] = logger.info if end is RunEnd.FINISHED else logger.warning
-        log(
-            "shard_ended",
-            shard=shard_id,
-            evaluation=evaluation,
-            task=lease.task,
-            number=lease.number,
-            attempt=lease.attempt,
-            end=str(end),
-        )
+        def begin(read: Callable[[Session, Claim], Any]) -> Any:
+            return self._services.database.retrying(
+                lambda session: read(session, claim), give_up_after_s=DATABASE_PATIENCE_S
+            )
 
-    def _make_playback(self, playback_id: int, _slot: Slot) -> None:
-        """Do the job of a playback, in a thread; its row decides whether there is something to do."""
-        if self._stopping or self._order() is not WorkerOrder.WORK:
-            return
-        lease_s = self._services.settings.lease_s
-        lease = self._services.database.retrying(
-            lambda session: work.claim(session, playback_id, lease_s), give_up_after_s=DATABASE_PATIENCE_S
-        )
-        if lease is not None:
-            end = self._ended(PlaybackRun(self._services, lease, self._start_playback), playback=playback_id)
-            logger.info("playback_ended", playback=playback_id, attempt=lease.attempt, end=str(end))
+        if claim.kind is WorkKind.PLAYBACK:
+            return PlaybackRun(self._services, begin(playbacks.begin), self._start_playback)
+        if claim.kind is WorkKind.SENSOR_CHECK:
+            return SensorCheckRun(self._services, self._stage, begin(leases.begin_check))
+        if claim.kind is WorkKind.REPLAY:
+            return ReplayRun(self._services, self._stage, begin(replays.begin), self._start)
+        return ShardRun(self._services, self._stage, begin(leases.begin), self._start, place.leave_slot)
 
-    def _ended(self, run: ShardRun | PlaybackRun, **names: int | str) -> RunEnd | None:
-        """Run to the end; None where the database is away for too long, and the sweep gives the work to another."""
+    def _end(self, run: AnyRun, claim: Claim, names: dict[str, int | str]) -> None:
+        """Run to the end, and say and count how it ended."""
+        if isinstance(claim_of := run.lease, Lease):
+            names |= {"evaluation": str(claim_of.evaluation_id), "task": claim_of.task, "number": claim_of.number}
+        trace = claim_of.traceparent if isinstance(claim_of, Lease) else None
         with self._lock:
             self._runs.add(run)
-            self.taken += 1
-            stop_at_once = self._stopping
-        if stop_at_once:
+            stops_at_once = self._stopping.is_set()
+        if stops_at_once:
             run.stop()
         try:
-            return run.run()
-        except DBAPIError as error:
-            logger.error("lease_left", error=" ".join(str(error).split())[:300], **names)
-            return None
-        except Exception:
-            logger.exception("run_failed", **names)  # its job may have ended before, so that nobody else says it
-            raise
+            with span(str(claim.kind), trace, {**names, "attempt": claim.attempt, "waited_s": claim.waited_s}) as found:
+                end = run.run()
+                found["end"] = str(end)
         finally:
             with self._lock:
                 self._runs.discard(run)
-                self._idle_since = time.monotonic()
-
-    def _claim(self, shard_id: int) -> Lease | None:
-        lease_s = self._services.settings.lease_s
-        instruments = self._services.instruments
-        with instruments.claim_s.time():
-            lease = self._services.database.retrying(
-                lambda session: leases.claim(session, shard_id, self._worker_id, lease_s),
-                give_up_after_s=DATABASE_PATIENCE_S,
-            )
-        if lease is not None:
-            instruments.shard_wait_s.observe(lease.waited_s)
-        return lease
+        log: Callable[..., object] = logger.info if end is RunEnd.FINISHED else logger.warning
+        log("work_ended", **names, attempt=claim.attempt, end=str(end))
+        if isinstance(claim_of, Lease):
+            self._count(end)
 
     def _count(self, end: RunEnd) -> None:
         instruments = self._services.instruments
@@ -251,3 +209,60 @@ class QueueWorker:
         else:
             reason = RetryReason.BROKE if end is RunEnd.BROKE else RetryReason.HANDED_BACK
             instruments.shard_retries.labels(reason).inc()
+
+
+class Place:
+    """A slot for a simulation, and a thread. Work may leave the slot before it is over, with results to be stored."""
+
+    def __init__(self, slots: threading.Semaphore, threads: threading.Semaphore) -> None:
+        self._slots = slots
+        self._threads = threads
+        self._has_slot = True
+
+    def leave_slot(self) -> None:
+        """Let another simulation have the slot."""
+        if self._has_slot:
+            self._has_slot = False
+            self._slots.release()
+
+    def give_back(self) -> None:
+        """Give back slot and thread."""
+        self.leave_slot()
+        self._threads.release()
+
+
+class Bell:
+    """Rings when the database says that something waits; it listens while its block runs.
+
+    Args:
+        address: of the database.
+    """
+
+    def __init__(self, address: str) -> None:
+        self._address = make_conninfo(address, **_KEEPALIVES)
+        self._rings = threading.Event()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._listen, name="bell", daemon=True)
+        self.clear = self._rings.clear
+        self.wait = self._rings.wait
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _listen(self) -> None:
+        while not self._over.is_set():
+            try:
+                with psycopg.connect(self._address, autocommit=True) as connection:
+                    connection.execute(f"LISTEN {work.CHANNEL}")
+                    self._rings.set()  # nobody was notified of what came before
+                    while not self._over.is_set():
+                        for _ in connection.notifies(timeout=LOOK_S, stop_after=1):
+                            self._rings.set()
+            except psycopg.Error as error:
+                logger.warning("queue_not_heard", error=" ".join(str(error).split())[:200])
+                self._over.wait(LOOK_S)

@@ -38,7 +38,7 @@ from vitac.cli.demo.laboratory import (
 from vitac.cli.demo.team import team_token
 from vitac.cli.service.database import load_settings
 from vitac.server.database.models import EpisodeResult, Evaluation, Shard
-from vitac.server.database.states import EvaluationState, RepeatCause, ShardState
+from vitac.server.database.states import EvaluationState, RepeatCause, WorkState
 from vitac.station.twin.hidden import FaultScript, ScriptedFault, TwinFault, draw_hidden
 
 EXAMPLE = Path("examples/peg_insertion_trained")
@@ -76,7 +76,7 @@ def read_state(laboratory: Laboratory, evaluation_id: UUID) -> State:
         evaluation = session.get_one(Evaluation, evaluation_id)
         shards = session.scalars(select(Shard).where(Shard.evaluation_id == evaluation_id)).all()
         results = session.scalars(select(EpisodeResult).where(EpisodeResult.evaluation_id == evaluation_id)).all()
-        begun = [shard.started_at for shard in shards if shard.state is ShardState.RUNNING and shard.started_at]
+        begun = [shard.started_at for shard in shards if shard.state is WorkState.RUNNING and shard.started_at]
         return State(
             state=evaluation.state,
             verdict=evaluation.verdict_message or "",

@@ -135,28 +135,26 @@ def replay(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Play an episode again on this machine; the stored result and the boards stay as they are."""
-    from vitac.server.appeals.appeals import note_replay
+    """Have a worker play an episode again; the stored result and the boards stay as they are."""
+    from vitac.server.appeals import replays
     from vitac.server.principals import CONSOLE
+    from vitac.server.queue.workers import workers_alive
     from vitac.server.views.appeals import AppealReplayView
-    from vitac.worker import appeal_replay
 
     from ..service.database import load_settings, open_service
 
     with open_service(load_settings()) as services:
-        played = appeal_replay.replay(services, CONSOLE, appeal, task=task, episode=episode, corrected=corrected)
         database = services.database.make_trial() if dry_run else services.database
         with database.transaction() as session:
-            made = note_replay(
-                session,
-                CONSOLE,
-                appeal,
-                played.record,
-                policy_sha256=played.policy_sha256,
-                corrected=played.corrected,
+            replay = replays.ask(
+                session, services.blobs, CONSOLE, appeal, task=task, episode=episode, corrected=corrected
             )
-            shown = AppealReplayView.model_validate(made, from_attributes=True).model_dump()
-    if dry_run:
-        print(NOTHING_CHANGED, file=sys.stderr)
-    failure = played.record.failure.message if played.record.failure is not None else None
-    print_record(shown | {"failure": failure}, as_json=as_json)
+            played = {name: getattr(replay, name) for name in AppealReplayView.model_fields}
+            workers = workers_alive(session, services.settings)
+        if dry_run:
+            print(NOTHING_CHANGED, file=sys.stderr)
+        else:
+            says = "A worker plays the episode." if workers.alive else "No worker is running; start one: vitac worker."
+            print(says, file=sys.stderr)
+            played = replays.wait(services, replay.id).model_dump()
+    print_record(played, as_json=as_json)

@@ -23,7 +23,6 @@ HINTS = {
     "log_impossible": "Check it locally: `vitac log verify FILE`, or `vitac log import FILE` for a 2025 text log.",
     "log_team_mismatch": "Use the token of the team that the log names, or evaluate with --team.",
     "sensor_rejected": "Run `vitac sensor check` on the submission's folder; it lists every rule.",
-    "sensor_checks_unavailable": "The service cannot check sensors now; retry in a minute, then tell the organizers.",
     "archive_rejected": "Run `vitac check` on the submission; it lists everything that would be refused.",
     "digest_mismatch": "The upload was corrupted in transit; send it again.",
     "upload_truncated": "The upload was cut off; send it again.",

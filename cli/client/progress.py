@@ -27,6 +27,7 @@ class EvaluationProgress:
         self._console = console or Console(stderr=True)
         self._indent = " " * indent
         self._tenths_printed = 0
+        self._check: str | None = None
         self._bar: Progress | None = None
         self._tasks: dict[str, TaskID] = {}
 
@@ -58,6 +59,7 @@ class EvaluationProgress:
         evaluation = found["evaluation"]
         progress = evaluation["progress"]
         if self._bar is None:
+            self._print_check(evaluation.get("sensor_check"))
             self._print_line(progress)
             return
         tasks = progress["tasks"]
@@ -73,6 +75,12 @@ class EvaluationProgress:
             self._tasks[task["task"]] = bar.add_task("", total=total, successes=0, name=name)
         shown = description if done < total else ""
         bar.update(self._tasks[task["task"]], completed=done, successes=_shown(task["successes"]), description=shown)
+
+    def _print_check(self, state: str | None) -> None:
+        if state != self._check:
+            self._check = state
+            line = f"sensor check: {state}" if state else "sensor check: over"
+            self._console.print(self._indent + line, highlight=False)
 
     def _print_line(self, progress: Json) -> None:
         done, total = progress["episodes_done"], progress["episodes_total"]
@@ -116,6 +124,8 @@ def situation(found: Json) -> str:
     evaluation = found["evaluation"]
     if waits := nobody(found):
         return waits
+    if check := evaluation.get("sensor_check"):
+        return "its sensor is being checked" if check == "running" else "its sensor waits to be checked"
     if evaluation["state"] == "queued":
         return f"number {evaluation['queue_position']} in the queue"
     eta = evaluation["eta_s"]

@@ -45,8 +45,7 @@ def command(
         exit_with_parent(parent)
     with no_collections():
         from vitac.server.database.availability import DatabaseUnreachable
-        from vitac.worker.main import run
-        from vitac.worker.stay import ONCE_WAITS_S, Stay, WorkerRefused
+        from vitac.worker.main import ONCE_WAITS_S, Stay, WorkerRefused, run
 
     idle_s = ONCE_WAITS_S if once and drain_when_idle is None else drain_when_idle
     try:

@@ -7,6 +7,7 @@ limits on time and memory.
 import contextlib
 import subprocess
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Final
@@ -35,13 +36,20 @@ class SensorNotMade(VitacError):
     """The sandbox that makes sensors did not work; this is a fault of ours or of the machine. Try again."""
 
 
-def make_sensor(folder: Path, *, limits: Limits = LIMITS, wall_s: float = WALL_S) -> MadeSensor:
+def make_sensor(
+    folder: Path,
+    *,
+    limits: Limits = LIMITS,
+    wall_s: float = WALL_S,
+    watch: Callable[["subprocess.Popen[bytes]"], object] = lambda _: None,
+) -> MadeSensor:
     """Check and mesh the sensor in a submission's folder, in the sandbox.
 
     Args:
         folder: of the unpacked submission, readable by every user.
         limits: what the sandbox may use.
         wall_s: time until it is ended.
+        watch: gets the process, to end it sooner.
 
     Raises:
         SensorRejected: a rule is broken, or its surface takes too long; the message says which.
@@ -63,21 +71,23 @@ def make_sensor(folder: Path, *, limits: Limits = LIMITS, wall_s: float = WALL_S
         )
         output = exits.enter_context(tempfile.TemporaryFile())
         errors = exits.enter_context(tempfile.TemporaryFile())
+        process = subprocess.Popen(  # noqa: S603 - the command holds paths of ours only
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=errors,
+            pass_fds=(filter_file, passwd),
+            env={},
+            cwd="/",
+        )
+        exits.callback(process.wait)
+        exits.callback(process.kill)
+        watch(process)
         try:
-            ended = subprocess.run(  # noqa: S603 - the command holds paths of ours only
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=errors,
-                pass_fds=(filter_file, passwd),
-                env={},
-                cwd="/",
-                timeout=wall_s,
-                check=False,
-            )
+            code = process.wait(wall_s)
         except subprocess.TimeoutExpired as error:
             raise SensorRejected(f"Checking and meshing the gel took longer than {wall_s:g} s; simplify it.") from error
-        return _answer(ended.returncode, _read(output, 2 * MAX_BYTES), _read(errors, 2000))
+        return _answer(code, _read(output, 2 * MAX_BYTES), _read(errors, 2000))
 
 
 def _answer(code: int, output: bytes, errors: bytes) -> MadeSensor:

@@ -6,13 +6,12 @@ from uuid import UUID
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session, joinedload, selectinload
-from vitac.evaluator.episodes.records import EpisodeRecord
 
 from ..accounts import teams
 from ..audit import record
 from ..competitions.competition import Competition, find_stage
-from ..database.models import Appeal, AppealReplay, EpisodeResult, Evaluation, Rejudgement, Submission
-from ..database.states import TERMINAL_EVALUATION_STATES, AppealState
+from ..database.models import Appeal, EpisodeResult, Evaluation, Rejudgement, Submission
+from ..database.states import TERMINAL_EVALUATION_STATES, AppealState, WorkState
 from ..errors import ProblemCode, ServiceError, not_found
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation
@@ -136,54 +135,6 @@ def end_with_competition(session: Session, by: Principal, competition: Competiti
         _end(session, by, found, AppealState.REJECTED, _NO_RULING)
 
 
-def note_replay(
-    session: Session, by: Principal, appeal_id: int, played: EpisodeRecord, *, policy_sha256: str, corrected: bool
-) -> AppealReplay:
-    """Keep what an episode gave when it was played again, beside the stored result, which stays as it is.
-
-    Args:
-        session: of the transaction.
-        by: an organizer.
-        appeal_id: for which appeal.
-        played: the new record.
-        policy_sha256: of the archive that was played.
-        corrected: whether that is another one than the submission's.
-
-    Raises:
-        ServiceError: not an organizer, there is no such appeal, or its evaluation has no such episode.
-    """
-    by.require_organizer(by.competition)
-    found = find(session, by, appeal_id)
-    old = require_episode(session, found.evaluation, played.task, played.episode)
-    stored = EpisodeRecord.model_validate(old.record)
-    made = AppealReplay(
-        appeal_id=found.id,
-        task=played.task,
-        episode=played.episode,
-        policy_sha256=policy_sha256,
-        corrected=corrected,
-        outcome=played.outcome.value,
-        env_steps=played.env_steps,
-        same_states=stored.state_hashes == played.state_hashes,
-        old_outcome=old.outcome,
-        old_env_steps=old.env_steps,
-        played_at=datetime.now(UTC),
-    )
-    session.add(made)
-    session.flush()
-    after = {
-        "task": made.task,
-        "episode": made.episode,
-        "policy": policy_sha256,
-        "corrected": corrected,
-        "outcome": made.outcome,
-        "same_states": made.same_states,
-    }
-    before = {"outcome": old.outcome, "env_steps": old.env_steps}
-    record(session, by, "appeal.replay", f"appeal:{found.id}", after, before=before)
-    return made
-
-
 def require_episode(session: Session, evaluation: Evaluation, task: str | None, episode: int | None) -> EpisodeResult:
     """Return a stored episode of an evaluation.
 
@@ -249,7 +200,8 @@ def visible(
 def appeal_view(appeal: Appeal, by: Principal) -> AppealView:
     """Return an appeal with what was played again, as far as its episodes are not sealed to who asks."""
     submission = appeal.evaluation.submission
-    replays = appeal.replays if decide_sight(by, appeal.evaluation).episodes else []
+    is_shown = decide_sight(by, appeal.evaluation).episodes
+    replays = [one for one in appeal.replays if is_shown and one.state is WorkState.DONE]
     return AppealView(
         id=appeal.id,
         team=appeal.team.name,

@@ -185,7 +185,7 @@ def knows_revision(revision: str) -> bool:
 
 @cache
 def _revisions() -> frozenset[str]:
-    """Return those of all migrations, by the names of their modules: `v0012_first_schema` is 0012."""
+    """Return those of all migrations, by the names of their modules: `v0016_first_schema` is 0016."""
     found = (re.fullmatch(r"v(\d{4})_\w+\.py", path.name) for path in (_migrations() / "versions").iterdir())
     return frozenset(match[1] for match in found if match is not None)
 

@@ -78,30 +78,31 @@ class EvaluationState(StrEnum):
     CANCELLED = "cancelled"  # ended by the team or an organizer
 
 
-class ShardState(StrEnum):
-    """Life of one shard."""
+class WorkKind(StrEnum):
+    """What a piece of work is; `server.queue.kinds` declares what follows from it."""
+
+    SENSOR_CHECK = "sensor_check"  # makes the sensor of a submission, before its evaluation
+    REPLAY = "replay"  # plays an episode again for an appeal
+    PLAYBACK = "playback"  # makes the files that the page of an episode plays
+    TRIAL = "trial"  # a shard that a station plays on its platform
+    SHARD = "shard"  # plays a piece of an evaluation's list, or verifies one of a log's
+
+
+class WorkState(StrEnum):
+    """Life of a piece of work."""
 
     QUEUED = "queued"  # waits for a worker
     RUNNING = "running"  # leased to a worker
-    DONE = "done"  # all its episodes are stored
-    FAILED = "failed"  # the policy or the infrastructure failed
-    CANCELLED = "cancelled"  # its evaluation ended before it
+    DONE = "done"  # its result is stored
+    FAILED = "failed"  # there is no result: the policy, the sensor, the log or the machines failed
+    CANCELLED = "cancelled"  # nobody needs it any longer
 
 
 class RepeatCause(StrEnum):
-    """What ended an attempt at a shard before its result."""
+    """What ended an attempt at a piece of work before its result."""
 
     BROKE = "broke"  # the machine could not do it
     LOST = "lost"  # the worker did not renew its lease: it was killed, or its machine is gone
-
-
-class PlaybackState(StrEnum):
-    """Life of one playback."""
-
-    QUEUED = "queued"  # waits for a worker that has no evaluation to run
-    RUNNING = "running"  # leased to a worker
-    MADE = "made"  # its files are stored
-    FAILED = "failed"  # there is none; its problem says why
 
 
 class WorkerState(StrEnum):
@@ -133,29 +134,17 @@ EVALUATION_TRANSITIONS: Mapping[EvaluationState, frozenset[EvaluationState]] = M
     }
 )
 
-SHARD_TRANSITIONS: Mapping[ShardState, frozenset[ShardState]] = MappingProxyType(
+WORK_TRANSITIONS: Mapping[WorkState, frozenset[WorkState]] = MappingProxyType(
     {
-        ShardState.QUEUED: frozenset({ShardState.RUNNING, ShardState.FAILED, ShardState.CANCELLED}),
+        WorkState.QUEUED: frozenset({WorkState.RUNNING, WorkState.FAILED, WorkState.CANCELLED}),
         # Back to queued: the worker gave it back or did not renew its lease in time.
-        ShardState.RUNNING: frozenset({ShardState.QUEUED, ShardState.DONE, ShardState.FAILED, ShardState.CANCELLED}),
-        ShardState.DONE: frozenset(),
-        ShardState.FAILED: frozenset(),
-        ShardState.CANCELLED: frozenset(),
-    }
-)
-
-PLAYBACK_TRANSITIONS: Mapping[PlaybackState, frozenset[PlaybackState]] = MappingProxyType(
-    {
-        PlaybackState.QUEUED: frozenset({PlaybackState.RUNNING, PlaybackState.FAILED}),
-        # Back to queued: the worker gave it back or did not renew its lease in time.
-        PlaybackState.RUNNING: frozenset({PlaybackState.QUEUED, PlaybackState.MADE, PlaybackState.FAILED}),
-        PlaybackState.MADE: frozenset(),
-        PlaybackState.FAILED: frozenset(),
+        WorkState.RUNNING: frozenset({WorkState.QUEUED, WorkState.DONE, WorkState.FAILED, WorkState.CANCELLED}),
+        WorkState.DONE: frozenset(),
+        WorkState.FAILED: frozenset(),
+        WorkState.CANCELLED: frozenset(),
     }
 )
 
 TERMINAL_EVALUATION_STATES = frozenset(state for state, following in EVALUATION_TRANSITIONS.items() if not following)
 ACTIVE_EVALUATION_STATES = frozenset(EvaluationState) - TERMINAL_EVALUATION_STATES
-TERMINAL_SHARD_STATES = frozenset(state for state, following in SHARD_TRANSITIONS.items() if not following)
-OPEN_SHARD_STATES = frozenset(ShardState) - TERMINAL_SHARD_STATES
-OPEN_PLAYBACK_STATES = frozenset(state for state, following in PLAYBACK_TRANSITIONS.items() if following)
+OPEN_WORK_STATES = frozenset(state for state, following in WORK_TRANSITIONS.items() if following)

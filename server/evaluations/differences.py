@@ -12,7 +12,7 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
 from ..database.engine import among
-from ..database.models import EpisodeDifference, Evaluation, Shard
+from ..database.models import EpisodeDifference, Evaluation, Work
 from ..queue.leases import Lease
 from ..views.evaluations import DifferingEpisodeView
 
@@ -29,7 +29,7 @@ def report_difference(session: Session, lease: Lease, *, episode: int, stored: s
         stored: digest of the record that counts.
         differing: digest of the new record.
     """
-    worker = select(Shard.worker_id).where(Shard.id == lease.shard_id).scalar_subquery()
+    worker = select(Work.worker_id).where(Work.id == lease.work_id).scalar_subquery()
     session.execute(
         insert(EpisodeDifference)
         .values(
@@ -42,7 +42,7 @@ def report_difference(session: Session, lease: Lease, *, episode: int, stored: s
         )
         .on_conflict_do_nothing(constraint="uq_episode_differences_key")
     )
-    logger.error("episode_differs_from_stored", shard=lease.shard_id, episode=episode, stored=stored, new=differing)
+    logger.error("episode_differs_from_stored", shard=lease.work_id, episode=episode, stored=stored, new=differing)
 
 
 def differing_episodes(session: Session, evaluations: Collection[Evaluation]) -> dict[UUID, list[DifferingEpisodeView]]:

@@ -15,7 +15,8 @@ from vitac.evaluator.tracks import ListKind
 from ..competitions.competition import find_stage
 from ..database.models import EpisodeResult, Evaluation, Submission
 from ..principals import Principal
-from ..queue.leases import Lease, lock_held, note_progress
+from ..queue.leases import Lease
+from ..queue.work import lock_held, note_progress
 from ..tracks import known_track
 from ..visibility import decide_sight
 from .differences import report_difference

@@ -1,13 +1,14 @@
-"""Life of an evaluation: started with its shards, ended by its last shard, a cancel, or machines that fail."""
+"""Life of an evaluation: from its start, or the check of its sensor, to its last shard, a cancel, or a failure."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from itertools import product
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, exists, func, select, update
+from sqlalchemy import ColumnElement, exists, func, select, union_all, update
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure, result_hash
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.scoring.failures import breaking_failure
@@ -20,13 +21,11 @@ from vitac.evaluator.tracks.registry import compute_hash, find_version
 from ..accounts.outbox import announce_evaluation
 from ..competitions.competition import find_stage
 from ..database.locks import lock_evaluation
-from ..database.models import Evaluation, Shard, Submission
-from ..database.states import OPEN_SHARD_STATES, EvaluationState, NoticeKind, ShardState
-from ..queue.jobs import enqueue_shards, queue_name, withdraw_jobs
-from ..queue.leases import Lease, end_shard, hand_back, lock_held
-from ..queue.turns import next_turn
+from ..database.models import Evaluation, SensorCheck, Shard, Submission, SubmissionFile, Trial, Work
+from ..database.states import OPEN_WORK_STATES, EvaluationState, FileRole, NoticeKind, WorkKind, WorkState
+from ..queue.leases import Lease, end_shard
+from ..queue.work import Claim, end, lock_held, name_requirement, next_turn, waiting
 from ..receipts.issuing import issue_for_result
-from ..settings import Settings
 from ..traces import current_traceparent
 from ..tracks import find_family
 from ..visibility import find_list_kind
@@ -38,12 +37,13 @@ from .provenance import read_provenance
 from .scores import Records, combine_hashes, combined_result, store_practice_scores, store_scores
 from .verdicts import ServiceVerdict
 
+EVALUATING = (WorkKind.SHARD, WorkKind.TRIAL)
+"""Kinds of work by whose turns evaluations take turns."""
+
 FREE_FAILURES_PER_DAY = 5
 """Evaluations of a team within 24 hours that ended by a machine's failure and cost it nothing."""
 
 LOG_TAIL_CHARACTERS = 64 * 1024
-RETRY_DELAY_S = 2.0
-"""Pause before the second attempt of a shard that a machine could not run; the third comes after twice as long."""
 
 
 class EpisodesMissing(VitacError):
@@ -62,8 +62,9 @@ def start(
     charged_at: datetime | None = None,
     turn: int | None = None,
     rejudgement_id: UUID | None = None,
+    makes_sensor: bool = False,
 ) -> Evaluation:
-    """Make an evaluation with its shards and their jobs, all in the caller's transaction.
+    """Make an evaluation with its work, all in the caller's transaction.
 
     Args:
         session: of the transaction.
@@ -72,8 +73,9 @@ def start(
         charged_at: when the team's quotas counted it; None: organizers asked for it, so it costs nothing.
         turn: its turn; None: the team's next one.
         rejudgement_id: that proposes it; None: it will be the submission's result.
+        makes_sensor: whether the submission's sensor is made again, although there is one of an earlier run.
     """
-    commitment = _find_commitment(session, submission)
+    commitment, owner = _find_commitment(session, submission), f"team:{submission.team_id}"
     evaluation = Evaluation(
         submission=submission,
         run=run,
@@ -83,7 +85,7 @@ def start(
         episodes_reused=0,
         commitment=commitment,
         list_kind=find_list_kind(submission) if commitment is None else ListKind.SEALED,
-        turn=next_turn(session, submission.team_id) if turn is None else turn,
+        turn=next_turn(session, EVALUATING, owner) if turn is None else turn,
         log_tail="",
         charged_at=charged_at,
         asked_by_team=charged_at is not None,
@@ -92,29 +94,50 @@ def start(
         traceparent=current_traceparent(),
         created_at=datetime.now(UTC),
     )
-    track, keys = load_track(submission.track), played_keys(evaluation, submission)
-    for key, task in product(keys, submission.tasks):
+    session.add(evaluation)
+    session.flush()
+    if _was_evaluated(session, evaluation, submission):
+        evaluation.episodes_reused = sum(count_stored(session, key) for key in played_keys(evaluation, submission))
+    if _needs_sensor(session, submission) or (makes_sensor and _brings_sensor(submission)):
+        requires = name_requirement(evaluation.evaluator_version)
+        columns = waiting(session, WorkKind.SENSOR_CHECK, owner=owner, requires=requires)
+        evaluation.sensor_check = SensorCheck(**columns)
+    else:
+        _add_shards(session, evaluation)
+    session.flush()
+    return evaluation
+
+
+def _add_shards(session: Session, evaluation: Evaluation) -> None:
+    submission = evaluation.submission
+    track, owner = load_track(submission.track), f"team:{submission.team_id}"
+    for key, task in product(played_keys(evaluation, submission), submission.tasks):
+        family = find_family(submission.track, task)
+        kind = WorkKind.TRIAL if family is Family.STATION else WorkKind.SHARD
+        requires = name_requirement(evaluation.evaluator_version, family)
+        columns = waiting(session, kind, owner=owner, requires=requires, turn=evaluation.turn)
         for piece in cut(track.task(task)):
-            evaluation.shards.append(
-                Shard(
+            shard = Trial if kind is WorkKind.TRIAL else Shard
+            session.add(
+                shard(
+                    evaluation=evaluation,
                     task=task,
                     number=piece.index,
                     commitment=key.commitment,
                     episodes=sorted(piece.numbers),
-                    state=ShardState.QUEUED,
-                    token=0,
-                    attempts=0,
+                    **columns,
                 )
             )
-    session.add(evaluation)
-    session.flush()
-    if _was_evaluated(session, evaluation, submission):
-        evaluation.episodes_reused = sum(count_stored(session, key) for key in keys)
-    for task in submission.tasks:
-        ids = [shard.id for shard in evaluation.shards if shard.task == task]
-        queue = queue_name(evaluation.evaluator_version, find_family(submission.track, task))
-        enqueue_shards(session, ids, queue, priority=-evaluation.turn)
-    return evaluation
+
+
+def _brings_sensor(submission: Submission) -> bool:
+    return submission.kind.form.runs_policy and load_track(submission.track).has_sensor
+
+
+def _needs_sensor(session: Session, submission: Submission) -> bool:
+    """Return whether a submission brings a sensor that nobody has made yet."""
+    is_its_sensor = (SubmissionFile.submission_id == submission.id, SubmissionFile.role == FileRole.SENSOR)
+    return _brings_sensor(submission) and not session.scalar(select(exists().where(*is_its_sensor)))
 
 
 def _find_commitment(session: Session, submission: Submission) -> str | None:
@@ -127,6 +150,32 @@ def _was_evaluated(session: Session, evaluation: Evaluation, submission: Submiss
     own = Submission.team_id == submission.team_id, Submission.digest == submission.digest
     earlier = exists().where(Evaluation.submission_id == Submission.id, Evaluation.id != evaluation.id, *own)
     return bool(session.scalar(select(earlier)))
+
+
+def end_check(session: Session, claim: Claim) -> None:
+    """End the check of a sensor that is stored by now: its evaluation gets its shards.
+
+    Raises:
+        LeaseLost: the check is no longer ours.
+    """
+    evaluation = _lock_checked(session, claim)
+    end(session, claim, WorkState.DONE)
+    _add_shards(session, evaluation)
+
+
+def fail_check(session: Session, claim: Claim, verdict: ServiceVerdict, message: str) -> None:
+    """End the check of a sensor that breaks a rule or takes too long, and with it the evaluation.
+
+    Raises:
+        LeaseLost: the check is no longer ours.
+    """
+    evaluation = _lock_checked(session, claim)
+    end(session, claim, WorkState.FAILED, problem=message)
+    _fail(session, evaluation, verdict, message)
+
+
+def _lock_checked(session: Session, claim: Claim) -> Evaluation:
+    return lock_evaluation(session, session.get_one(SensorCheck, claim.work_id).evaluation_id)
 
 
 def finish_shard(session: Session, lease: Lease, result: ShardResult) -> None:
@@ -144,12 +193,12 @@ def finish_shard(session: Session, lease: Lease, result: ShardResult) -> None:
             f"{evaluation.evaluator_version}. Restart the worker."
         )
     done = result.end is ShardEnd.COMPLETE
-    end_shard(session, lease, ShardState.DONE if done else ShardState.FAILED, result)
+    end_shard(session, lease, WorkState.DONE if done else WorkState.FAILED, result)
     if done:
         _require_all_stored(session, lease)
     else:
         # Earlier shards run on: the verdict is the first one's, whatever the order in which they end.
-        _cancel_shards(session, evaluation, after=lease.shard_id)
+        _cancel_work(session, evaluation, after=lease.work_id)
     if not _count_open_shards(session, evaluation):
         _conclude(session, evaluation)
 
@@ -158,41 +207,34 @@ def _require_all_stored(session: Session, lease: Lease) -> None:
     missing = missing_episodes(session, lease)
     if missing:
         raise EpisodesMissing(
-            f"Shard {lease.shard_id} was reported as complete, but its episodes {missing[:10]} are not stored. "
+            f"Shard {lease.work_id} was reported as complete, but its episodes {missing[:10]} are not stored. "
             "Run it again."
         )
 
 
-def report_broken_machine(session: Session, settings: Settings, lease: Lease, message: str) -> None:
-    """Queue a shard again that a machine, not the policy, has failed; after the last attempt, end its evaluation.
-
-    Attempts in which an episode was stored do not count: infrastructure ends no evaluation as long as it moves.
+def give_up(session: Session, claim: Claim, reason: str) -> None:
+    """End work that was tried in all its attempts: that of an evaluation with it, any other alone.
 
     Raises:
-        LeaseLost: the shard is no longer ours.
+        LeaseLost: the work is no longer ours.
     """
-    evaluation = lock_evaluation(session, lease.evaluation_id)
-    attempts = lock_held(session, lease)  # Only whoever holds the shard may end the evaluation.
-    if attempts < settings.shard_attempts:
-        hand_back(session, lease, counts_as_attempt=True, delay_s=max(1, attempts) * RETRY_DELAY_S, broke=message)
+    work = session.get_one(Work, claim.work_id)
+    if not isinstance(work, Shard | SensorCheck):
+        end(session, claim, WorkState.FAILED, problem=reason)
         return
-    first, last = lease.episodes[0], lease.episodes[-1]
-    fail_by_machines(
-        session,
-        evaluation,
-        f"Episodes {first} to {last} of {lease.task} were tried {attempts} times without any progress. "
-        f"The last time: {message}",
-    )
+    evaluation = lock_evaluation(session, work.evaluation_id)
+    lock_held(session, claim)  # Only whoever holds the work may end the evaluation.
+    fail_by_machines(session, evaluation, f"{work.title}: {reason}")
 
 
 def fail_by_machines(session: Session, evaluation: Evaluation, message: str) -> None:
-    """End an evaluation whose shard could not be run in all its attempts; the first ones of a day cost nothing.
+    """End an evaluation whose work could not be done in all its attempts; the first ones of a day cost nothing.
 
     The others cost what each evaluation costs: what makes machines fail would be played for ever otherwise.
     """
     if count_machine_failures(session, Submission.team_id == evaluation.submission.team_id) < FREE_FAILURES_PER_DAY:
         evaluation.charged_at = None
-    _cancel_shards(session, evaluation)
+    _cancel_work(session, evaluation)
     _fail(session, evaluation, ServiceVerdict.MACHINE_FAILED, message)
 
 
@@ -207,7 +249,7 @@ def count_machine_failures(session: Session, *conditions: ColumnElement[bool]) -
 
 def cancel(session: Session, evaluation: Evaluation) -> None:
     """End a queued or running evaluation; its workers find out at their next renewal."""
-    _cancel_shards(session, evaluation)
+    _cancel_work(session, evaluation)
     evaluation.state = EvaluationState.CANCELLED
     evaluation.finished_at = datetime.now(UTC)
 
@@ -304,17 +346,16 @@ def _collect_output(records: Records) -> str:
     return "".join(parts)[-LOG_TAIL_CHARACTERS:]
 
 
-def _cancel_shards(session: Session, evaluation: Evaluation, after: int = 0) -> None:
-    ended = session.scalars(
-        update(Shard)
-        .where(Shard.evaluation_id == evaluation.id, Shard.id > after, Shard.state.in_(OPEN_SHARD_STATES))
-        .values(state=ShardState.CANCELLED, lease_expires_at=None, finished_at=func.clock_timestamp())
-        .returning(Shard.id)
+def _cancel_work(session: Session, evaluation: Evaluation, after: int = 0) -> None:
+    ids = union_all(*(select(kind.id).where(kind.evaluation_id == evaluation.id) for kind in (Shard, SensorCheck)))
+    session.execute(
+        update(Work)
+        .where(Work.id.in_(ids), Work.id > after, Work.state.in_(OPEN_WORK_STATES))
+        .values(state=WorkState.CANCELLED, lease_expires_at=None, finished_at=func.clock_timestamp())
         .execution_options(synchronize_session=False)
-    ).all()
-    withdraw_jobs(session, ended)
+    )
 
 
 def _count_open_shards(session: Session, evaluation: Evaluation) -> int:
     query = select(func.count()).select_from(Shard)
-    return session.scalar(query.where(Shard.evaluation_id == evaluation.id, Shard.state.in_(OPEN_SHARD_STATES))) or 0
+    return session.scalar(query.where(Shard.evaluation_id == evaluation.id, Shard.state.in_(OPEN_WORK_STATES))) or 0

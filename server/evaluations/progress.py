@@ -9,8 +9,8 @@ from uuid import UUID
 from sqlalchemy import case, func, select
 from sqlalchemy.orm import Session
 
-from ..database.models import EpisodeResult, Evaluation, Shard, Submission
-from ..database.states import ACTIVE_EVALUATION_STATES, OPEN_SHARD_STATES, EvaluationState
+from ..database.models import EpisodeResult, Evaluation, SensorCheck, Shard, Submission
+from ..database.states import ACTIVE_EVALUATION_STATES, OPEN_WORK_STATES, EvaluationState, WorkState
 from ..database.stored_episodes import ON_EITHER_LIST
 from ..tracks import known_task
 from ..views.evaluations import ProgressView, TaskProgressView
@@ -109,6 +109,15 @@ def queue_positions(session: Session, evaluations: Collection[Evaluation]) -> di
     return {evaluation_id: int(position) for evaluation_id, position in rows}
 
 
+def states_of_checks(session: Session, evaluations: Collection[Evaluation]) -> dict[UUID, WorkState]:
+    """Return the states of the checks of sensors that are not over, by evaluation."""
+    waiting = [evaluation.id for evaluation in evaluations if evaluation.state is EvaluationState.QUEUED]
+    if not waiting:
+        return {}
+    is_open = (SensorCheck.evaluation_id.in_(waiting), SensorCheck.state.in_(OPEN_WORK_STATES))
+    return dict(session.execute(select(SensorCheck.evaluation_id, SensorCheck.state).where(*is_open)).all())
+
+
 def episodes_ahead(session: Session, evaluations: Collection[Evaluation]) -> dict[UUID, int]:
     """Return for those that have not ended the episodes in unfinished shards of evaluations whose turn is earlier."""
     active = [evaluation.id for evaluation in evaluations if evaluation.state in ACTIVE_EVALUATION_STATES]
@@ -118,7 +127,7 @@ def episodes_ahead(session: Session, evaluations: Collection[Evaluation]) -> dic
     queue = (
         select(Evaluation.id, func.sum(unfinished).over(order_by=_TURN, rows=(None, -1)).label("ahead"))
         .join(Evaluation.shards)
-        .where(Shard.state.in_(OPEN_SHARD_STATES), Evaluation.state.in_(ACTIVE_EVALUATION_STATES))
+        .where(Shard.state.in_(OPEN_WORK_STATES), Evaluation.state.in_(ACTIVE_EVALUATION_STATES))
         .group_by(*_TURN)
         .subquery()
     )

@@ -11,7 +11,7 @@ from vitac.evaluator.package_sets import digest_of_packages
 from ..database.engine import among
 from ..database.locks import lock_evaluation
 from ..database.models import Evaluation, Shard, Submission
-from ..database.states import ShardState
+from ..database.states import WorkState
 from ..queue.leases import Lease, store_packages_digest
 
 
@@ -28,7 +28,7 @@ def known_manifest(session: Session, lease: Lease) -> Manifest | None:
         .join(Submission)
         .where(
             is_the_same,
-            Submission.kind == lease.kind,
+            Submission.kind == lease.submission_kind,
             Evaluation.evaluator_version == lease.evaluator_version,
             Shard.commitment == (lease.commitment or ""),
             Shard.task == lease.task,
@@ -53,7 +53,7 @@ def read_provenance(session: Session, evaluation: Evaluation, task: str, commitm
             Shard.evaluation_id == evaluation.id,
             Shard.task == task,
             Shard.commitment == commitment,
-            Shard.state == ShardState.DONE,
+            Shard.state == WorkState.DONE,
         )
     ).first()
     return Manifest.model_validate(found)

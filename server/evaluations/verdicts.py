@@ -6,9 +6,11 @@ from vitac.evaluator.agent.verdicts import VerdictCode
 
 
 class ServiceVerdict(StrEnum):
-    """Ends of an evaluation that are not a policy's fault: those of the machines, and what is found against a log."""
+    """Ends of an evaluation by the machines, and by what is found against a log or a sensor."""
 
     MACHINE_FAILED = "machine_failed"
+    SENSOR_REJECTED = "sensor_rejected"
+    SENSOR_TOO_SLOW = "sensor_too_slow"
     DIVERGED = "diverged"
     OTHER_PICTURE = "other_picture"
     IMPOSSIBLE = "impossible"
@@ -24,6 +26,12 @@ _SENTENCES = {
         "The machines that ran this evaluation failed several times; it is not the policy's fault. "
         "Submit it again; if it fails again or is refused, ask the organizers."
     ),
+    ServiceVerdict.SENSOR_REJECTED: (
+        "The sensor breaks a rule. `vitac sensor check` finds the same on your machine; correct it and submit it again."
+    ),
+    ServiceVerdict.SENSOR_TOO_SLOW: (
+        "Checking and meshing the sensor took longer than a check may; simplify its gel and submit it again."
+    ),
     ServiceVerdict.DIVERGED: (
         "The log's actions lead to other states than it says; it is not ranked. `vitac log verify` shows it locally."
     ),
@@ -37,7 +45,18 @@ _SENTENCES = {
 }
 
 
-REFUTING_RESULTS = frozenset({ServiceVerdict.DIVERGED, ServiceVerdict.OTHER_PICTURE, ServiceVerdict.IMPOSSIBLE})
+SENSOR_VERDICTS = frozenset({ServiceVerdict.SENSOR_REJECTED, ServiceVerdict.SENSOR_TOO_SLOW})
+"""Verdicts before any episode was played."""
+
+REFUTING_RESULTS = frozenset(
+    {
+        ServiceVerdict.SENSOR_REJECTED,
+        ServiceVerdict.DIVERGED,
+        ServiceVerdict.OTHER_PICTURE,
+        ServiceVerdict.IMPOSSIBLE,
+    }
+)
+"""Verdicts that the same content gets again with the same evaluator."""
 
 
 def find_sentence(code: str) -> str:

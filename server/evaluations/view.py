@@ -13,7 +13,7 @@ from vitac.evaluator.tracks import ListKind
 
 from ..cache import Cache
 from ..database.models import EpisodeResult, Evaluation
-from ..database.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
+from ..database.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState, WorkState
 from ..principals import Principal
 from ..queue.workers import WorkersAlive
 from ..tracks import known_task
@@ -38,6 +38,7 @@ from .progress import (
     mean_episode_s,
     queue_positions,
     seconds_to_end,
+    states_of_checks,
 )
 from .provenance import isolation_levels
 from .scores import (
@@ -49,7 +50,7 @@ from .scores import (
     read_scores,
     task_views,
 )
-from .verdicts import find_sentence
+from .verdicts import SENSOR_VERDICTS, find_sentence
 
 PROGRESS_STEPS = 10
 """Number of steps in which a team sees the progress on a sealed list."""
@@ -73,6 +74,7 @@ class EvaluationRows:
         counts: stored episodes of those without scores.
         hidden: those of which single episodes are not shown.
         positions: places in the queue of those that have not started.
+        checks: states of the checks of their sensors, where these are not over.
         ahead: episodes to be played before those that have not ended.
         mean_s: mean time that an episode of some tasks takes of a slot [s], by how many it plays at once.
     """
@@ -85,6 +87,7 @@ class EvaluationRows:
     counts: Mapping[UUID, EpisodeCounts]
     hidden: frozenset[UUID]
     positions: Mapping[UUID, int]
+    checks: Mapping[UUID, WorkState]
     ahead: Mapping[UUID, int]
     mean_s: Callable[[tuple[tuple[str, int], ...]], float | None]
 
@@ -117,6 +120,7 @@ class EvaluationRows:
             counts=episode_counts(session, evaluations),
             hidden=hidden,
             positions=queue_positions(session, evaluations),
+            checks=states_of_checks(session, evaluations),
             ahead=episodes_ahead(session, evaluations),
             mean_s=cache(lambda at_once: mean_episode_s(session, dict(at_once))),
         )
@@ -161,6 +165,7 @@ def _view(evaluation: Evaluation, workers: Callable[[str], WorkersAlive], rows: 
         **vars(summary_view(evaluation)),
         started_at=evaluation.started_at,
         queue_position=rows.positions.get(evaluation.id),
+        sensor_check=rows.checks.get(evaluation.id),
         eta_s=None if is_hidden else _seconds_to_end(evaluation, progress, workers, rows),
         progress=progress,
         verdict=verdict,
@@ -220,7 +225,9 @@ def _coarse(progress: ProgressView, scores: list[TaskScoreView]) -> ProgressView
 
 def _hide_details(verdict: VerdictView | None) -> VerdictView | None:
     """Return the verdict without what may repeat an observation, or say how a single episode ended."""
-    return verdict and verdict.model_copy(update={"message": SEALED_DETAILS, "task": None, "episode": None})
+    if verdict is None or verdict.code in SENSOR_VERDICTS:
+        return verdict
+    return verdict.model_copy(update={"message": SEALED_DETAILS, "task": None, "episode": None})
 
 
 def _seconds_to_end(

@@ -1,4 +1,4 @@
-"""The regular work besides requests and shards: the sweep for lost shards, totals, the removal of what nobody needs."""
+"""What is done regularly: the sweep for lost work, totals, the removal of what nobody needs."""
 
 import shutil
 import threading
@@ -12,14 +12,13 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from ..accounts.merging import forget_contacts
 from ..database.metrics import RetryReason, TotalsWriter
-from ..evaluations.lifecycle import fail_by_machines
+from ..evaluations.lifecycle import give_up
 from ..evaluations.superseding import supersede_outdated
 from ..leaderboards.board_cache import forget_old_notes
 from ..playbacks import work as playbacks
 from ..playbacks.stills import ask_for_missing_stills
 from ..queue.declared import declare, versions_here
-from ..queue.jobs import prune_finished_jobs
-from ..queue.sweep import sweep
+from ..queue.work import sweep
 from ..services import Services
 from ..storage import stored_files
 from ..storage.scratch import remove_leftovers
@@ -30,9 +29,9 @@ logger = structlog.get_logger(__name__)
 
 PRUNE_EVERY_S = 3600.0
 OTHERS_EVERY_S = 10.0
-"""Seconds between two looks for playbacks of lost workers, results without stills, evaluations of other versions and
-folders of killed processes. Whoever waits for one waits up to so much longer; shards are looked after in every round,
-because each worker does this beside its shards."""
+"""Seconds between two looks for playbacks that nobody can make, results without stills, evaluations of other versions
+and folders of killed processes. Whoever waits for one waits up to so much longer; lost work is looked for in every
+round, because each worker does this beside its own."""
 ORPHAN_KEPT = timedelta(hours=24)
 """An upload is stored before its row is committed, so a file without a row is left alone for this time."""
 
@@ -87,12 +86,12 @@ class Housekeeping:
 
     def _sweep(self) -> None:
         with self._services.database.transaction() as session:
-            done = sweep(session, self._services.settings, give_up=fail_by_machines)
+            done = sweep(session, self._services.settings, give_up=give_up)
         instruments = self._services.instruments
         instruments.shard_retries.labels(RetryReason.LEASE_EXPIRED).inc(done.queued_again)
         instruments.shards_given_up.inc(done.given_up)
-        if done.queued_again or done.given_up or done.woken:
-            logger.info("swept", queued_again=done.queued_again, given_up=done.given_up, woken=done.woken)
+        if done.queued_again or done.given_up:
+            logger.info("swept", queued_again=done.queued_again, given_up=done.given_up)
 
     def _declare(self) -> None:
         """Say which evaluator the service has, where this server has not yet said so."""
@@ -110,7 +109,7 @@ class Housekeeping:
             with self._services.database.transaction() as session:
                 ask_for_missing_stills(session, self._services.settings, self._have_stills)
         with self._services.database.transaction() as session:
-            playbacks.recover(session, self._services.settings)
+            playbacks.give_up_unmade(session)
 
 
 def _tried(work: Callable[[], None]) -> bool:
@@ -129,10 +128,9 @@ def _postpone(error: Exception) -> None:
 
 
 def prune(services: Services) -> None:
-    """Remove finished jobs, old playbacks, stored files that no row names, and uploads that were given up."""
+    """Remove old playbacks, stored files that no row names, and uploads that were given up."""
     partial.remove_expired(services)
     with services.database.transaction() as session:
-        prune_finished_jobs(session, timedelta(hours=services.settings.finished_jobs_kept_h))
         playbacks.remove_old(session, services.settings)
         forget_contacts(session, services.settings)
         forget_old_notes(session)

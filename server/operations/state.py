@@ -14,7 +14,7 @@ from vitac.evaluator.tracks import list_tracks, load_track
 
 from ..database.metrics import SeriesKey
 from ..database.models import EpisodeResult, Evaluation, Shard, Submission, Worker
-from ..database.states import ACTIVE_EVALUATION_STATES, OPEN_SHARD_STATES, EvaluationState, ShardState
+from ..database.states import ACTIVE_EVALUATION_STATES, OPEN_WORK_STATES, EvaluationState, WorkState
 from ..evaluations.superseding import is_unserved
 from ..queue.workers import running_shards, worker_view
 from ..settings import Settings
@@ -94,14 +94,14 @@ def operations(session: Session, settings: Settings, counted: Mapping[SeriesKey,
 
 
 def _queue(session: Session, settings: Settings, now: datetime) -> QueueView:
-    shards = _open_rows(session, Shard.state, OPEN_SHARD_STATES, Shard.queued_at)
-    progressed_at = session.scalar(select(func.min(Shard.progressed_at)).where(Shard.state == ShardState.RUNNING))
+    shards = _open_rows(session, Shard.state, OPEN_WORK_STATES, Shard.queued_at)
+    progressed_at = session.scalar(select(func.min(Shard.progressed_at)).where(Shard.state == WorkState.RUNNING))
     unserved = session.scalar(select(func.count()).select_from(Evaluation).where(is_unserved(settings)))
     evaluations = _open_rows(session, Evaluation.state, ACTIVE_EVALUATION_STATES, Evaluation.created_at)
     return QueueView(
-        shards_queued=shards.get(ShardState.QUEUED, (0, now))[0],
-        shards_running=shards.get(ShardState.RUNNING, (0, now))[0],
-        oldest_shard_s=_age_s(shards.get(ShardState.QUEUED), now),
+        shards_queued=shards.get(WorkState.QUEUED, (0, now))[0],
+        shards_running=shards.get(WorkState.RUNNING, (0, now))[0],
+        oldest_shard_s=_age_s(shards.get(WorkState.QUEUED), now),
         shard_idle_s=None if progressed_at is None else _age_s((1, progressed_at), now),
         evaluations_queued=evaluations.get(EvaluationState.QUEUED, (0, now))[0],
         evaluations_running=evaluations.get(EvaluationState.RUNNING, (0, now))[0],

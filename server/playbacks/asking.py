@@ -1,15 +1,16 @@
 """Asks for the playback of an episode; called by the pages.
 
-A playback is computed once, whoever asks for it, and comes after all evaluations in the queue. What one team may have
-in the queue and ask for in an hour is limited, so that nobody can keep the workers busy with playbacks. Visitors may
-ask for those of public submissions and have one such limit together.
+A playback is computed once, whoever asks for it, and goes before evaluations within its share of the workers' time.
+What one team may have in the queue and ask for in an hour is limited, so that nobody can keep the others waiting.
+Visitors may ask for those of public submissions and have one such limit together.
 """
 
 import hashlib
 from datetime import UTC, datetime, timedelta
+from enum import StrEnum
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, func, select
+from sqlalchemy import ColumnElement, func, select, tuple_
 from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeRecord, canonical_json
@@ -19,19 +20,34 @@ from vitac.evaluator.tracks.registry import find_version
 
 from ..accounts.shown_names import ShownNames
 from ..database.locks import AdvisoryLock, wait_for_turn
-from ..database.models import EpisodeResult, Playback, Shard
-from ..database.states import OPEN_PLAYBACK_STATES, PlaybackState, ShardState
+from ..database.models import EpisodeResult, Playback, Work
+from ..database.states import OPEN_WORK_STATES, WorkKind, WorkState
 from ..errors import ProblemCode, ServiceError, not_found
 from ..evaluations.episode_store import find_shown_key
 from ..evaluations.history import newest_evaluation
 from ..leaderboards.public_pages import readable
 from ..principals import VISITOR, Principal
-from ..queue.jobs import enqueue_playback, queue_name
+from ..queue.work import name_requirement, waiting
 from ..queue.workers import fleet
 from ..settings import Settings
 from ..tracks import find_playback_family
 from ..views.playbacks import PlaybackView, ShownEpisodeView
 from .story import tell_story
+from .work import remove
+
+
+class PlaybackFile(StrEnum):
+    """What a page plays or shows of a playback."""
+
+    SCENE = "scene"
+    """What moves, and what is plotted; compressed with gzip."""
+    CAMERAS = "cameras"
+    """What the camera rig saw; compressed with gzip."""
+    STILL = "still"
+    """The end of the episode as the player first shows its scene, or the last picture of the film; WebP."""
+    FILM = "film"
+    """Pictures of an episode of ManiSkill one after the other, an animated WebP."""
+
 
 NOBODY_DRAWS = "no running worker can draw ManiSkill’s environments, which takes its packages and a Vulkan driver"
 """Why nobody makes a film of ManiSkill."""
@@ -80,8 +96,21 @@ def find_playback(session: Session, episode: EpisodeResult) -> Playback | None:
     return session.scalar(select(Playback).where(Playback.key == playback_key(episode)))
 
 
+def find_digest(session: Session, episode: EpisodeResult, file: PlaybackFile) -> str:
+    """Return the SHA-256 of a file of an episode's playback.
+
+    Raises:
+        ServiceError: there is none.
+    """
+    playback = find_playback(session, episode)
+    digest = None if playback is None else getattr(playback, f"{file.value}_sha256")
+    if digest is None:
+        raise not_found("playback file", file.value)
+    return str(digest)
+
+
 def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeResult) -> Playback:
-    """Return the playback of an episode; one that is not there is queued, and made when no evaluation waits.
+    """Return the playback of an episode; one that is not there is queued.
 
     Raises:
         ServiceError: too_many_requests, with how many are possible; invalid_request where no worker can make it.
@@ -101,26 +130,19 @@ def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeRes
     if not by.organizes_any:
         _refuse_one_more(session, settings, asked_by)
     if found is not None:
-        session.delete(found)
-        session.flush()
+        remove(session, Playback.id == found.id)
+    version = find_version(episode.track)
+    requires = name_requirement(version, find_playback_family(episode.track, episode.task))
     playback = Playback(
         key=playback_key(episode),
         episode_id=episode.id,
-        evaluator_version=find_version(episode.track),
-        state=PlaybackState.QUEUED,
-        asked_by=asked_by,
+        evaluator_version=version,
         asked_at=datetime.now(UTC),
+        **waiting(session, WorkKind.PLAYBACK, owner=asked_by, requires=requires),
     )
     session.add(playback)
     session.flush()
-    queue = playback_queue(playback.evaluator_version, episode.track, episode.task)
-    enqueue_playback(session, playback.id, queue)
     return playback
-
-
-def playback_queue(evaluator_version: str, track: str, task: str) -> str:
-    """Return the queue from which those workers take playbacks of a task that can make them."""
-    return queue_name(evaluator_version, find_playback_family(track, task))
 
 
 def playback_key(episode: EpisodeResult) -> str:
@@ -182,7 +204,7 @@ def shown_episode(
 
 def playback_view(session: Session, settings: Settings, playback: Playback) -> PlaybackView:
     """Return a playback as the pages show it."""
-    is_open = playback.state in OPEN_PLAYBACK_STATES
+    is_open = playback.state in OPEN_WORK_STATES
     family = find_playback_family(playback.episode.track, playback.episode.task)
     alive = fleet(session, settings).alive(playback.evaluator_version, family).alive if is_open else None
     return PlaybackView(
@@ -190,7 +212,7 @@ def playback_view(session: Session, settings: Settings, playback: Playback) -> P
         state=playback.state,
         env_steps=playback.episode.env_steps,
         env_steps_played=playback.env_steps_played,
-        waits_for=_count_before(session, playback) if playback.state is PlaybackState.QUEUED else 0,
+        waits_for=_count_before(session, playback) if playback.state is WorkState.QUEUED else 0,
         family=family,
         workers=alive,
         problem=playback.problem,
@@ -200,7 +222,7 @@ def playback_view(session: Session, settings: Settings, playback: Playback) -> P
 
 
 def _may_retry(playback: Playback) -> bool:
-    failed_at = playback.finished_at if playback.state is PlaybackState.FAILED else None
+    failed_at = playback.finished_at if playback.state is WorkState.FAILED else None
     return failed_at is not None and failed_at < datetime.now(UTC) - FAILED_KEPT
 
 
@@ -214,11 +236,12 @@ def _require_somebody_who_draws(session: Session, settings: Settings, episode: E
 def _refuse_one_more(session: Session, settings: Settings, asked_by: str) -> None:
     within_hour = Playback.asked_at > datetime.now(UTC) - timedelta(hours=1)
     limits: tuple[tuple[int, ColumnElement[bool], str], ...] = (
-        (settings.playbacks_at_once, Playback.state.in_(OPEN_PLAYBACK_STATES), "playbacks that wait or are being made"),
+        (settings.playbacks_at_once, Playback.state.in_(OPEN_WORK_STATES), "playbacks that wait or are being made"),
         (settings.playbacks_per_hour, within_hour, "new playbacks in an hour"),
     )
     for limit, condition, what in limits:
-        count = session.scalar(select(func.count()).where(Playback.asked_by == asked_by, condition)) or 0
+        asked = select(func.count()).select_from(Playback).where(Playback.owner == asked_by, condition)
+        count = session.scalars(asked).one()
         if count >= limit:
             raise ServiceError(
                 ProblemCode.TOO_MANY_REQUESTS, f"At most {limit} {what} are possible, and there are {count}; try later."
@@ -226,7 +249,7 @@ def _refuse_one_more(session: Session, settings: Settings, asked_by: str) -> Non
 
 
 def _count_before(session: Session, playback: Playback) -> int:
-    """Return how many shards and playbacks come before."""
-    shards = select(func.count()).where(Shard.state == ShardState.QUEUED)
-    earlier = select(func.count()).where(Playback.state == PlaybackState.QUEUED, Playback.id < playback.id)
-    return (session.scalar(shards) or 0) + (session.scalar(earlier) or 0)
+    """Return how many playbacks come before one that waits."""
+    earlier = tuple_(Work.turn, Work.id) < tuple_(playback.turn, playback.id)
+    waits = (Work.kind == WorkKind.PLAYBACK, Work.state == WorkState.QUEUED)
+    return session.scalars(select(func.count()).select_from(Work).where(*waits, earlier)).one()

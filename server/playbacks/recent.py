@@ -7,7 +7,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.tracks.registry import current_versions
 
 from ..database.models import EpisodeResult, Playback, Submission
-from ..database.states import PlaybackState
+from ..database.states import WorkState
 from ..errors import ProblemCode, ServiceError
 from ..leaderboards.public_pages import public_among
 from ..principals import VISITOR
@@ -57,5 +57,5 @@ def _shown(
         if error.code in {ProblemCode.MISSING_CREDENTIALS, ProblemCode.NOT_FOUND}:
             return None
         raise
-    is_made = shown.playback is not None and shown.playback.state is PlaybackState.MADE
+    is_made = shown.playback is not None and shown.playback.state is WorkState.DONE
     return shown if is_made else None

@@ -98,7 +98,7 @@ def _view(found: EpisodeResult, key: str) -> StillView:
 def ask_for_missing_stills(session: Session, settings: Settings, seen: set[UUID]) -> None:
     """Ask for stills of the newest public results that have no playback, those of some in each call.
 
-    Workers make them after everything that ranks. What they take on the disk is bounded: two playbacks for each task of
+    Those of new results are asked for already. What they take on the disk is bounded: two playbacks for each task of
     at most `LOOKED_AFTER` results; they are removed as others are.
 
     Args:
@@ -133,6 +133,15 @@ def ask_for_missing_stills(session: Session, settings: Settings, seen: set[UUID]
         seen.add(evaluation)
         if submission in public:
             _ask_for_stills(session, settings, submission)
+
+
+def ask_for_new_stills(session: Session, settings: Settings, evaluation_id: UUID) -> None:
+    """Ask for the stills of a result at once, if everybody may see it; called when a shard has ended."""
+    evaluation = session.get_one(Evaluation, evaluation_id)
+    if evaluation.state is not EvaluationState.COMPLETED:
+        return
+    if evaluation.submission_id in public_among(session, [evaluation.submission_id]):
+        _ask_for_stills(session, settings, evaluation.submission_id)
 
 
 def _ask_for_stills(session: Session, settings: Settings, submission_id: UUID) -> None:

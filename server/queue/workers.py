@@ -17,7 +17,7 @@ from vitac.evaluator.tracks.registry import find_evaluator
 
 from ..audit import record
 from ..database.models import Shard, Worker
-from ..database.states import ShardState, WorkerOrder, WorkerState
+from ..database.states import WorkerOrder, WorkerState, WorkState
 from ..errors import ProblemCode, ServiceError, not_found
 from ..principals import Principal
 from ..settings import Settings
@@ -211,7 +211,7 @@ def give_order(session: Session, by: Principal, worker_id: UUID, order: WorkerOr
 def running_shards(session: Session) -> Mapping[UUID, Sequence[int]]:
     """Return the shards that run, by worker."""
     found: dict[UUID, list[int]] = {}
-    running = select(Shard.worker_id, Shard.id).where(Shard.state == ShardState.RUNNING).order_by(Shard.id)
+    running = select(Shard.worker_id, Shard.id).where(Shard.state == WorkState.RUNNING).order_by(Shard.id)
     for worker_id, shard_id in session.execute(running):
         if worker_id is not None:
             found.setdefault(worker_id, []).append(shard_id)

@@ -20,7 +20,6 @@ from . import creation
 _TRANSIENT = frozenset(
     {
         ProblemCode.QUOTA_EXCEEDED,
-        ProblemCode.SENSOR_CHECKS_UNAVAILABLE,
         ProblemCode.STORAGE_FULL,
         ProblemCode.STORAGE_UNAVAILABLE,
         ProblemCode.TOO_MANY_REQUESTS,

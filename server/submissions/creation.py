@@ -82,7 +82,7 @@ def create(
     require_machines_hold(session, by, submission)
     charged_at = charge(session, quotas, by, team_row, *EVALUATION_QUOTAS)
     check_stage(session, by, team_row, stage)
-    evaluation = lifecycle.start(session, submission, run, charged_at=charged_at)
+    evaluation = lifecycle.start(session, submission, run, charged_at=charged_at, makes_sensor=True)
     record(session, by, "submission.evaluate", f"submission:{submission.id}", {"run": run, "digest": upload.digest})
     announce_evaluation(session, NoticeKind.ACCEPTED, evaluation)
     if is_new:

@@ -5,20 +5,17 @@ Nothing of an archive is imported or unpickled, nothing of a log is simulated.
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Track
 
 from ..errors import ProblemCode, ServiceError
-from ..limiter import ConcurrencyLimiter
 from ..services import Services
 from ..storage import stored_files
 from ..tracks import load_known_track
 from .checked_upload import CheckedUpload
 from .intake import ReceivedFile
 from .kinds import SERVED_KINDS
-from .sensors import sensor_files
 
 
 def check_kind(kind: SubmissionKind, track: Track) -> None:
@@ -48,16 +45,12 @@ def accept(
         owner: the team whose submission it becomes; a log must name no other.
 
     Raises:
-        ServiceError: a rule is broken, another sensor is being checked, or sandbox or file store is unavailable.
+        ServiceError: a rule is broken, or the file store is unavailable.
     """
     upload = SERVED_KINDS[kind].check(received, owner, services.settings)
     if track is not None and upload.track != track:
         raise _other_track(upload, track)
     check_kind(kind, load_known_track(upload.track))
-    if upload.sensor_folder is not None:
-        one_at_a_time = ConcurrencyLimiter(services.settings.state_dir / "limits" / "sensors", 1)
-        with one_at_a_time.one("all", "sensor checks at the same time"):
-            upload = replace(upload, files=sensor_files(upload.sensor_folder), sensor_folder=None)
     paths = {received.sha256: received.path} | {file.sha256: file.path for file in upload.files}
     for digest, path in paths.items():
         with services.database.transaction() as session:

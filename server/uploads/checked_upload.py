@@ -39,7 +39,6 @@ class CheckedUpload:
         file_name: as the client names it; None if the client did not send it.
         archive_sketch: what a model's archive is compared by.
         contents: what is in a model's archive, as JSON (`ArchiveContents`).
-        sensor_folder: unpacked submission whose sensor is still to be taken in; None: there is none.
     """
 
     kind: SubmissionKind
@@ -54,7 +53,6 @@ class CheckedUpload:
     file_name: str | None = None
     archive_sketch: bytes | None = None
     contents: dict[str, Any] | None = None
-    sensor_folder: Path | None = None
 
     @property
     def digests(self) -> frozenset[str]:

@@ -19,6 +19,7 @@ class AppealReplayView(View):
     outcome: str
     env_steps: int
     same_states: bool = Field(description="Whether every env step had the state of the stored record.")
+    failure: str | None = Field(description="Why the policy failed in it; null where it did not.")
     old_outcome: str
     old_env_steps: int
     played_at: datetime

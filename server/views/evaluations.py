@@ -6,7 +6,7 @@ from uuid import UUID
 from pydantic import Field
 from vitac.evaluator.tracks import ListKind
 
-from ..database.states import EvaluationState, RepeatCause, ShardState
+from ..database.states import EvaluationState, RepeatCause, WorkState
 from .base import View
 from .scores import PlayedScoreView, PracticeScoreView, TaskScoreView
 
@@ -154,6 +154,10 @@ class EvaluationView(EvaluationSummaryView):
 
     started_at: datetime | None
     queue_position: int | None = Field(description="1 is next; null unless queued.")
+    sensor_check: WorkState | None = Field(
+        default=None,
+        description="Of the check of its sensor, before any episode; null where none is queued or running.",
+    )
     eta_s: float | None = Field(description="Seconds to the end; null when finished or not known.")
     progress: ProgressView
     verdict: VerdictView | None
@@ -220,7 +224,7 @@ class ShardView(View):
     number: int
     task: str
     episodes: list[int]
-    state: ShardState
+    state: WorkState
     attempts: int
     worker_id: UUID | None
     packages_digest: str | None = Field(description="Of the packages that its policy saw; null where none ran.")

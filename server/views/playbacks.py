@@ -5,19 +5,19 @@ from uuid import UUID
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeOutcome
 
-from ..database.states import PlaybackState
+from ..database.states import WorkState
 from .base import View
 
 
 class PlaybackView(View):
     """A playback that somebody asked for.
 
-    `waits_for` counts the shards and playbacks before it while it is queued; `workers` those that could make it while
+    `waits_for` counts the playbacks before it while it is queued; `workers` those that could make it while
     it is not finished, which can run `family`; `problem` says why there is none.
     """
 
     key: str
-    state: PlaybackState
+    state: WorkState
     env_steps: int
     env_steps_played: int
     waits_for: int

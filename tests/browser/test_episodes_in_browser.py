@@ -18,7 +18,7 @@ from real_browser import NO_WEBGL, SOFTWARE_WEBGL, launched
 from service_client import serving
 from site_under_test import SiteUnderTest
 from starlette.responses import HTMLResponse
-from vitac.server.database.states import EvaluationState, PlaybackState
+from vitac.server.database.states import EvaluationState, WorkState
 from vitac.web.pages.episodes.page import player_script
 from waiting import resize, until, wait_for_rest
 
@@ -389,7 +389,7 @@ def test_help_for_the_player_stands_only_where_something_is_played(site: SiteUnd
     help_text = page.get_by_text("With the scene focused")
     open_player(site, page, made(site))
     expect(help_text).to_be_visible()
-    site.open(page, site.data.show(submission_id(site), a_shown_episode(a_playback(PlaybackState.FAILED), number=9)))
+    site.open(page, site.data.show(submission_id(site), a_shown_episode(a_playback(WorkState.FAILED), number=9)))
     expect(page.get_by_text("There is no playback of this episode.")).to_be_visible()
     expect(help_text).to_be_hidden()
 
@@ -404,7 +404,7 @@ def test_without_javascript_there_is_the_still_and_a_button_to_ask(browser: Brow
     expect(page.get_by_text("Space plays and pauses")).to_be_hidden()
     site.open(page, site.data.show(submission_id(site), a_shown_episode(None, number=9)))
     page.get_by_role("button", name="Make the playback").click()
-    expect(page.get_by_text("Waiting: 2 shards and playbacks come first")).to_be_visible()
+    expect(page.get_by_text("2 other playbacks are made first")).to_be_visible()
     assert len(site.data.asked) == 1
     context.close()
 
@@ -413,9 +413,9 @@ def test_a_page_asks_by_itself_shows_progress_and_then_plays(site: SiteUnderTest
     path = site.data.show(submission_id(site), a_shown_episode(None))
     place = next(iter(site.data.episodes))
     site.open(page, path)
-    expect(page.get_by_text("Waiting: 2 shards and playbacks come first")).to_be_visible()
+    expect(page.get_by_text("2 other playbacks are made first")).to_be_visible()
     assert site.data.asked == [place]
-    running = a_playback(PlaybackState.RUNNING, env_steps_played=2)
+    running = a_playback(WorkState.RUNNING, env_steps_played=2)
     site.data.episodes[place] = a_shown_episode(running)
     expect(page.get_by_text("Being made: env step 2 of 3.")).to_be_visible()
     expect(page.get_by_role("progressbar")).to_have_attribute("value", "2")
@@ -446,7 +446,7 @@ def test_a_page_asks_again_only_where_the_answer_may_change(
     page.route("**/playback", refuse_once)
     site.open(page, path)
     if goes_on:
-        expect(page.get_by_text("Waiting: 2 shards and playbacks come first")).to_be_visible()
+        expect(page.get_by_text("2 other playbacks are made first")).to_be_visible()
         assert len(asked) > 1
     else:
         expect(page.get_by_text("Not now. Reload the page to go on.")).to_be_visible()
@@ -467,7 +467,7 @@ def test_a_failed_playback_says_so(site: SiteUnderTest, page: Page) -> None:
     path = site.data.show(submission_id(site), a_shown_episode(None))
     site.open(page, path)
     expect(page.get_by_text("Waiting: 2")).to_be_visible()
-    site.data.episodes[next(iter(site.data.episodes))] = a_shown_episode(a_playback(PlaybackState.FAILED))
+    site.data.episodes[next(iter(site.data.episodes))] = a_shown_episode(a_playback(WorkState.FAILED))
     expect(page.get_by_text("There is no playback of this episode. The states differ.")).to_be_visible()
     assert violations(page) == []
 

@@ -14,10 +14,10 @@ from databases import opened_database
 from service_factories import make_principal, make_upload
 from sqlalchemy import text
 from vitac.server.api import health
-from vitac.server.queue.depth import count_open_work
+from vitac.server.queue.work import count_open
 from vitac.server.settings import Settings
 from vitac.server.submissions import creation
-from vitac.worker.alive import FILE, sign_of_life
+from vitac.worker.main import ALIVE_FILE, sign_of_life
 from worker_fakes import eventually
 
 VERSIONS = ("1.30", "1.34", kubernetes_validate.latest_version())
@@ -142,7 +142,7 @@ def test_query_of_the_scaled_object_counts_what_the_queue_does(keda: list[dict[s
             creation.create(session, make_principal(session), make_upload(archive_sha256="0" * 64))
         with database.transaction() as session:
             counted = session.scalar(text(trigger["metadata"]["query"]))
-            assert counted == count_open_work(session) > 1
+            assert counted == count_open(session) > 1
 
 
 def test_images_are_of_this_release(manifests: list[dict[str, Any]], repository: Path) -> None:
@@ -163,7 +163,7 @@ def test_probes_of_workers_look_at_the_file_that_a_living_worker_touches(
     commands.add(compose["test"][-1].replace("$$", "$"))
     (command,) = commands
     state = next(mount["mountPath"] for mount in container["volumeMounts"] if mount["name"] == "state")
-    assert f"{state}/{FILE}" in command
+    assert f"{state}/{ALIVE_FILE}" in command
 
     def is_healthy() -> bool:
         here = command.replace(state, str(tmp_path))
@@ -173,9 +173,9 @@ def test_probes_of_workers_look_at_the_file_that_a_living_worker_touches(
     with sign_of_life(tmp_path):
         eventually(is_healthy)
         minutes_ago = time.time() - 120
-        os.utime(tmp_path / FILE, (minutes_ago, minutes_ago))
+        os.utime(tmp_path / ALIVE_FILE, (minutes_ago, minutes_ago))
         assert not is_healthy()
-    assert not (tmp_path / FILE).exists()
+    assert not (tmp_path / ALIVE_FILE).exists()
 
 
 def test_an_image_without_the_player_is_not_built(repository: Path) -> None:

@@ -17,7 +17,9 @@ from .evaluations import (
     Evaluation,
     LogCopy,
     NearCopy,
+    SensorCheck,
     Shard,
+    Trial,
 )
 from .judging import JudgingConflict, JudgingMark
 from .notices import Notice, Webhook
@@ -26,6 +28,7 @@ from .people import Announcement, Appeal, AppealReplay, Question
 from .playbacks import Playback
 from .receipts import Cosignature, ReceiptKey, ReceiptRow, TreeNode
 from .submissions import PartialUpload, Submission, SubmissionFile, UploadPart
+from .work import Work
 
 __all__ = [
     "ALL_TASKS",
@@ -62,6 +65,7 @@ __all__ = [
     "Rejudgement",
     "SchemaCompatibility",
     "SealedList",
+    "SensorCheck",
     "Shard",
     "Station",
     "Submission",
@@ -69,7 +73,9 @@ __all__ = [
     "Team",
     "TeamQuota",
     "TreeNode",
+    "Trial",
     "UploadPart",
     "Webhook",
+    "Work",
     "Worker",
 ]

@@ -24,10 +24,11 @@ from sqlalchemy.orm import Mapped, mapped_column, relationship
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 
-from ..states import EvaluationState, ShardState
+from ..states import EvaluationState, WorkKind
 from .base import Base, closed_set, sha256_check
 from .competition import SealedList
 from .submissions import Submission
+from .work import Work
 
 ALL_TASKS = "*"
 """Name of the board that ranks all tasks of a track together; those of single tasks have the tasks' names."""
@@ -42,7 +43,7 @@ class Evaluation(Base):
     One that `is_proposed` belongs to a rejudgement that was not applied: it is no result of its submission.
     `commitment` names the sealed list whose result ranks; NULL: the public one. Beside a sealed list the public one is
     played too, whose scores are `practice_scores`; NULL: it was not. `turn` orders those that wait, see
-    `server.queue.turns`. `charged_at` says when the team's quotas counted it; NULL
+    `server.queue.work`. `charged_at` says when the team's quotas counted it; NULL
     where it costs nothing. `asked_by_team`: organizers did not start it. `packages`: lists of the packages that the
     policy saw, versions by name, each list once (`Shard.packages_digest` names one); nothing of episodes stored before.
     `list_kind` says who could know the episodes when it began, `counted_tasks` which tasks were combined when it was
@@ -114,6 +115,7 @@ class Evaluation(Base):
     submission: Mapped[Submission] = relationship()
     sealed_list: Mapped[SealedList | None] = relationship()
     shards: Mapped[list["Shard"]] = relationship(back_populates="evaluation", order_by="Shard.id")
+    sensor_check: Mapped["SensorCheck | None"] = relationship(back_populates="evaluation")
     board_results: Mapped[list["BoardResult"]] = relationship(back_populates="evaluation")
 
 
@@ -158,48 +160,57 @@ class BoardChange(Base):
     mark: Mapped[int] = mapped_column(BigInteger)
 
 
-class Shard(Base):
-    """A fixed piece of an evaluation, the unit of queue work. `token` rises with each claim: it fences off others.
+class Shard(Work):
+    """A fixed piece of an evaluation, the unit of its work and of resuming.
 
-    `commitment` names the sealed list of which it plays a piece; empty for the public one.
-    `attempts` counts the claims since an episode was last stored. `packages_digest` is that of the packages that its
-    policy saw (`evaluator.package_sets`); NULL where no policy ran. The list stands in the evaluation's `packages`.
-    `repeats` holds why it was queued again, once for each time (`views.evaluations.RepeatView`).
-    `finding` says why an uploaded log is not true (`evaluator.logs.findings.LogFinding`).
+    `commitment` names the sealed list of which it plays a piece; empty for the public one. `packages_digest` is that
+    of the packages that its policy saw (`evaluator.package_sets`); NULL where no policy ran. The list stands in the
+    evaluation's `packages`. `finding` says why an uploaded log is not true (`evaluator.logs.findings.LogFinding`).
     """
 
     __tablename__ = "shards"
     __table_args__ = (
         UniqueConstraint("evaluation_id", "task", "number", "commitment"),
-        CheckConstraint("(state = 'running') = (lease_expires_at IS NOT NULL)", name="running_has_a_lease"),
-        CheckConstraint("(state = 'running') <= (worker_id IS NOT NULL)", name="running_has_a_worker"),
-        CheckConstraint("attempts >= 0 AND token >= attempts", name="each_attempt_has_a_token"),
         CheckConstraint("cardinality(episodes) > 0", name="has_episodes"),
-        CheckConstraint("(state = 'done') <= (manifest IS NOT NULL)", name="done_has_a_manifest"),
-        CheckConstraint("(finding IS NOT NULL) <= (state = 'failed')", name="finding_is_a_failure"),
-        Index("ix_shards_open", "state", postgresql_where=text("state IN ('queued', 'running')")),
     )
-    id: Mapped[int] = mapped_column(BigInteger, Identity(always=True), primary_key=True)
+    id: Mapped[int] = mapped_column(ForeignKey("work.id", ondelete="CASCADE"), primary_key=True)
     evaluation_id: Mapped[UUID] = mapped_column(ForeignKey("evaluations.id", ondelete="CASCADE"))
     task: Mapped[str]
     number: Mapped[int]
     commitment: Mapped[str] = mapped_column(default="", server_default="")
     episodes: Mapped[list[int]]
-    state: Mapped[ShardState] = mapped_column(closed_set(ShardState, "state"))
-    token: Mapped[int] = mapped_column(BigInteger, default=0)
-    attempts: Mapped[int] = mapped_column(default=0)
-    worker_id: Mapped[UUID | None]
-    lease_expires_at: Mapped[datetime | None]
     manifest: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     isolation: Mapped[str | None]
     packages_digest: Mapped[str | None] = mapped_column(String(64))
     finding: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
-    repeats: Mapped[list[dict[str, Any]]] = mapped_column(JSONB, default=list, server_default="[]")
-    queued_at: Mapped[datetime] = mapped_column(server_default=func.now())
-    progressed_at: Mapped[datetime | None]
-    started_at: Mapped[datetime | None]
-    finished_at: Mapped[datetime | None]
     evaluation: Mapped[Evaluation] = relationship(back_populates="shards")
+    __mapper_args__ = {"polymorphic_identity": WorkKind.SHARD}  # noqa: RUF012 - SQLAlchemy reads it
+
+    @property
+    def title(self) -> str:
+        """What it is, for messages."""
+        return f"Episodes {self.episodes[0]} to {self.episodes[-1]} of {self.task}"
+
+
+class Trial(Shard):
+    """A shard that a station plays on its platform."""
+
+    __mapper_args__ = {"polymorphic_identity": WorkKind.TRIAL}  # noqa: RUF012 - SQLAlchemy reads it
+
+
+class SensorCheck(Work):
+    """Makes the sensor of a submission, before its evaluation gets its shards."""
+
+    __tablename__ = "sensor_checks"
+    id: Mapped[int] = mapped_column(ForeignKey("work.id", ondelete="CASCADE"), primary_key=True)
+    evaluation_id: Mapped[UUID] = mapped_column(ForeignKey("evaluations.id", ondelete="CASCADE"), unique=True)
+    evaluation: Mapped[Evaluation] = relationship(back_populates="sensor_check")
+    __mapper_args__ = {"polymorphic_identity": WorkKind.SENSOR_CHECK}  # noqa: RUF012 - SQLAlchemy reads it
+
+    @property
+    def title(self) -> str:
+        """What it is, for messages."""
+        return "The check of the sensor"
 
 
 class EpisodeResult(Base):

@@ -4,12 +4,13 @@ from datetime import datetime
 from uuid import UUID
 
 from sqlalchemy import CheckConstraint, ForeignKey, Index, String, func, text
-from sqlalchemy.orm import Mapped, mapped_column, relationship
+from sqlalchemy.orm import Mapped, mapped_column, relationship, synonym
 
-from ..states import AppealState
+from ..states import AppealState, WorkKind
 from .accounts import Team
 from .base import Base, closed_set, sha256_check
 from .evaluations import Evaluation
+from .work import Work
 
 
 class Announcement(Base):
@@ -61,26 +62,30 @@ class Appeal(Base):
     ruling: Mapped[str | None]
     team: Mapped[Team] = relationship()
     evaluation: Mapped[Evaluation] = relationship()
-    replays: Mapped[list["AppealReplay"]] = relationship(order_by="AppealReplay.id")
+    replays: Mapped[list["AppealReplay"]] = relationship(back_populates="appeal", order_by="AppealReplay.id")
 
 
-class AppealReplay(Base):
-    """What an episode gave when an organizer played it again for an appeal, beside the stored result.
+class AppealReplay(Work):
+    """An episode that an organizer has played again for an appeal, and what it gave beside the stored result.
 
-    `corrected` is one that was played with another policy than the submission's, `policy_sha256` its archive.
+    `corrected` is one that is played with another policy than the submission's, `policy_sha256` its archive. Without
+    an `outcome` it is not played yet; `failure` is why the policy failed in it.
     """
 
     __tablename__ = "appeal_replays"
     __table_args__ = (sha256_check("policy_sha256"),)
-    id: Mapped[int] = mapped_column(primary_key=True)
+    id: Mapped[int] = mapped_column(ForeignKey("work.id", ondelete="CASCADE"), primary_key=True)
     appeal_id: Mapped[int] = mapped_column(ForeignKey("appeals.id", ondelete="CASCADE"), index=True)
     task: Mapped[str]
     episode: Mapped[int]
     policy_sha256: Mapped[str] = mapped_column(String(64))
     corrected: Mapped[bool]
-    outcome: Mapped[str]
-    env_steps: Mapped[int]
-    same_states: Mapped[bool]
+    outcome: Mapped[str | None]
+    env_steps: Mapped[int | None]
+    same_states: Mapped[bool | None]
+    failure: Mapped[str | None]
     old_outcome: Mapped[str]
     old_env_steps: Mapped[int]
-    played_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    appeal: Mapped[Appeal] = relationship(back_populates="replays")
+    played_at: Mapped[datetime | None] = synonym("finished_at")
+    __mapper_args__ = {"polymorphic_identity": WorkKind.REPLAY}  # noqa: RUF012 - SQLAlchemy reads it

@@ -2,9 +2,12 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import pytest
 from cli_service import CliService, cli_service
@@ -25,6 +28,7 @@ from service_factories import (
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 from vitac.evaluator.evaluation.local import evaluate
+from vitac.evaluator.shards.process import ShardProcesses
 from vitac.evaluator.submission.sources import staged
 from vitac.evaluator.tracks import Task, load_track
 from vitac.evaluator.tracks.cut import Shard, cut
@@ -36,8 +40,12 @@ from vitac.server.database.states import Role
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE, Principal
+from vitac.server.queue import work
+from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
 from vitac.server.submissions import creation
+from vitac.worker.staging import SubmissionStage
+from vitac.worker.worker import QueueWorker
 
 from competitions import open_now, put_in_place, sealed_competition, stored_stage
 
@@ -80,6 +88,26 @@ def appealed(service: CliService, tmp_path: Path) -> int:
         return appeals.open_appeal(session, team, submission.id, "Look again.", task=TASK, episode=1).id
 
 
+@contextmanager
+def working(service: CliService, state_dir: Path) -> Iterator[None]:
+    """A worker with real processes while the block runs."""
+    settings = make_settings(state_dir=state_dir)
+    services = Services(
+        settings=settings, database=service.database, blobs=BlobStore.from_settings(settings), postgres=None
+    )
+    stage = SubmissionStage(services.blobs, settings.scratch_dir, settings.limits)
+    with ShardProcesses() as processes:
+        worker = QueueWorker(services, stage, uuid4(), processes.running_shard)
+        thread = threading.Thread(target=worker.run)
+        thread.start()
+        try:
+            yield
+        finally:
+            worker.stop()
+            thread.join(60.0)
+            stage.close()
+
+
 def team_of(session: Session, number: int) -> Principal:
     team = session.get_one(Appeal, number).team
     return Principal(role=Role.TEAM, team_id=team.id, team_name=team.name)
@@ -104,8 +132,10 @@ def test_an_episode_of_a_sealed_list_is_played_again_beside_its_result(
 ) -> None:
     monkeypatch.setattr(lifecycle, "cut", one_episode)
     monkeypatch.setattr(lifecycle, "store_practice_scores", lambda *_, **__: None)  # which compares whole lists
-    with cli_service(tmp_path / "state") as service:
+    monkeypatch.setattr(work, "RETRY_DELAY_S", 0.01)
+    with cli_service(tmp_path / "state") as service, ExitStack() as exits:
         number = appealed(service, tmp_path)
+        exits.enter_context(working(service, tmp_path / "state"))
         before = kept(service)
 
         def replayed(*options: str, exit_code: int = 0) -> Any:
@@ -113,7 +143,8 @@ def test_an_episode_of_a_sealed_list_is_played_again_beside_its_result(
             assert result.exit_code == exit_code, result.output
             return json.loads(result.stdout) if exit_code == 0 else str(result.exception)
 
-        own = replayed("--dry-run")
+        assert replayed("--dry-run")["outcome"] is None, "it is not played"
+        own = replayed()
         assert own["same_states"], "the same policy on the same start of the sealed list"
         assert (own["outcome"], own["env_steps"]) == (own["old_outcome"], own["old_env_steps"])
         assert own["failure"] is None
@@ -126,13 +157,11 @@ def test_an_episode_of_a_sealed_list_is_played_again_beside_its_result(
         assert f"submission that plays {TASK}" in replayed("--corrected", str(other_task), exit_code=1)
         no_zip = archive(tmp_path, b"no zip")
         assert "zip" in replayed("--corrected", str(no_zip), exit_code=1)
-        assert list((tmp_path / "state" / "scratch").iterdir()) == [], "the secret of the list does not stay"
+        assert list((tmp_path / "state" / "scratch").rglob("secret")) == [], "the secret of the list does not stay"
         assert kept(service) == before
         with service.database.transaction() as session:
             shown = appeals.appeal_view(appeals.find(session, CONSOLE, number), CONSOLE).replays
-            assert [one.policy_sha256 for one in shown] == [broken.stem], "a dry run notes nothing"
+            assert [one.policy_sha256 for one in shown] == [own["policy_sha256"], broken.stem]
             (seen,) = appeals.visible(session, team_of(session, number))
             assert seen.replays == [], "of a sealed list the team sees no episode"
-        BlobStore.from_settings(make_settings(state_dir=tmp_path / "state")).delete(own["policy_sha256"])
-        assert "is gone" in replayed(exit_code=1)
-        assert list((tmp_path / "state" / "scratch").iterdir()) == []
+    assert list((tmp_path / "state" / "scratch").iterdir()) == []

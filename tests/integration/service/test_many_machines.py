@@ -65,7 +65,7 @@ class Machines:
 
     def busy_workers(self) -> list[int]:
         """Process ids of the workers that hold a shard."""
-        query = "SELECT pid FROM workers JOIN shards ON shards.worker_id = workers.id WHERE shards.state = 'running'"
+        query = "SELECT pid FROM workers JOIN work ON work.worker_id = workers.id WHERE work.state = 'running'"
         with psycopg.connect(self.common["VITAC_DATABASE_URL"]) as connection:
             return [pid for (pid,) in connection.execute(query)]
 

@@ -1,6 +1,5 @@
 """A played episode of a submission: asked for on its page, made by a real worker, and served as files."""
 
-import asyncio
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,8 +16,9 @@ from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.tracks import find_task
-from vitac.server.database.states import PlaybackState
-from vitac.server.playbacks.files import PlaybackFile, find_digest, read
+from vitac.server.database.states import WorkState
+from vitac.server.playbacks.asking import PlaybackFile, find_digest
+from vitac.server.playbacks.work import read_file
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
 from vitac.worker.staging import SubmissionStage
@@ -55,7 +55,7 @@ def working(services: Services) -> Iterator[None]:
     """A worker whose shards are fakes and whose playbacks are real."""
     stage = SubmissionStage(services.blobs, services.settings.scratch_dir, services.settings.limits)
     worker = QueueWorker(services, stage, uuid4(), FakeShards())
-    thread = threading.Thread(target=lambda: asyncio.run(worker.run()))
+    thread = threading.Thread(target=worker.run)
     thread.start()
     try:
         yield
@@ -76,18 +76,18 @@ def test_an_episode_becomes_files_that_a_page_plays(services: Services) -> None:
     store(services.database, lease, [played_for_real(1), false])
     for number in (1, 2):
         team.ask(number)
-    ended = {PlaybackState.MADE, PlaybackState.FAILED}
+    ended = {WorkState.DONE, WorkState.FAILED}
     with working(services):
         eventually(lambda: {getattr(team.found(number), "state", None) for number in (1, 2)} == ended, limit_s=180.0)
     made, failed = team.found(1), team.found(2)
     assert made is not None
     assert failed is not None
-    assert made.state is PlaybackState.MADE
+    assert made.state is WorkState.DONE
     assert "The state after env step 0 is not the recorded one" in (failed.problem or "")
     with services.database.transaction() as session:
         digests = {
             file: find_digest(session, team.episode(1), file) for file in (PlaybackFile.SCENE, PlaybackFile.STILL)
         }
-    scene = read(services.database, services.blobs, digests[PlaybackFile.SCENE])
+    scene = read_file(services.database, services.blobs, digests[PlaybackFile.SCENE])
     assert unpack(scene).arrays["action_values"].tolist() == [[0.25, 0.25, 0.25]] * 2
-    assert read(services.database, services.blobs, digests[PlaybackFile.STILL]).startswith(b"RIFF")
+    assert read_file(services.database, services.blobs, digests[PlaybackFile.STILL]).startswith(b"RIFF")

@@ -22,7 +22,7 @@ from vitac.cli.client.submit import packed
 from vitac.cli.demo.laboratory import TRACK, made_for_station
 from vitac.envs.geometry.pegs import PegShape
 from vitac.server.database.models import EpisodeResult, Shard, Station, Worker
-from vitac.server.database.states import ShardState
+from vitac.server.database.states import WorkState
 from vitac.server.principals import CONSOLE
 from vitac.server.stations import stations
 from vitac.station.description import make_station_track
@@ -90,7 +90,7 @@ class Laboratory:
 
     def record(self) -> dict[str, Any]:
         """What the newest trial left behind, as soon as it is over."""
-        eventually(lambda: self.shard().state is ShardState.DONE, LIMIT_S)
+        eventually(lambda: self.shard().state is WorkState.DONE, LIMIT_S)
         with self.service.database.transaction() as session:
             return session.scalars(select(EpisodeResult).order_by(EpisodeResult.id.desc()).limit(1)).one().record
 
@@ -161,7 +161,7 @@ def test_agent_is_refused_in_a_sentence_before_anything_moves(
     assert (agent.returncode, errors.count(sentence)) == (1, 1), errors
     assert (twins.stage.position(), twins.gripper.position()) == ((0, 0, 0, 0), 0)
     waiting = laboratory.shard()
-    assert (waiting.state, waiting.attempts, waiting.token) == (ShardState.QUEUED, 0, 0)
+    assert (waiting.state, waiting.attempts, waiting.token) == (WorkState.QUEUED, 0, 0)
 
 
 @contextmanager
@@ -193,13 +193,13 @@ def test_agent_outlives_bad_policies_and_loses_no_trial_when_it_is_stopped_or_ki
             laboratory.submit(submission(laboratory.folder / "slow", TOO_SLOW))
             assert laboratory.record()["failure"]["code"] == "wall_time"
             laboratory.submit(repository / "examples" / "peg_insertion_trained")
-            eventually(lambda: laboratory.shard().state is ShardState.RUNNING, LIMIT_S)
+            eventually(lambda: laboratory.shard().state is WorkState.RUNNING, LIMIT_S)
             agent.send_signal(signal.SIGTERM)
             assert agent.wait(LIMIT_S) == 0
         given_back = laboratory.shard()
-        assert (given_back.state, given_back.attempts, given_back.repeats) == (ShardState.QUEUED, 0, [])
+        assert (given_back.state, given_back.attempts, given_back.repeats) == (WorkState.QUEUED, 0, [])
         with running_agent(laboratory) as agent:
-            eventually(lambda: laboratory.shard().state is ShardState.RUNNING, LIMIT_S)
+            eventually(lambda: laboratory.shard().state is WorkState.RUNNING, LIMIT_S)
             agent.kill()
         with running_agent(laboratory):
             record = laboratory.record()

@@ -31,6 +31,7 @@ from vitac.server.database.models import (
     Qualification,
     Question,
     Rejudgement,
+    SensorCheck,
     Station,
     Submission,
     SubmissionFile,
@@ -41,15 +42,7 @@ from vitac.server.database.models import (
     Webhook,
     Worker,
 )
-from vitac.server.database.states import (
-    AppealState,
-    FileRole,
-    NoticeChannel,
-    NoticeKind,
-    PlaybackState,
-    Quota,
-    WorkerState,
-)
+from vitac.server.database.states import AppealState, FileRole, NoticeChannel, NoticeKind, Quota, WorkerState, WorkState
 from vitac.server.principals import CONSOLE
 
 from competitions import make_competition, put_in_place, stored_stage
@@ -82,6 +75,7 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
             AppealReplay(
                 appeal_id=appeal.id, task=episode.task, episode=1, policy_sha256="1" * 64, corrected=True,
                 outcome="success", env_steps=3, same_states=False, old_outcome="steps", old_env_steps=4,
+                owner="appeal:1", requires="1 tactile", priority=2,
             ),
             EpisodeDifference(
                 evaluation_id=evaluation.id, task=episode.task, episode=1,
@@ -103,8 +97,8 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
                 target="ann@example.org", facts={"name": TEXT}, problem=TEXT,
             ),
             Playback(
-                key="4" * 64, episode_id=episode.id, evaluator_version="1", state=PlaybackState.FAILED,
-                asked_by="visitor", problem=TEXT,
+                key="4" * 64, episode_id=episode.id, evaluator_version="1", state=WorkState.FAILED,
+                owner="visitor", requires="1 tactile", priority=3, problem=TEXT,
             ),
             Qualification(competition="cup", track=track, stage=stage, team_id=team_id),
             Question(team_id=team_id, text=TEXT, public=True),
@@ -115,6 +109,10 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
             ),
             TeamQuota(team_id=team_id, quota=Quota.TOKENS, most=None),
             UploadPart(upload_id=upload.id, first_byte=0, n_bytes=4, key=str(uuid4())),
+            SensorCheck(
+                evaluation_id=evaluation.id, state=WorkState.FAILED, problem=TEXT,
+                owner="team:9", requires="1 tactile", priority=1,
+            ),
             Station(name="station-1", key_sha256="6" * 64, worker_id=None),
             Webhook(team_id=team_id, address="https://hook.example.org/", secret="5" * 64),
             Worker(

@@ -2,13 +2,13 @@
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import cache
 from typing import Any, Protocol
 from uuid import UUID, uuid4
 
 import numpy as np
-from sqlalchemy import update
+from sqlalchemy import func, select, update
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 from vitac.evaluator.agent.isolation.bubblewrap import UserIsolation
@@ -35,8 +35,8 @@ from vitac.evaluator.version import evaluator_hash, evaluator_version, platform_
 from vitac.server.accounts import teams, tokens
 from vitac.server.cache import Cache
 from vitac.server.database.engine import Database
-from vitac.server.database.models import BoardResult, EpisodeResult, Evaluation, Shard, Submission, Team
-from vitac.server.database.states import EvaluationState, Role, ShardState
+from vitac.server.database.models import BoardResult, EpisodeResult, Evaluation, Shard, Submission, Team, Work
+from vitac.server.database.states import EvaluationState, Role, WorkState
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.episode_store import row_values, store_episodes
 from vitac.server.evaluations.history import newest_evaluation
@@ -47,6 +47,7 @@ from vitac.server.logs.claims import LogClaim
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease
+from vitac.server.queue.work import Claim
 from vitac.server.settings import Settings
 from vitac.server.submissions import creation
 from vitac.server.uploads.checked_upload import CheckedUpload
@@ -189,11 +190,8 @@ def submit_refuted_log(session: Session, principal: Principal, name: str) -> Sub
         episode=1, env_step=1, recorded_state=None, recorded_info=None, resimulated_state=None, resimulated_info=None
     )
     finding = LogFinding.diverged(divergence)
-    session.execute(
-        update(Shard)
-        .where(Shard.evaluation_id == evaluation.id)
-        .values(state=ShardState.FAILED, finding=finding.model_dump(mode="json"))
-    )
+    for shard in evaluation.shards:
+        shard.state, shard.finding = WorkState.FAILED, finding.model_dump(mode="json")
     evaluation.verdict_code, evaluation.verdict_message = finding.verdict.value, finding.reason
     evaluation.finished_at = datetime.now(UTC)
     evaluation.state = EvaluationState.FAILED
@@ -268,18 +266,35 @@ def shard_ids(session: Session, submission: Submission) -> list[int]:
     return [shard.id for shard in sorted(newest.shards, key=lambda shard: shard.id)]
 
 
+def take(session: Session, work_id: int, worker_id: UUID | None = None, lease_s: float = LEASE_S) -> Claim:
+    """A claim of one piece of work, whatever else waits."""
+    found = session.get_one(Work, work_id, populate_existing=True, with_for_update=True)
+    assert found.state is WorkState.QUEUED
+    now = session.scalars(select(func.clock_timestamp())).one()
+    found.state, found.worker_id = WorkState.RUNNING, worker_id or uuid4()
+    found.token, found.attempts = found.token + 1, found.attempts + 1
+    found.started_at = found.progressed_at = now
+    found.lease_expires_at = now + timedelta(seconds=lease_s)
+    session.flush()
+    waited_s = (now - found.queued_at).total_seconds()
+    return Claim(work_id=work_id, kind=found.kind, token=found.token, attempt=found.attempts, waited_s=waited_s)
+
+
+def take_shard(session: Session, shard_id: int, worker_id: UUID | None = None, lease_s: float = LEASE_S) -> Lease:
+    """The lease on one shard, whatever else waits."""
+    return leases.begin(session, take(session, shard_id, worker_id, lease_s))
+
+
 def claim(database: Database, shard_id: int, worker_id: UUID | None = None, lease_s: float = LEASE_S) -> Lease:
     with database.transaction() as session:
-        lease = leases.claim(session, shard_id, worker_id or uuid4(), lease_s)
-    assert lease is not None
-    return lease
+        return take_shard(session, shard_id, worker_id, lease_s)
 
 
 def take_away(database: Database, shard_id: int) -> None:
     """What the sweep does with a shard whose lease has run out."""
     with database.transaction() as session:
         shard = session.get_one(Shard, shard_id)
-        shard.state, shard.lease_expires_at, shard.token = ShardState.QUEUED, None, shard.token + 1
+        shard.state, shard.lease_expires_at, shard.worker_id = WorkState.QUEUED, None, None
 
 
 def store(database: Database, lease: Lease, records: Iterable[EpisodeRecord]) -> None:
@@ -337,8 +352,7 @@ def play_all(database: Database, submission: Submission, record_of: RecordOf = m
 
 
 def _play(session: Session, shard_id: int, record_of: RecordOf, worker_id: UUID | None = None) -> None:
-    lease = leases.claim(session, shard_id, worker_id or uuid4(), LEASE_S)
-    assert lease is not None
+    lease = take_shard(session, shard_id, worker_id)
     rows = [row_values(lease, record_of(episode, task=lease.task)) for episode in lease.episodes]
     session.execute(insert(EpisodeResult).on_conflict_do_nothing(), rows)
     _finish(session, lease)

@@ -35,7 +35,7 @@ from vitac.server.evaluations import progress
 from vitac.server.leaderboards import descriptions, public_pages, reading
 from vitac.server.limiter import WindowLimiter
 from vitac.server.operations import state
-from vitac.server.playbacks import asking, comparisons, files, recent, stills
+from vitac.server.playbacks import asking, comparisons, recent, stills, work
 from vitac.server.principals import VISITOR, Principal
 from vitac.server.queue import workers
 from vitac.server.receipts.receipt import Receipt
@@ -369,8 +369,8 @@ for _module, _name, _data_of in (
     (comparisons, "list_choices", lambda _: lambda *_, **__: ()),
     (recent, "newest_public_episode", lambda data: lambda _: data.public_one),
     (messages, "list_announcements", lambda data: lambda: data.said),
-    (files, "find_digest", lambda data: lambda place, file: (place, file)),
-    (files, "read", lambda data: lambda _, key: data.file_at(*key)),
+    (asking, "find_digest", lambda data: lambda place, file: (place, file)),
+    (work, "read_file", lambda data: lambda _, key: data.file_at(*key)),
     (sensors, "document", lambda data: data.document),
     (sensor_pages, "_shown_sensor", lambda data: lambda *given: _sensor(data, *given)),
     (runs, "cancel", lambda data: data.cancel),

@@ -15,27 +15,27 @@ from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import find_task
-from vitac.server.database.states import PlaybackState
+from vitac.server.database.states import WorkState
 from vitac.server.errors import ProblemCode, ServiceError, not_found
-from vitac.server.playbacks.files import PlaybackFile
+from vitac.server.playbacks.asking import PlaybackFile
 from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView, StillView, StoryMomentView
 from vitac.web.pages.episodes.page import EpisodeAddress
 
 KEY = "5eed" * 16
 
 
-def a_playback(state: PlaybackState = PlaybackState.MADE, **changes: Any) -> PlaybackView:
+def a_playback(state: WorkState = WorkState.DONE, **changes: Any) -> PlaybackView:
     values: dict[str, Any] = {
         "key": KEY,
         "state": state,
         "env_steps": 3,
-        "env_steps_played": 3 if state is PlaybackState.MADE else 0,
+        "env_steps_played": 3 if state is WorkState.DONE else 0,
         "waits_for": 0,
         "family": Family.TACTILE,
-        "workers": None if state in {PlaybackState.MADE, PlaybackState.FAILED} else 1,
-        "problem": "The states differ." if state is PlaybackState.FAILED else None,
+        "workers": None if state in {WorkState.DONE, WorkState.FAILED} else 1,
+        "problem": "The states differ." if state is WorkState.FAILED else None,
         "has_cameras": False,
-        "has_still": state is PlaybackState.MADE,
+        "has_still": state is WorkState.DONE,
     }
     return PlaybackView(**(values | changes))
 
@@ -103,7 +103,7 @@ class FixedPlaybacks:
         """Adds an episode, with real files if it is made; the path of its page."""
         place = EpisodeAddress(submission_id=submission_id, task=shown.task, number=shown.episode)
         self.episodes[place] = shown
-        if shown.playback is not None and shown.playback.state is PlaybackState.MADE:
+        if shown.playback is not None and shown.playback.state is WorkState.DONE:
             self.files[place] = real_files(shown.task, shown.episode)
         return f"/submissions/{submission_id}/episodes/{shown.task}/{shown.episode}"
 
@@ -115,7 +115,7 @@ class FixedPlaybacks:
     def ask_at(self, place: EpisodeAddress) -> PlaybackView:
         if self.refuses_playbacks:
             raise ServiceError(ProblemCode.TOO_MANY_REQUESTS, "At most 4 playbacks are possible.")
-        playback = a_playback(PlaybackState.QUEUED, waits_for=2)
+        playback = a_playback(WorkState.QUEUED, waits_for=2)
         self.asked.append(place)
         self.episodes[place] = self.shown_at(place).model_copy(update={"playback": playback})
         return playback

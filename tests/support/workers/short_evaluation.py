@@ -33,7 +33,7 @@ def shorten() -> None:
 if __name__ == "__main__":
     with no_collections():
         from vitac.server.settings import load_settings
-        from vitac.worker.isolation import IsolationReport
+        from vitac.worker.capabilities import IsolationReport
         from vitac.worker.main import run
 
     shorten()

@@ -39,7 +39,7 @@ class FakeShard:
     def records(self) -> Iterator[EpisodeRecord]:
         shard = cut(load_track(self.order.track).tasks[self.order.task])[self.order.shard]
         failures: list[PolicyFailure] = list(self.order.earlier_failures)
-        for number in sorted(shard.numbers - set(self.order.skip)):
+        for number in sorted(set(self.order.episodes or shard.numbers) - set(self.order.skip)):
             self._gate(number)
             if self.killed.is_set():
                 raise ShardProcessFailed("the process was killed")

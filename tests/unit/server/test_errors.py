@@ -31,7 +31,6 @@ PROMISED = {
     "not_requeuable": 409,
     "quota_exceeded": 429,
     "registration_closed": 403,
-    "sensor_checks_unavailable": 503,
     "service_stopping": 503,
     "storage_full": 507,
     "storage_unavailable": 503,

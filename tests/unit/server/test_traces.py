@@ -45,7 +45,7 @@ def test_a_shards_span_joins_the_trace_of_the_request_that_its_evaluation_began_
     with use_span(request), database.transaction() as session:
         shard_id = shard_ids(session, submit(session, make_principal(session)))[0]
     lease = claim(database, shard_id)
-    with traces.span("shard", lease.traceparent, {"shard": lease.shard_id}) as more:
+    with traces.span("shard", lease.traceparent, {"shard": lease.work_id}) as more:
         more["end"] = "finished"
     traces._provider().shutdown()
     (span,) = received[0].resource_spans[0].scope_spans[0].spans

@@ -6,8 +6,8 @@ from structlog.testing import capture_logs
 from vitac.server.database.schema import newest_revision
 from vitac.server.database.states import WorkerState
 from vitac.server.services import Services
+from vitac.worker.capabilities import IsolationReport
 from vitac.worker.heartbeat import Heartbeat
-from vitac.worker.isolation import IsolationReport
 
 
 @pytest.mark.parametrize(

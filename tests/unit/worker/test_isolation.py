@@ -5,7 +5,7 @@ from page_fixtures import a_sandbox
 from service_factories import ISOLATION
 from vitac.evaluator.agent.self_test import PROBES, Outcome, Probe, ProbeState
 from vitac.evaluator.package_sets import PackageSet, locked_versions
-from vitac.worker.isolation import SLOW_PROBES, probe_isolation
+from vitac.worker.capabilities import SLOW_PROBES, probe_isolation
 
 
 class FakeProbes:

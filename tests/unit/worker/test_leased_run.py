@@ -1,6 +1,7 @@
 import errno
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,7 +10,9 @@ import pytest
 from sqlalchemy.orm import Session
 from structlog.testing import capture_logs
 from vitac.envs.errors import VitacError
-from vitac.server.queue.leases import LeaseLost
+from vitac.server.database.states import WorkKind
+from vitac.server.queue.kinds import KINDS
+from vitac.server.queue.work import Claim, LeaseLost
 from vitac.worker import leased_run
 from vitac.worker.leased_run import DATABASE_PATIENCE_S, FULL_DISK_PAUSE_S, LeasedRun, RunEnd
 
@@ -40,10 +43,19 @@ class FakeRun(LeasedRun[FakeProcess]):
 
     step = "brick was laid"
 
-    def __init__(self, folder: Path, during: Callable[["FakeRun"], None], *, idle_timeout_s: float = 60.0) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        during: Callable[["FakeRun"], None],
+        *,
+        idle_timeout_s: float = 60.0,
+        kind: WorkKind = WorkKind.SHARD,
+    ) -> None:
         settings = SimpleNamespace(lease_renewal_s=0.01, shard_idle_timeout_s=idle_timeout_s, scratch_dir=folder)
         self.database = FakeDatabase()
-        super().__init__(SimpleNamespace(settings=settings, database=self.database), brick=7)  # type: ignore[arg-type]
+        lease = Claim(work_id=3, kind=kind, token=1, attempt=1, waited_s=0.0)
+        services = SimpleNamespace(settings=settings, database=self.database)
+        super().__init__(services, lease, brick=7)  # type: ignore[arg-type]
         self.process = FakeProcess()
         self.said: list[object] = []
         self.renewed = threading.Semaphore(0)
@@ -127,6 +139,21 @@ def test_a_process_that_hangs_is_ended_and_the_message_says_what_it_did_not_do(t
     run = FakeRun(tmp_path, ended_by_kill, idle_timeout_s=0.05)
     assert run.run() is RunEnd.BROKE
     assert run.said == ["No brick was laid within 0.05 s."]
+
+
+def test_a_process_that_advances_is_ended_at_the_limit_of_its_kind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limited = replace(KINDS[WorkKind.SENSOR_CHECK], limit_s=0.2)
+    monkeypatch.setattr(leased_run, "KINDS", {WorkKind.SENSOR_CHECK: limited})
+
+    def advance(run: FakeRun) -> None:
+        while not run.process.killed.wait(0.01):
+            run._advance()
+
+    run = FakeRun(tmp_path, advance, kind=WorkKind.SENSOR_CHECK)
+    assert run.run() is RunEnd.BROKE
+    assert run.said == ["It took longer than 0.2 s."]
 
 
 def test_a_process_that_advances_does_not_hang(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

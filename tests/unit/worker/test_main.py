@@ -13,7 +13,7 @@ from vitac.evaluator.agent.isolation.packages import PolicyPackages
 from vitac.evaluator.package_sets import PackageSet, locked_versions
 from vitac.evaluator.version import evaluator_version
 from vitac.server.database.models import Worker
-from vitac.server.database.states import EvaluationState, ShardState, WorkerState
+from vitac.server.database.states import EvaluationState, WorkerState, WorkState
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.operations import housekeeping
 from vitac.server.playbacks import work
@@ -22,8 +22,8 @@ from vitac.server.queue.workers import workers_alive
 from vitac.server.services import Services
 from vitac.server.settings import OutdatedRule
 from vitac.server.submissions import creation
-from vitac.worker import fitness, main
-from vitac.worker.isolation import IsolationReport
+from vitac.worker import capabilities, main
+from vitac.worker.capabilities import IsolationReport
 from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShards, eventually
 
@@ -95,7 +95,7 @@ def test_worker_leaves_it_to_the_server_to_begin_evaluations_again(
     done: list[str] = []
     monkeypatch.setattr(housekeeping, "OTHERS_EVERY_S", 0.0)
     monkeypatch.setattr(housekeeping, "supersede_outdated", lambda *_: done.append("evaluations"))
-    monkeypatch.setattr(work, "recover", lambda *_: done.append("playbacks"))
+    monkeypatch.setattr(work, "give_up_unmade", lambda *_: done.append("playbacks"))
     with signalled_when(lambda: done.count("playbacks") > 1):
         main.work(services, FakeShards(), probe=lambda: SOUND)
     assert set(done) == {"playbacks"}
@@ -119,7 +119,7 @@ def test_worker_beside_a_database_that_another_release_upgrades_gives_its_shard_
     with services.database.transaction() as session:
         evaluation = newest_evaluation(session, submission)
         assert evaluation.state is EvaluationState.RUNNING
-        assert ShardState.RUNNING not in {shard.state for shard in evaluation.shards}
+        assert WorkState.RUNNING not in {shard.state for shard in evaluation.shards}
         assert [shard.attempts for shard in evaluation.shards] == [0] * len(evaluation.shards)
 
 
@@ -172,7 +172,7 @@ def test_worker_leaves_its_shard_when_the_service_declares_another_evaluator(
     with services.database.transaction() as session:
         states = {shard.state for shard in newest_evaluation(session, submission).shards}
         assert workers_alive(session, services.settings).alive == 0
-    assert states == {ShardState.QUEUED}
+    assert states == {WorkState.QUEUED}
 
 
 def test_worker_finishes_what_began_with_its_evaluator_where_the_service_says_so_and_takes_nothing_afterwards(
@@ -202,7 +202,7 @@ def test_worker_whose_policies_would_see_other_packages_takes_no_shards_of_that_
     with services.database.transaction() as session:
         creation.create(session, make_principal(session), make_upload(archive_sha256=archive_sha256))
     found = PolicyPackages(versions={**dict.fromkeys(locked_versions([PackageSet.BASE]), "0")}, binds=())
-    monkeypatch.setattr(fitness, "installed_packages", lambda _: found)
+    monkeypatch.setattr(capabilities, "installed_packages", lambda _: found)
     shards = FakeShards()
     with signalled_when(lambda: any(row.state is WorkerState.READY for row in rows(services))):
         main.work(services, shards, probe=lambda: SOUND)

@@ -7,20 +7,21 @@ from pathlib import Path
 
 import pytest
 from asked_playbacks import Played, played
+from service_factories import take
 from shown_sensors import a_made_sensor
 from sqlalchemy import text
 from vitac.evaluator.playback.making import CAMERAS_FILE, SCENE_FILE, PlaybackOrder
 from vitac.evaluator.playback.process import MakingBroke, PlaybackFailed
 from vitac.server.database.models import Playback
-from vitac.server.database.states import PlaybackState
+from vitac.server.database.states import WorkState
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.evaluations.lifecycle import RETRY_DELAY_S
-from vitac.server.playbacks import work
+from vitac.server.playbacks import work as playbacks
 from vitac.server.playbacks.work import PlaybackLease
+from vitac.server.queue.work import RETRY_DELAY_S
 from vitac.server.services import Services
 from vitac.worker import leased_run
 from vitac.worker.leased_run import RunEnd
-from vitac.worker.playback_run import PlaybackRun
+from vitac.worker.short_runs import PlaybackRun
 from worker_fakes import eventually
 
 
@@ -60,9 +61,7 @@ def team(services: Services) -> Played:
 def lease(services: Services, team: Played) -> PlaybackLease:
     playback = team.ask(1)
     with services.database.transaction() as session:
-        lease = work.claim(session, playback.id, services.settings.lease_s)
-    assert lease is not None
-    return lease
+        return playbacks.begin(session, take(session, playback.id))
 
 
 def row(team: Played) -> Playback:
@@ -72,8 +71,8 @@ def row(team: Played) -> Playback:
 
 
 def delay_s(services: Services) -> float:
-    """How long the newest job waits."""
-    newest = text("SELECT extract(epoch FROM scheduled_at - now()) FROM procrastinate_jobs ORDER BY id DESC LIMIT 1")
+    """How long the newest work waits."""
+    newest = text("SELECT extract(epoch FROM not_before - now()) FROM work ORDER BY id DESC LIMIT 1")
     with services.database.transaction() as session:
         return float(session.scalar(newest) or 0.0)
 
@@ -89,7 +88,7 @@ def test_the_files_are_stored_and_the_folder_is_removed(services: Services, team
     making = FakeMaking()
     assert PlaybackRun(services, lease, making).run() is RunEnd.FINISHED
     made = row(team)
-    assert made.state is PlaybackState.MADE
+    assert made.state is WorkState.DONE
     assert services.blobs.read(made.scene_sha256 or "") == b"scene"
     assert services.blobs.read(made.cameras_sha256 or "") == b"cameras"
     assert made.still_sha256 is None
@@ -112,7 +111,7 @@ def test_progress_is_stored_while_it_runs_and_the_lease_kept(
 def test_what_cannot_be_shown_fails_with_its_reason(services: Services, team: Played, lease: PlaybackLease) -> None:
     refused = FakeMaking(raising(PlaybackFailed("The states differ.")))
     assert PlaybackRun(services, lease, refused).run() is RunEnd.FINISHED
-    assert row(team).state is PlaybackState.FAILED
+    assert row(team).state is WorkState.FAILED
     assert row(team).problem == "The states differ."
 
 
@@ -122,14 +121,12 @@ def test_what_broke_is_tried_again_and_fails_at_last(services: Services, team: P
         assert lease.attempt == attempt
         assert PlaybackRun(services, lease, broken).run() is RunEnd.BROKE
         if attempt < services.settings.shard_attempts:
-            assert row(team).state is PlaybackState.QUEUED
+            assert row(team).state is WorkState.QUEUED
             assert delay_s(services) == pytest.approx(attempt * RETRY_DELAY_S, abs=1.0)
             with services.database.transaction() as session:
-                claimed = work.claim(session, lease.playback_id, services.settings.lease_s)
-            assert claimed is not None
-            lease = claimed
-    assert row(team).state is PlaybackState.FAILED
-    assert row(team).problem == "It could not be made in 3 attempts: exit code -9"
+                lease = playbacks.begin(session, take(session, lease.work_id))
+    assert row(team).state is WorkState.FAILED
+    assert row(team).problem == "Tried 3 times without progress. The last time: exit code -9"
 
 
 def test_a_storage_that_is_away_is_waited_for_before_and_after(
@@ -160,13 +157,13 @@ def test_a_storage_that_is_away_is_waited_for_before_and_after(
     making = FakeMaking()
     assert PlaybackRun(services, replace(lease, sensor_sha256=sensor.digest), making).run() is RunEnd.FINISHED
     assert (refusals, making.order.sensor) == ([], sensor)
-    assert (row(team).state, row(team).attempts) == (PlaybackState.MADE, 1)
+    assert (row(team).state, row(team).attempts) == (WorkState.DONE, 1)
 
 
 def test_a_full_disk_is_no_attempt(services: Services, team: Played, lease: PlaybackLease) -> None:
     full = FakeMaking(raising(OSError(errno.ENOSPC, "No space left on device")))
     assert PlaybackRun(services, lease, full).run() is RunEnd.HANDED_BACK
-    assert row(team).state is PlaybackState.QUEUED
+    assert row(team).state is WorkState.QUEUED
     assert row(team).attempts == 0
 
 
@@ -175,7 +172,7 @@ def test_a_worker_that_stops_gives_it_back(services: Services, team: Played, lea
     run = PlaybackRun(services, lease, making)
     assert run.run() is RunEnd.HANDED_BACK
     assert making.killed.is_set()
-    assert row(team).state is PlaybackState.QUEUED
+    assert row(team).state is WorkState.QUEUED
     assert row(team).attempts == 0
 
 
@@ -188,7 +185,7 @@ def test_a_worker_that_stopped_before_starts_nothing(services: Services, team: P
 def test_who_lost_the_lease_ends_the_process(services: Services, team: Played, lease: PlaybackLease) -> None:
     def lose() -> None:
         with services.database.transaction() as session:
-            session.get_one(Playback, lease.playback_id).token += 1
+            session.get_one(Playback, lease.work_id).token += 1
         eventually(making.killed.is_set)
 
     making = FakeMaking(lose)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 import pytest
 from service_factories import make_record
 from vitac.evaluator.episodes.records import EpisodeRecord
-from vitac.server.queue.leases import LeaseLost
+from vitac.server.queue.work import LeaseLost
 from vitac.worker import record_store
 from vitac.worker.record_store import RecordStore
 from worker_fakes import eventually

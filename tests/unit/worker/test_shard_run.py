@@ -37,7 +37,7 @@ from vitac.evaluator.shards.order import ShardOrder, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.competitions import sealing
 from vitac.server.database.models import EpisodeResult, Evaluation, Shard, Submission, SubmissionFile
-from vitac.server.database.states import EvaluationState, Role, ShardState
+from vitac.server.database.states import EvaluationState, Role, WorkState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.episode_store import store_episodes
 from vitac.server.evaluations.history import newest_evaluation
@@ -50,7 +50,6 @@ from vitac.server.submissions import creation, runs
 from vitac.worker import leased_run, record_store, shard_run
 from vitac.worker.leased_run import RunEnd
 from vitac.worker.shard_run import ShardRun
-from vitac.worker.slot import Slot
 from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShard, FakeShards, eventually
 
@@ -115,9 +114,9 @@ def test_shard_is_run_from_the_unpacked_submission_and_ended(
     assert seen == [True] * 27
     assert stored_numbers(services) == list(range(1, 28))
     with services.database.transaction() as session:
-        shard = session.get_one(Shard, lease.shard_id)
+        shard = session.get_one(Shard, lease.work_id)
         assert (shard.state, shard.isolation) == (
-            ShardState.DONE,
+            WorkState.DONE,
             "user: root, memory: cgroup-v1, episodes: frozen-copy, files: disk, process ids repeat: True, "
             "episode period s: 0.0",
         )
@@ -156,30 +155,7 @@ def test_packages_of_the_policy_are_stored_once_in_a_shard_and_again_where_stori
     assert not any(given[2:])
     with services.database.transaction() as session:
         assert session.get_one(Evaluation, lease.evaluation_id).packages == [seen]
-        assert session.get_one(Shard, lease.shard_id).packages_digest == digest_of_packages(seen)
-
-
-@pytest.mark.parametrize(("fetched_s", "first_episode"), [(0.0, None), (1e9, 2)])
-def test_next_job_is_due_when_what_is_left_takes_little_time(
-    services: Services,
-    stage: SubmissionStage,
-    lease: Lease,
-    monkeypatch: pytest.MonkeyPatch,
-    fetched_s: float,
-    first_episode: int | None,
-) -> None:
-    monkeypatch.setattr(shard_run, "NEXT_FETCHED_S", fetched_s)
-    due: list[int] = []
-    after: list[int] = []
-
-    def gate(number: int) -> None:
-        if due:
-            after.append(number)
-
-    slot = Slot(soon=lambda: due.append(1))
-    assert ShardRun(services, stage, lease, FakeShards(gate=gate), slot).run() is RunEnd.FINISHED
-    assert due == [1]
-    assert next(iter(after), None) == first_episode
+        assert session.get_one(Shard, lease.work_id).packages_digest == digest_of_packages(seen)
 
 
 @pytest.mark.parametrize(
@@ -200,7 +176,7 @@ def test_slot_is_left_before_the_result_is_stored_unless_the_next_shards_need_it
     record_of: Callable[[int], EpisodeRecord],
     is_free: bool,
 ) -> None:
-    places, seen = threading.Semaphore(), []
+    places, seen = threading.Semaphore(0), []
 
     def finish(session: Session, lease: Lease, result: ShardResult) -> None:
         seen.append(places.acquire(blocking=False))
@@ -208,11 +184,9 @@ def test_slot_is_left_before_the_result_is_stored_unless_the_next_shards_need_it
 
     monkeypatch.setattr(shard_run, "finish_shard", finish)
     monkeypatch.setattr(ShardRun, "_keep", lambda *_: None)
-    slot = Slot(places)
-    run = ShardRun(services, stage, lease, FakeShards(record_of, coefficients=learned), slot)
-    ends: list[RunEnd] = []
-    slot.hold(lambda: ends.append(run.run()))
-    assert (seen, ends) == ([is_free], [RunEnd.FINISHED])
+    run = ShardRun(services, stage, lease, FakeShards(record_of, coefficients=learned), places.release)
+    assert run.run() is RunEnd.FINISHED
+    assert seen == [is_free]
 
 
 def test_episodes_before_the_death_of_the_process_are_stored(
@@ -349,7 +323,7 @@ def test_shard_whose_process_says_nothing_of_the_disk_waits_as_well_while_it_is_
 
 
 def claim_again(services: Services, lease: Lease) -> Lease:
-    return claim(services.database, lease.shard_id, lease_s=services.settings.lease_s)
+    return claim(services.database, lease.work_id, lease_s=services.settings.lease_s)
 
 
 def test_shard_whose_episodes_are_all_stored_starts_no_process(
@@ -376,7 +350,7 @@ def test_shard_of_a_log_gets_its_file_and_the_episodes_that_are_stored(
         seen.append(shards.started[0].order.submission.read_bytes())
 
     shards.gate = gate
-    assert ShardRun(services, stage, replace(lease, kind=kind), shards).run() is RunEnd.FINISHED
+    assert ShardRun(services, stage, replace(lease, submission_kind=kind), shards).run() is RunEnd.FINISHED
     order = shards.started[0].order
     assert (order.kind, order.skip) == (kind, (3,))
     assert {hashlib.sha256(content).hexdigest() for content in seen} == {archive_sha256}
@@ -421,7 +395,7 @@ def make_principal_of(submission: Submission) -> Principal:
 def test_lease_is_kept_alive_during_a_long_episode(services: Services, stage: SubmissionStage, lease: Lease) -> None:
     def expiry() -> datetime:
         with services.database.transaction() as session:
-            expires_at = session.get_one(Shard, lease.shard_id).lease_expires_at
+            expires_at = session.get_one(Shard, lease.work_id).lease_expires_at
             assert expires_at is not None
             return expires_at
 
@@ -452,8 +426,8 @@ def test_stopped_worker_gives_the_shard_back_without_an_attempt(
     run.stop()
     assert wait() is RunEnd.HANDED_BACK
     with services.database.transaction() as session:
-        shard = session.get_one(Shard, lease.shard_id)
-        assert (shard.state, shard.attempts) == (ShardState.QUEUED, 0)
+        shard = session.get_one(Shard, lease.work_id)
+        assert (shard.state, shard.attempts) == (WorkState.QUEUED, 0)
 
 
 def test_machine_that_cannot_run_a_shard_costs_an_attempt_and_the_third_ends_by_name(
@@ -466,13 +440,13 @@ def test_machine_that_cannot_run_a_shard_costs_an_attempt_and_the_third_ends_by_
         assert lease.attempt == attempt
         assert ShardRun(services, stage, lease, FakeShards(gate=gate)).run() is RunEnd.BROKE
         if attempt < 3:
-            lease = claim(services.database, lease.shard_id)
+            lease = claim(services.database, lease.work_id)
     with services.database.transaction() as session:
         evaluation = newest_evaluation(session, submission)
         assert evaluation.state is EvaluationState.FAILED
         assert evaluation.verdict_code == "machine_failed"
         assert "bubblewrap did not start" in (evaluation.verdict_message or "")
-        assert state_of(session, lease.shard_id) is ShardState.CANCELLED
+        assert state_of(session, lease.work_id) is WorkState.CANCELLED
 
 
 def test_process_that_hangs_is_ended_and_reported(
@@ -515,8 +489,8 @@ def test_process_that_stored_episodes_before_it_hung_costs_no_attempt(
     assert ShardRun(impatient, stage, lease, shards).run() is RunEnd.BROKE
     assert stored_numbers(services) == [1, 2, 3]
     with services.database.transaction() as session:
-        shard = session.get_one(Shard, lease.shard_id)
-        assert (shard.state, shard.attempts) == (ShardState.QUEUED, 0)
+        shard = session.get_one(Shard, lease.work_id)
+        assert (shard.state, shard.attempts) == (WorkState.QUEUED, 0)
 
 
 def test_archive_that_is_gone_from_the_store_is_reported_as_a_broken_machine(
@@ -576,7 +550,7 @@ def test_storage_that_is_away_when_the_figures_are_kept_is_waited_for(
     assert (events.count("figures_not_measured"), events.count("storage_unavailable")) == (1, 10)
     with services.database.transaction() as session:
         assert session.scalars(select(SubmissionFile.name)).all() == ["figures-part.json"]
-        assert session.get_one(Shard, lease.shard_id).state is ShardState.DONE
+        assert session.get_one(Shard, lease.work_id).state is WorkState.DONE
 
 
 def test_worker_that_waits_for_the_storage_can_be_stopped(services: Services, lease: Lease) -> None:

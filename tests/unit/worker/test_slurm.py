@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from service_factories import make_principal, make_upload
 from sqlalchemy import text
-from vitac.server.queue.depth import count_open_work
+from vitac.server.queue.work import count_open
 from vitac.server.services import Services
 from vitac.server.submissions import creation
 from vitac.worker.slurm import Scaling, SlurmError, SlurmScaler
@@ -52,7 +52,7 @@ def work(services: Services, archive_sha256: str) -> int:
     with services.database.transaction() as session:
         creation.create(session, make_principal(session), make_upload(archive_sha256=archive_sha256))
     with services.database.transaction() as session:
-        return count_open_work(session)
+        return count_open(session)
 
 
 def make_scaler(services: Services, most: int = 4, slots: int = 1) -> SlurmScaler:

@@ -6,13 +6,13 @@ import pytest
 from service_factories import make_principal, make_upload
 from sqlalchemy import func, select
 from vitac.server.database.models import Shard, Submission, Worker
-from vitac.server.database.states import EvaluationState, ShardState, WorkerState
+from vitac.server.database.states import EvaluationState, WorkerState, WorkState
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.services import Services
 from vitac.server.submissions import creation
 from vitac.worker import main
-from vitac.worker.isolation import IsolationReport
-from vitac.worker.stay import Stay, WorkerRefused
+from vitac.worker.capabilities import IsolationReport
+from vitac.worker.main import Stay, WorkerRefused
 from worker_fakes import FakeShards
 
 SOUND = IsolationReport(level="user: root", problems=())
@@ -25,17 +25,17 @@ def submission(services: Services, archive_sha256: str) -> Submission:
         return creation.create(session, make_principal(session), make_upload(archive_sha256=archive_sha256))[0]
 
 
-def count_shards(services: Services, state: ShardState) -> int:
+def count_shards(services: Services, state: WorkState) -> int:
     with services.database.transaction() as session:
         return session.scalar(select(func.count()).where(Shard.state == state)) or 0
 
 
 def test_worker_that_takes_one_piece_of_work_finishes_it_and_ends(services: Services, submission: Submission) -> None:
-    queued = count_shards(services, ShardState.QUEUED)
+    queued = count_shards(services, WorkState.QUEUED)
     assert queued > 1
     main.work(services, FakeShards(), Stay(runs=1), probe=lambda: SOUND)
-    assert count_shards(services, ShardState.DONE) == 1
-    assert count_shards(services, ShardState.QUEUED) == queued - 1
+    assert count_shards(services, WorkState.DONE) == 1
+    assert count_shards(services, WorkState.QUEUED) == queued - 1
     with services.database.transaction() as session:
         assert session.scalars(select(Worker.state)).all() == [WorkerState.STOPPED]
 
@@ -51,7 +51,7 @@ def test_worker_ends_when_it_has_been_idle_and_not_before_the_queue_is_empty(
 def test_worker_past_its_lifetime_takes_nothing(services: Services, submission: Submission) -> None:
     began_long_ago = Stay(lifetime_s=3600.0, began=time.monotonic() - 3601.0)
     main.work(services, FakeShards(), began_long_ago, probe=lambda: SOUND)
-    assert count_shards(services, ShardState.DONE) == 0
+    assert count_shards(services, WorkState.DONE) == 0
 
 
 def test_worker_with_a_limited_stay_does_not_wait_on_a_machine_that_may_not_run_policies(services: Services) -> None:

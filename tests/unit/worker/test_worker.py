@@ -1,4 +1,3 @@
-import asyncio
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,7 +6,7 @@ from uuid import uuid4
 
 import pytest
 from asked_playbacks import played
-from service_factories import make_principal, make_record, make_upload, shard_ids
+from service_factories import make_principal, make_record, make_upload, shard_ids, take_shard
 from sqlalchemy import select, text
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord
@@ -15,14 +14,13 @@ from vitac.evaluator.playback.making import SCENE_FILE, PlaybackOrder
 from vitac.evaluator.shards.order import ShardOrder, ShardResult
 from vitac.server.database.metrics import SeriesKey, totals
 from vitac.server.database.models import EpisodeResult, Playback, Shard, Submission
-from vitac.server.database.states import EvaluationState, PlaybackState, ShardState, WorkerOrder
-from vitac.server.evaluations import lifecycle
+from vitac.server.database.states import EvaluationState, WorkerOrder, WorkState
 from vitac.server.evaluations.episode_store import store_episodes
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import EpisodesMissing, finish_shard
 from vitac.server.operations.housekeeping import Housekeeping
 from vitac.server.principals import CONSOLE
-from vitac.server.queue import leases
+from vitac.server.queue import work
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 from vitac.server.submissions import creation, runs
@@ -55,7 +53,7 @@ def working(services: Services, shards: FakeShards, **options: Any) -> Iterator[
     """A worker in a thread, with housekeeping beside it, stopped at the end."""
     stage = SubmissionStage(services.blobs, services.settings.scratch_dir, services.settings.limits)
     worker = QueueWorker(services, stage, uuid4(), shards, **options)
-    thread = threading.Thread(target=lambda: asyncio.run(worker.run()))
+    thread = threading.Thread(target=worker.run)
     housekeeping = Housekeeping(services)
     housekeeping.start()
     thread.start()
@@ -87,7 +85,7 @@ def test_worker_evaluates_what_is_in_the_queue_and_what_comes_later(services: Se
         eventually(lambda: state(services, second) is EvaluationState.COMPLETED)
     assert result_hash(services, first) == result_hash(services, second)
     with services.database.transaction() as session:
-        assert session.scalar(text("SELECT count(*) FROM procrastinate_jobs")) == 0
+        assert work.count_open(session) == 0
 
 
 def test_two_workers_share_the_shards_and_give_the_same_hash(services: Services, archive_sha256: str) -> None:
@@ -137,7 +135,7 @@ def test_a_worker_that_takes_no_more_finishes_its_shard_and_then_waits_or_ends(
             given[0] = order
             at_five.set()
 
-    def done() -> list[ShardState]:
+    def done() -> list[WorkState]:
         with services.database.transaction() as session:
             ids = shard_ids(session, submission)
             return list(session.scalars(select(Shard.state).where(Shard.id.in_(ids)).order_by(Shard.id)))
@@ -145,9 +143,9 @@ def test_a_worker_that_takes_no_more_finishes_its_shard_and_then_waits_or_ends(
     shards = FakeShards(gate=gate)
     with working(services, shards, order=lambda: given[0]) as worker:
         assert at_five.wait(120.0)
-        eventually(lambda: done()[0] is ShardState.DONE)
+        eventually(lambda: done()[0] is WorkState.DONE)
         if order is WorkerOrder.DRAIN:
-            eventually(lambda: worker._stopped is not None and worker._stopped.is_set())
+            eventually(lambda: worker.idle_s > 0)
         else:
             given[0] = WorkerOrder.WORK
             eventually(lambda: state(services, submission) is EvaluationState.COMPLETED)
@@ -169,7 +167,7 @@ def test_stopped_worker_gives_its_shard_back_and_another_one_goes_on(services: S
         assert at_five.wait(120.0)
     with services.database.transaction() as session:
         first = session.get_one(Shard, shard_ids(session, submission)[0])
-        assert (first.state, first.attempts) == (ShardState.QUEUED, 0)
+        assert (first.state, first.attempts) == (WorkState.QUEUED, 0)
     again = FakeShards()
     with working(services, again):
         eventually(lambda: state(services, submission) is EvaluationState.COMPLETED)
@@ -179,11 +177,8 @@ def test_stopped_worker_gives_its_shard_back_and_another_one_goes_on(services: S
 def test_shard_of_a_lost_worker_goes_to_another_one_which_resumes_it(services: Services, archive_sha256: str) -> None:
     submission = submit(services, archive_sha256)
     with services.database.transaction() as session:
-        lost = leases.claim(session, shard_ids(session, submission)[0], uuid4(), 0.2)
-        assert lost is not None
+        lost = take_shard(session, shard_ids(session, submission)[0], lease_s=0.2)
         store_episodes(session, lost, [make_record(1)])
-        first_job = text("DELETE FROM procrastinate_jobs WHERE (args ->> 'shard_id')::bigint = :shard")
-        session.execute(first_job, {"shard": lost.shard_id})
     shards = FakeShards()
     with working(services, shards):
         eventually(lambda: state(services, submission) is EvaluationState.COMPLETED)
@@ -270,34 +265,6 @@ def test_next_shard_begins_while_the_result_of_the_one_before_is_stored(
     assert shards.most == services.settings.worker_slots == 1
 
 
-def jobs_at_work(services: Services) -> list[int]:
-    """The shards whose jobs a worker has fetched."""
-    taken = text("SELECT (args ->> 'shard_id')::bigint FROM procrastinate_jobs WHERE status = 'doing'")
-    with services.database.transaction() as session:
-        return list(session.scalars(taken))
-
-
-def test_job_of_the_next_shard_is_fetched_before_the_slot_is_free_and_its_shard_is_claimed_after(
-    services: Services, archive_sha256: str
-) -> None:
-    shards = FakeShards()
-    submission = submit(services, archive_sha256)
-    with services.database.transaction() as session:
-        second = shard_ids(session, submission)[1]
-    states = []
-
-    def gate(number: int) -> None:
-        if number == 27:
-            eventually(lambda: jobs_at_work(services) == [second])
-            with services.database.transaction() as session:
-                states.append(session.get_one(Shard, second).state)
-
-    shards.gate = gate
-    with working(services, shards):
-        eventually(lambda: state(services, submission) is EvaluationState.COMPLETED)
-    assert states == [ShardState.QUEUED]
-
-
 def test_worker_keeps_at_most_two_results_back_for_a_slot(
     services: Services, archive_sha256: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -314,7 +281,7 @@ def test_worker_keeps_at_most_two_results_back_for_a_slot(
         eventually(lambda: played_to_the_end(services, shards))
         with services.database.transaction() as session:
             states = [session.get_one(Shard, shard_id).state for shard_id in shard_ids(session, submission)]
-        assert states.count(ShardState.RUNNING) == len(shards.started) == 2
+        assert states.count(WorkState.RUNNING) == len(shards.started) == 2
         may_be_stored.set()
         eventually(lambda: state(services, submission) is EvaluationState.COMPLETED)
 
@@ -348,30 +315,9 @@ def test_stopped_worker_stores_what_is_played_and_gives_back_what_has_begun(
         assert second_began.wait(120.0)
     with services.database.transaction() as session:
         found = [session.get_one(Shard, shard_id) for shard_id in shard_ids(session, submission)]
-    assert [shard.state for shard in found[:2]] == [ShardState.DONE, ShardState.QUEUED]
+    assert [shard.state for shard in found[:2]] == [WorkState.DONE, WorkState.QUEUED]
     assert [shard.attempts for shard in found[:2]] == [0, 0]
-    assert {shard.state for shard in found[2:]} == {ShardState.QUEUED}
-
-
-def test_stopped_worker_does_not_begin_what_waits_for_its_slot(services: Services, archive_sha256: str) -> None:
-    shards = FakeShards()
-    submission = submit(services, archive_sha256)
-    with services.database.transaction() as session:
-        second = shard_ids(session, submission)[1]
-    waits = threading.Event()
-
-    def gate(number: int) -> None:
-        if number == 27:
-            eventually(lambda: jobs_at_work(services) == [second])
-            waits.set()
-            shards.started[0].killed.wait(120.0)
-
-    shards.gate = gate
-    with working(services, shards):
-        assert waits.wait(120.0)
-    with services.database.transaction() as session:
-        shard = session.get_one(Shard, second)
-    assert (len(shards.started), shard.state, shard.token) == (1, ShardState.QUEUED, 0)
+    assert {shard.state for shard in found[2:]} == {WorkState.QUEUED}
 
 
 def test_shard_whose_result_cannot_be_stored_runs_again_after_the_one_that_has_begun(
@@ -387,7 +333,7 @@ def test_shard_whose_result_cannot_be_stored_runs_again_after_the_one_that_has_b
         finish_shard(session, lease, result)
 
     monkeypatch.setattr(shard_run, "finish_shard", finish)
-    monkeypatch.setattr(lifecycle, "RETRY_DELAY_S", 0.01)
+    monkeypatch.setattr(work, "RETRY_DELAY_S", 0.01)
     submission = submit(services, archive_sha256)
     with working(services, shards):
         eventually(lambda: state(services, submission) is EvaluationState.COMPLETED)
@@ -409,7 +355,7 @@ def test_worker_counts_claims_waits_and_episodes_in_the_totals_of_all(services: 
     assert found[SeriesKey("vitac_claim_seconds_count")] >= n_shards
 
 
-def test_worker_makes_playbacks_when_no_shard_waits(services: Services, archive_sha256: str) -> None:
+def test_a_playback_is_made_before_the_evaluations_that_wait(services: Services, archive_sha256: str) -> None:
     team = played(services.database)
     playback = team.ask(1)
     order: list[str] = []
@@ -426,13 +372,12 @@ def test_worker_makes_playbacks_when_no_shard_waits(services: Services, archive_
     with services.database.transaction() as session:
         session.get_one(Submission, team.submission.id).archive_sha256 = archive_sha256
     with working(services, FakeShards(record_of), start_playback=making):
-        eventually(lambda: state_of_playback(services, playback.id) is PlaybackState.MADE)
-    assert state(services, team.submission) is EvaluationState.COMPLETED
-    assert order[-1] == "playback"
-    assert order.count("playback") == 1
+        eventually(lambda: state(services, team.submission) is EvaluationState.COMPLETED)
+    assert state_of_playback(services, playback.id) is WorkState.DONE
+    assert order[0] == "playback"
 
 
-def state_of_playback(services: Services, playback_id: int) -> PlaybackState:
+def state_of_playback(services: Services, playback_id: int) -> WorkState:
     with services.database.transaction() as session:
         return session.get_one(Playback, playback_id).state
 
@@ -449,3 +394,24 @@ class FakePlayback:
 
     def kill(self) -> None:
         """It ends by itself."""
+
+
+def test_stills_of_a_new_public_result_are_asked_for_with_its_last_shard(
+    services: Services, archive_sha256: str
+) -> None:
+    shown, hidden = (submit(services, archive_sha256, team, digest=team[-1] * 64) for team in ("Team a", "Team b"))
+    with services.database.transaction() as session:
+        session.get_one(Submission, shown.id).is_public = True
+
+    @contextmanager
+    def making(asked: PlaybackOrder) -> Iterator[FakePlayback]:
+        yield FakePlayback(asked)
+
+    with working(services, FakeShards(), start_playback=making):
+        eventually(lambda: state(services, hidden) is EvaluationState.COMPLETED)
+        eventually(lambda: state(services, shown) is EvaluationState.COMPLETED)
+    with services.database.transaction() as session:
+        asked = session.scalars(
+            select(EpisodeResult.submission_digest).join(Playback, Playback.episode_id == EpisodeResult.id)
+        )
+        assert set(asked) == {shown.digest}

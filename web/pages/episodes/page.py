@@ -17,12 +17,11 @@ from vitac.evaluator.playback.making import NotPlayable, require_playable
 from vitac.evaluator.tracks import Task, load_track
 from vitac.server.api.attempts import get_client_address
 from vitac.server.database.models import EpisodeResult
-from vitac.server.database.states import OPEN_PLAYBACK_STATES, PlaybackState
+from vitac.server.database.states import OPEN_WORK_STATES, WorkState
 from vitac.server.errors import ServiceError
 from vitac.server.leaderboards.reading import shown_leaderboard
-from vitac.server.playbacks import asking, comparisons, files
-from vitac.server.playbacks.asking import NOBODY_DRAWS
-from vitac.server.playbacks.files import PlaybackFile
+from vitac.server.playbacks import asking, comparisons, work
+from vitac.server.playbacks.asking import NOBODY_DRAWS, PlaybackFile
 from vitac.server.principals import Principal
 from vitac.server.views.playbacks import EpisodeChoiceView, PlaybackView, ShownEpisodeView
 
@@ -85,7 +84,7 @@ class EpisodePage:
         if self.shown.playback is None:
             return ""
         state = self.shown.playback.state
-        return "filmed" if self.is_filmed and state is PlaybackState.MADE else state.value
+        return "filmed" if self.is_filmed and state is WorkState.DONE else state.value
 
     @property
     def heading(self) -> str:
@@ -139,7 +138,7 @@ async def episode(request: Request) -> Response:
         neighbours=_neighbours(place, task),
         episodes=len(task.episodes),
         player_script=player_script(),
-        waits=any(player.shown.playback and player.shown.playback.state in OPEN_PLAYBACK_STATES for player in players),
+        waits=any(player.shown.playback and player.shown.playback.state in OPEN_WORK_STATES for player in players),
     )
 
 
@@ -191,17 +190,18 @@ async def playback_file(request: Request) -> Response:
 
 def progress(playback: PlaybackView) -> str:
     """Return in a sentence where a playback is."""
-    if playback.state is PlaybackState.FAILED:
+    if playback.state is WorkState.FAILED:
         return f"There is no playback of this episode. {playback.problem}"
-    if playback.state is PlaybackState.RUNNING:
+    if playback.state is WorkState.RUNNING:
         return f"Being made: env step {playback.env_steps_played} of {playback.env_steps}."
-    if playback.state is PlaybackState.MADE:
+    if playback.state is WorkState.DONE:
         return ""
     if playback.workers == 0:
         return f"Waiting: {'no worker is running' if playback.family is Family.TACTILE else NOBODY_DRAWS}."
     if playback.waits_for:
-        return f"Waiting: {playback.waits_for} shards and playbacks come first, as evaluations go before playbacks."
-    return "Waiting for a worker."
+        others = "Another playback is" if playback.waits_for == 1 else f"{playback.waits_for} other playbacks are"
+        return f"{others} made first, usually in some seconds each."
+    return "This playback is made next, as soon as a worker is free; usually within a minute."
 
 
 @cache
@@ -279,10 +279,10 @@ async def _read_file(request: Request, viewer: Viewer | None, place: EpisodeAddr
 
     def read(session: Session) -> str:
         found = _find(session, by, place)
-        return files.find_digest(session, found, file)
+        return asking.find_digest(session, found, file)
 
     digest = await get_site(request).ask(read)
-    return await asyncio.to_thread(files.read, services.database, services.blobs, digest)
+    return await asyncio.to_thread(work.read_file, services.database, services.blobs, digest)
 
 
 def _find(session: Session, by: Principal, place: EpisodeAddress) -> EpisodeResult:

@@ -5,7 +5,7 @@ A new command has to be listed here.
 
 import json
 from collections.abc import Iterator
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from uuid import uuid4
 
@@ -13,7 +13,7 @@ import pytest
 import typer
 from cli_service import CliService, submission_folder
 from every_table import rows_of_every_table
-from service_factories import TASK, make_record, play_all, submit
+from service_factories import TASK, play_all, submit
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 from typer.core import TyperCommand, TyperGroup
@@ -22,7 +22,7 @@ from vitac.cli.verbs import NOTHING_CHANGED, ConsentMissing
 from vitac.server.accounts import members, messages, teams
 from vitac.server.accounts.outbox import announce
 from vitac.server.accounts.tokens import list_tokens
-from vitac.server.appeals import appeals
+from vitac.server.appeals import appeals, replays
 from vitac.server.audit import newest_entries
 from vitac.server.competitions.applying import freeze_boards
 from vitac.server.competitions.sealing import seal
@@ -31,7 +31,7 @@ from vitac.server.database.states import NoticeKind, Role, WorkerState
 from vitac.server.decisions.finishing import finalize
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.stations.stations import add_station
-from vitac.worker import appeal_replay
+from vitac.server.views.appeals import AppealReplayView
 
 from competitions import (
     PUBLIC_RANKING,
@@ -290,6 +290,12 @@ def kept_rows(service: CliService) -> dict[str, list[str]]:
     return {table: found for table, found in rows.items() if table not in {"receipt_key", "metric_totals"}}
 
 
+PLAYED = AppealReplayView(
+    task=TASK, episode=3, policy_sha256="0" * 64, corrected=False, outcome="success", env_steps=3, same_states=True,
+    failure=None, old_outcome="success", old_env_steps=3, played_at=datetime.now(UTC),
+)  # fmt: skip
+
+
 def shape(content: object) -> object:
     """Names of fields, or how many there are."""
     return set(content) if isinstance(content, dict) else len(content) if isinstance(content, list) else None
@@ -300,8 +306,7 @@ def test_a_change_is_written_to_the_audit_log(
     service: CliService, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     arguments, action = CHANGES[command]
-    played = appeal_replay.Replay(record=make_record(3), policy_sha256="0" * 64, corrected=False)
-    monkeypatch.setattr(appeal_replay, "replay", lambda *_, **__: played)  # the episode itself takes seconds
+    monkeypatch.setattr(replays, "wait", lambda *_: PLAYED)  # the episode itself takes a worker and seconds
     prepare(service, command)
     given = [there_is(service, name, tmp_path) if name.isupper() else name for name in arguments]
     with service.database.transaction() as session:

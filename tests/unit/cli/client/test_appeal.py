@@ -1,10 +1,11 @@
 import json
+from datetime import UTC, datetime
 from uuid import uuid4
 
 from cli_service import CliService, evaluated_submission
-from service_factories import TASK, make_principal, make_record, make_secret, sha256
-from vitac.server.appeals import appeals
-from vitac.server.principals import CONSOLE
+from service_factories import TASK, make_principal, make_secret, sha256
+from vitac.server.database.models import AppealReplay
+from vitac.server.database.states import WorkState
 
 
 def test_an_appeal_is_opened_read_and_withdrawn_from_the_command_line(service: CliService) -> None:
@@ -18,7 +19,13 @@ def test_an_appeal_is_opened_read_and_withdrawn_from_the_command_line(service: C
     assert (again.exit_code, "open appeal against this evaluation" in str(again.exception)) == (1, True)
     assert "No episode was played again." in service.run("appeal", "show", number).stdout
     with service.database.transaction() as session:
-        appeals.note_replay(session, CONSOLE, int(number), make_record(3), policy_sha256=sha256("x"), corrected=False)
+        session.add(
+            AppealReplay(
+                appeal_id=int(number), task=TASK, episode=3, policy_sha256=sha256("x"), corrected=False,
+                outcome="success", env_steps=3, same_states=True, old_outcome="success", old_env_steps=3,
+                owner="appeal:1", requires="1 tactile", priority=2, state=WorkState.DONE, finished_at=datetime.now(UTC),
+            )
+        )  # fmt: skip
         other = make_secret(session, make_principal(session, "Team B"))
     shown = service.run("appeal", "show", number).stdout
     assert "same_states" in shown

@@ -10,8 +10,8 @@ from vitac.cli.service import scale
 from vitac.cli.service.durations import parse_duration_s
 from vitac.server.database.availability import DatabaseUnreachable
 from vitac.worker import main as worker
+from vitac.worker.main import Stay, WorkerRefused
 from vitac.worker.slurm import Scaling, SlurmError
-from vitac.worker.stay import Stay, WorkerRefused
 
 
 @pytest.mark.parametrize(("text", "seconds"), [("60", 60), ("1.5m", 90), ("4h", 14400), ("1d", 86400), (" 9s ", 9)])

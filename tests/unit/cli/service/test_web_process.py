@@ -16,7 +16,7 @@ from databases import fresh_database
 from service_factories import claim, make_principal, make_secret, shard_ids, state_of, submit
 from vitac.cli.service import web_process
 from vitac.server.database.engine import Database
-from vitac.server.database.states import ShardState
+from vitac.server.database.states import WorkState
 from worker_fakes import eventually
 
 SERVE = "from vitac.cli.main import main; main(['serve', '--port', '0'])"
@@ -163,7 +163,7 @@ def test_kill_of_one_process_leaves_the_service_answering_and_another_one_is_sta
 def assert_only_the_starter_looks_for_lost_work(servers: Servers) -> None:
     def is_queued_again(shard_id: int) -> bool:
         with servers.database.transaction() as session:
-            return bool(state_of(session, shard_id) is ShardState.QUEUED)
+            return bool(state_of(session, shard_id) is WorkState.QUEUED)
 
     with servers.database.transaction() as session:
         lost = shard_ids(session, submit(session, make_principal(session, "Losers")))[0]

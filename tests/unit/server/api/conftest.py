@@ -10,7 +10,7 @@ from vitac.server.database.engine import Database
 @pytest.fixture(autouse=True)
 def _sensors_are_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """A second in the sandbox for each; `tests/integration/sandbox/test_sensor` is about that."""
-    monkeypatch.setattr("vitac.server.uploads.sensors.make_sensor", make_each_once)
+    monkeypatch.setattr("vitac.worker.short_runs.make_sensor", make_each_once)
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ import pytest
 from databases import fresh_database
 from every_table import rows_of_every_table
 from httpx import Response
+from sensor_checks import check_sensors
 from service_client import POLICY, Service, bearer, copied_service, make_archive, running_service
 from service_factories import TASK, TRACK, make_principal, make_score, make_settings, play_all, submit_scored
 from sqlalchemy import delete
@@ -398,6 +399,7 @@ def fill(service: Service) -> Setting:
         "Track_3/policy.py": POLICY,
     }
     submission_id = service.upload(make_archive(sensor)).json()["id"]
+    check_sensors(service.services)
     with service.services.database.transaction() as session:
         content = make_competition(appeal_days=7)
         content["tracks"] = {"track_2": content["tracks"][TRACK] | {"taken_here": False}}

@@ -41,7 +41,7 @@ def test_log_is_accepted_with_its_claims_and_jobs(service: Service) -> None:
     assert (claimed["label"], claimed["verdict"]) == ("actions verified, policy not seen", None)
     assert (claimed["claimed_episodes"], claimed["claimed_success_rate"]) == (270, 1.0)
     assert (claimed["team_named"], claimed["made_on"]) == ("Team A", "x86_64-linux")
-    assert service.count("procrastinate_jobs") == len(cut(load_track(TRACK).tasks["peg-insertion"]))
+    assert service.count("work") == len(cut(load_track(TRACK).tasks["peg-insertion"]))
 
 
 def test_log_may_name_no_team_or_its_own_in_another_spelling(service: Service) -> None:

@@ -1,47 +1,60 @@
 import hashlib
-from collections.abc import Iterator, Mapping
+import subprocess
+import threading
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
+from uuid import uuid4
 
 import drawn_gels
 import pytest
+from httpx import Response
 from measured_figures import GRASP, TOUCH, start
 from own_sensors import write_sensor
-from service_client import API, POLICY, Service, bearer, make_archive, problem_of
-from service_factories import claim, make_record, play_all, shard_ids, store
-from sqlalchemy import delete, select, update
+from sensor_checks import check_sensors
+from service_client import POLICY, Service, make_archive, problem_of
+from service_factories import claim, make_record, play_all, shard_ids, store, take
+from sqlalchemy import delete, select, text, update
 from vitac.envs.errors import VitacError
 from vitac.evaluator.agent.verdicts import SandboxFailed
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice, FiguresPart, SensorFigures, Variation
 from vitac.evaluator.playback.making import SCENE_FILE, PlaybackOrder
-from vitac.evaluator.sensors.made import read_design, read_made_sensor
+from vitac.evaluator.sensors.made import MadeSensor, read_design, read_made_sensor
+from vitac.evaluator.sensors.manifest import SensorRejected
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.submission.sensor import SensorNotMade
+from vitac.evaluator.version import evaluator_version
 from vitac.server.competitions import sealing
-from vitac.server.database.models import EpisodeResult, Evaluation, Shard, Submission, SubmissionFile
-from vitac.server.database.states import FileRole
+from vitac.server.database.models import EpisodeResult, Evaluation, SensorCheck, Shard, Submission, SubmissionFile
+from vitac.server.database.states import FileRole, WorkKind, WorkState
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
-from vitac.server.limiter import ConcurrencyLimiter
 from vitac.server.operations import housekeeping
-from vitac.server.playbacks import asking, work
+from vitac.server.playbacks import asking
+from vitac.server.playbacks import work as playbacks
 from vitac.server.principals import CONSOLE
+from vitac.server.queue import leases, work
+from vitac.server.queue.kinds import KINDS
 from vitac.server.queue.leases import Lease
+from vitac.server.queue.work import name_requirement
 from vitac.server.submissions.figures import coefficients_digest, has_part
 from vitac.server.submissions.files import add_files, stored_digests
 from vitac.server.uploads.checked_upload import UploadedFile
+from vitac.worker import leased_run
 from vitac.worker.leased_run import RunEnd
-from vitac.worker.playback_run import PlaybackRun
 from vitac.worker.shard_run import ShardRun
+from vitac.worker.short_runs import PlaybackRun, SensorCheckRun
 from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShards
 
 from competitions import stored_stage
 
 PDF = b"%PDF-1.7\n1 0 obj << /OpenAction << /S /JavaScript /JS (app.alert(1)) >> >> endobj\n"
+HERE = name_requirement(evaluator_version())
 NO_CHANGES: Mapping[str, str | bytes | None] = {}
 MANIFEST = "track: track_3\ntasks: [{tasks}]\nname: flat\n"
 
@@ -59,13 +72,27 @@ def package(files: Mapping[str, str | bytes | None] = NO_CHANGES, tasks: str = "
     return make_archive({f"Track_3/{name}": data for name, data in content.items() if data is not None})
 
 
+def upload(service: Service, archive: bytes, **options: Any) -> Response:
+    """Uploads a sensor and has a worker check it."""
+    answer = service.upload(archive, **options)
+    check_sensors(service.services)
+    return answer
+
+
+def verdict(service: Service, identity: str) -> tuple[str, str]:
+    """Code and message with which its evaluation has failed."""
+    evaluation = service.get(f"/submissions/{identity}").json()["evaluation"]
+    assert evaluation["state"] == "failed"
+    return evaluation["verdict"]["code"], evaluation["verdict"]["message"]
+
+
 def stored(service: Service) -> list[str]:
     with service.database.transaction() as session:
         return stored_digests(session)
 
 
 def test_sensor_is_made_stored_by_digest_and_shown(service: Service, tmp_path: Path) -> None:
-    answer = service.upload(package())
+    answer = upload(service, package())
     assert answer.status_code == 202, answer.text
     body = answer.json()
     assert (body["track"], body["tasks"]) == ("track_3", ["sensor-standard", "sensor-blind"])
@@ -81,12 +108,12 @@ def test_sensor_is_made_stored_by_digest_and_shown(service: Service, tmp_path: P
 
 
 def test_own_policy_plays_besides_the_estimator(service: Service) -> None:
-    body = service.upload(package(tasks="sensor-design")).json()
+    body = upload(service, package(tasks="sensor-design")).json()
     assert body["tasks"] == ["sensor-design", "sensor-standard", "sensor-blind"]
 
 
 def test_document_is_handed_out_and_never_shown(service: Service) -> None:
-    identity = service.upload(package()).json()["id"]
+    identity = upload(service, package()).json()["id"]
     answer = service.get(f"/submissions/{identity}/document")
     assert answer.content == PDF
     assert answer.headers["content-type"] == "application/octet-stream"
@@ -101,19 +128,102 @@ def test_submission_without_a_sensor_has_none_to_show(service: Service) -> None:
         problem_of(service.get(f"/submissions/{identity}/{what}"), 404, "not_found")
 
 
-def test_sensor_that_breaks_a_rule_is_refused_by_its_sentence(service: Service) -> None:
+def test_sensor_that_breaks_a_rule_gets_its_sentence_as_a_verdict(service: Service) -> None:
     rows: list[tuple[Mapping[str, str | bytes | None], str]] = [
-        ({"gel.stl": None}, "gel.stl is missing"),
-        ({"design.pdf": None}, "Expected one design document (a .pdf or .md file"),
         ({"sensor.yaml": "material: {friction: 2}"}, "Unknown key 'material'"),
         ({"gel.stl": b"solid junk"}, "readable: unreadable, expected an STL file"),
         ({"gel.stl": drawn_gels.stl_bytes(drawn_gels.flat(1.0))}, "thickness: 1.000 mm, expected 2 to 8 mm"),
         ({"sensor.yaml": "markers: {points_mm: [[14, 0]]}"}, "1 at (14.00, 0.00) mm is not on sensing face"),
     ]
     for files, says in rows:
-        problem = problem_of(service.upload(package(files)), 422, "sensor_rejected")
+        identity = upload(service, package(files)).json()["id"]
+        code, message = verdict(service, identity)
+        assert (code, says in message) == ("sensor_rejected", True), message
+        problem_of(service.get(f"/submissions/{identity}/sensor"), 404, "not_found")
+        again = service.upload(package(files))
+        assert again.status_code == 200, "the same files would break the same rule"
+
+
+def test_submission_without_one_of_its_files_is_refused_at_once(service: Service) -> None:
+    rows = [("design.pdf", "Expected one design document (a .pdf or .md file"), ("gel.stl", "gel.stl is missing")]
+    for name, says in rows:
+        problem = problem_of(service.upload(package({name: None})), 422, "sensor_rejected")
         assert says in problem["detail"]
         service.assert_nothing_left()
+
+
+def test_upload_of_a_sensor_is_answered_at_once_and_shows_its_check(service: Service) -> None:
+    answer = service.upload(package())
+    assert answer.status_code == 202
+    body = answer.json()
+    assert (body["evaluation"]["state"], body["evaluation"]["sensor_check"]) == ("queued", "queued")
+    assert body["evaluation"]["progress"]["episodes_done"] == 0
+    with service.database.transaction() as session:
+        submission = session.get_one(Submission, body["id"])
+        assert shard_ids(session, submission) == []
+        (check,) = session.scalars(select(SensorCheck.id))
+        take(session, check)
+    shown = service.get(f"/submissions/{body['id']}").json()["evaluation"]
+    assert shown["sensor_check"] == "running"
+    with service.database.transaction() as session:
+        session.execute(text("UPDATE work SET state = 'queued', worker_id = NULL, lease_expires_at = NULL"))
+    assert check_sensors(service.services) == [RunEnd.FINISHED]
+    with service.database.transaction() as session:
+        assert len(shard_ids(session, session.get_one(Submission, body["id"]))) == 20
+    assert service.get(f"/submissions/{body['id']}").json()["evaluation"]["sensor_check"] is None
+
+
+def test_a_check_that_never_ends_is_ended_costs_an_attempt_and_gets_a_verdict(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a gel whose surface is divided for ever; another team's sensor does not wait for it."""
+    monkeypatch.setattr("vitac.worker.short_runs.make_sensor", never_ends)
+    limited = replace(KINDS[WorkKind.SENSOR_CHECK], limit_s=0.3)
+    monkeypatch.setattr(leased_run, "KINDS", {**KINDS, WorkKind.SENSOR_CHECK: limited})
+    identity = service.upload(package()).json()["id"]
+    other = service.upload(package(), token=service.other_token)
+    assert other.status_code == 202
+    claims = [work.claim(service.database, service.services.settings, uuid4(), [HERE]) for _ in range(2)]
+    assert [claimed and claimed.kind for claimed in claims] == [WorkKind.SENSOR_CHECK] * 2
+    with service.database.transaction() as session:
+        for claimed in claims:
+            assert claimed is not None
+            work.hand_back(session, claimed)
+    assert check_sensors(service.services) == [RunEnd.BROKE, RunEnd.BROKE]
+    code, message = verdict(service, identity)
+    assert (code, message) == (
+        "sensor_too_slow",
+        "Checking and meshing the sensor took longer than 0.3 s, and was ended.",
+    )
+    with service.database.transaction() as session:
+        evaluation = newest_evaluation(session, session.get_one(Submission, identity))
+        assert evaluation.charged_at is not None, "it counts for the attempts of the day"
+        assert work.count_open(session) == 0
+
+
+def never_ends(_: Path, *, watch: Callable[[subprocess.Popen[bytes]], object]) -> MadeSensor:
+    """A check in a process that only a kill ends."""
+    with subprocess.Popen(["sleep", "600"]) as process:
+        watch(process)
+        process.wait()
+    raise SensorRejected("Checking and meshing the gel took too much time or memory; simplify it.")
+
+
+def test_stopped_worker_gives_its_check_back(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vitac.worker.short_runs.make_sensor", never_ends)
+    service.upload(package())
+    with service.database.transaction() as session:
+        (check,) = session.scalars(select(SensorCheck.id))
+        lease = leases.begin_check(session, take(session, check))
+    settings = service.services.settings
+    stage = SubmissionStage(service.services.blobs, settings.scratch_dir, settings.limits)
+    run = SensorCheckRun(service.services, stage, lease)
+    threading.Timer(0.3, run.stop).start()
+    assert run.run() is RunEnd.HANDED_BACK
+    stage.close()
+    with service.database.transaction() as session:
+        found = session.get_one(SensorCheck, check)
+        assert (found.state, found.attempts) == (WorkState.QUEUED, 0)
 
 
 def test_file_that_unpacks_to_far_more_than_was_sent_is_refused(service: Service) -> None:
@@ -125,13 +235,13 @@ def test_file_that_unpacks_to_far_more_than_was_sent_is_refused(service: Service
 
 def test_large_document_is_refused(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vitac.evaluator.sensors.package.MAX_DOCUMENT_BYTES", len(PDF) - 1)
-    problem = problem_of(service.upload(package()), 422, "sensor_rejected")
+    problem = problem_of(upload(service, package()), 422, "sensor_rejected")
     assert f"has {len(PDF)} bytes, expected 1 to {len(PDF) - 1}" in problem["detail"]
     service.assert_nothing_left()
 
 
 def test_same_sensor_twice_is_one_submission_with_its_files_once(service: Service) -> None:
-    first, again = service.upload(package()), service.upload(package())
+    first, again = upload(service, package()), upload(service, package())
     assert (again.status_code, again.json()["id"]) == (200, first.json()["id"])
     with service.database.transaction() as session:
         roles = session.scalars(select(SubmissionFile.role).order_by(SubmissionFile.role)).all()
@@ -140,21 +250,21 @@ def test_same_sensor_twice_is_one_submission_with_its_files_once(service: Servic
 
 def test_sensor_stays_that_of_its_run_until_another_begins(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     """After an upgrade another mesher makes another sensor of the same archive."""
-    identity = service.upload(package()).json()["id"]
+    identity = upload(service, package()).json()["id"]
     digest = service.get(f"/submissions/{identity}/sensor").json()["digest"]
     made = read_made_sensor(service.services.blobs.read(digest))
     other = made.model_copy(update={"markers_mm": made.markers_mm[1:]})
-    monkeypatch.setattr("vitac.server.uploads.sensors.make_sensor", lambda _: other)
-    again = service.upload(package())
+    monkeypatch.setattr("vitac.worker.short_runs.make_sensor", lambda _, **__: other)
+    again = upload(service, package())
     assert (again.status_code, again.json()["id"]) == (200, identity)
     assert service.get(f"/submissions/{identity}/sensor").json()["digest"] == digest
     service.post(f"/submissions/{identity}/cancel")
-    assert service.upload(package()).status_code == 202
+    assert upload(service, package()).status_code == 202
     assert service.get(f"/submissions/{identity}/sensor").json()["digest"] == other.digest
 
 
 def test_housekeeping_keeps_the_files_of_submissions(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    service.upload(package())
+    upload(service, package())
     kept = stored(service)
     assert len(kept) == 3
     monkeypatch.setattr(service.services.blobs, "list_older_than", lambda _: [*kept, "0" * 64])
@@ -166,7 +276,7 @@ def test_housekeeping_keeps_the_files_of_submissions(service: Service, monkeypat
 
 
 def test_gain_is_shown_once_both_runs_are_complete(service: Service) -> None:
-    identity = service.upload(package()).json()["id"]
+    identity = upload(service, package()).json()["id"]
     with service.database.transaction() as session:
         submission = session.get_one(Submission, identity)
     play_all(service.database, submission)
@@ -179,7 +289,7 @@ def test_gain_is_shown_once_both_runs_are_complete(service: Service) -> None:
 
 
 def test_gain_is_not_shown_on_a_sealed_list_nor_of_one_run(service: Service) -> None:
-    sealed, single = (service.upload(package(files)).json()["id"] for files in (NO_CHANGES, {"policy.py": "x = 1"}))
+    sealed, single = (upload(service, package(files)).json()["id"] for files in (NO_CHANGES, {"policy.py": "x = 1"}))
     with service.database.transaction() as session:
         submissions = [session.get_one(Submission, identity) for identity in (sealed, single)]
     for submission in submissions:
@@ -197,53 +307,25 @@ def test_gain_is_not_shown_on_a_sealed_list_nor_of_one_run(service: Service) -> 
 def test_sandbox_that_does_not_work_is_no_fault_of_the_team(
     service: Service, monkeypatch: pytest.MonkeyPatch, failure: type[VitacError]
 ) -> None:
-    def fail(_: Path) -> None:
+    def fail(_: Path, **__: object) -> MadeSensor:
         raise failure("bwrap in /srv/secret is missing")
 
-    monkeypatch.setattr("vitac.server.uploads.sensors.make_sensor", fail)
-    answer = service.upload(package())
-    problem = problem_of(answer, 503, "sensor_checks_unavailable")
-    assert "nothing is wrong with yours" in problem["detail"]
-    assert "secret" not in answer.text
-    assert answer.headers["retry-after"]
-    service.assert_nothing_left()
+    monkeypatch.setattr("vitac.worker.short_runs.make_sensor", fail)
+    identity = service.upload(package()).json()["id"]
+    for _ in range(service.services.settings.shard_attempts):
+        assert check_sensors(service.services) == [RunEnd.BROKE]
+    code, message = verdict(service, identity)
+    assert (code, "Tried 3 times" in message) == ("machine_failed", True)
+    with service.database.transaction() as session:
+        assert newest_evaluation(session, session.get_one(Submission, identity)).charged_at is None
 
 
-def test_upload_in_pieces_stays_until_sensors_can_be_checked(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(_: Path) -> None:
-        raise SensorNotMade("the sandbox does not work")
-
-    archive = package()
-    tus = {"Tus-Resumable": "1.0.0"}
-    place = service.post("/uploads", headers=tus | {"Upload-Length": str(len(archive))}).headers["location"]
-    piece = {"Upload-Offset": "0", "Content-Type": "application/offset+octet-stream"}
-    sent = service.client.patch(place, content=archive, headers=tus | piece | bearer(service.token))
-    assert sent.status_code == 204, sent.text
-    finish = f"{place.removeprefix(API)}/submission"
-    with monkeypatch.context() as patch:
-        patch.setattr("vitac.server.uploads.sensors.make_sensor", fail)
-        problem_of(service.post(finish), 503, "sensor_checks_unavailable")
-    assert service.post(finish).status_code == 202
-
-
-def test_one_sensor_is_checked_at_a_time(service: Service) -> None:
-    slot = ConcurrencyLimiter(service.services.settings.state_dir / "limits" / "sensors", 1)
-    with slot.one("all", "check"):
-        answer = service.upload(package())
-        problem_of(answer, 429, "too_many_requests")
-        assert answer.headers["retry-after"]
-        service.assert_nothing_left()
-        assert service.upload(make_archive()).status_code == 202  # others do not wait for it
-    assert service.upload(package()).status_code == 202
-
-
-def test_sensor_for_another_track_is_refused_before_it_is_made(
-    service: Service, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made: list[Path] = []
-    monkeypatch.setattr("vitac.server.uploads.sensors.make_sensor", made.append)
-    problem_of(service.upload(package(), query="?track=track_1"), 422, "manifest_rejected")
-    assert made == []
+def test_a_cancelled_check_is_not_begun(service: Service) -> None:
+    identity = service.upload(package()).json()["id"]
+    service.post(f"/submissions/{identity}/cancel")
+    assert check_sensors(service.services) == []
+    assert upload(service, package()).status_code == 202
+    assert service.get(f"/submissions/{identity}/sensor").status_code == 200
 
 
 def measuring(asked: list[ShardOrder]) -> FakeShards:
@@ -267,7 +349,7 @@ def run_shard(service: Service, lease: Lease, shards: FakeShards) -> None:
 
 
 def test_figures_are_put_together_of_what_the_shards_of_the_blind_run_measured(service: Service) -> None:
-    identity = service.upload(package()).json()["id"]
+    identity = upload(service, package()).json()["id"]
     with service.database.transaction() as session:
         shards = shard_ids(session, session.get_one(Submission, identity))
     asked: list[ShardOrder] = []
@@ -300,8 +382,8 @@ def measured_with(service: Service, identity: str, shard: int, shards: FakeShard
 def test_figures_of_the_same_sensor_are_measured_once_for_its_team(service: Service) -> None:
     """Nothing else of the archive plays a part in them; another sensor, shard or team has its own."""
     other_text, other_markers = {"design.pdf": b"%PDF-1.7 again"}, {"sensor.yaml": "markers: {points_mm: [[0, 0]]}"}
-    first, again, drawn_anew = (service.upload(package(it)).json()["id"] for it in ({}, other_text, other_markers))
-    elsewhere = service.upload(package(other_text), token=service.other_token).json()["id"]
+    first, again, drawn_anew = (upload(service, package(it)).json()["id"] for it in ({}, other_text, other_markers))
+    elsewhere = upload(service, package(other_text), token=service.other_token).json()["id"]
     shards = measuring([])
     asked = [measured_with(service, first, 0, shards)]
     asked += [measured_with(service, it, 0, shards) for it in (again, drawn_anew, elsewhere)]
@@ -315,7 +397,7 @@ def test_figures_of_the_same_sensor_are_measured_once_for_its_team(service: Serv
 def test_figures_are_not_taken_from_a_shard_that_could_not_measure_all_or_played_another_list(
     service: Service,
 ) -> None:
-    first, again = (service.upload(package({"design.pdf": text})).json()["id"] for text in (PDF, b"%PDF-1.7 again"))
+    first, again = (upload(service, package({"design.pdf": text})).json()["id"] for text in (PDF, b"%PDF-1.7 again"))
     failing = FakeShards(figures_of=lambda _: FiguresPart(starts=(), touch=TOUCH, grasp=GRASP, problem="no room"))
     assert measured_with(service, first, 0, failing) is FigureChoice.ALL
     assert measured_with(service, again, 0, measuring([])) is FigureChoice.ALL
@@ -331,7 +413,7 @@ def test_figures_are_not_taken_from_a_shard_that_could_not_measure_all_or_played
 
 def test_figures_are_not_taken_from_another_track(service: Service) -> None:
     """All tracks number their shards from the start, and all public lists have no commitment."""
-    first, again = (service.upload(package({"design.pdf": text})).json()["id"] for text in (PDF, b"%PDF-1.7 again"))
+    first, again = (upload(service, package({"design.pdf": text})).json()["id"] for text in (PDF, b"%PDF-1.7 again"))
     measured_with(service, first, 0, measuring([]))
     with service.database.transaction() as session:
         session.get_one(Submission, first).track = "track_of_our_own"
@@ -342,7 +424,7 @@ def test_what_the_estimator_has_learned_goes_with_later_shards_of_the_same_evalu
     service: Service, tmp_path: Path
 ) -> None:
     """After a worker was killed, and on other machines, no sensor is calibrated anew."""
-    identity = service.upload(package(tasks="sensor-design")).json()["id"]
+    identity = upload(service, package(tasks="sensor-design")).json()["id"]
     with service.database.transaction() as session:
         ids = shard_ids(session, session.get_one(Submission, identity))
     own, first, second, blind = (ids[n] for n in (0, 10, 11, 20))
@@ -396,7 +478,7 @@ def test_what_the_estimator_has_learned_goes_with_later_shards_of_the_same_evalu
 
 
 def test_coefficients_that_the_storage_has_lost_are_learned_anew(service: Service) -> None:
-    identity = service.upload(package()).json()["id"]
+    identity = upload(service, package()).json()["id"]
     with service.database.transaction() as session:
         first, second = shard_ids(session, session.get_one(Submission, identity))[:2]
     shards = FakeShards(coefficients=Coefficients(mesh_hash="b" * 64, starts=180, regressions=()))
@@ -408,7 +490,7 @@ def test_coefficients_that_the_storage_has_lost_are_learned_anew(service: Servic
 
 
 def test_figures_on_a_sealed_list_are_its_own_and_those_of_starts_only_for_organizers(service: Service) -> None:
-    identity = service.upload(package()).json()["id"]
+    identity = upload(service, package()).json()["id"]
     address = f"/submissions/{identity}/sensor"
     with service.database.transaction() as session:
         first, second = shard_ids(session, session.get_one(Submission, identity))[10:12]
@@ -437,7 +519,7 @@ def test_figures_on_a_sealed_list_are_its_own_and_those_of_starts_only_for_organ
 
 
 def test_shards_that_could_measure_nothing_each_keep_that_they_tried(service: Service) -> None:
-    identity = service.upload(package()).json()["id"]
+    identity = upload(service, package()).json()["id"]
     with service.database.transaction() as session:
         shards = shard_ids(session, session.get_one(Submission, identity))[10:12]
     problem = "Touch and grasp could not be measured: ValueError: nothing senses"
@@ -451,7 +533,7 @@ def test_shards_that_could_measure_nothing_each_keep_that_they_tried(service: Se
 
 def test_shard_whose_episodes_are_stored_still_measures_its_figures(service: Service) -> None:
     """Its worker was killed between the last episode and the figures."""
-    identity = service.upload(package()).json()["id"]
+    identity = upload(service, package()).json()["id"]
     with service.database.transaction() as session:
         first, second = shard_ids(session, session.get_one(Submission, identity))[10:12]
     asked: list[ShardOrder] = []
@@ -467,7 +549,7 @@ def test_shard_whose_episodes_are_stored_still_measures_its_figures(service: Ser
 def test_playback_of_an_episode_is_made_with_the_sensor_of_its_submission(service: Service) -> None:
     """Two sensors with the same records, such as blind runs with other markers, have playbacks of their own."""
     other_markers = {"sensor.yaml": "markers: {points_mm: [[0, 0], [1, 2]]}"}
-    identities = [service.upload(package(files)).json()["id"] for files in (NO_CHANGES, other_markers)]
+    identities = [upload(service, package(files)).json()["id"] for files in (NO_CHANGES, other_markers)]
     making = PlaybackOrders()
     for identity in identities:
         with service.database.transaction() as session:
@@ -477,7 +559,7 @@ def test_playback_of_an_episode_is_made_with_the_sensor_of_its_submission(servic
         with service.database.transaction() as session:
             episode = asking.find_episode(session, CONSOLE, identity, lease.task, lease.episodes[0])
             asked = asking.ask(session, service.services.settings, CONSOLE, episode)
-            claimed = work.claim(session, asked.id, 60.0)
+            claimed = playbacks.begin(session, take(session, asked.id))
         assert claimed is not None
         assert PlaybackRun(service.services, claimed, making).run() is RunEnd.FINISHED
     made = [order.sensor for order in making.orders]

@@ -37,7 +37,7 @@ def test_upload_is_accepted_with_an_id_a_position_and_jobs(service: Service) -> 
     assert (body["evaluation"]["state"], body["evaluation"]["queue_position"]) == ("queued", 1)
     assert body["archive_sha256"] == hashlib.sha256(ARCHIVE).hexdigest()
     assert service.get(f"/submissions/{body['id']}").json() == body
-    assert service.count("procrastinate_jobs") == len(cut(load_track(TRACK).tasks[TASK]))
+    assert service.count("work") == len(cut(load_track(TRACK).tasks[TASK]))
     assert service.services.blobs.holds(body["archive_sha256"])
     assert list(service.settings.scratch_dir.iterdir()) == []
 

@@ -5,16 +5,14 @@ from datetime import UTC, datetime, timedelta
 from uuid import UUID
 
 import pytest
-from service_factories import TASK, make_principal, make_record, make_score, play_all, sha256, submit, submit_scored
+from service_factories import TASK, make_principal, make_score, play_all, submit, submit_scored
 from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 from submission_steps import refused
-from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server.accounts import teams
 from vitac.server.appeals import appeals
 from vitac.server.audit import newest_entries
 from vitac.server.competitions.competition import Competition
-from vitac.server.competitions.sealing import seal
 from vitac.server.database.engine import Database
 from vitac.server.database.models import Appeal, BoardResult, EpisodeResult, Evaluation, Rejudgement, Submission
 from vitac.server.database.states import AppealState, Role
@@ -23,7 +21,7 @@ from vitac.server.operations import team_data
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.texts import TEXT_LENGTH
 
-from competitions import make_competition, put_in_place, stored_stage
+from competitions import make_competition, put_in_place
 
 JUDGE = Principal(role=Role.JUDGE)
 TEXT = "The peg was in the hole."
@@ -159,36 +157,6 @@ def test_the_time_to_appeal_against_a_rejudged_result_begins_when_it_counts(
         session.execute(update(Evaluation).values(rejudgement_id=made.id))
         session.expire_all()
         appeals.open_appeal(session, team, submission.id, TEXT)
-
-
-def test_what_an_episode_gives_again_stands_beside_its_result(
-    database: Database, played: tuple[Principal, Submission]
-) -> None:
-    team, submission = played
-    with database.transaction() as session:
-        made = appeals.open_appeal(session, team, submission.id, TEXT)
-        before = results(session)
-        same, other = make_record(3), make_record(3, EpisodeOutcome.TACTILE, state_hashes=(sha256("x"),) * 4)
-        for record, corrected in ((same, False), (other, True)):
-            appeals.note_replay(session, CONSOLE, made.id, record, policy_sha256=sha256("policy"), corrected=corrected)
-        for wrong in (team, JUDGE):
-            with refused(ProblemCode.FORBIDDEN):
-                appeals.note_replay(session, wrong, made.id, same, policy_sha256=sha256("policy"), corrected=False)
-        session.expire_all()
-        replays = appeals.appeal_view(appeals.find(session, team, made.id), team).replays
-        assert [(one.corrected, one.same_states, one.old_outcome, one.outcome) for one in replays] == [
-            (False, True, "success", "success"),
-            (True, False, "success", "tactile"),
-        ]
-        assert results(session) == before
-        sealed = seal(session, CONSOLE, stored_stage(session, "track_1", "stage1"))
-        session.execute(update(Evaluation).values(commitment=sealed.commitment))
-        session.expire_all()
-        for by, seen in ((team, 0), (JUDGE, 0), (CONSOLE, 2)):
-            (view,) = appeals.visible(session, by)
-            assert len(view.replays) == seen, "of a sealed list nobody but organizers sees episodes"
-        found = newest_entries(session, 1, action="appeal.replay")[0]
-        assert (found.action, found.before) == ("appeal.replay", {"outcome": "success", "env_steps": 3})
 
 
 def test_of_appeals_opened_or_ended_at_once_only_so_many_count(

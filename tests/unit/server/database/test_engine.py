@@ -11,7 +11,6 @@ from sqlalchemy.orm import Session
 from vitac.server.database import engine
 from vitac.server.database.engine import Database, is_cancelled, is_connection_loss, sqlalchemy_url
 from vitac.server.database.models import Worker
-from vitac.server.queue.jobs import enqueue_shards
 
 
 def lose_connection(session: Session) -> None:
@@ -99,18 +98,6 @@ def test_work_is_repeated_while_the_disk_of_the_database_is_full(database: Datab
 
     assert database.retrying(work, give_up_after_s=30.0) == "done"
     assert len(tries) == 3
-
-
-def test_connection_that_is_lost_while_jobs_are_added_is_known_as_such(database: Database) -> None:
-    def enqueue_after_the_loss(session: Session) -> None:
-        backend = session.scalar(text("SELECT pg_backend_pid()"))
-        with database.engine.connect() as other:
-            other.execute(text("SELECT pg_terminate_backend(:backend, 5000)"), {"backend": backend})
-        enqueue_shards(session, [1], "some version", priority=0)
-
-    with pytest.raises(DBAPIError) as failed:
-        database.retrying(enqueue_after_the_loss, give_up_after_s=0.0)
-    assert is_connection_loss(failed.value)
 
 
 def test_who_stands_still_is_cut_off_after_a_transaction_that_failed_too(database: Database) -> None:

@@ -64,7 +64,7 @@ REFUSED = (
     "TRUNCATE audit_log",
     "ALTER TABLE audit_log DISABLE TRIGGER ALL",
     "DROP TRIGGER audit_log_append_only ON audit_log",
-    "CREATE OR REPLACE FUNCTION refuse_audit_change() RETURNS trigger LANGUAGE plpgsql AS 'BEGIN RETURN NEW; END'",
+    "CREATE OR REPLACE FUNCTION refuse_change() RETURNS trigger LANGUAGE plpgsql AS 'BEGIN RETURN NEW; END'",
     "DROP TABLE audit_log",
     "ALTER TABLE receipts OWNER TO CURRENT_USER",
     "UPDATE alembic_version SET version_num = '0'",

@@ -16,10 +16,8 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from databases import FAST, fresh_database, opened_database, shared_cluster, state_directory
-from procrastinate.schema import SchemaManager
 from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError, OperationalError
-from vitac.migrations.versions import v0012_first_schema as first_schema
 from vitac.server.database import schema
 from vitac.server.database.binaries import DEBIAN_ROOT, OLDEST_MAJOR, inspect_bin_dir
 from vitac.server.database.embedded import EmbeddedPostgres
@@ -34,17 +32,17 @@ from vitac.server.database.schema import (
     newest_revision,
     upgrade,
 )
-from vitac.server.database.states import EVALUATION_TRANSITIONS, PLAYBACK_TRANSITIONS, SHARD_TRANSITIONS
+from vitac.server.database.states import EVALUATION_TRANSITIONS, WORK_TRANSITIONS
 
 OLDEST = DEBIAN_ROOT / str(OLDEST_MAJOR) / "bin"
 CONSTRAINTS = """
     SELECT conrelid::regclass::text, conname, pg_get_constraintdef(oid) FROM pg_constraint
-    WHERE connamespace = 'public'::regnamespace AND conrelid::regclass::text !~ '^(procrastinate|alembic)'
-    ORDER BY 1, 2
+    WHERE connamespace = 'public'::regnamespace AND conrelid::regclass::text !~ '^alembic'
+    AND contype <> 't' ORDER BY 1, 2
 """
 INDEXES = """
     SELECT tablename, indexname, indexdef FROM pg_indexes
-    WHERE schemaname = 'public' AND tablename !~ '^(procrastinate|alembic)' ORDER BY 1, 2
+    WHERE schemaname = 'public' AND tablename !~ '^alembic' ORDER BY 1, 2
 """
 
 
@@ -77,7 +75,7 @@ def rows(database: Database, query: str) -> list[tuple[object, ...]]:
 
 def test_columns_of_models_and_migrations_agree(migrated: Database) -> None:
     def ours(thing: object, name: str | None, kind: str, *_: object) -> bool:
-        return not (kind == "table" and (name or "").startswith(("procrastinate", "alembic")))
+        return not (kind == "table" and (name or "").startswith("alembic"))
 
     with migrated.engine.connect() as connection:
         options = {"include_object": ours, "compare_type": True, "compare_server_default": True}
@@ -168,34 +166,17 @@ def test_migration_that_waits_too_long_for_a_lock_is_rolled_back(
     assert is_current(empty)
 
 
-def test_queue_schema_is_the_one_of_the_installed_procrastinate(migrated: Database, empty: Database) -> None:
-    newest = max(path.name for path in _queue_migrations())
-    assert newest == first_schema.LAST_QUEUE_MIGRATION, (
-        "procrastinate has new migrations: add one of ours that runs them"
-    )
-    with psycopg.connect(empty.address) as connection:
-        connection.execute(SchemaManager.get_schema())
-    functions = "SELECT proname FROM pg_proc WHERE proname LIKE 'procrastinate%' ORDER BY 1"
-    assert rows(migrated, functions) == rows(empty, functions)
-
-
-def _queue_migrations() -> Iterator[Path]:
-    return Path(SchemaManager.get_migrations_path()).glob("*.sql")
-
-
 @pytest.mark.parametrize(
     ("table", "transitions"),
     [
         ("evaluations", EVALUATION_TRANSITIONS),
-        ("shards", SHARD_TRANSITIONS),
-        ("playbacks", PLAYBACK_TRANSITIONS),
+        ("work", WORK_TRANSITIONS),
     ],
 )
 def test_sql_allows_exactly_the_transitions_of_the_table(
     table: str, transitions: Mapping[StrEnum, frozenset[StrEnum]]
 ) -> None:
     allowed = {(old.value, new.value) for old, following in transitions.items() for new in following}
-    assert set(first_schema.TRANSITIONS[table]) == allowed
     with fresh_database() as address, psycopg.connect(address, autocommit=True) as connection:
         # The trigger alone, on a bare table of the same name: other constraints would hide what it lets through.
         connection.execute("CREATE SCHEMA bare")
@@ -222,14 +203,6 @@ def test_audit_log_refuses_change_and_deletion(migrated: Database) -> None:
     for change in ("UPDATE audit_log SET actor = 'x'", "DELETE FROM audit_log", "TRUNCATE audit_log"):
         with pytest.raises(IntegrityError, match="append-only"), migrated.engine.begin() as connection:
             connection.execute(text(change))
-
-
-def test_queue_migration_that_was_interrupted_begins_again(empty: Database) -> None:
-    first = min(_queue_migrations(), key=lambda path: path.name)
-    with psycopg.connect(empty.address) as connection:
-        connection.execute(first.read_text())
-    upgrade(empty)
-    assert is_current(empty)
 
 
 def test_many_processes_may_upgrade_at_once(empty: Database) -> None:

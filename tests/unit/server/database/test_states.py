@@ -8,22 +8,17 @@ import pytest
 from vitac.server.database.states import (
     ACTIVE_EVALUATION_STATES,
     EVALUATION_TRANSITIONS,
-    OPEN_PLAYBACK_STATES,
-    OPEN_SHARD_STATES,
-    PLAYBACK_TRANSITIONS,
-    SHARD_TRANSITIONS,
+    OPEN_WORK_STATES,
     TERMINAL_EVALUATION_STATES,
-    TERMINAL_SHARD_STATES,
+    WORK_TRANSITIONS,
     EvaluationState,
-    PlaybackState,
-    ShardState,
+    WorkState,
 )
 
 Table = Mapping[Any, frozenset[Any]]
 TABLES: list[tuple[type[StrEnum], Table]] = [
     (EvaluationState, EVALUATION_TRANSITIONS),
-    (ShardState, SHARD_TRANSITIONS),
-    (PlaybackState, PLAYBACK_TRANSITIONS),
+    (WorkState, WORK_TRANSITIONS),
 ]
 EACH = pytest.mark.parametrize(("states", "table"), TABLES, ids=[states.__name__ for states, _ in TABLES])
 
@@ -69,15 +64,8 @@ def test_an_evaluation_never_waits_again_and_is_scored_only_after_it_ran() -> No
     assert EvaluationState.COMPLETED not in EVALUATION_TRANSITIONS[EvaluationState.QUEUED]
 
 
-@pytest.mark.parametrize(
-    ("table", "queued", "running"),
-    [
-        (SHARD_TRANSITIONS, ShardState.QUEUED, ShardState.RUNNING),
-        (PLAYBACK_TRANSITIONS, PlaybackState.QUEUED, PlaybackState.RUNNING),
-    ],
-)
-def test_what_a_worker_gives_back_waits_again(table: Table, queued: Any, running: Any) -> None:
-    assert queued in table[running]
+def test_what_a_worker_gives_back_waits_again() -> None:
+    assert WorkState.QUEUED in WORK_TRANSITIONS[WorkState.RUNNING]
 
 
 def test_open_and_ended_states_are_told_apart() -> None:
@@ -87,6 +75,4 @@ def test_open_and_ended_states_are_told_apart() -> None:
         EvaluationState.CANCELLED,
     } == TERMINAL_EVALUATION_STATES
     assert {EvaluationState.QUEUED, EvaluationState.RUNNING} == ACTIVE_EVALUATION_STATES
-    assert {ShardState.DONE, ShardState.FAILED, ShardState.CANCELLED} == TERMINAL_SHARD_STATES
-    assert {ShardState.QUEUED, ShardState.RUNNING} == OPEN_SHARD_STATES
-    assert {PlaybackState.QUEUED, PlaybackState.RUNNING} == OPEN_PLAYBACK_STATES
+    assert {WorkState.QUEUED, WorkState.RUNNING} == OPEN_WORK_STATES

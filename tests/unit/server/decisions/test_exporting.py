@@ -10,7 +10,17 @@ import pytest
 from audited_boards import complete, environment_of, played_again, sampled
 from databases import opened_database
 from obstore.store import MemoryStore
-from service_factories import TASK, TRACK, forget_boards, make_principal, make_record, make_upload, sha256, submit_to
+from service_factories import (
+    TASK,
+    TRACK,
+    forget_boards,
+    make_principal,
+    make_record,
+    make_upload,
+    sha256,
+    submit_to,
+    take,
+)
 from shown_sensors import a_made_sensor
 from sqlalchemy import select, text
 from sqlalchemy.orm import Session
@@ -19,11 +29,12 @@ from vitac.evaluator.sensors.made import MAX_BYTES, MadeSensor
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts import teams
 from vitac.server.database.engine import Database
-from vitac.server.database.models import BoardResult, SubmissionFile
+from vitac.server.database.models import BoardResult, SensorCheck, SubmissionFile
 from vitac.server.database.states import FileRole
 from vitac.server.decisions.exporting import export_receipts
 from vitac.server.errors import ServiceError
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.evaluations.lifecycle import end_check
 from vitac.server.logs.claims import LogClaim
 from vitac.server.operations import team_data
 from vitac.server.principals import CONSOLE
@@ -90,6 +101,7 @@ def _add_sensor(database: Database, file: UploadedFile) -> None:
         submission = submit_to(session, make_principal(session, "Ants"), track="track_3", task=SENSOR_TASK)
         evaluation = newest_evaluation(session, submission)
         add_files(session, submission.id, [file, learned(evaluation.id, file.sha256)])
+        end_check(session, take(session, session.scalars(select(SensorCheck.id)).one()))
     complete(database, submission, env, record_of)
 
 

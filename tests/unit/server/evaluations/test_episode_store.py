@@ -9,7 +9,7 @@ from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome
 from vitac.server.database.engine import Database
 from vitac.server.database.locks import lock_evaluation
 from vitac.server.database.models import EpisodeResult
-from vitac.server.database.states import ShardState
+from vitac.server.database.states import WorkState
 from vitac.server.evaluations.episode_store import (
     OUTPUT_CHARACTERS,
     half_way_state,
@@ -112,7 +112,7 @@ def test_storing_and_cancelling_at_once_do_not_wait_for_each_other(database: Dat
             locking.execute(text("SET LOCAL lock_timeout = 2000"))
             lock_evaluation(locking, lease.evaluation_id)
     with database.transaction() as session:
-        assert state_of(session, shard_id) is ShardState.RUNNING
+        assert state_of(session, shard_id) is WorkState.RUNNING
 
 
 @pytest.mark.parametrize(("env_steps", "half_way"), [(0, 0), (1, 1), (2, 1), (3, 2), (4, 2), (15, 8)])

@@ -26,15 +26,17 @@ from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, Fail
 from vitac.evaluator.package_sets import digest_of_packages
 from vitac.evaluator.scoring.score import score
 from vitac.evaluator.shards.order import ShardEnd
+from vitac.evaluator.version import evaluator_version
 from vitac.server.database.engine import Database
 from vitac.server.database.models import EpisodeResult
-from vitac.server.database.states import EvaluationState, ShardState
+from vitac.server.database.states import EvaluationState, WorkState
 from vitac.server.evaluations.episode_store import EpisodeKey, read_stored_records, store_episodes
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import EpisodesMissing
 from vitac.server.evaluations.listing import show_evaluation
 from vitac.server.evaluations.scores import combine_hashes, combined_score, read_scores
-from vitac.server.queue.leases import Lease, LeaseLost, lock_held
+from vitac.server.queue.leases import Lease
+from vitac.server.queue.work import LeaseLost, count_open, lock_held, name_requirement
 from vitac.server.submissions import listing, runs
 from worker_fakes import eventually
 
@@ -47,25 +49,24 @@ def some_record(episode: int, *, task: str = TASK) -> EpisodeRecord:
     return make_record(episode, outcome_of(episode), task)
 
 
-def test_a_new_evaluation_has_the_fixed_shards_and_a_job_for_each(database: Database) -> None:
+def test_a_new_evaluation_has_the_fixed_shards_which_wait(database: Database) -> None:
     with database.transaction() as session:
         submission = submit(session, make_principal(session))
     with database.transaction() as session:
         shards = newest_evaluation(session, submission).shards
         assert [len(shard.episodes) for shard in shards] == [27] * 10
         assert sorted(episode for shard in shards for episode in shard.episodes) == list(range(1, 271))
-        jobs = session.execute(
-            text("SELECT (args ->> 'shard_id')::bigint FROM procrastinate_jobs ORDER BY 1")
-        ).scalars()
-        assert list(jobs) == [shard.id for shard in shards]
+        assert {(shard.state, shard.requires) for shard in shards} == {
+            (WorkState.QUEUED, name_requirement(evaluator_version()))
+        }
 
 
-def test_jobs_vanish_with_a_transaction_that_is_rolled_back(database: Database) -> None:
+def test_work_vanishes_with_a_transaction_that_is_rolled_back(database: Database) -> None:
     with database.transaction() as session:
         submit(session, make_principal(session))
         session.rollback()
     with database.transaction() as session:
-        assert session.scalar(text("SELECT count(*) FROM procrastinate_jobs")) == 0
+        assert count_open(session) == 0
         assert session.scalar(text("SELECT count(*) FROM submissions")) == 0
 
 
@@ -101,7 +102,7 @@ def test_shard_that_lacks_an_episode_cannot_be_reported_as_complete(database: Da
     with pytest.raises(EpisodesMissing, match=r"\[27\]"):
         finish(database, lease)
     with database.transaction() as session:
-        assert state_of(session, first) is ShardState.RUNNING
+        assert state_of(session, first) is WorkState.RUNNING
 
 
 def test_broken_policy_fails_the_evaluation_with_the_first_failure_whatever_the_order(database: Database) -> None:
@@ -113,9 +114,9 @@ def test_broken_policy_fails_the_evaluation_with_the_first_failure_whatever_the_
     finish(database, late, ShardEnd.BROKEN)
     with database.transaction() as session:
         # Later shards end, earlier ones may still change the verdict.
-        assert [state_of(session, shard_id) for shard_id in ids[5:]] == [ShardState.CANCELLED] * 5
+        assert [state_of(session, shard_id) for shard_id in ids[5:]] == [WorkState.CANCELLED] * 5
         assert newest_evaluation(session, submission).state is EvaluationState.RUNNING
-        assert session.scalar(text("SELECT count(*) FROM procrastinate_jobs WHERE status = 'todo'")) == 5
+        assert count_open(session) == 4
     store(database, early, [make_failed_record(episode, output=f"out {episode}") for episode in (7, 3, 9)])
     finish(database, early, ShardEnd.BROKEN)
     with database.transaction() as session:
@@ -202,8 +203,8 @@ def test_cancel_ends_the_evaluation_and_fences_off_its_workers(database: Databas
         finish(database, lease)
     with database.transaction() as session:
         assert newest_evaluation(session, submission).state is EvaluationState.CANCELLED
-        assert [state_of(session, shard_id) for shard_id in ids] == [ShardState.DONE] + [ShardState.CANCELLED] * 9
-        assert session.scalar(text("SELECT count(*) FROM procrastinate_jobs WHERE status = 'todo'")) == 1
+        assert [state_of(session, shard_id) for shard_id in ids] == [WorkState.DONE] + [WorkState.CANCELLED] * 9
+        assert count_open(session) == 0
         assert len(session.scalars(select(EpisodeResult)).all()) == 27
 
 

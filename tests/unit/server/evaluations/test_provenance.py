@@ -15,7 +15,7 @@ def test_what_a_task_is_played_with_is_known_from_any_team_but_with_a_sensor_fro
     with database.transaction() as session:
         assert known_manifest(session, others) is None
     with database.transaction() as session:
-        session.get_one(Shard, first.shard_id).manifest = make_manifest().model_dump(mode="json")
+        session.get_one(Shard, first.work_id).manifest = make_manifest().model_dump(mode="json")
     with database.transaction() as session:
         assert known_manifest(session, others) == known_manifest(session, again) == make_manifest()
         assert known_manifest(session, replace(others, sensor_sha256=64 * "a")) is None

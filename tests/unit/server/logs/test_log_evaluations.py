@@ -25,6 +25,8 @@ from service_factories import (
     sha256,
     shard_ids,
     store,
+    take_away,
+    take_shard,
 )
 from sqlalchemy import event, inspect, text, update
 from sqlalchemy.exc import IntegrityError
@@ -39,12 +41,14 @@ from vitac.evaluator.version import evaluator_version
 from vitac.server.competitions import sealing
 from vitac.server.database.engine import Database
 from vitac.server.database.models import Evaluation, Submission, Team
+from vitac.server.database.states import WorkState
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.verdicts import find_sentence
 from vitac.server.leaderboards import log_boards
 from vitac.server.logs import action_matches
 from vitac.server.principals import CONSOLE
 from vitac.server.queue.leases import Lease
+from vitac.server.queue.work import end, report_broken
 from vitac.server.submissions import creation
 
 from competitions import shown_stage, stored_stage
@@ -188,7 +192,7 @@ def test_finding_of_a_later_shard_is_not_shown_as_the_verdict_of_machines_that_f
     first, second, *_ = leases_of(service, log)
     refute(service, second, diverged_at(37))
     with service.database.transaction() as session:
-        lifecycle.report_broken_machine(session, make_settings(shard_attempts=1), first, "no disk")
+        report_broken(session, make_settings(shard_attempts=1), first, "no disk", give_up=lifecycle.give_up)
     found = shown(service, log)
     assert found["evaluation"]["verdict"]["code"] == "machine_failed"
     assert (found["log"]["verdict"], found["log"]["reason"], found["log"]["divergence"]) == (None, None, None)
@@ -219,10 +223,7 @@ def test_killed_worker_costs_no_episode(service: Service) -> None:
         ids = shard_ids(session, log)
     lost = claim(service.database, ids[0])
     store(service.database, lost, [make_record(1), make_record(2)])
-    with service.database.transaction() as session:
-        session.execute(
-            text("UPDATE shards SET state = 'queued', lease_expires_at = NULL WHERE id = :id"), {"id": ids[0]}
-        )
+    take_away(service.database, ids[0])
     for shard_id in ids:
         play(service.database, shard_id)
     assert shown(service, log)["log"]["verdict"] == "verified"
@@ -245,12 +246,13 @@ def test_output_that_a_log_names_is_not_shown_as_a_policys(service: Service) -> 
     assert "as if it ran" not in service.get(f"/submissions/{log.id}").text
 
 
-def test_finding_belongs_to_a_failed_shard(database: Database) -> None:
+def test_a_shard_with_a_finding_is_not_done(database: Database) -> None:
     with database.transaction() as session:
         submission = creation.create(session, make_principal(session), make_upload())[0]
-        shard_id = shard_ids(session, submission)[0]
-    with pytest.raises(IntegrityError, match="finding_is_a_failure"), database.transaction() as session:
-        session.execute(text("UPDATE shards SET finding = '{}' WHERE id = :id"), {"id": shard_id})
+        lease = take_shard(session, shard_ids(session, submission)[0])
+        session.execute(text("UPDATE shards SET finding = '{}', manifest = '{}' WHERE id = :id"), {"id": lease.work_id})
+    with pytest.raises(IntegrityError, match="done without a result"), database.transaction() as session:
+        end(session, lease, WorkState.DONE)
 
 
 # ---- their own ranking ----

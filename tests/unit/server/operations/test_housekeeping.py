@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from asked_playbacks import played
 from database_work import is_waiting_for_a_lock
-from service_factories import claim, make_principal, make_settings, make_upload, shard_ids, state_of
+from service_factories import claim, make_principal, make_settings, make_upload, shard_ids, state_of, take
 from sqlalchemy import text
 from vitac.server.database.engine import Database
 from vitac.server.database.locks import AdvisoryLock, wait_for_turn
 from vitac.server.database.metrics import SeriesKey, totals
-from vitac.server.database.states import PlaybackState, ShardState
+from vitac.server.database.states import WorkState
 from vitac.server.errors import ServiceError
 from vitac.server.operations import housekeeping
 from vitac.server.operations.housekeeping import Housekeeping, prune
@@ -60,7 +60,7 @@ def test_lost_shards_are_found_in_the_background_also_after_the_database_was_awa
 
     def is_queued_again() -> bool:
         with services.database.transaction() as session:
-            return bool(state_of(session, first) is ShardState.QUEUED)
+            return bool(state_of(session, first) is WorkState.QUEUED)
 
     eventually(is_queued_again)
     keeper.stop()
@@ -107,7 +107,7 @@ def test_only_lost_shards_are_looked_for_in_every_round(services: Services, monk
     monkeypatch.setattr(housekeeping, "prune", lambda _: None)
     monkeypatch.setattr(Housekeeping, "_sweep", lambda _: done.append("shards"))
     monkeypatch.setattr(housekeeping, "supersede_outdated", lambda *_: done.append("versions"))
-    monkeypatch.setattr(work, "recover", lambda *_: done.append("playbacks"))
+    monkeypatch.setattr(work, "give_up_unmade", lambda *_: done.append("playbacks"))
     keeper = Housekeeping(services)
     keeper.start()
     eventually(lambda: done.count("shards") > 3)
@@ -129,7 +129,7 @@ def test_the_server_that_started_last_declares_its_evaluator_and_a_worker_never_
 
     monkeypatch.setattr(housekeeping, "OTHERS_EVERY_S", 0.0)
     rounds: list[None] = []
-    monkeypatch.setattr(work, "recover", lambda *_: rounds.append(None))
+    monkeypatch.setattr(work, "give_up_unmade", lambda *_: rounds.append(None))
     worker = Housekeeping(services, supersedes=False)
     worker.start()
     eventually(lambda: len(rounds) > 2)
@@ -187,8 +187,7 @@ def test_files_of_playbacks_stay_as_long_as_the_playbacks(services: Services, mo
     team = played(services.database)
     playback = team.ask(1)
     with services.database.transaction() as session:
-        lease = work.claim(session, playback.id, 60.0)
-        assert lease is not None
+        lease = work.begin(session, take(session, playback.id))
         work.end_made(session, lease, {"scene_sha256": scene, "still_sha256": still})
     prune(services)
     assert services.blobs.holds(scene)
@@ -199,18 +198,6 @@ def test_files_of_playbacks_stay_as_long_as_the_playbacks(services: Services, mo
     assert team.found(1) is None
     assert not services.blobs.holds(scene)
     assert not services.blobs.holds(still)
-
-
-def test_lost_playbacks_are_found_in_the_background(services: Services, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(housekeeping, "OTHERS_EVERY_S", 0.1)  # as soon as shards here: else 200 sweeps in 10 s
-    team = played(services.database)
-    playback = team.ask(1)
-    with services.database.transaction() as session:
-        assert work.claim(session, playback.id, 0.1) is not None
-    keeper = Housekeeping(services)
-    keeper.start()
-    eventually(lambda: getattr(team.found(1), "state", None) is PlaybackState.QUEUED)
-    keeper.stop()
 
 
 def test_file_that_is_uploaded_again_while_old_ones_are_removed_stays(

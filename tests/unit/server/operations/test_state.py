@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.version import evaluator_version
 from vitac.server.database.engine import Database
 from vitac.server.database.metrics import totals
-from vitac.server.database.models import EpisodeResult, Evaluation, Shard, Worker
+from vitac.server.database.models import EpisodeResult, Evaluation, Work, Worker
 from vitac.server.database.states import WorkerState
 from vitac.server.operations.state import operations
 from vitac.server.settings import Settings
@@ -52,7 +52,7 @@ def test_queue_is_counted_with_the_age_of_what_waits_longest(database: Database,
         n_shards = len(shards) + len(shard_ids(session, second))
     with database.transaction() as session:
         ago = func.clock_timestamp() - timedelta(minutes=10)
-        session.execute(update(Shard).where(Shard.id == shards[1]).values(queued_at=ago))
+        session.execute(update(Work).where(Work.id == shards[1]).values(queued_at=ago))
         session.execute(update(Evaluation).where(Evaluation.submission_id == second.id).values(created_at=ago))
     claim(database, shards[0])
     queue = look(database, settings).queue
@@ -104,7 +104,7 @@ def test_a_shard_without_progress_is_seen_however_busy_the_others_are(database: 
         first, second = shard_ids(session, submission)[:2]
     hanging, busy = claim(database, first), claim(database, second)
     with database.transaction() as session:
-        session.execute(update(Shard).values(progressed_at=func.clock_timestamp() - timedelta(minutes=2)))
+        session.execute(update(Work).values(progressed_at=func.clock_timestamp() - timedelta(minutes=2)))
     store(database, busy, [make_record(busy.episodes[0])])
     assert look(database, settings).queue.shard_idle_s == pytest.approx(120, abs=60)
     store(database, hanging, [make_record(hanging.episodes[0])])

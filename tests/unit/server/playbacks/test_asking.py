@@ -4,43 +4,40 @@ from typing import Any
 
 import pytest
 from asked_playbacks import SETTINGS, Played, played
-from service_factories import TASK, make_principal, make_score, play, shard_ids, submit_scored, submit_to
-from sqlalchemy import text, update
+from service_factories import TASK, make_principal, make_score, play, shard_ids, submit_scored, submit_to, take
+from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 from submission_steps import make_worker
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.tracks import ListKind, load_track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.database.engine import Database
-from vitac.server.database.models import Evaluation, Playback, Shard, Submission, Worker
-from vitac.server.database.states import PlaybackState, Role, ShardState, WorkerState
+from vitac.server.database.models import Evaluation, Playback, Submission, Work, Worker
+from vitac.server.database.states import Role, WorkerState, WorkState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.leaderboards.public_pages import set_public
 from vitac.server.playbacks import asking, work
-from vitac.server.playbacks.asking import ask, find_episode, find_playback, playback_key, playback_view, requester
-from vitac.server.playbacks.files import PlaybackFile, find_digest
+from vitac.server.playbacks.asking import (
+    PlaybackFile,
+    ask,
+    find_digest,
+    find_episode,
+    find_playback,
+    playback_key,
+    playback_view,
+    requester,
+)
 from vitac.server.principals import CONSOLE, VISITOR, Principal
-from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD, queue_name
+from vitac.server.queue.work import hand_back, name_requirement
 from vitac.server.tracks import find_playback_family
 
 JUDGE = Principal(role=Role.JUDGE)
 ONE_AT_ONCE = SETTINGS.model_copy(update={"playbacks_at_once": 1})
 
 
-def jobs(database: Database) -> list[tuple[str, int]]:
-    """Waiting jobs in the order in which workers take them."""
-    query = text(
-        "SELECT task_name, (args ->> 'playback_id')::bigint FROM procrastinate_jobs WHERE status = 'todo' "
-        "ORDER BY priority DESC, id"
-    )
-    with database.transaction() as session:
-        return [(str(row[0]), row[1]) for row in session.execute(query)]
-
-
-def queues_of_playbacks(session: Session) -> list[str]:
-    """The queues in which playbacks wait."""
-    query = text("SELECT queue_name FROM procrastinate_jobs WHERE status = 'todo' AND task_name = :task ORDER BY id")
-    return list(session.scalars(query, {"task": MAKE_PLAYBACK}))
+def needed_by_playbacks(session: Session) -> list[str]:
+    """What the playbacks that wait require of a worker."""
+    return list(session.scalars(select(Playback.requires).where(Playback.state == WorkState.QUEUED)))
 
 
 def refusal(asked: Played, number: int, **settings: Any) -> ServiceError:
@@ -51,24 +48,19 @@ def refusal(asked: Played, number: int, **settings: Any) -> ServiceError:
 
 def change(database: Database, playback: Playback, **values: object) -> None:
     with database.transaction() as session:
-        session.execute(update(Playback).where(Playback.id == playback.id).values(**values))
-
-
-def test_what_is_asked_for_comes_after_all_shards(team_a: Played) -> None:
-    playback = team_a.ask(3)
-    assert playback.state is PlaybackState.QUEUED
-    waiting = jobs(team_a.database)
-    assert len(waiting) > 2
-    assert waiting[-1] == (MAKE_PLAYBACK, playback.id)
-    assert {task for task, _ in waiting[:-1]} == {RUN_SHARD}
+        found = session.get_one(Playback, playback.id)
+        for name, value in values.items():
+            setattr(found, name, value)
 
 
 def test_asking_again_finds_the_same_one(team_a: Played) -> None:
     assert team_a.found(3) is None
     first = team_a.ask(3)
+    assert first.state is WorkState.QUEUED
     assert team_a.ask(3).id == first.id
     assert team_a.ask(4).id != first.id
-    assert len([task for task, _ in jobs(team_a.database) if task == MAKE_PLAYBACK]) == 2
+    with team_a.database.transaction() as session:
+        assert len(needed_by_playbacks(session)) == 2
 
 
 def test_those_who_ask_at_the_same_time_get_one(team_a: Played) -> None:
@@ -110,18 +102,18 @@ def test_a_team_has_only_so_many_in_the_queue(team_a: Played) -> None:
     refused = refusal(team_a, 3, playbacks_at_once=2)
     assert refused.code is ProblemCode.TOO_MANY_REQUESTS
     assert "At most 2 playbacks that wait or are being made" in refused.detail
-    assert team_a.ask(1, playbacks_at_once=2).state is PlaybackState.QUEUED
+    assert team_a.ask(1, playbacks_at_once=2).state is WorkState.QUEUED
     other = played(team_a.database, "Team B", "other content")
-    assert other.ask(4, playbacks_at_once=2).state is PlaybackState.QUEUED
+    assert other.ask(4, playbacks_at_once=2).state is WorkState.QUEUED
 
 
 def test_a_team_asks_for_only_so_many_in_an_hour(team_a: Played) -> None:
     first = team_a.ask(1, playbacks_per_hour=1)
-    change(team_a.database, first, state=PlaybackState.FAILED, problem="no", finished_at=datetime.now(UTC))
+    change(team_a.database, first, state=WorkState.FAILED, problem="no", finished_at=datetime.now(UTC))
     refused = refusal(team_a, 2, playbacks_per_hour=1)
     assert "At most 1 new playbacks in an hour" in refused.detail
     change(team_a.database, first, asked_at=datetime.now(UTC) - timedelta(minutes=61))
-    assert team_a.ask(2, playbacks_per_hour=1).state is PlaybackState.QUEUED
+    assert team_a.ask(2, playbacks_per_hour=1).state is WorkState.QUEUED
 
 
 def test_requests_at_the_same_time_do_not_exceed_the_limit(team_a: Played) -> None:
@@ -162,7 +154,7 @@ def test_visitors_ask_for_playbacks_of_public_submissions_and_have_one_limit_tog
         with team_a.database.transaction() as session:
             episode = find_episode(session, team_a.by, team_a.submission.id, TASK, number)
             settings = SETTINGS.model_copy(update={"playbacks_at_once": 2})
-            assert ask(session, settings, by, episode).asked_by == requester(by)
+            assert ask(session, settings, by, episode).owner == requester(by)
     with team_a.database.transaction() as session, pytest.raises(ServiceError) as too_many:
         ask(session, settings, VISITOR, find_episode(session, team_a.by, team_a.submission.id, TASK, 4))
     assert too_many.value.code is ProblemCode.TOO_MANY_REQUESTS
@@ -174,11 +166,11 @@ def test_visitors_ask_for_playbacks_of_public_submissions_and_have_one_limit_tog
 def test_a_failed_one_is_tried_again_after_an_hour(team_a: Played) -> None:
     first = team_a.ask(1)
     failed_at = datetime.now(UTC)
-    change(team_a.database, first, state=PlaybackState.FAILED, problem="states differ", finished_at=failed_at)
+    change(team_a.database, first, state=WorkState.FAILED, problem="states differ", finished_at=failed_at)
     assert team_a.ask(1).problem == "states differ"
     change(team_a.database, first, finished_at=failed_at - timedelta(minutes=61))
     again = team_a.ask(1)
-    assert again.state is PlaybackState.QUEUED
+    assert again.state is WorkState.QUEUED
     assert again.id != first.id
 
 
@@ -200,26 +192,21 @@ def pick_cube(database: Database) -> Submission:
 
 
 def test_a_film_waits_for_workers_that_can_draw_until_it_is_made(database: Database, pick_cube: Submission) -> None:
-    able = queue_name(evaluator_version(), Family.MANISKILL_PICTURES)
+    able = name_requirement(evaluator_version(), Family.MANISKILL_PICTURES)
     make_worker(database, families=["tactile", "maniskill", "maniskill-pictures"])
     with database.transaction() as session:
         asked = ask(session, SETTINGS, CONSOLE, find_episode(session, CONSOLE, pick_cube.id, "pick-cube", 1))
-        assert queues_of_playbacks(session) == [able]
+        assert needed_by_playbacks(session) == [able]
         view = playback_view(session, SETTINGS, asked)
         assert (view.family, view.workers) == (Family.MANISKILL_PICTURES, 1)
-        lease = work.claim(session, asked.id, 60.0)
-        assert lease is not None
-        work.hand_back(session, lease, counts_as_attempt=False)
-        assert queues_of_playbacks(session) == [able, able]
-        session.execute(text("DELETE FROM procrastinate_jobs"))
+        hand_back(session, take(session, asked.id))
         session.execute(update(Playback).values(asked_at=datetime.now(UTC) - timedelta(hours=1)))
-        work.recover(session, SETTINGS)
-        assert queues_of_playbacks(session) == [able]
-        lease = work.claim(session, asked.id, 60.0)
-        assert lease is not None
+        work.give_up_unmade(session)
+        assert needed_by_playbacks(session) == [able]
+        lease = work.begin(session, take(session, asked.id))
         work.end_made(session, lease, {"film_sha256": "1" * 64, "still_sha256": "2" * 64})
         session.expire_all()
-        assert asked.state is PlaybackState.MADE
+        assert asked.state is WorkState.DONE
         assert {"1" * 64, "2" * 64} <= work.stored_digests(session)
         assert find_digest(session, asked.episode, PlaybackFile.FILM) == "1" * 64
 
@@ -238,7 +225,7 @@ def test_a_film_that_no_running_worker_can_draw_is_refused_to_all_but_the_made_o
             with pytest.raises(ServiceError, match=r"no running worker can draw ManiSkill’s .* Vulkan") as refused:
                 ask(session, SETTINGS, by, episode)
             assert refused.value.code is ProblemCode.INVALID_REQUEST
-        assert (find_playback(session, episode), queues_of_playbacks(session)) == (None, [])
+        assert (find_playback(session, episode), needed_by_playbacks(session)) == (None, [])
         make_worker(database, families=able)
         asked = ask(session, SETTINGS, VISITOR, episode)
         session.execute(update(Worker).values(state=WorkerState.STOPPED))
@@ -254,16 +241,16 @@ def test_films_that_lost_their_workers_are_given_up_and_lock_visitors_out_for_no
     with database.transaction() as session:
         for number in (1, 2):
             ask(session, ONE_AT_ONCE, CONSOLE, find_episode(session, CONSOLE, pick_cube.id, "pick-cube", number))
-        session.execute(update(Playback).values(asked_by=requester(VISITOR)))
+        session.execute(update(Work).values(owner=requester(VISITOR)))
     with pytest.raises(ServiceError) as locked, database.transaction() as session:
         ask(session, ONE_AT_ONCE, VISITOR, tactile.episode())
     assert locked.value.code is ProblemCode.TOO_MANY_REQUESTS
     with database.transaction() as session:
         session.execute(update(Worker).values(families=["tactile"]))
         session.execute(update(Playback).values(asked_at=datetime.now(UTC) - timedelta(minutes=61)))
-        work.recover(session, SETTINGS)
+        work.give_up_unmade(session)
         assert {playback.problem for playback in session.query(Playback)} == {"No worker that can make it was running."}
-        assert ask(session, ONE_AT_ONCE, VISITOR, tactile.episode()).state is PlaybackState.QUEUED
+        assert ask(session, ONE_AT_ONCE, VISITOR, tactile.episode()).state is WorkState.QUEUED
 
 
 def test_a_playback_is_of_a_family_whatever_has_become_of_its_tracks_file(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -287,7 +274,7 @@ def test_what_does_not_repeat_is_refused_and_nothing_is_queued(
         with pytest.raises(ServiceError, match=r"no playbacks of ManiSkill/PickCube-v1 .* do not repeat") as refused:
             ask(session, SETTINGS, CONSOLE, episode)
         assert refused.value.code is ProblemCode.INVALID_REQUEST
-        assert (find_playback(session, episode), queues_of_playbacks(session)) == (None, [])
+        assert (find_playback(session, episode), needed_by_playbacks(session)) == (None, [])
 
 
 def test_another_teams_episode_is_not_found(team_a: Played) -> None:
@@ -316,9 +303,8 @@ def test_a_view_says_what_is_before_it_and_whether_anybody_works(team_a: Played)
     second = team_a.ask(2)
     with team_a.database.transaction() as session:
         playback = session.get_one(Playback, second.id)
-        waiting = session.query(Shard).where(Shard.state == ShardState.QUEUED).count()
         view = playback_view(session, SETTINGS, playback)
-    assert view.waits_for == waiting + 1
+    assert view.waits_for == 1
     assert view.workers == 0
     assert (view.env_steps, view.env_steps_played) == (3, 0)
     assert not view.has_still

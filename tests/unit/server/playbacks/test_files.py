@@ -4,9 +4,11 @@ from pathlib import Path
 import pytest
 from asked_playbacks import Played
 from obstore.store import MemoryStore
+from service_factories import take
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.playbacks import work
-from vitac.server.playbacks.files import PlaybackFile, find_digest, read
+from vitac.server.playbacks.asking import PlaybackFile, find_digest
+from vitac.server.playbacks.work import read_file
 from vitac.server.storage.blobs import BlobStore
 
 SCENE = b"all that moves"
@@ -18,9 +20,7 @@ def made(team_a: Played) -> Played:
     """A playback without cameras and still."""
     playback = team_a.ask(1)
     with team_a.database.transaction() as session:
-        lease = work.claim(session, playback.id, 60.0)
-        assert lease is not None
-        work.end_made(session, lease, {"scene_sha256": DIGEST})
+        work.end_made(session, work.begin(session, take(session, playback.id)), {"scene_sha256": DIGEST})
     return team_a
 
 
@@ -34,7 +34,7 @@ def test_a_file_is_read_by_its_digest(made: Played, tmp_path: Path) -> None:
     path = tmp_path / "scene"
     path.write_bytes(SCENE)
     blobs.put(path, DIGEST)
-    assert read(made.database, blobs, digest(made, PlaybackFile.SCENE)) == SCENE
+    assert read_file(made.database, blobs, digest(made, PlaybackFile.SCENE)) == SCENE
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_a_file_that_was_not_made_is_not_found(made: Played, file: PlaybackFile,
 def test_a_playback_whose_file_is_lost_can_be_asked_for_again(made: Played) -> None:
     first = made.ask(1).id
     with pytest.raises(ServiceError) as refused:
-        read(made.database, BlobStore(MemoryStore()), DIGEST)
+        read_file(made.database, BlobStore(MemoryStore()), DIGEST)
     assert refused.value.code is ProblemCode.NOT_FOUND
     assert made.found(1) is None
     assert made.ask(1).id != first

@@ -1,6 +1,6 @@
 from collections.abc import Collection
 from datetime import UTC, datetime, timedelta
-from uuid import UUID
+from uuid import UUID, uuid4
 
 import pytest
 from asked_playbacks import SETTINGS, Played, played
@@ -8,7 +8,7 @@ from service_factories import TASK, complete_scored, make_score, sha256
 from sqlalchemy import update
 from sqlalchemy.orm import Session
 from vitac.server.database.models import EpisodeResult, Playback, Submission
-from vitac.server.database.states import PlaybackState
+from vitac.server.database.states import WorkState
 from vitac.server.leaderboards.public_pages import set_public
 from vitac.server.playbacks import recent
 from vitac.server.playbacks.recent import newest_public_episode
@@ -20,11 +20,14 @@ NOW = datetime(2026, 11, 22, 12, tzinfo=UTC)
 def make(team: Played, number: int, minutes: int, *, is_made: bool = True, file: str = "scene_sha256") -> None:
     """Has the playback of an episode asked for at some minute, and made."""
     playback = team.ask(number)
-    running = {"state": PlaybackState.RUNNING, "lease_expires_at": NOW}
-    made = {"state": PlaybackState.MADE, "lease_expires_at": None, file: sha256("file"), "finished_at": NOW}
+    running = {"state": WorkState.RUNNING, "worker_id": uuid4(), "lease_expires_at": NOW}
+    made = {"state": WorkState.DONE, "lease_expires_at": None, file: sha256("file"), "finished_at": NOW}
     with team.database.transaction() as session:
         for values in ({"asked_at": NOW + timedelta(minutes=minutes)}, *((running, made) if is_made else ())):
-            session.execute(update(Playback).where(Playback.id == playback.id).values(**values))
+            found = session.get_one(Playback, playback.id)
+            for name, value in values.items():
+                setattr(found, name, value)
+            session.flush()
 
 
 def show(team: Played, *, public: bool = True) -> None:
@@ -57,7 +60,7 @@ def test_the_newest_playback_of_a_complete_public_submission_is_shown(team_a: Pl
     assert found is not None
     assert (found.submission_id, found.shown.task, found.shown.episode) == (team_a.submission.id, TASK, 2)
     assert found.shown.playback is not None
-    assert found.shown.playback.state is PlaybackState.MADE
+    assert found.shown.playback.state is WorkState.DONE
     make(team_a, 3, minutes=2)
     make(team_a, 1, minutes=0)
     make(team_a, 4, minutes=3, is_made=False)

@@ -1,13 +1,13 @@
 from datetime import UTC, datetime
-from uuid import UUID
+from uuid import UUID, uuid4
 
 import pytest
 from asked_playbacks import SETTINGS, Played, played
 from service_factories import TASK, play, sha256, shard_ids
-from sqlalchemy import func, select, update
+from sqlalchemy import func, select
 from vitac.server.database.engine import Database
 from vitac.server.database.models import EpisodeResult, Playback
-from vitac.server.database.states import PlaybackState
+from vitac.server.database.states import WorkState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.leaderboards.public_pages import set_public
 from vitac.server.playbacks import stills
@@ -20,12 +20,15 @@ NOW = datetime(2026, 11, 22, 12, tzinfo=UTC)
 def draw(team: Played, number: int) -> None:
     """Has the playback of an episode made, with a still."""
     asked = team.ask(number)
-    running = {"state": PlaybackState.RUNNING, "lease_expires_at": NOW}
+    running = {"state": WorkState.RUNNING, "worker_id": uuid4(), "lease_expires_at": NOW}
     files = {"scene_sha256": sha256("scene"), "still_sha256": sha256("still")}
-    made = {"state": PlaybackState.MADE, "lease_expires_at": None, "finished_at": NOW, **files}
+    made = {"state": WorkState.DONE, "lease_expires_at": None, "finished_at": NOW, **files}
     with team.database.transaction() as session:
         for values in (running, made):
-            session.execute(update(Playback).where(Playback.id == asked.id).values(**values))
+            found = session.get_one(Playback, asked.id)
+            for name, value in values.items():
+                setattr(found, name, value)
+            session.flush()
 
 
 def test_the_first_episode_of_each_end_that_has_a_still_is_shown_to_whom_it_may_be(team_a: Played) -> None:

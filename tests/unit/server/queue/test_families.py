@@ -6,24 +6,22 @@ from typing import Any
 
 import pytest
 from cubes_track import FILE
-from service_factories import claim, make_principal, make_settings, shard_ids, submit, submit_to
-from sqlalchemy import text
+from service_factories import make_principal, make_settings, submit, submit_to
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 from submission_steps import make_worker, view_of
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.tracks.registry import find_version
 from vitac.evaluator.version import evaluator_version
 from vitac.server.database.engine import Database
-from vitac.server.database.models import Submission
-from vitac.server.evaluations.lifecycle import fail_by_machines
+from vitac.server.database.models import Submission, Work
+from vitac.server.database.states import WorkState
 from vitac.server.principals import CONSOLE
-from vitac.server.queue import leases
-from vitac.server.queue.jobs import queue_name
-from vitac.server.queue.sweep import sweep
+from vitac.server.queue.work import name_requirement
 from vitac.server.queue.workers import fleet
 from vitac.server.tracks import find_family
 
-TACTILE = queue_name(evaluator_version())
+TACTILE = name_requirement(evaluator_version())
 BOTH = ["tactile", "maniskill"]
 
 
@@ -40,22 +38,15 @@ def submission(database: Database) -> Submission:
         return submit_to(session, make_principal(session), track="cubes", task="pick-cube")
 
 
-def queue_of_cubes() -> str:
-    """The queue of the track beside ours, whose file makes its version another."""
+def requirement_of_cubes() -> str:
+    """The requirement of the track beside ours, whose file makes its version another."""
     assert find_version("cubes") != evaluator_version()
-    return queue_name(find_version("cubes"), Family.MANISKILL)
+    return name_requirement(find_version("cubes"), Family.MANISKILL)
 
 
 def waiting(session: Session) -> dict[str, int]:
-    """How many jobs wait in each queue."""
-    queues = session.scalars(text("SELECT queue_name FROM procrastinate_jobs WHERE status = 'todo'")).all()
-    return dict(Counter(queues))
-
-
-def test_families_have_queues_of_their_own_and_ours_keeps_its_name() -> None:
-    assert f"shards {evaluator_version()}" == TACTILE
-    others = [queue_name(evaluator_version(), family) for family in list(Family)[1:]]
-    assert others == [f"{TACTILE} {family}" for family in list(Family)[1:]]
+    """How many pieces of work wait for each requirement."""
+    return dict(Counter(session.scalars(select(Work.requires).where(Work.state == WorkState.QUEUED))))
 
 
 def test_the_family_of_a_task_follows_from_its_track_file(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,41 +57,11 @@ def test_the_family_of_a_task_follows_from_its_track_file(monkeypatch: pytest.Mo
     assert find_family("track_1", "gone") is Family.TACTILE
 
 
-def test_new_shards_wait_in_the_queue_of_their_family(database: Database, submission: Submission) -> None:
+def test_new_shards_wait_for_workers_of_their_family(database: Database, submission: Submission) -> None:
     with database.transaction() as session:
-        assert waiting(session) == {queue_of_cubes(): 2}
+        assert waiting(session) == {requirement_of_cubes(): 2}
         submit(session, make_principal(session, "Others"))
-        assert waiting(session) == {queue_of_cubes(): 2, TACTILE: 10}
-
-
-def test_shards_that_are_handed_back_and_those_that_are_found_again_stay_in_it(
-    database: Database, submission: Submission
-) -> None:
-    with database.transaction() as session:
-        ids = shard_ids(session, submission)
-        session.execute(text("DELETE FROM procrastinate_jobs"))
-    lease = claim(database, ids[0])
-    with database.transaction() as session:
-        leases.hand_back(session, lease, counts_as_attempt=False)
-        assert waiting(session) == {queue_of_cubes(): 1}
-    with database.transaction() as session:
-        session.execute(text("UPDATE shards SET queued_at = now() - interval '1 hour'"))
-        sweep(session, make_settings(), give_up=fail_by_machines)
-        assert waiting(session) == {queue_of_cubes(): 2}
-
-
-def test_a_lost_shard_comes_back_to_it(database: Database, submission: Submission) -> None:
-    with database.transaction() as session:
-        (first, *_) = shard_ids(session, submission)
-        session.execute(text("DELETE FROM procrastinate_jobs"))
-    claim(database, first)
-    with database.transaction() as session:
-        session.execute(
-            text("UPDATE shards SET lease_expires_at = now() - interval '1 hour' WHERE id = :id"), {"id": first}
-        )
-        sweep(session, make_settings(lease_s=0.003, lease_renewal_s=0.001), give_up=fail_by_machines)
-        assert waiting(session)[queue_of_cubes()] >= 1
-        assert TACTILE not in waiting(session)
+        assert waiting(session) == {requirement_of_cubes(): 2, TACTILE: 10}
 
 
 @pytest.mark.parametrize(
@@ -139,7 +100,7 @@ def test_pictures_and_physics_on_a_gpu_wait_for_workers_whose_machine_can(
         patch.setenv("VITAC_TRACKS_DIR", str(folder))
         with database.transaction() as session:
             seen = submit_to(session, make_principal(session), track="seen", task="pick-cube")
-            assert waiting(session) == {queue_name(find_version("seen"), Family(family)): 2}
+            assert waiting(session) == {name_requirement(find_version("seen"), Family(family)): 2}
         make_worker(database, families=BOTH)
         assert view_of(database, CONSOLE, seen).workers.missing_family == family
         make_worker(database, families=["tactile", family])

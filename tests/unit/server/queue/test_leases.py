@@ -1,16 +1,16 @@
-import threading
 from collections.abc import Callable
-from uuid import uuid4
 
 import pytest
-from service_factories import claim, finish, make_principal, make_record, shard_ids, store, submit, take_away
-from sqlalchemy import text
+from service_factories import claim, finish, make_principal, make_record, shard_ids, store, submit, take, take_away
+from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 from vitac.server.database.engine import Database
 from vitac.server.database.models import Shard
-from vitac.server.database.states import ShardState
-from vitac.server.queue import leases
-from vitac.server.queue.leases import Lease, LeaseLost
+from vitac.server.database.states import EvaluationState, WorkState
+from vitac.server.principals import CONSOLE
+from vitac.server.queue import leases, work
+from vitac.server.queue.work import LeaseLost
+from vitac.server.submissions import runs
 
 
 @pytest.fixture
@@ -19,40 +19,9 @@ def shard_id(database: Database) -> int:
         return shard_ids(session, submit(session, make_principal(session)))[0]
 
 
-def try_claim(database: Database, shard_id: int) -> Lease | None:
+def in_transaction(database: Database, change: Callable[[Session], object]) -> None:
     with database.transaction() as session:
-        return leases.claim(session, shard_id, uuid4(), 60.0)
-
-
-def test_one_of_many_claims_at_once_gets_the_shard(database: Database, shard_id: int) -> None:
-    got: list[Lease | None] = []
-    barrier = threading.Barrier(8)
-
-    def run() -> None:
-        barrier.wait()
-        got.append(try_claim(database, shard_id))
-
-    threads = [threading.Thread(target=run) for _ in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len([lease for lease in got if lease is not None]) == 1
-    assert len(got) == 8
-
-
-def test_finished_or_unknown_shard_cannot_be_claimed(database: Database, shard_id: int) -> None:
-    lease = claim(database, shard_id)
-    store(database, lease, (make_record(episode) for episode in lease.episodes))
-    finish(database, lease)
-    assert try_claim(database, shard_id) is None
-    assert try_claim(database, 10**9) is None
-
-
-def test_a_shard_of_another_evaluator_is_not_claimed(database: Database, shard_id: int) -> None:
-    with database.transaction() as session:
-        session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
-    assert try_claim(database, shard_id) is None
+        change(session)
 
 
 def test_worker_that_wakes_up_late_cannot_renew_store_finish_or_hand_back(database: Database, shard_id: int) -> None:
@@ -63,27 +32,44 @@ def test_worker_that_wakes_up_late_cannot_renew_store_finish_or_hand_back(databa
     attempts: tuple[Callable[[], None], ...] = (
         lambda: store(database, late, [make_record(1)]),
         lambda: finish(database, late),
-        lambda: in_transaction(database, lambda session: leases.renew(session, late, 60.0)),
-        lambda: in_transaction(database, lambda session: leases.hand_back(session, late, counts_as_attempt=False)),
+        lambda: in_transaction(database, lambda session: work.renew(session, late, 60.0)),
+        lambda: in_transaction(database, lambda session: work.hand_back(session, late)),
     )
     for attempt in attempts:
-        with pytest.raises(LeaseLost, match=f"Shard {shard_id}"):
+        with pytest.raises(LeaseLost, match=f"shard {shard_id} is no longer held under token 1"):
             attempt()
     store(database, new, (make_record(episode) for episode in new.episodes))
     finish(database, new)
 
 
-def in_transaction(database: Database, work: Callable[[Session], object]) -> None:
+def test_what_was_cancelled_after_its_claim_is_not_begun(database: Database, shard_id: int) -> None:
     with database.transaction() as session:
-        work(session)
+        claimed = take(session, shard_id)
+    with database.transaction() as session:
+        evaluation = session.get_one(Shard, shard_id).evaluation
+        runs.cancel(session, CONSOLE, evaluation.submission_id)
+    with pytest.raises(LeaseLost), database.transaction() as session:
+        leases.begin(session, claimed)
+    with database.transaction() as session:
+        assert session.get_one(Shard, shard_id).evaluation.state is EvaluationState.CANCELLED
 
 
 def test_shard_handed_back_waits_again_and_costs_no_attempt(database: Database, shard_id: int) -> None:
-    with database.transaction() as session:
-        session.execute(text("DELETE FROM procrastinate_jobs"))
     lease = claim(database, shard_id)
-    in_transaction(database, lambda session: leases.hand_back(session, lease, counts_as_attempt=False))
+    in_transaction(database, lambda session: work.hand_back(session, lease))
     with database.transaction() as session:
         shard = session.get_one(Shard, shard_id)
-        assert (shard.state, shard.attempts, shard.token) == (ShardState.QUEUED, 0, 1)
-        assert session.scalar(text("SELECT count(*) FROM procrastinate_jobs WHERE status = 'todo'")) == 1
+        assert (shard.state, shard.attempts, shard.token) == (WorkState.QUEUED, 0, 1)
+
+
+def test_work_is_not_done_without_its_result(database: Database, shard_id: int) -> None:
+    lease = claim(database, shard_id)
+    with pytest.raises(IntegrityError, match="done without a result"), database.transaction() as session:
+        work.end(session, lease, WorkState.DONE)
+
+
+def test_what_is_removed_with_its_evaluation_leaves_the_queue(database: Database, shard_id: int) -> None:
+    with database.transaction() as session:
+        before = work.count_open(session)
+        session.connection().exec_driver_sql("DELETE FROM shards")
+        assert (before > 0, work.count_open(session)) == (True, 0)

@@ -1,4 +1,5 @@
 import threading
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -14,26 +15,18 @@ from service_factories import (
     store,
     submit,
 )
-from sqlalchemy import select, text, update
+from sqlalchemy import text, update
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
-from vitac.envs.tasks.definition import Family
 from vitac.server.database.engine import Database
-from vitac.server.database.locks import AdvisoryLock, lock_evaluation
-from vitac.server.database.models import Shard, Submission, Team, Webhook
-from vitac.server.database.states import EvaluationState, ShardState
+from vitac.server.database.locks import AdvisoryLock
+from vitac.server.database.models import Shard, Submission, Team, Webhook, Work
+from vitac.server.database.states import EvaluationState, WorkKind, WorkState
 from vitac.server.evaluations.history import newest_evaluation
-from vitac.server.evaluations.lifecycle import fail_by_machines
-from vitac.server.queue import sweep as sweep_module
-from vitac.server.queue.jobs import (
-    enqueue_shards,
-    forget_jobs_of_ended_shards,
-    prune_finished_jobs,
-    queue_name,
-    withdraw_jobs,
-)
-from vitac.server.queue.leases import LeaseLost, lock_held
-from vitac.server.queue.sweep import IDLE_LIMIT, Sweep, sweep
+from vitac.server.evaluations.lifecycle import give_up
+from vitac.server.queue import work
+from vitac.server.queue.kinds import KINDS
+from vitac.server.queue.work import IDLE_LIMIT, LeaseLost, Sweep, lock_held, sweep
 from vitac.server.settings import Settings
 
 SETTINGS = make_settings(lease_s=0.003, lease_renewal_s=0.001)
@@ -55,18 +48,7 @@ def run_sweep(database: Database, settings: Settings = SETTINGS) -> Sweep:
     with database.transaction() as session:
         session.execute(text("SELECT pg_sleep(0.01)"))
         session.execute(text("SET LOCAL statement_timeout = '60s'"))  # else a sweep that waits would hang the test
-        return sweep(session, settings, give_up=fail_by_machines)
-
-
-def jobs(database: Database, status: str = "todo") -> list[int]:
-    query = "SELECT (args ->> 'shard_id')::bigint FROM procrastinate_jobs WHERE status::text = :status"
-    with database.transaction() as session:
-        return sorted(session.execute(text(query), {"status": status}).scalars())
-
-
-def forget_jobs(database: Database) -> None:
-    with database.transaction() as session:
-        session.execute(text("DELETE FROM procrastinate_jobs"))
+        return sweep(session, settings, give_up=give_up)
 
 
 def test_shard_with_an_expired_lease_is_queued_again_and_its_worker_fenced_off(
@@ -74,21 +56,21 @@ def test_shard_with_an_expired_lease_is_queued_again_and_its_worker_fenced_off(
 ) -> None:
     first = ids_of(database, submission)[0]
     lost = claim(database, first, lease_s=0.001)
-    forget_jobs(database)
     assert run_sweep(database).queued_again == 1
-    assert first in jobs(database)
     with pytest.raises(LeaseLost):
         store(database, lost, [make_record(1)])
     play(database, first)
 
 
-@pytest.mark.parametrize(("family", "attempts"), [(Family.STATION, 0), (Family.TACTILE, 1)])
+@pytest.mark.parametrize(("kind", "attempts"), [(WorkKind.TRIAL, 0), (WorkKind.SHARD, 1)])
 def test_lost_worker_is_noted_and_costs_a_trial_of_a_station_no_attempt_up_to_a_limit(
-    database: Database, submission: Submission, monkeypatch: pytest.MonkeyPatch, family: Family, attempts: int
+    database: Database, submission: Submission, monkeypatch: pytest.MonkeyPatch, kind: WorkKind, attempts: int
 ) -> None:
-    monkeypatch.setattr(sweep_module, "find_family", lambda *_: family)
-    monkeypatch.setattr(sweep_module, "TRIAL_LOSSES", SETTINGS.shard_attempts)
+    trial = replace(KINDS[WorkKind.TRIAL], free_losses=SETTINGS.shard_attempts)
+    monkeypatch.setattr(work, "KINDS", {**KINDS, WorkKind.TRIAL: trial})
     first = ids_of(database, submission)[0]
+    with database.transaction() as session:
+        session.execute(text("UPDATE work SET kind = :kind WHERE id = :id"), {"kind": kind, "id": first})
     claim(database, first, lease_s=0.001)
     assert run_sweep(database) == Sweep(queued_again=1)
     with database.transaction() as session:
@@ -108,7 +90,7 @@ def test_shard_with_a_living_lease_is_left_alone(database: Database, submission:
     claim(database, first, lease_s=60.0)
     assert run_sweep(database).queued_again == 0
     with database.transaction() as session:
-        assert state_of(session, first) is ShardState.RUNNING
+        assert state_of(session, first) is WorkState.RUNNING
 
 
 def test_right_after_a_restart_of_the_database_workers_get_time_to_renew(
@@ -120,26 +102,19 @@ def test_right_after_a_restart_of_the_database_workers_get_time_to_renew(
     assert run_sweep(database, long_lease).queued_again == 0
 
 
-@pytest.mark.parametrize("held", ["evaluation", "shard"])
 def test_a_process_that_stands_still_with_a_lock_keeps_no_other_shard_from_being_found(
-    database: Database, submission: Submission, held: str
+    database: Database, submission: Submission
 ) -> None:
     with database.transaction() as session:
         other = submit(session, make_principal(session, "Team B"), "other")
     first, second = ids_of(database, submission)[0], ids_of(database, other)[0]
     lost = [claim(database, shard, lease_s=0.001) for shard in (first, second)]
-    forget_jobs(database)
     with database.transaction() as stuck:
-        if held == "evaluation":
-            lock_evaluation(stuck, lost[0].evaluation_id)
-        else:
-            lock_held(stuck, lost[0])
-        done = run_sweep(database)
-        assert (done.queued_again, done.given_up) == (1, 0)
+        lock_held(stuck, lost[0])
+        assert run_sweep(database) == Sweep(queued_again=1)
         with database.transaction() as session:
-            assert [state_of(session, shard) for shard in (first, second)] == [ShardState.RUNNING, ShardState.QUEUED]
+            assert [state_of(session, shard) for shard in (first, second)] == [WorkState.RUNNING, WorkState.QUEUED]
     assert run_sweep(database).queued_again == 1
-    assert set(jobs(database)) >= {first, second}
 
 
 @pytest.mark.parametrize("held", [Shard, Team])
@@ -155,12 +130,12 @@ def test_an_evaluation_that_cannot_be_given_up_now_keeps_no_other_shard_from_bei
         claim(database, shard, lease_s=0.001)
     with database.transaction() as session:
         last = {"token": SETTINGS.shard_attempts, "attempts": SETTINGS.shard_attempts}
-        session.execute(update(Shard).where(Shard.id == first).values(last))
+        session.execute(update(Work).where(Work.id == first).values(last))
     with database.transaction() as stuck:
         stuck.get_one(held, sibling if held is Shard else submission.team_id, with_for_update=True)
         assert run_sweep(database) == Sweep(queued_again=1)
         with database.transaction() as session:
-            assert [state_of(session, shard) for shard in lost] == [ShardState.RUNNING, ShardState.QUEUED]
+            assert [state_of(session, shard) for shard in lost] == [WorkState.RUNNING, WorkState.QUEUED]
             assert newest_evaluation(session, submission).state is EvaluationState.RUNNING
     assert run_sweep(database) == Sweep(given_up=1)
     with database.transaction() as session:
@@ -174,7 +149,7 @@ def test_a_sweep_that_stands_still_is_ended_by_the_database_and_another_takes_ov
     shard = ids_of(database, submission)[0]
     claim(database, shard, lease_s=0.001)
     with Session(database.engine) as stopped:
-        assert sweep(stopped, SETTINGS, give_up=fail_by_machines).queued_again == 1
+        assert sweep(stopped, SETTINGS, give_up=give_up).queued_again == 1
         assert stopped.scalar(text("SHOW idle_in_transaction_session_timeout")) == IDLE_LIMIT
         stopped.execute(text("SET LOCAL idle_in_transaction_session_timeout = '20ms'"))
         ended = threading.Event()
@@ -183,7 +158,7 @@ def test_a_sweep_that_stands_still_is_ended_by_the_database_and_another_takes_ov
         with pytest.raises(DBAPIError):
             stopped.execute(text("SELECT 1"))
     with database.transaction() as session:
-        assert state_of(session, shard) is ShardState.QUEUED
+        assert state_of(session, shard) is WorkState.QUEUED
 
 
 def test_evaluation_fails_by_name_when_a_shard_was_lost_in_all_its_attempts(
@@ -199,9 +174,8 @@ def test_evaluation_fails_by_name_when_a_shard_was_lost_in_all_its_attempts(
         evaluation = newest_evaluation(session, submission)
         assert evaluation.state is EvaluationState.FAILED
         assert evaluation.verdict_code == "machine_failed"
-        assert "Episodes 1 to 27 of peg-insertion were started 3 times" in (evaluation.verdict_message or "")
-        assert {shard.state for shard in evaluation.shards} == {ShardState.CANCELLED}
-    assert jobs(database) == []
+        assert "Episodes 1 to 27 of peg-insertion: Started 3 times" in (evaluation.verdict_message or "")
+        assert {shard.state for shard in evaluation.shards} == {WorkState.CANCELLED}
 
 
 def test_shard_is_never_given_up_as_long_as_each_attempt_stores_an_episode(
@@ -226,83 +200,24 @@ def lose(database: Database, shard_id: int) -> Sweep:
     return run_sweep(database)
 
 
-def test_queued_shard_whose_job_was_lost_gets_a_new_one_once(database: Database, submission: Submission) -> None:
-    forget_jobs(database)
-    assert run_sweep(database).woken == 10
-    assert jobs(database) == ids_of(database, submission)
-    assert run_sweep(database).woken == 0
-
-
-def test_job_that_was_just_taken_is_given_time_to_claim_its_shard(database: Database, submission: Submission) -> None:
-    with database.transaction() as session:
-        session.execute(text("UPDATE procrastinate_jobs SET status = 'doing'"))
-        session.execute(text("UPDATE shards SET queued_at = now() - interval '1 day'"))
-    assert run_sweep(database, make_settings(lease_s=60.0)).woken == 0
-    with database.transaction() as session:
-        session.execute(text("UPDATE procrastinate_events SET at = now() - interval '1 day'"))
-    assert run_sweep(database, make_settings(lease_s=60.0)).woken == 10
-
-
 def test_two_sweeps_at_once_do_the_work_of_one(database: Database, submission: Submission) -> None:
-    forget_jobs(database)
+    claim(database, ids_of(database, submission)[0], lease_s=0.001)
     with database.transaction() as session:
         session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": AdvisoryLock.SWEEP})
         assert run_sweep(database) == Sweep()
-    assert run_sweep(database).woken == 10
+    assert run_sweep(database) == Sweep(queued_again=1)
 
 
-def test_jobs_left_running_by_a_dead_worker_are_forgotten(database: Database, submission: Submission) -> None:
-    with database.transaction() as session:
-        session.execute(text("UPDATE procrastinate_jobs SET status = 'doing'"))
-    run_sweep(database)
-    assert jobs(database, "doing") == []
-    assert jobs(database) == ids_of(database, submission)
-
-
-def test_finished_jobs_are_pruned_by_age(database: Database, submission: Submission) -> None:
-    with database.transaction() as session:
-        session.execute(text("UPDATE procrastinate_jobs SET status = 'doing'"))
-        session.execute(text("UPDATE procrastinate_jobs SET status = 'succeeded'"))
-    with database.transaction() as session:
-        assert prune_finished_jobs(session, timedelta(hours=1)) == 0
-        assert prune_finished_jobs(session, timedelta(0)) == 10
-
-
-MANY = 2000
-
-
-@pytest.fixture
-def long_queue(database: Database, submission: Submission) -> Database:
-    """A queue of many more shards than the nine of a submission, each with its job."""
+def test_a_sweep_reads_only_what_runs(database: Database, submission: Submission) -> None:
+    many = 2000
     more = """
-        INSERT INTO shards (evaluation_id, task, number, episodes, state, token, attempts)
-        SELECT id, 'more', number, ARRAY[number], 'queued', 0, 0 FROM evaluations, generate_series(1, :many) number
+        INSERT INTO work (kind, owner, requires, priority)
+        SELECT 'shard', 'team', 'nobody', 5 FROM generate_series(1, :many)
     """
     with database.transaction() as session:
-        session.execute(text(more), {"many": MANY})
-        added = session.scalars(select(Shard.id).where(Shard.task == "more")).all()
-        queue = queue_name(newest_evaluation(session, submission).evaluator_version)
-        enqueue_shards(session, added, queue, priority=0)
+        session.execute(text(more), {"many": many})
     with database.transaction() as session:
-        session.execute(text("ANALYZE"))
-    return database
-
-
-def test_work_of_a_sweep_grows_with_the_queue_and_not_with_its_square(long_queue: Database) -> None:
-    with long_queue.transaction() as session:
-        session.execute(text("SELECT pg_sleep(0.01)"))
-        with database_work(session) as work:
-            assert sweep(session, SETTINGS, give_up=fail_by_machines) == Sweep()
-    assert work.rows_read["procrastinate_jobs"] < 5 * MANY
-    assert work.rows_read["shards"] < 5 * MANY
-
-
-def test_jobs_are_withdrawn_and_forgotten_without_reading_the_queue(
-    long_queue: Database, submission: Submission
-) -> None:
-    ids = ids_of(long_queue, submission)[:10]
-    with long_queue.transaction() as session, database_work(session) as work:
-        withdraw_jobs(session, ids)
-        forget_jobs_of_ended_shards(session)
-    assert len(jobs(long_queue)) == MANY
-    assert work.rows_read["procrastinate_jobs"] < 50
+        session.execute(text("ANALYZE work"))
+        with database_work(session) as done:
+            assert sweep(session, SETTINGS, give_up=give_up) == Sweep()
+    assert done.rows_read["work"] <= 2 * many

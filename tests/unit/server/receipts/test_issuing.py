@@ -103,7 +103,9 @@ def test_a_result_that_is_not_stored_leaves_no_gap(database: Database, monkeypat
     monkeypatch.undo()
     with database.transaction() as session:
         assert count_entries(session) == 1, "that of the submission"
-        session.execute(text("UPDATE shards SET state = 'queued', lease_expires_at = NULL WHERE state = 'running'"))
+        session.execute(
+            text("UPDATE work SET state = 'queued', lease_expires_at = NULL, worker_id = NULL WHERE state = 'running'")
+        )
     play(database, last)
     with database.transaction() as session:
         assert [entry.number for entry in list_entries(session)] == [1, 2]

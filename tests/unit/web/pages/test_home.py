@@ -14,7 +14,7 @@ from played_episodes import KEY, a_playback, a_shown_episode, real_files
 from visits import COMPLETED
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server.api.conditional import compress
-from vitac.server.playbacks.files import PlaybackFile
+from vitac.server.playbacks.asking import PlaybackFile
 from vitac.server.views.competition import CompetitionTrackView, CompetitionView, StageView
 from vitac.server.views.messages import AnnouncementView
 from vitac.server.views.playbacks import PublicEpisodeView, StillView

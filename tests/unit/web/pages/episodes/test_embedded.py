@@ -4,7 +4,7 @@ from page_fixtures import TASK
 from page_service import FixedData
 from played_episodes import KEY, a_playback, a_shown_episode
 from visits import COMPLETED, sign_in
-from vitac.server.database.states import PlaybackState
+from vitac.server.database.states import WorkState
 from vitac.web.headers import HEADERS
 from vitac.web.pages.episodes.embedded import CLOSED
 
@@ -26,7 +26,7 @@ def test_a_public_episode_stands_in_frames_of_other_sites_and_nothing_else_does(
 ) -> None:
     embedded = browser.get(f"/embed{published}")
     assert embedded.status_code == 200
-    assert f'data-playback="/embed{published}/playback" data-state="made" data-version="{KEY}"' in embedded.text
+    assert f'data-playback="/embed{published}/playback" data-state="done" data-version="{KEY}"' in embedded.text
     assert f'href="{published}" target="_blank"' in embedded.text
     assert "frame-ancestors *" in embedded.headers["content-security-policy"]
     assert "x-frame-options" not in embedded.headers
@@ -62,7 +62,7 @@ def test_a_visitor_asks_for_what_was_not_made_yet(data: FixedData, browser: Asgi
     assert (answer.status_code, answer.headers["location"]) == (303, f"/embed{published}")
     playback = data.episodes[place].playback
     assert playback is not None
-    assert playback.state is PlaybackState.QUEUED
+    assert playback.state is WorkState.QUEUED
 
 
 def test_code_for_frames_is_offered_where_everybody_may_see_the_episode(

@@ -6,8 +6,8 @@ from played_episodes import KEY, a_playback, a_shown_episode
 from visits import COMPLETED, QUEUED, form_token, sign_in
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.tracks import load_track
-from vitac.server.database.states import PlaybackState
-from vitac.server.playbacks.files import PlaybackFile
+from vitac.server.database.states import WorkState
+from vitac.server.playbacks.asking import PlaybackFile
 from vitac.web.pages.episodes import page
 from vitac.web.pages.episodes.page import EpisodeAddress, progress
 
@@ -26,15 +26,15 @@ def built_player(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(page, "player_script", lambda: "live.js")
 
 
-def show(data: FixedData, state: PlaybackState | None, number: int = 5) -> str:
+def show(data: FixedData, state: WorkState | None, number: int = 5) -> str:
     playback = None if state is None else a_playback(state)
     return data.show(COMPLETED.id, a_shown_episode(playback, number=number))
 
 
 def test_a_made_playback_is_played_with_the_still_for_those_who_cannot(data: FixedData, visitor: AsgiBrowser) -> None:
-    path = show(data, PlaybackState.MADE)
+    path = show(data, WorkState.DONE)
     html = visitor.get(path).text
-    assert f'data-playback="{path}/playback" data-state="made" data-version="{KEY}"' in html
+    assert f'data-playback="{path}/playback" data-state="done" data-version="{KEY}"' in html
     assert f'src="{path}/playback/still?v={KEY}"' in html
     assert "trapezoid, x −4.00 mm, y −2.00 mm, turned +2.00°" in html
     assert "Solved in 3 env steps." in html
@@ -66,7 +66,7 @@ def test_a_film_is_asked_for_and_waits_as_other_playbacks_do(data: FixedData, vi
     html = visitor.get(path).text
     assert ("Make the playback" in html, 'data-state=""' in html) == (True, True)
     place = next(iter(data.episodes))
-    nobody = a_playback(PlaybackState.QUEUED, family=Family.MANISKILL_PICTURES, workers=0)
+    nobody = a_playback(WorkState.QUEUED, family=Family.MANISKILL_PICTURES, workers=0)
     data.episodes[place] = a_shown_episode(nobody, task="pick-cube")
     assert (
         "no running worker can draw ManiSkill’s environments, which takes its packages and a Vulkan"
@@ -117,7 +117,7 @@ def test_the_script_asks_and_follows_by_json(data: FixedData, visitor: AsgiBrows
     assert visitor.get(path, headers=JSON).status_code == 404
     asked = visitor.post(path, data={"form_token": form_token(visitor)}, headers=JSON).json()
     assert asked["state"] == "queued"
-    assert asked["text"].startswith("Waiting: 2 shards and playbacks come first")
+    assert asked["text"].startswith("2 other playbacks are made first")
     assert visitor.get(path, headers=JSON).json() == asked
 
 
@@ -129,9 +129,9 @@ def test_one_playback_too_many_is_refused_with_the_reason(data: FixedData, visit
     assert "At most 4 playbacks are possible." in answer.text
 
 
-@pytest.mark.parametrize("state", [PlaybackState.QUEUED, PlaybackState.RUNNING])
+@pytest.mark.parametrize("state", [WorkState.QUEUED, WorkState.RUNNING])
 def test_a_page_that_waits_reloads_itself_without_javascript(
-    data: FixedData, visitor: AsgiBrowser, state: PlaybackState, monkeypatch: pytest.MonkeyPatch
+    data: FixedData, visitor: AsgiBrowser, state: WorkState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = show(data, state)
     refresh = '<meta http-equiv="refresh" content="3">'
@@ -144,24 +144,28 @@ def test_a_page_that_waits_reloads_itself_without_javascript(
 
 
 def test_a_failed_playback_says_why(data: FixedData, visitor: AsgiBrowser) -> None:
-    html = visitor.get(show(data, PlaybackState.FAILED)).text
+    html = visitor.get(show(data, WorkState.FAILED)).text
     assert "There is no playback of this episode. The states differ." in html
     assert "http-equiv" not in html
 
 
 def test_progress_says_what_comes_first_and_how_far_it_is() -> None:
-    assert progress(a_playback(PlaybackState.QUEUED, waits_for=0)) == "Waiting for a worker."
-    assert progress(a_playback(PlaybackState.QUEUED, workers=0)) == "Waiting: no worker is running."
+    next_one = "This playback is made next, as soon as a worker is free; usually within a minute."
+    assert progress(a_playback(WorkState.QUEUED, waits_for=0)) == next_one
+    for count, others in ((1, "Another playback is"), (32, "32 other playbacks are")):
+        waiting = progress(a_playback(WorkState.QUEUED, waits_for=count))
+        assert waiting == f"{others} made first, usually in some seconds each."
+    assert progress(a_playback(WorkState.QUEUED, workers=0)) == "Waiting: no worker is running."
     for family in set(Family) - {Family.TACTILE}:  # also one to which a track's file was changed since
-        stuck = a_playback(PlaybackState.QUEUED, family=family, workers=0)
+        stuck = a_playback(WorkState.QUEUED, family=family, workers=0)
         assert progress(stuck).startswith("Waiting: no running worker can draw"), family
-    assert progress(a_playback(PlaybackState.RUNNING, env_steps_played=2)) == "Being made: env step 2 of 3."
-    assert progress(a_playback(PlaybackState.MADE)) == ""
+    assert progress(a_playback(WorkState.RUNNING, env_steps_played=2)) == "Being made: env step 2 of 3."
+    assert progress(a_playback(WorkState.DONE)) == ""
 
 
 def test_two_episodes_stand_side_by_side(data: FixedData, visitor: AsgiBrowser) -> None:
-    path = show(data, PlaybackState.MADE)
-    other = show(data, PlaybackState.MADE, number=6)
+    path = show(data, WorkState.DONE)
+    other = show(data, WorkState.DONE, number=6)
     for query in ("beside=6", f"beside={COMPLETED.id}:6", "of=&beside=6", f"of={COMPLETED.id}&beside=6"):
         html = visitor.get(f"{path}?{query}").text
         assert f'data-playback="{path}/playback"' in html
@@ -178,7 +182,7 @@ def test_the_result_beside_is_in_the_list_also_where_it_was_not_offered() -> Non
 
 @pytest.mark.parametrize("beside", ["six", "-6", "6 7", "x:6", ":", "99999999"])
 def test_what_names_no_episode_is_refused(data: FixedData, visitor: AsgiBrowser, beside: str) -> None:
-    answer = visitor.get(f"{show(data, PlaybackState.MADE)}?beside={beside}")
+    answer = visitor.get(f"{show(data, WorkState.DONE)}?beside={beside}")
     assert answer.status_code == 400
     assert "Expected an episode as NUMBER" in answer.text
 
@@ -210,13 +214,13 @@ def test_foreign_missing_and_malformed_episodes_look_alike(data: FixedData, visi
 
 @pytest.mark.parametrize("below", ["", "/playback", "/playback/scene"])
 def test_who_is_not_signed_in_is_asked_to(data: FixedData, browser: AsgiBrowser, below: str) -> None:
-    answer = browser.get(show(data, PlaybackState.MADE) + below)
+    answer = browser.get(show(data, WorkState.DONE) + below)
     assert answer.status_code == 303
     assert answer.headers["location"].startswith("/sign-in?next=")
 
 
 def test_files_are_kept_by_the_browser_under_their_key_only(data: FixedData, visitor: AsgiBrowser) -> None:
-    folder = f"{show(data, PlaybackState.MADE)}/playback"
+    folder = f"{show(data, WorkState.DONE)}/playback"
     scene = visitor.get(f"{folder}/scene?v={KEY}")
     assert scene.content.startswith(b"VITACPB1")  # unpacked on the way, as a browser does
     assert scene.headers["cache-control"] == "private, max-age=31536000, immutable"
@@ -227,4 +231,4 @@ def test_files_are_kept_by_the_browser_under_their_key_only(data: FixedData, vis
 
 @pytest.mark.parametrize("file", ["cameras", "other", "..%2F..%2Fkey"])
 def test_a_file_that_is_not_there_is_not_found(data: FixedData, visitor: AsgiBrowser, file: str) -> None:
-    assert visitor.get(f"{show(data, PlaybackState.MADE)}/playback/{file}").status_code == 404
+    assert visitor.get(f"{show(data, WorkState.DONE)}/playback/{file}").status_code == 404

@@ -9,8 +9,8 @@ from vitac.evaluator.package_sets import PackageSet, locked_versions
 from vitac.evaluator.tracks.registry import find_version
 from vitac.evaluator.version import evaluator_version
 from vitac.server.queue.declared import explain_other_evaluator, explain_other_tracks
-from vitac.server.queue.jobs import queue_name
-from vitac.worker import families, fitness
+from vitac.server.queue.work import name_requirement
+from vitac.worker import capabilities
 
 
 @pytest.fixture(autouse=True)
@@ -18,7 +18,7 @@ def cubes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A track of ManiSkill beside ours, on a machine that can run it."""
     (tmp_path / "cubes.yaml").write_text(FILE)
     monkeypatch.setenv("VITAC_TRACKS_DIR", str(tmp_path))
-    monkeypatch.setattr(families, "abilities", lambda: Abilities(physics=True, pictures=True))
+    monkeypatch.setattr(capabilities, "abilities", lambda: Abilities(physics=True, pictures=True))
 
 
 def install(monkeypatch: pytest.MonkeyPatch, **other: str) -> None:
@@ -28,29 +28,29 @@ def install(monkeypatch: pytest.MonkeyPatch, **other: str) -> None:
         locked = locked_versions([PackageSet.BASE, *declared])
         return PolicyPackages(versions={name: versions[0] for name, versions in locked.items()} | other, binds=())
 
-    monkeypatch.setattr(fitness, "installed_packages", found)
+    monkeypatch.setattr(capabilities, "installed_packages", found)
 
 
 def test_a_worker_with_the_declared_packages_takes_shards_of_all_tracks(monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, torch="2.13.0+cpu")
-    assert fitness.explain_unfit({}) == ""
-    assert fitness.fit_families() == (Family.TACTILE, Family.MANISKILL, Family.MANISKILL_PICTURES)
-    assert queue_name(find_version("cubes"), Family.MANISKILL) in fitness.queues_here()
+    assert capabilities.explain_unfit({}) == ""
+    assert capabilities.fit_families() == (Family.TACTILE, Family.MANISKILL, Family.MANISKILL_PICTURES)
+    assert name_requirement(find_version("cubes"), Family.MANISKILL) in capabilities.list_abilities()
 
 
 def test_a_worker_with_another_torch_takes_shards_of_the_tracks_that_show_none(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     install(monkeypatch, torch="2.12.0")
-    assert fitness.explain_unfit({}) == (
+    assert capabilities.explain_unfit({}) == (
         "Takes no shards of maniskill: its policies would see other packages than it declares: torch is 2.12.0, "
         "expected 2.13.0. Install the expected versions beside the worker and start it again."
     )
-    assert fitness.fit_families() == (Family.TACTILE,)
-    queues = fitness.queues_here()
-    assert queue_name(evaluator_version()) in queues
-    assert queue_name(evaluator_version(), Family.MANISKILL) not in queues
-    assert queue_name(find_version("cubes"), Family.MANISKILL) in queues
+    assert capabilities.fit_families() == (Family.TACTILE,)
+    abilities = capabilities.list_abilities()
+    assert name_requirement(evaluator_version()) in abilities
+    assert name_requirement(evaluator_version(), Family.MANISKILL) not in abilities
+    assert name_requirement(find_version("cubes"), Family.MANISKILL) in abilities
 
 
 @pytest.mark.parametrize("here", ["other", "none"])
@@ -68,7 +68,7 @@ def test_a_worker_whose_track_file_is_not_the_services_says_which(
         monkeypatch.setenv("VITAC_TRACKS_DIR", str(folder))
     assert explain_other_evaluator(declared) is None
     assert list(explain_other_tracks(declared)) == ["cubes"]
-    said = fitness.explain_unfit(declared)
+    said = capabilities.explain_unfit(declared)
     got = find_version("cubes") if here == "other" else "none"
     assert f"cubes: the service has version {declared['cubes']} of it, this worker {got}." in said
     assert "VITAC_TRACKS_DIR" in said
@@ -77,3 +77,24 @@ def test_a_worker_whose_track_file_is_not_the_services_says_which(
 def test_a_service_that_has_declared_nothing_takes_every_worker() -> None:
     assert explain_other_evaluator({}) is None
     assert explain_other_tracks({}) == {}
+
+
+T, STATE, PICTURES, CUDA, _ = Family
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        (Abilities(), (T,)),
+        (Abilities(physics=True), (T, STATE)),
+        (Abilities(physics=True, pictures=True), (T, STATE, PICTURES)),
+        (Abilities(physics=True, cuda=True), (T, STATE)),
+        (Abilities(physics=True, pictures=True, cuda=True), (T, STATE, PICTURES, CUDA)),
+        (Abilities(pictures=True, cuda=True), (T,)),
+    ],
+)
+def test_a_worker_can_run_what_its_machine_has_the_packages_and_drivers_for(
+    monkeypatch: pytest.MonkeyPatch, found: Abilities, expected: tuple[Family, ...]
+) -> None:
+    monkeypatch.setattr(capabilities, "abilities", lambda: found)
+    assert capabilities.families_here() == expected
