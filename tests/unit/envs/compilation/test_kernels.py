@@ -1,9 +1,12 @@
 """Kernels without reference counts neither make nor return arrays: one that did would leak or use freed memory."""
 
 import importlib
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
+import numba
 import numpy as np
 import pytest
 import vitac.envs
@@ -87,3 +90,19 @@ def pick(x: FloatArray, i: int) -> float:
 
 def test_a_kernel_outside_of_the_physics_may_count_from_the_back() -> None:
     assert pick(np.arange(5.0)[:3], -1) == 2.0
+
+
+def test_another_version_of_numba_gives_the_same_numbers_by_its_own_dispatcher(tmp_path: Path) -> None:
+    script = (
+        "import sys, numba\n"
+        "numba.__version__ = sys.argv[1]\n"
+        "from vitac.envs.fem.contact import barrier\n"
+        "print(barrier.barrier(3e-5, 1e-4), 'vitac.envs.compilation.numba_internals' in sys.modules)\n"
+    )
+    ours, plain = (
+        subprocess.run([sys.executable, "-c", script, version], check=True, capture_output=True, text=True)
+        for version in (numba.__version__, "9.99.0")
+    )
+    assert ours.stdout.endswith(" True\n")
+    assert plain.stdout == ours.stdout.replace(" True", " False")
+    assert plain.stderr.count("Numba 9.99.0 is not one of") == 1

@@ -9,10 +9,14 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from cloned_sources import clone, run_with
 from llvmlite import binding  # type: ignore[import-untyped]
+from numba.np import arrayobj
+from vitac.envs.compilation.numba_internals import indices_as_written
 
 SMALL_KERNELS = """
 from vitac.envs.fem import algebra
@@ -46,7 +50,7 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("fem/contact/barrier.py", BARRIER),
         ("fem/algebra.py", ALL_SMALL),
         ("fem/contact/distance.py", []),
-        ("compilation/kernels.py", ALL_SMALL),
+        ("compilation/numba_internals.py", ALL_SMALL),
     ],
 )
 def test_a_changed_module_is_compiled_with_what_depends_on_it(
@@ -116,3 +120,27 @@ def test_a_full_disk_does_not_fail_the_physics(tmp_path: Path) -> None:
     assert done.stderr.count("Compiling the physics into") == 1
     assert done.stderr.count("cannot be stored") == 1
     assert small_compiled_by(sources, cache) == ALL_SMALL
+
+
+PHYSICS, MARKERS = "vitac.envs.fem.contact.ccd", "vitac.envs.tactile.markers"
+
+
+def moved(context: Any, builder: Any, index: Any) -> Any:
+    return context, builder, index
+
+
+def test_only_the_physics_takes_indices_as_written_also_where_one_kernel_calls_another() -> None:
+    numbas_own = arrayobj.fix_integer_index
+    with indices_as_written(PHYSICS):
+        assert arrayobj.fix_integer_index is not numbas_own
+        with indices_as_written(MARKERS):
+            assert arrayobj.fix_integer_index is numbas_own
+        assert arrayobj.fix_integer_index is not numbas_own
+    assert arrayobj.fix_integer_index is numbas_own
+
+
+@pytest.mark.parametrize("compiler", [SimpleNamespace(), SimpleNamespace(fix_integer_index=moved)])
+def test_a_numba_that_fixes_indices_otherwise_is_left_alone(compiler: SimpleNamespace) -> None:
+    before = {**vars(compiler)}
+    with indices_as_written(PHYSICS, compiler):
+        assert vars(compiler) == before
