@@ -37,8 +37,8 @@ from vitac.server.accounts import teams, tokens
 from vitac.server.database.models import EpisodeResult, Evaluation, Submission
 from vitac.server.database.states import EvaluationState, Role
 from vitac.server.evaluations.episode_store import EpisodeKey
+from vitac.server.evaluations.logs import LogClaim
 from vitac.server.evaluations.scores import store_scores
-from vitac.server.logs.claims import LogClaim
 from vitac.server.principals import CONSOLE
 from vitac.server.services import Services, open_services
 from vitac.server.settings import load_settings

@@ -43,8 +43,8 @@ from vitac.server.queue import leases, work, workers
 from vitac.server.services import Services, open_services
 from vitac.server.settings import load_settings
 from vitac.server.submissions import creation, listing, runs
-from vitac.server.uploads.acceptance import accept
-from vitac.server.uploads.intake import ReceivedFile
+from vitac.server.submissions.intake import ReceivedFile
+from vitac.server.submissions.kinds import accept
 from vitac.worker.record_store import TOGETHER_S
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -22,7 +22,7 @@ from typing import Any
 import httpx
 import numpy as np
 from vitac.cli.client.http import Client
-from vitac.cli.client.packing import pack
+from vitac.cli.client.pieces import pack
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "peg_insertion_heuristic" / "Track_1"
 MAIN = "from vitac.cli.main import main; main()"

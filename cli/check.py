@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal.ignored import note_ignored_folders
-from .terminal.output import AsJson, print_json
+from .terminal.output import AsJson, note_ignored_folders, print_json
 
 if TYPE_CHECKING:
     from vitac.evaluator.episodes.records import EpisodeRecord

@@ -11,9 +11,7 @@ from vitac.envs.errors import VitacError
 
 from .client.answers import pick
 from .client.http import make_client
-from .terminal.options import Server, TokenFile
-from .terminal.outcomes import print_meanings
-from .terminal.output import AsJson, print_json, print_pairs, print_table
+from .terminal.output import AsJson, Server, TokenFile, print_json, print_meanings, print_pairs, print_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -7,9 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from .terminal.existing import existing
-from .terminal.options import Processes, Ray
-from .terminal.output import AsJson, print_json, print_table
+from .terminal.output import AsJson, Processes, Ray, existing, print_json, print_table
 
 app = typer.Typer(no_args_is_help=True)
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal.ignored import note_ignored_folders
-from .terminal.options import Episodes, Workers
+from .terminal.output import Episodes, Workers, note_ignored_folders
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal.existing import existing_file
-from .terminal.output import AsJson, print_json, print_table
+from .terminal.output import AsJson, existing_file, print_json, print_table
 
 if TYPE_CHECKING:
     from vitac.evaluator.episodes.records import EpisodeRecord
@@ -25,7 +24,7 @@ def show(log: LogFile, json: AsJson = False) -> None:
     from vitac.evaluator.episodes.records import NOT_HASHED
     from vitac.evaluator.scoring.score import score
 
-    from .terminal.outcomes import print_meanings
+    from .terminal.output import print_meanings
 
     header, records = _read(log)
     claimed = score(records) if records else None

@@ -54,17 +54,22 @@ NOUNS = (
         summary="Collect demonstrations, and make and check data sets of them.",
         extra="data",
     ),
-    Noun(name="register", module="client.register", summary="Register a team at a service."),
-    Noun(name="login", module="client.login", summary="Store a team's token for later commands."),
-    Noun(name="logout", module="client.logout", summary="Delete the stored token."),
-    Noun(name="whoami", module="client.whoami", summary="Show team, token and quotas."),
+    Noun(name="register", module="client.account", app="register", summary="Register a team at a service."),
+    Noun(name="login", module="client.account", app="login", summary="Store a team's token for later commands."),
+    Noun(name="logout", module="client.account", app="logout", summary="Delete the stored token."),
+    Noun(name="whoami", module="client.account", app="whoami", summary="Show team, token and quotas."),
     Noun(name="team", module="client.team", summary="Show the team; invite, join, remove members."),
     Noun(name="question", module="client.team", app="question", summary="Ask the organizers, and read their answers."),
     Noun(name="appeal", module="client.team", app="appeal", summary="Appeal against an evaluation of your team."),
     Noun(name="submit", module="client.submit", summary="Upload a submission to a service."),
     Noun(name="status", module="client.status", summary="Show your submissions on a service."),
-    Noun(name="publish", module="client.publish", summary="Make a submission's result public."),
-    Noun(name="describe", module="client.describe", summary="Say what a public result is; link code and paper."),
+    Noun(name="publish", module="client.publish", app="publish", summary="Make a submission's result public."),
+    Noun(
+        name="describe",
+        module="client.publish",
+        app="describe",
+        summary="Say what a public result is; link code and paper.",
+    ),
     Noun(name="compare", module="compare", summary="Compare two submissions episode by episode."),
     Noun(name="receipt", module="receipt.app", summary="Verify receipts; audit the public log and boards."),
     Noun(
@@ -132,10 +137,11 @@ def build_app(arguments: Sequence[str]) -> typer.Typer:
             app.command(noun.name, help=noun.summary)(_listed_only)
             continue
         module = import_module(f"vitac.cli.{noun.module}")
-        if hasattr(module, noun.app):
-            app.add_typer(getattr(module, noun.app), name=noun.name, help=noun.summary)
+        entry = getattr(module, noun.app, None) or module.command
+        if isinstance(entry, typer.Typer):
+            app.add_typer(entry, name=noun.name, help=noun.summary)
         else:
-            app.command(noun.name)(module.command)
+            app.command(noun.name)(entry)
     return app
 
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal.existing import existing_file
-from .terminal.options import Assets
+from .terminal.output import Assets, existing_file
 
 if TYPE_CHECKING:
     from vitac.evaluator.logs.recordings import Recording

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from vitac.evaluator.figures.figures import FigureChoice
 
-from .terminal.options import Episodes, Workers
-from .terminal.output import AsJson, print_json, print_record, print_table
+from .terminal.output import AsJson, Episodes, Workers, print_json, print_record, print_table
 
 if TYPE_CHECKING:
     from vitac.evaluator.evaluation.sensor import SensorReport
@@ -170,7 +169,7 @@ def evaluate(
 
     from .evaluate import EvaluationProgress, parse_episodes
     from .terminal.compiling import compiling_shown
-    from .terminal.sensor_figures import print_figures
+    from .terminal.output import print_figures
 
     numbers = parse_episodes(episodes)
     with (
@@ -203,7 +202,7 @@ def _measure_quickly(sensor: Path, out: Path | None) -> None:
     from vitac.evaluator.evaluation.sensor import measure_quickly
 
     from .terminal.compiling import compiling_shown
-    from .terminal.sensor_figures import print_figures
+    from .terminal.output import print_figures
 
     with compiling_shown():
         digest, figures = measure_quickly(sensor)

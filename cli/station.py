@@ -133,8 +133,8 @@ def run(
 ) -> None:
     """Play the trials of the service on a station until Ctrl-C or SIGTERM, which gives the running trial back."""
     from vitac.envs.tasks.definition import Family
+    from vitac.server.accounts.stations import enrol
     from vitac.server.services import open_services
-    from vitac.server.stations.stations import enrol
     from vitac.station.agent import StationShards
     from vitac.station.description import read_description
     from vitac.station.rehearsal import refuse_wrong_devices
@@ -143,7 +143,7 @@ def run(
 
     from .rehearsal import Album, make_safe, no_pictures
     from .service.database import load_settings
-    from .service.events import configure_events
+    from .service.web_server import configure_events
 
     description = read_description(file)
     settings = load_settings(worker_slots=1)

@@ -10,8 +10,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from .terminal.options import Processes, Ray
-from .terminal.output import AsJson, print_json, print_pairs
+from .terminal.output import AsJson, Processes, Ray, print_json, print_pairs
 
 
 class _RecipeFirst(TyperGroup):

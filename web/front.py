@@ -1,15 +1,17 @@
 """What the front page shows to everybody; made by `pages.home`, cached for some seconds by `site`."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from time import monotonic
+from typing import Generic, TypeVar
 from uuid import UUID
 
 from vitac.evaluator.tracks import Track
+from vitac.server.views.comparisons import PublicEpisodeView, StillView
 from vitac.server.views.competition import CompetitionView
+from vitac.server.views.correspondence import AnnouncementView
 from vitac.server.views.leaderboards import LeaderboardEntryView
-from vitac.server.views.messages import AnnouncementView
-from vitac.server.views.playbacks import PublicEpisodeView, StillView
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,3 +70,26 @@ class FrontPage:
     cup: CompetitionView | None
     said: Sequence[AnnouncementView]
     episode: PublicEpisodeView | None
+
+
+ValueT = TypeVar("ValueT")
+
+
+class Recent(Generic[ValueT]):
+    """The value as it was read last.
+
+    Args:
+        kept_s: after this time it is read again, perhaps by several requests at once [s].
+    """
+
+    def __init__(self, *, kept_s: float) -> None:
+        self._kept_s = kept_s
+        self._read: tuple[float, ValueT] | None = None
+
+    async def get(self, read: Callable[[], Awaitable[ValueT]]) -> ValueT:
+        """Return the value of the last reading, or read it."""
+        found = self._read
+        if found is None or monotonic() - found[0] >= self._kept_s:
+            found = (monotonic(), await read())
+            self._read = found
+        return found[1]

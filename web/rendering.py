@@ -13,7 +13,7 @@ from markupsafe import Markup
 from starlette.requests import Request
 from vitac.evaluator.episodes.records import EpisodeOutcome, counted_env_steps
 
-from .limits import size
+from .headers import size
 
 STATIC = Path(__file__).parent / "static"
 FOLDER = Path(__file__).parent / "templates"

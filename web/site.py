@@ -27,12 +27,10 @@ from vitac.server.principals import VISITOR, Principal
 from vitac.server.services import Services
 from vitac.server.views.competition import PublicRankingView
 
-from .front import FrontPage
+from .front import FrontPage, Recent
 from .plots.map import EpisodeMap
-from .recent import Recent
 from .rendering import render
-from .session.forms import read_form
-from .session.signer import COOKIE, SessionSigner
+from .session.signer import COOKIE, SessionSigner, read_form
 
 Page = Callable[[Request], Awaitable[Response]]
 

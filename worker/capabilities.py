@@ -13,8 +13,8 @@ from vitac.evaluator.package_sets import package_differences, shown_sets
 from vitac.evaluator.tracks import Track, list_tracks, load_track
 from vitac.evaluator.tracks.registry import current_versions, find_version
 from vitac.evaluator.version import evaluator_version
-from vitac.server.queue.declared import explain_other_tracks
 from vitac.server.queue.work import name_requirement
+from vitac.server.queue.workers import explain_other_tracks
 from vitac.server.tracks import find_family
 
 SLOW_PROBES = frozenset({"memory of many processes capped", "CPU time capped", "wall time capped"})

@@ -15,7 +15,7 @@ from vitac.server.database.models import Worker
 from vitac.server.database.schema import explain_other_schema
 from vitac.server.database.states import WorkerOrder, WorkerState
 from vitac.server.queue import workers
-from vitac.server.queue.declared import declared_versions, explain_left_work, explain_other_evaluator
+from vitac.server.queue.workers import declared_versions, explain_left_work, explain_other_evaluator
 from vitac.server.services import Services
 
 from .capabilities import IsolationReport, explain_unfit, fit_families

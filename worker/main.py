@@ -20,7 +20,7 @@ from vitac.evaluator.shards.process import ShardProcesses
 from vitac.server.database.availability import DatabaseUnreachable
 from vitac.server.database.states import WorkerOrder, WorkerState
 from vitac.server.operations.housekeeping import Housekeeping
-from vitac.server.queue.declared import declared_versions, explain_left_work, explain_other_evaluator
+from vitac.server.queue.workers import declared_versions, explain_left_work, explain_other_evaluator
 from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
 from vitac.server.storage.scratch import is_disk_full

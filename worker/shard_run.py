@@ -25,7 +25,10 @@ from vitac.server.services import Services
 from vitac.server.storage import stored_files
 from vitac.server.storage.blobs import StoredFileLost
 from vitac.server.storage.scratch import scratch_folder
-from vitac.server.submissions.figures import (
+from vitac.server.submissions.checked_upload import UploadedFile
+from vitac.server.submissions.files import add_files
+from vitac.server.submissions.intake import UPLOAD_FOLDER
+from vitac.server.submissions.sensors import (
     coefficients_digest,
     coefficients_file,
     has_part,
@@ -34,9 +37,6 @@ from vitac.server.submissions.figures import (
     known_part,
     part_file,
 )
-from vitac.server.submissions.files import add_files
-from vitac.server.uploads.checked_upload import UploadedFile
-from vitac.server.uploads.intake import UPLOAD_FOLDER
 
 from .leased_run import LeasedRun, RunningProcess
 from .record_store import RecordStore

@@ -19,7 +19,6 @@ from vitac.evaluator.submission.sensor import make_sensor
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
-from vitac.server.appeals.replays import ReplayLease, end_played
 from vitac.server.database.states import FileRole, WorkState
 from vitac.server.evaluations.lifecycle import end_check, fail_check
 from vitac.server.evaluations.verdicts import ServiceVerdict
@@ -30,9 +29,10 @@ from vitac.server.queue.work import end
 from vitac.server.services import Services
 from vitac.server.storage import stored_files
 from vitac.server.storage.scratch import scratch_folder
+from vitac.server.submissions.appeal_replays import ReplayLease, end_played
+from vitac.server.submissions.checked_upload import UploadedFile
 from vitac.server.submissions.files import add_files
-from vitac.server.uploads.checked_upload import UploadedFile
-from vitac.server.uploads.intake import UPLOAD_FOLDER
+from vitac.server.submissions.intake import UPLOAD_FOLDER
 
 from .leased_run import LeasedRun, RunningProcess, WorkStopped
 from .shard_run import RunningShard, StartShard

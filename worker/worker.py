@@ -15,7 +15,6 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.playback.process import making
-from vitac.server.appeals import replays
 from vitac.server.database.metrics import RetryReason
 from vitac.server.database.states import WorkerOrder, WorkKind
 from vitac.server.playbacks import work as playbacks
@@ -23,6 +22,7 @@ from vitac.server.queue import leases, work
 from vitac.server.queue.leases import Lease
 from vitac.server.queue.work import Claim, LeaseLost
 from vitac.server.services import Services
+from vitac.server.submissions import appeal_replays
 from vitac.server.traces import span
 
 from .capabilities import list_abilities
@@ -175,7 +175,7 @@ class QueueWorker:
         if claim.kind is WorkKind.SENSOR_CHECK:
             return SensorCheckRun(self._services, self._stage, begin(leases.begin_check))
         if claim.kind is WorkKind.REPLAY:
-            return ReplayRun(self._services, self._stage, begin(replays.begin), self._start)
+            return ReplayRun(self._services, self._stage, begin(appeal_replays.begin), self._start)
         return ShardRun(self._services, self._stage, begin(leases.begin), self._start, place.leave_slot)
 
     def _end(self, run: AnyRun, claim: Claim, names: dict[str, int | str]) -> None:

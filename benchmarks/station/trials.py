@@ -27,6 +27,7 @@ import numpy as np
 from sqlalchemy import select
 from vitac.cli.client.http import Client
 from vitac.cli.client.submit import packed
+from vitac.cli.demo.display import team_token
 from vitac.cli.demo.laboratory import (
     TRACK,
     Laboratory,
@@ -35,7 +36,6 @@ from vitac.cli.demo.laboratory import (
     stop_agent,
     use_station_track,
 )
-from vitac.cli.demo.team import team_token
 from vitac.cli.service.database import load_settings
 from vitac.server.database.models import EpisodeResult, Evaluation, Shard
 from vitac.server.database.states import EvaluationState, RepeatCause, WorkState

@@ -5,8 +5,8 @@ from typing import Any
 
 import typer
 
-from ..terminal.options import TokenFile
-from ..verbs import add_verbs
+from ..client.verbs import add_verbs
+from ..terminal.output import TokenFile
 from . import competition, files, machine
 from .door import Server, open_door
 from .verbs import NOUNS

@@ -8,9 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from ..terminal.options import TokenFile
-from ..terminal.output import AsJson, moment, print_json, print_table, warn
-from ..verbs import NOTHING_CHANGED, Base, Confirmed, Door, DryRun, Yes, require_consents
+from ..client.verbs import NOTHING_CHANGED, Base, Confirmed, Door, DryRun, Yes, require_consents
+from ..terminal.output import AsJson, TokenFile, moment, print_json, print_table, warn
 from .door import Server, open_door
 
 CompetitionFile = Annotated[Path, typer.Argument(help="The competition's file (YAML).", exists=True, dir_okay=False)]

@@ -17,7 +17,7 @@ import typer
 
 from ..client.answers import RequestRefused
 from ..client.http import Client, make_client
-from ..verbs import Door
+from ..client.verbs import Door
 
 if TYPE_CHECKING:
     from fastapi import FastAPI

@@ -11,9 +11,8 @@ from typing import Annotated, Literal
 import typer
 from vitac.envs.errors import VitacError
 
-from ..terminal.options import TokenFile
-from ..terminal.output import AsJson, print_json, print_record
-from ..verbs import NOTHING_CHANGED, DryRun, print_fields
+from ..client.verbs import NOTHING_CHANGED, DryRun, print_fields
+from ..terminal.output import AsJson, TokenFile, print_json, print_record
 from .door import Server, open_door
 
 CompetitionName = Annotated[

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..client.verbs import NOTHING_CHANGED, DryRun, Yes, require_consent
 from ..terminal.output import AsJson, print_json, print_record, print_table
-from ..verbs import NOTHING_CHANGED, DryRun, Yes, require_consent
 
 if TYPE_CHECKING:
     from vitac.server.operations.archive import BackupDescription
@@ -136,17 +136,17 @@ def replay(
     as_json: AsJson = False,
 ) -> None:
     """Have a worker play an episode again; the stored result and the boards stay as they are."""
-    from vitac.server.appeals import replays
     from vitac.server.principals import CONSOLE
     from vitac.server.queue.workers import workers_alive
-    from vitac.server.views.appeals import AppealReplayView
+    from vitac.server.submissions import appeal_replays
+    from vitac.server.views.correspondence import AppealReplayView
 
     from ..service.database import load_settings, open_service
 
     with open_service(load_settings()) as services:
         database = services.database.make_trial() if dry_run else services.database
         with database.transaction() as session:
-            replay = replays.ask(
+            replay = appeal_replays.ask(
                 session, services.blobs, CONSOLE, appeal, task=task, episode=episode, corrected=corrected
             )
             played = {name: getattr(replay, name) for name in AppealReplayView.model_fields}
@@ -156,5 +156,5 @@ def replay(
         else:
             says = "A worker plays the episode." if workers.alive else "No worker is running; start one: vitac worker."
             print(says, file=sys.stderr)
-            played = replays.wait(services, replay.id).model_dump()
+            played = appeal_replays.wait(services, replay.id).model_dump()
     print_record(played, as_json=as_json)

@@ -10,7 +10,7 @@ from typing import Any
 
 import typer
 
-from ..verbs import Verb
+from ..client.verbs import Verb
 from . import views
 
 

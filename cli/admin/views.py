@@ -8,9 +8,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..client.status import show as show_status
-from ..terminal.outcomes import print_meanings
-from ..terminal.output import percent, print_pairs, print_records, print_table
-from ..verbs import print_fields, print_rows, readable
+from ..client.verbs import print_fields, print_rows, readable
+from ..terminal.output import percent, print_meanings, print_pairs, print_records, print_table
 
 Given = Mapping[str, Any]
 WINNERS = ("track", "place", "team", "amount", "currency", "rank", "success_rate", "mean_steps", "total")

@@ -5,8 +5,11 @@ digest of its content, so a command that was killed continues when it is started
 """
 
 import base64
+import shutil
 import sys
 import time
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
@@ -130,3 +133,72 @@ def is_transient(error: RequestRefused, *, has_upload: bool = False) -> bool:
     if error.code == "not_found":
         return has_upload
     return error.code in TRANSIENT or (error.code == NO_CODE and error.status in PROXY_STATUSES)
+
+
+FIXED_TIME = (1980, 1, 1, 0, 0, 0)
+READABLE_FILE = 0o100644 << 16
+UNIX = 3
+COPY_BYTES = 1 << 20
+SAMPLE_BYTES = 1 << 20
+WORTH_COMPRESSING = 0.9
+"""A file whose start does not shrink to less of itself is stored as it is: compressing weights takes far longer than
+sending them."""
+
+
+def pack(folder: Path, archive: Path) -> int:
+    """Write the archive of a submission's folder, with fixed order, times and modes and without caches.
+
+    Args:
+        folder: contains `submission.yaml`, directly or in a folder of its track such as `Track_1`.
+        archive: file to write.
+
+    Returns:
+        Number of files packed.
+
+    Raises:
+        NoSubmission: the folder contains no submission.
+        ManifestRejected: its manifest cannot be read.
+        ArchiveRejected: the folder contains a link or a device.
+    """
+    from vitac.evaluator.submission.sources import find_submission, top_folder
+
+    found = find_submission(folder)
+    top = top_folder(found)
+    paths = sorted(_files(found, ""))
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as writer:
+        for path in paths:
+            _add(writer, found / path, f"{top}/{path}")
+    return len(paths)
+
+
+def _add(writer: zipfile.ZipFile, file: Path, path: str) -> None:
+    entry = zipfile.ZipInfo(path, FIXED_TIME)
+    entry.compress_type = zipfile.ZIP_DEFLATED if _shrinks(file) else zipfile.ZIP_STORED
+    entry.create_system = UNIX
+    entry.external_attr = READABLE_FILE
+    entry.file_size = file.stat().st_size
+    with file.open("rb") as source, writer.open(entry, "w") as target:
+        shutil.copyfileobj(source, target, COPY_BYTES)
+
+
+def _shrinks(file: Path) -> bool:
+    with file.open("rb") as source:
+        sample = source.read(SAMPLE_BYTES)
+    return len(zlib.compress(sample, level=1)) < WORTH_COMPRESSING * len(sample)
+
+
+def _files(folder: Path, prefix: str) -> Iterator[str]:
+    from vitac.evaluator.submission.names import is_ignored, link, special_file
+
+    for item in folder.iterdir():
+        path = f"{prefix}{item.name}"
+        if is_ignored(path):
+            continue
+        if item.is_symlink():
+            raise link(path)
+        if item.is_dir():
+            yield from _files(item, f"{path}/")
+        elif item.is_file():
+            yield path
+        else:
+            raise special_file(path)

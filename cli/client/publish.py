@@ -6,12 +6,11 @@ from typing import Annotated
 
 import typer
 
-from ..terminal.options import Server, TokenFile
-from ..terminal.output import AsJson, print_json
+from ..terminal.output import AsJson, Server, TokenFile, print_json, print_record
 from .http import make_client
 
 
-def command(
+def publish(
     submission: Annotated[str, typer.Argument(help="Id of a submission.")],
     off: Annotated[bool, typer.Option("--off", help="Make it private again.")] = False,
     server: Server = None,
@@ -29,3 +28,31 @@ def command(
         print(f"public as soon as its evaluation is complete: {client.server}/submissions/{found['id']}")
     else:
         print(f"public: {client.server}/submissions/{found['id']}")
+
+
+FIELDS = ("text", "code", "paper", "discussion")
+
+
+def describe(
+    submission: Annotated[str, typer.Argument(help="Id of a public submission.")],
+    text: Annotated[str | None, typer.Option(help="Plain text of several lines.")] = None,
+    code: Annotated[str | None, typer.Option(help="https address of the code.")] = None,
+    paper: Annotated[str | None, typer.Option(help="https address of the paper.")] = None,
+    discussion: Annotated[str | None, typer.Option(help="https address of a place to discuss it.")] = None,
+    server: Server = None,
+    token_file: TokenFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write about a public result of your team, or without options show what is written.
+
+    Others read it on the result's page, the links also on the board. What you do not name stays; "" takes it away.
+    """
+    client, address = make_client(server, token_file), f"/api/v1/submissions/{submission}/description"
+    found = client.call("GET", address)
+    changes = {
+        name: value for name, value in zip(FIELDS, (text, code, paper, discussion), strict=True) if value is not None
+    }
+    if changes:
+        now = {name: found[name] for name in FIELDS} | {"base": found["revision"]}
+        found = client.call("PUT", address, now | changes)
+    print_record(found, as_json=as_json)

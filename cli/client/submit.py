@@ -10,15 +10,11 @@ from typing import Annotated
 import typer
 from vitac.evaluator.submission_kinds import SubmissionKind, kind_of_file
 
-from ..terminal.existing import existing
-from ..terminal.ignored import note_ignored_folders
-from ..terminal.options import Server, TokenFile
-from ..terminal.output import AsJson, print_json
-from .follow import has_ended
+from ..terminal.output import AsJson, Server, TokenFile, existing, note_ignored_folders, print_json
 from .http import Client, Json, make_client
-from .packing import pack
+from .pieces import pack
 from .progress import missing_tasks, nobody
-from .status import format_time, show_when_ended
+from .status import format_time, has_ended, show_when_ended
 
 CHECKING = "the service checks it, and meshes the gel if it is a sensor"
 

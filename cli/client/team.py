@@ -8,12 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from ..terminal.options import Server, TokenFile
-from ..terminal.outcomes import print_meanings
-from ..terminal.output import AsJson, print_json, print_pairs
-from ..verbs import OWN_TEAM, Door, Given, Verb, add_verbs, print_fields, print_rows
+from ..terminal.output import AsJson, Server, TokenFile, print_json, print_meanings, print_pairs
 from . import credentials
 from .http import make_client
+from .verbs import OWN_TEAM, Door, Given, Verb, add_verbs, print_fields, print_rows
 
 MemberName = Annotated[str, typer.Argument(help="The member's name, as `vitac team show` prints it.")]
 Kinds = Annotated[

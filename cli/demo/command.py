@@ -15,19 +15,16 @@ import typer
 from vitac.envs.errors import VitacError
 from vitac.server.settings import Settings
 
-from ..client.follow import follow, has_ended
 from ..client.http import Client, Json
 from ..client.progress import EvaluationProgress
-from ..client.status import require_score
+from ..client.status import follow, has_ended, require_score
 from ..client.submit import packed
 from ..service.database import load_settings
-from ..service.events import configure_events
 from ..service.process_tree import RunningService, running_service
 from ..service.stop_request import Interrupted, StopRequest
-from ..service.web_server import bind_or_any
-from ..terminal.program import program_name
-from .display import INDENT, DemoDisplay
-from .team import TEAM, TOKEN_FILE, team_token
+from ..service.web_server import bind_or_any, configure_events
+from ..terminal.output import program_name
+from .display import INDENT, TEAM, TOKEN_FILE, DemoDisplay, team_token
 
 if TYPE_CHECKING:
     from vitac.server.database.models import Worker
@@ -36,7 +33,7 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "peg_insertion_trai
 MAX_SLOTS = 4
 WORKER_START_LIMIT_S = 120.0
 POLL_S = 0.25
-WARM_UP = "import sys; from vitac.cli.demo.physics import warm_up; warm_up(sys.argv[1])"
+WARM_UP = "import sys; from vitac.cli.demo.display import warm_up; warm_up(sys.argv[1])"
 LOG = "demo.log"
 
 
@@ -93,8 +90,7 @@ def _play_on_a_station(submission: Path, port: int | None, display: DemoDisplay)
     from vitac.envs.extras import require_extra
 
     from ..rehearsal import STATION_MODULES
-    from .laboratory import use_station_track
-    from .station import TRIALS, StationDemo
+    from .laboratory import TRIALS, StationDemo, use_station_track
 
     require_extra("station", *STATION_MODULES, user="A station")
     state_dir = load_settings().state_dir / "station"

@@ -1,10 +1,15 @@
 """What the demo prints: stages with their times, the leaderboard, addresses. Called by `command`."""
 
+from __future__ import annotations
+
+import os
 import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from datetime import timedelta
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.live import Live
@@ -12,10 +17,14 @@ from rich.padding import Padding
 from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
+from sqlalchemy.orm import Session
+from vitac.server.database.engine import Database
 
 from ..client.http import Json
-from ..terminal.output import percent
-from ..terminal.program import program_name
+from ..terminal.output import percent, program_name
+
+if TYPE_CHECKING:
+    from vitac.server.database.models import Team
 
 INDENT = 2
 LABEL_WIDTH = 12
@@ -166,3 +175,73 @@ def interval_bar(rate: float, low: float, high: float) -> Text:
         else:
             bar.append("─", style="dim")
     return bar
+
+
+def warm_up(track: str) -> None:
+    """Run one env step of each task, so that Numba compiles and caches its kernels."""
+    import gymnasium
+    import vitac.envs  # noqa: F401 - registers the environments
+    from vitac.evaluator.tracks import load_track
+
+    for task in load_track(track).tasks.values():
+        env = gymnasium.make(task.env_id)
+        env.reset(seed=1, options=dict(task.episodes[0].options))
+        env.step(env.action_space.sample() * 0)
+        env.close()
+
+
+TEAM = "demo"
+TOKEN_FILE = "demo-token"  # noqa: S105 - a file's name
+TOKEN_LIFETIME = timedelta(days=365)
+
+
+def team_token(database: Database, state_dir: Path) -> str:
+    """Return a valid token of the team `demo`; create team and token if missing or no longer valid."""
+    path = state_dir / TOKEN_FILE
+    with database.transaction() as session:
+        stored = path.read_text().strip() if path.exists() else ""
+        if stored and _is_valid(session, stored):
+            return stored
+        secret = _issue(session)
+    _write_private(path, secret)
+    return secret
+
+
+def _is_valid(session: Session, secret: str) -> bool:
+    from vitac.server.accounts import tokens
+    from vitac.server.errors import ServiceError
+
+    try:
+        return tokens.authenticate(session, secret).team_name == TEAM
+    except ServiceError:
+        return False
+
+
+def _issue(session: Session) -> str:
+    from vitac.server.accounts import tokens
+    from vitac.server.database.states import Role
+    from vitac.server.principals import CONSOLE
+
+    issued = tokens.issue(
+        session, CONSOLE, role=Role.TEAM, label="vitac demo", team=_find_or_register(session), lifetime=TOKEN_LIFETIME
+    )
+    return issued.secret
+
+
+def _find_or_register(session: Session) -> Team:
+    from vitac.server.accounts import teams
+    from vitac.server.errors import ProblemCode, ServiceError
+    from vitac.server.principals import CONSOLE
+
+    try:
+        return teams.find(session, TEAM)
+    except ServiceError as error:
+        if error.code is not ProblemCode.UNKNOWN_TEAM:
+            raise
+    return teams.register(session, CONSOLE, name=TEAM)
+
+
+def _write_private(path: Path, secret: str) -> None:
+    path.unlink(missing_ok=True)
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+        file.write(secret + "\n")

@@ -4,18 +4,28 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final
 
 import yaml
+from vitac.envs.errors import VitacError
 from vitac.server.settings import Settings
 
+from ..client.http import Client
+from ..client.progress import EvaluationProgress
+from ..client.status import follow, require_score
+from ..client.submit import packed
+from ..rehearsal import Album
 from ..service.process_tree import RunningService, running_service
+from ..service.stop_request import Interrupted, StopRequest
 from ..service.web_server import bind_or_any
+from .display import INDENT, DemoDisplay, team_token
 
 if TYPE_CHECKING:
     from vitac.station.twin.hidden import FaultScript, HiddenSettings
@@ -140,11 +150,75 @@ def _station_files(state_dir: Path) -> tuple[Path, Path]:
 
 def _add_station(service: RunningService) -> str:
     """Return a new key of the station."""
+    from vitac.server.accounts import stations
     from vitac.server.principals import CONSOLE
-    from vitac.server.stations import stations
 
     with service.database.transaction() as session:
         if any(station.name == _NAME for station in stations.list_stations(session)):
             stations.remove_station(session, CONSOLE, _NAME)
             session.flush()
         return stations.add_station(session, CONSOLE, _NAME)
+
+
+TRIALS: Final = 3
+POLL_S: Final = 0.25
+
+
+class AgentEnded(VitacError):
+    """The agent ended before all trials were played; the end of the demo's log says why."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StationDemo:
+    """One run of the demo on a station.
+
+    Attributes:
+        settings: of the service.
+        display: prints progress and results.
+        stop: the request to stop.
+        submission: to the track of the peg.
+        log: file for service events.
+    """
+
+    settings: Settings
+    display: DemoDisplay
+    stop: StopRequest
+    submission: Path
+    log: Path
+
+    def run(self) -> None:
+        """Play the trials, and write a page with pictures of both gels.
+
+        Raises:
+            Interrupted: a request to stop was received.
+            AgentEnded: as named.
+        """
+        pictures = self.settings.state_dir / "pictures"
+        shutil.rmtree(pictures, ignore_errors=True)
+        with ExitStack() as stack:
+            log = stack.enter_context(self.log.open("ab")).fileno()
+            with self.display.stage("Laboratory", "starting the service and a twin of the devices") as stage:
+                laboratory = stack.enter_context(running_laboratory(self.settings, log=log, notify=self.display.note))
+                stage.done(laboratory.service.address)
+            client = Client(
+                server=laboratory.service.address,
+                token=team_token(laboratory.service.database, self.settings.state_dir),
+            )
+            with made_for_station(self.submission) as folder, packed(folder) as archive:
+                found = client.upload(archive, track=TRACK, again=True, on_position=lambda _: None)
+            agent = stack.enter_context(laboratory.agent("--pictures", str(pictures)))
+            began = time.monotonic()
+            progress = EvaluationProgress(console=self.display.console, indent=INDENT)
+            found = follow(client, found["id"], progress, partial(self._pause, agent))
+            require_score(found)
+            outcomes = {each["episode"]: each["outcome"] for each in client.episodes(found["id"])}
+            successes = list(outcomes.values()).count("success")
+            self.display.line("Trials", f"{successes} of {len(outcomes)} succeeded", time.monotonic() - began)
+            page = Album(pictures).write_page(f"{found['name']} on the twin of a laboratory", outcomes)
+        self.display.addresses({"Pictures": page.resolve().as_uri()})
+
+    def _pause(self, agent: "subprocess.Popen[bytes]") -> None:
+        if self.stop.wait(POLL_S):
+            raise Interrupted
+        if agent.poll() is not None:
+            raise AgentEnded(f"The agent ended with code {agent.returncode}; see the end of {self.log}.")

@@ -15,8 +15,7 @@ from vitac.envs.errors import VitacError
 from ..client.answers import decode, decode_object
 from ..client.http import make_client
 from ..compare import PAGES
-from ..terminal.options import Server, TokenFile
-from ..terminal.output import AsJson, moment, percent, print_json, print_pairs
+from ..terminal.output import AsJson, Server, TokenFile, moment, percent, print_json, print_pairs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,7 +10,7 @@ from vitac.server.services import Services
 from vitac.server.settings import Settings
 
 from ..terminal.output import warn
-from .events import keep_events_off_output
+from .web_server import keep_events_off_output
 
 SAID_AFTER_S = 10.0
 """Time after which a command says that it waits for the database."""

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..terminal.existing import existing_file
-from ..terminal.output import warn
+from ..terminal.output import existing_file, warn
 from .database import load_settings, open_service
 from .durations import parse_duration_s
 

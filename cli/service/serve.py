@@ -7,10 +7,9 @@ import typer
 from vitac.server.settings import Settings
 
 from .database import load_settings
-from .events import configure_events
 from .process_tree import running_service
 from .stop_request import StopRequest
-from .web_server import bind
+from .web_server import bind, configure_events
 
 
 def command(

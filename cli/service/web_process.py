@@ -13,11 +13,9 @@ from http.client import HTTPConnection, HTTPException
 from vitac.server.services import Services
 
 from .database import load_settings
-from .events import configure_events
-from .loading import no_collections
 from .process_pool import ProcessPool
 from .stop_request import StopRequest
-from .web_server import BACKLOG, START_LIMIT_S, ServerDidNotStart, WebServer
+from .web_server import BACKLOG, START_LIMIT_S, ServerDidNotStart, WebServer, configure_events, no_collections
 from .worker import exit_with_parent
 
 COMMAND = ("-c", "import sys; from vitac.cli.service.web_process import main; main(*map(int, sys.argv[1:]))")

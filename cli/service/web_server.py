@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import gc
+import logging
 import resource
 import socket
 import sys
 import threading
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final, TextIO
 
+import h11
+from uvicorn.protocols.http.h11_impl import H11Protocol
 from vitac.envs.errors import VitacError
 
 if TYPE_CHECKING:
@@ -19,6 +24,50 @@ if TYPE_CHECKING:
 
     import uvicorn
     from fastapi import FastAPI
+    from structlog.typing import Processor
+    from vitac.server.settings import LogFormat
+
+HEAD_TIMEOUT_S: Final = 10.0
+
+
+class BoundedHeadProtocol(H11Protocol):
+    """Closes a connection that sends no complete request line and headers within `HEAD_TIMEOUT_S`.
+
+    Else a client that sends a byte now and then holds a connection for ever. Between two requests uvicorn's own limit
+    for idle connections holds; bodies have limits of their own.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._head_timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Start the time for the first request."""
+        super().connection_made(transport)
+        self._start_timer()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the time."""
+        self._stop_timer()
+        super().connection_lost(exc)
+
+    def handle_events(self) -> None:
+        """Handle what was received; the time runs on for as long as the head of a request is incomplete."""
+        super().handle_events()
+        unread, _ = self.conn.trailing_data
+        if self.conn.their_state is not h11.IDLE:
+            self._stop_timer()
+        elif unread and self._head_timer is None:
+            self._start_timer()
+
+    def _start_timer(self) -> None:
+        self._head_timer = self.loop.call_later(HEAD_TIMEOUT_S, self.transport.close)
+
+    def _stop_timer(self) -> None:
+        if self._head_timer is not None:
+            self._head_timer.cancel()
+            self._head_timer = None
+
 
 BACKLOG = 2048
 START_LIMIT_S = 30.0
@@ -117,8 +166,6 @@ class WebServer:
         """
         import uvicorn
 
-        from .http_protocol import BoundedHeadProtocol
-
         allow_many_connections()
         configuration = uvicorn.Config(
             self.app,
@@ -152,3 +199,57 @@ class WebServer:
     def _run(self, server: uvicorn.Server) -> None:
         with suppress(SystemExit):  # how uvicorn reports that the application did not start
             server.run(sockets=[self.listener])
+
+
+@contextmanager
+def no_collections() -> Iterator[None]:
+    """Collect no garbage while modules are loaded, and leave what they hold alone afterwards.
+
+    All of it stays until the process ends. Looking through it took a third of the CPU time of loading a worker.
+    """
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        if was_enabled:
+            gc.enable()
+
+
+def configure_events(stream: TextIO, form: LogFormat) -> None:
+    """Write the service events of this process (ours and the libraries') to a stream, one line per event."""
+    import structlog
+    from vitac.server.settings import LogFormat
+
+    first: list[Processor] = [
+        structlog.contextvars.merge_contextvars,
+        structlog.processors.add_log_level,
+        structlog.processors.TimeStamper(fmt="iso", utc=True),
+    ]
+    last: list[Processor] = [structlog.processors.format_exc_info]
+    if form is LogFormat.JSON:
+        last.append(structlog.processors.JSONRenderer(default=str))
+    else:
+        last.append(structlog.processors.KeyValueRenderer(key_order=["timestamp", "level", "event"]))
+    structlog.configure(
+        processors=[*first, *last],
+        logger_factory=structlog.PrintLoggerFactory(stream),
+        cache_logger_on_first_use=False,
+    )
+    handler = logging.StreamHandler(stream)
+    handler.setFormatter(
+        structlog.stdlib.ProcessorFormatter(
+            foreign_pre_chain=[*first, structlog.stdlib.add_logger_name],
+            processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, *last],
+        )
+    )
+    logging.basicConfig(handlers=[handler], level=logging.WARNING, force=True)
+
+
+def keep_events_off_output() -> None:
+    """Write service events to standard error unless `configure_events` was called: standard output is for results."""
+    import structlog
+
+    if not structlog.is_configured():
+        structlog.configure(logger_factory=lambda *_: structlog.PrintLogger(sys.stderr))

@@ -8,7 +8,7 @@ import typer
 
 from .database import load_settings
 from .durations import parse_duration_s
-from .loading import no_collections
+from .web_server import no_collections
 
 
 def command(
@@ -35,7 +35,7 @@ def command(
     Exit codes: 0 done or stopped; 69 this machine may take no shards (only with one of the three options that end a
     worker; without, it waits); 75 the database is away: try again later; 1 anything else that is wrong.
     """
-    from .events import configure_events
+    from .web_server import configure_events
 
     if once and (slots or 1) > 1:
         raise typer.BadParameter("expected one slot with --once, which takes one shard", param_hint="--slots")

@@ -8,11 +8,8 @@ import typer
 from vitac.envs.extras import require_extra
 from vitac.envs.maniskill.definition import is_maniskill
 
-from ..terminal.existing import existing_file
-from ..terminal.options import Assets
-from ..terminal.output import AsJson
-from .film import film
-from .playing import EpisodeStart, NothingToShow, Shown, ShownEpisode, find_start, no_such_env_step, player
+from ..terminal.output import AsJson, Assets, existing_file
+from .playing import EpisodeStart, NothingToShow, Shown, ShownEpisode, film, find_start, no_such_env_step, player
 
 if TYPE_CHECKING:
     from vitac.envs.drawing.camera_view import Quantity

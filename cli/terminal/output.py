@@ -1,13 +1,19 @@
 """Prints the results of commands: aligned columns for people, JSON for programs. Called by the commands."""
 
+from __future__ import annotations
+
 import json
+import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
+from pathlib import Path
 from typing import Annotated, Any, cast
 
 import typer
 from rich.cells import cell_len
+from vitac.evaluator.figures.figures import SensorFigures
+from vitac.evaluator.figures.table import make_rows, reference_figures
 
 GAP = "  "
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
@@ -100,3 +106,87 @@ def _align(text: str, width: int, right_aligned: bool) -> str:
 def _as_text(value: Any) -> str:
     """Write times as the REST API does."""
     return value.isoformat().replace("+00:00", "Z") if hasattr(value, "isoformat") else str(value)
+
+
+def existing(path: Path | None) -> Path | None:
+    """Return the path of a file or folder; None if none was named.
+
+    Raises:
+        BadParameter: it does not exist.
+    """
+    if path is not None and not path.exists():
+        from vitac.evaluator.submission.names import describe_contents
+
+        raise typer.BadParameter(f"{path} does not exist; {describe_contents(path.parent)}.")
+    return path
+
+
+def existing_file(path: Path | None) -> Path | None:
+    """Return the path of a file; None if none was named.
+
+    Raises:
+        BadParameter: it does not exist, or is a folder.
+    """
+    if path is not None and path.is_dir():
+        from vitac.evaluator.submission.names import describe_contents
+
+        raise typer.BadParameter(f"expected a file; {describe_contents(path)}.")
+    return existing(path)
+
+
+def note_ignored_folders(path: Path) -> None:
+    """Print a note where a folder holds submissions for several tracks, of which the first is meant."""
+    from vitac.envs.untrusted_file import find_spelling
+    from vitac.evaluator.submission.names import MANIFEST_NAME
+    from vitac.evaluator.tracks import archive_folders
+
+    found = (
+        []
+        if find_spelling(path, MANIFEST_NAME).is_file()
+        else [top for top in archive_folders() if find_spelling(path / top, MANIFEST_NAME).is_file()]
+    )
+    if len(found) > 1:
+        print(
+            f"vitac: takes {path / found[0]}; {' and '.join(found[1:])} beside it {'is' if len(found) == 2 else 'are'} "
+            f"ignored: name that folder to take it",
+            file=sys.stderr,
+        )
+
+
+Server = Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")]
+TokenFile = Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")]
+Episodes = Annotated[str | None, typer.Option(help="Numbers and ranges, such as 1:12,20; all by default.")]
+Workers = Annotated[int | None, typer.Option(min=1, help="Number of processes; one per core by default.")]
+Processes = Annotated[int, typer.Option(min=1, help="Processes that play episodes.")]
+Ray = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Ray cluster that plays instead, such as 10.0.0.1:6379 or auto.")
+]
+Assets = Annotated[Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR].")]
+
+
+def print_meanings(outcomes: Iterable[str]) -> None:
+    """Print a line for each of the words, in the order of their first use."""
+    from vitac.evaluator.episodes.records import EpisodeOutcome
+
+    for outcome in dict.fromkeys(outcomes):
+        print(f"{outcome}: {EpisodeOutcome(outcome).sentence}")
+
+
+def program_name() -> str:
+    """Return `./vitac` inside a checkout with the launcher, else `vitac`."""
+    launcher = Path(__file__).resolve().parents[2] / "vitac"
+    beside = launcher.is_file() and os.access(launcher, os.X_OK) and Path.cwd() == launcher.parent
+    return "./vitac" if beside else "vitac"
+
+
+def print_figures(figures: SensorFigures) -> None:
+    """Print all figures of a sensor, and their digest."""
+    rows = [
+        (row.name, _text(row.value), _text(row.reference), row.unit) for row in make_rows(figures, reference_figures())
+    ]
+    print_table(("figure", "sensor", "reference gel", "unit"), rows, none="")
+    print(f"{figures.starts} starts; digest of the figures {figures.digest}")
+
+
+def _text(value: float | None) -> str | None:
+    return None if value is None else f"{value:.4g}"

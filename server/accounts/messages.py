@@ -10,9 +10,9 @@ from ..audit import record
 from ..database.models import Announcement, Question, Team
 from ..database.states import NoticeKind
 from ..errors import ProblemCode, ServiceError, not_found
+from ..names import clean_text
 from ..principals import Principal
-from ..texts import clean_text
-from ..views.messages import AnnouncementView, QuestionView
+from ..views.correspondence import AnnouncementView, QuestionView
 from . import teams
 from .outbox import announce
 

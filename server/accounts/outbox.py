@@ -17,7 +17,7 @@ from ..database.models import Evaluation, Member, Notice, Team, Webhook
 from ..database.states import NoticeChannel, NoticeKind
 from ..errors import ProblemCode, ServiceError, not_found
 from ..principals import Principal
-from ..views.notices import NoticeView
+from ..views.correspondence import NoticeView
 
 MAX_MAILS_A_DAY = 200
 """Maximum e-mails a day to the members of one team."""

@@ -22,7 +22,7 @@ from ..audit import record
 from ..database.models import Notice, Team, Webhook
 from ..errors import ProblemCode, ServiceError, not_found
 from ..principals import Principal
-from ..views.notices import NewWebhookView, WebhookView
+from ..views.correspondence import NewWebhookView, WebhookView
 from . import teams
 
 MAX_LENGTH = 500

@@ -36,13 +36,8 @@ from . import (
     tracks,
 )
 from . import rejudging as rejudgements
-from .middleware.body_limit import BodyLimit
-from .middleware.correlation import RequestIds
-from .middleware.redirects import RelativeRedirects
-from .middleware.request_head import RequestHead
-from .middleware.request_times import RequestTimes
+from .middleware.requests import BodyLimit, RelativeRedirects, RequestHead, RequestIds, RequestTimes, Shutdown
 from .middleware.shares import Shares
-from .middleware.shutdown import Shutdown
 from .resumable import routes as uploads
 from .resumable.protocol import ProtocolVersion
 

@@ -6,9 +6,9 @@ from uuid import UUID
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..appeals import appeals
-from ..texts import TEXT_LENGTH
-from ..views.appeals import AppealListView, AppealView
+from ..names import TEXT_LENGTH
+from ..submissions import appeals
+from ..views.correspondence import AppealListView, AppealView
 from .access import ChangingServicesOf, CompetitionOrganizerOf, OwnerOf, ReaderOf, RowNumber, ServicesOf, SignedInOf
 from .messages import OnlyOpen
 from .problems import RESPONSES

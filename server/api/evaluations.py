@@ -9,8 +9,7 @@ from pydantic import BaseModel
 
 from ..database.states import EvaluationState
 from ..evaluations import listing, superseding
-from ..evaluations.archive_copies import compare_archives, list_archive_copies
-from ..evaluations.near_copies import list_near_copies
+from ..evaluations.near_copies import compare_archives, list_archive_copies, list_near_copies
 from ..submissions import runs
 from ..submissions.listing import get
 from ..views.evaluations import ArchiveCopyView, EvaluationDetailView, EvaluationRowView, NearCopyView

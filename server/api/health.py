@@ -13,8 +13,7 @@ from ..database.schema import explain_other_schema
 from ..errors import ServiceError
 from ..queue.workers import workers_alive
 from ..services import Services
-from ..views.operations import HealthView, ReadyView
-from ..views.workers import WorkersView
+from ..views.operations import HealthView, ReadyView, WorkersView
 from .access import ServicesOf
 
 router = APIRouter(tags=["health"])

@@ -12,7 +12,7 @@ from ..competitions.competition import Competition
 from ..competitions.definition import Judging
 from ..decisions import judging
 from ..principals import Principal
-from ..views.judging import JudgedTeamView
+from ..views.decisions import JudgedTeamView
 from .access import ChangingServicesOf, CompetitionOrganizerOf, JudgeOf, ServicesOf
 from .problems import RESPONSES
 

@@ -20,7 +20,7 @@ from ..errors import not_found
 from ..operations import team_data
 from ..principals import CONSOLE, Principal
 from ..services import Services
-from ..views.notices import NewWebhookView, WebhookListView
+from ..views.correspondence import NewWebhookView, WebhookListView
 from ..views.team_data import TeamDataView
 from ..views.teams import (
     DisqualifiedView,
@@ -31,8 +31,16 @@ from ..views.teams import (
     QuotaView,
     RegisteredTeamView,
 )
-from .access import MAX_NUMBER, CaptainOf, ChangingServicesOf, OrganizerOf, OwnerOf, ServicesOf
-from .attempts import note_password, note_registration
+from .access import (
+    MAX_NUMBER,
+    CaptainOf,
+    ChangingServicesOf,
+    OrganizerOf,
+    OwnerOf,
+    ServicesOf,
+    note_password,
+    note_registration,
+)
 from .middleware.shares import leave_place
 from .problems import RESPONSES
 from .teams import ONE_LINE

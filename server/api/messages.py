@@ -7,8 +7,8 @@ from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..accounts import messages
-from ..texts import TEXT_LENGTH
-from ..views.messages import AnnouncementListView, AnnouncementView, QuestionListView, QuestionView
+from ..names import TEXT_LENGTH
+from ..views.correspondence import AnnouncementListView, AnnouncementView, QuestionListView, QuestionView
 from .access import ChangingServicesOf, OptionalPrincipalOf, OrganizerOf, RowNumber, ServicesOf, TeamOf
 from .problems import RESPONSES
 

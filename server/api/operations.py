@@ -8,14 +8,13 @@ from uuid import UUID
 from fastapi import APIRouter, Path, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..accounts import outbox
+from ..accounts import outbox, stations
 from ..audit import entry_view, newest_entries
 from ..database.states import WorkerOrder
 from ..queue import workers
-from ..stations import stations
-from ..views.notices import NoticeView
+from ..views.correspondence import NoticeView
+from ..views.operations import WorkerView
 from ..views.teams import AuditEntryView
-from ..views.workers import WorkerView
 from .access import ChangingServicesOf, OrganizerOf, ServicesOf
 from .problems import RESPONSES
 from .teams import ONE_LINE

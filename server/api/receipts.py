@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from ..errors import not_found
 from ..receipts.receipt import Receipt, SubmissionReceipt
 from ..receipts.witnesses import add_cosignatures, list_witnessed_checkpoints
-from ..submissions import receipts
+from ..submissions import files
 from ..transparency.log import make_checkpoint, read_entries, read_hashes, read_log_key, read_tree
 from ..transparency.notes import MAX_NOTE_CHARS
 from ..transparency.tiles import pack_entries, parse_tile_name
@@ -39,21 +39,21 @@ def get_log(
 ) -> PublicLogView:
     """Return the public key that signs the log of receipts, and its entries, or those of a competition."""
     with services.database.transaction() as session:
-        return receipts.log_view(session, after=after, limit=limit, competition=competition)
+        return files.log_view(session, after=after, limit=limit, competition=competition)
 
 
 @router.get("/submissions/{submission_id}/receipts")
 def get_receipts(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> list[Receipt]:
     """Return the receipt of each final result of a submission, the first one first."""
     with services.database.transaction() as session:
-        return receipts.receipts(session, principal, submission_id)
+        return files.receipts(session, principal, submission_id)
 
 
 @router.get("/submissions/{submission_id}/arrival")
 def get_receipt_of_arrival(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> SubmissionReceipt:
     """Return the receipt that a submission got when it arrived, before anybody knew its result."""
     with services.database.transaction() as session:
-        return receipts.receipt_of_arrival(session, principal, submission_id)
+        return files.receipt_of_arrival(session, principal, submission_id)
 
 
 class Stored(BaseModel):

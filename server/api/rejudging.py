@@ -10,7 +10,7 @@ from ..competitions.competition import Competition
 from ..decisions import rejudging
 from ..decisions.rejudging import rejudgement_detail_view, rejudgement_view
 from ..errors import ProblemCode, ServiceError
-from ..views.rejudging import RejudgementDetailView, RejudgementView
+from ..views.decisions import RejudgementDetailView, RejudgementView
 from .access import ChangingServicesOf, CompetitionOrganizerOf, ServicesOf
 from .problems import RESPONSES
 

@@ -15,7 +15,7 @@ from ..database.states import Quota
 from ..limiter import ConcurrencyLimiter
 from ..principals import Principal
 from ..services import Services
-from .attempts import get_client_address
+from .access import get_client_address
 
 SHARE_OF_TEAMS = 0.9
 """The rest is for organizers and judges, whatever teams do."""

@@ -18,19 +18,19 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from ..accounts.teams import REASON_LENGTH
 from ..database.states import EvaluationState
 from ..errors import ProblemCode, ServiceError
+from ..evaluations import action_matches
+from ..evaluations.logs import export_log
 from ..leaderboards import descriptions, public_pages
 from ..limiter import UPLOADS
-from ..logs import action_matches
-from ..logs.export import export_log
+from ..names import TEXT_LENGTH
 from ..principals import Principal
 from ..services import Services
-from ..submissions import clearance, disqualification, listing, output, runs, sensors, upload
+from ..submissions import disqualification, files, listing, runs, sensors, upload
 from ..submissions.comparison import MAX_COMPARED, compare_results
-from ..submissions.model_card import model_card
+from ..submissions.listing import model_card
 from ..submissions.watch import Changes, watch
-from ..texts import TEXT_LENGTH
 from ..views.comparisons import ComparisonView
-from ..views.logs import ActionMatchView
+from ..views.receipts import ActionMatchView
 from ..views.submissions import (
     DescriptionView,
     EpisodeView,
@@ -223,14 +223,14 @@ def get_output(
     *,
     task: Annotated[str | None, Query(description="One of the submission's tasks; the first by default.")] = None,
     after: Annotated[int, Query(ge=0, le=MAX_NUMBER, description="`next_after` from the previous page.")] = 0,
-    limit: Annotated[int, Query(ge=1, le=100)] = output.PAGE_EPISODES,
+    limit: Annotated[int, Query(ge=1, le=100)] = files.PAGE_EPISODES,
 ) -> OutputView:
     """Return the end of what the policy printed in each episode, and why it failed in some.
 
     For its team and organizers, not of sealed lists.
     """
     with services.database.transaction() as session:
-        return output.episode_outputs(session, principal, submission_id, task, after=after, limit=limit)
+        return files.episode_outputs(session, principal, submission_id, task, after=after, limit=limit)
 
 
 @router.get("/{submission_id}/sensor")
@@ -354,7 +354,7 @@ def put_clearance(
     services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID, wanted: Clearance
 ) -> SubmissionView:
     """Rank a submission that was found to be a copy (organizers only)."""
-    return _show_changed(services, principal, submission_id, clearance.clear, reason=wanted.reason)
+    return _show_changed(services, principal, submission_id, disqualification.clear, reason=wanted.reason)
 
 
 @router.delete("/{submission_id}/clearance")
@@ -362,7 +362,7 @@ def delete_clearance(
     services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID
 ) -> SubmissionView:
     """Let what was found of a cleared submission count again (organizers only)."""
-    return _show_changed(services, principal, submission_id, clearance.withdraw)
+    return _show_changed(services, principal, submission_id, disqualification.withdraw)
 
 
 @router.post("/{submission_id}/requeue", status_code=HTTPStatus.ACCEPTED)

@@ -18,8 +18,16 @@ from ..errors import ProblemCode, ServiceError
 from ..principals import CONSOLE, Principal
 from ..services import Services
 from ..views.teams import MeView, NewTokenView, OrganizerTeamView, QuotaView, RegisteredTeamView, TokenListView
-from .access import CaptainOf, ChangingServicesOf, OptionalPrincipalOf, OrganizerOf, ServicesOf, SignedInOf, SubmitterOf
-from .attempts import note_registration
+from .access import (
+    CaptainOf,
+    ChangingServicesOf,
+    OptionalPrincipalOf,
+    OrganizerOf,
+    ServicesOf,
+    SignedInOf,
+    SubmitterOf,
+    note_registration,
+)
 from .problems import RESPONSES
 
 router = APIRouter(tags=["teams"], responses=RESPONSES)

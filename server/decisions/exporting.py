@@ -39,8 +39,8 @@ from ..receipts.issuing import list_entries, receipts_of_board, receipts_of_ends
 from ..receipts.receipt import Receipt, SubmissionReceipt
 from ..storage.blobs import BlobStore
 from ..storage.scratch import new_file
-from ..submissions.figures import coefficients_digest
 from ..submissions.files import find_file
+from ..submissions.sensors import coefficients_digest
 from ..tracks import load_known_track
 from ..transparency.log import read_log_state
 from ..visibility import is_sealed

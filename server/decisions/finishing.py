@@ -10,7 +10,6 @@ from sqlalchemy.orm import Session
 
 from .. import names
 from ..accounts.teams import REASON_LENGTH
-from ..appeals.appeals import end_with_competition
 from ..audit import newest_entries, record
 from ..competitions.competition import Competition
 from ..competitions.definition import Prize, TrackRules
@@ -24,6 +23,7 @@ from ..receipts.export import make_final_board
 from ..receipts.issuing import new_salt
 from ..receipts.receipt import End, JudgedEntry, WinningEntry
 from ..receipts.witnesses import require_witnessed
+from ..submissions.appeals import end_with_competition
 from ..tracks import known_track
 from ..transparency.log import append
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView

@@ -24,8 +24,8 @@ from ..evaluations.history import newest_evaluation
 from ..evaluations.scores import counted_tasks
 from ..leaderboards.standings import leaderboard
 from ..principals import CONSOLE, Principal
-from ..submissions.figures import read_figures
-from ..views.judging import JudgedCriterionView, JudgedTeamView
+from ..submissions.sensors import read_figures
+from ..views.decisions import JudgedCriterionView, JudgedTeamView
 from ..views.leaderboards import LeaderboardEntryView
 from ..visibility import decide_sight, visible
 

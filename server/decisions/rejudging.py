@@ -31,7 +31,7 @@ from ..receipts.issuing import issue_for_result
 from ..tracks import load_known_track
 from ..transparency.entries import RejudgementApplied
 from ..transparency.log import append
-from ..views.rejudging import RejudgedSubmissionView, RejudgementDetailView, RejudgementView
+from ..views.decisions import RejudgedSubmissionView, RejudgementDetailView, RejudgementView
 from .rejudging_comparison import comparison, compute_revision, find_newest_evaluations
 
 REASON_LENGTH = 500

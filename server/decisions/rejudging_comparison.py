@@ -18,7 +18,7 @@ from ..database.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from ..evaluations.scores import combined_score
 from ..evaluations.verdicts import ServiceVerdict
 from ..leaderboards.best_entries import takes_part
-from ..views.rejudging import RejudgedSubmissionView, StandingView
+from ..views.decisions import RejudgedSubmissionView, StandingView
 
 
 def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmissionView]:

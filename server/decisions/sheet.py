@@ -15,7 +15,7 @@ from ..database.models import JudgingConflict, JudgingMark, Submission
 from ..errors import ProblemCode, ServiceError
 from ..leaderboards.standings import leaderboard
 from ..principals import Principal
-from ..views.judging import JudgedTeamView
+from ..views.decisions import JudgedTeamView
 from ..views.leaderboards import LeaderboardEntryView
 from .judging import figures_of_entry, judged
 

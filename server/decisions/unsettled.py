@@ -5,11 +5,11 @@ from datetime import datetime, timedelta
 
 from sqlalchemy import func, select
 
-from ..appeals.appeals import open_in_competition
 from ..competitions.competition import Competition
 from ..confirmations import Concern
 from ..database.models import Evaluation, Rejudgement
 from ..leaderboards.standings import leaderboard
+from ..submissions.appeals import open_in_competition
 
 
 def unsettled(competition: Competition, now: datetime) -> list[Concern]:

@@ -19,7 +19,7 @@ from ..queue.leases import Lease
 from ..queue.work import lock_held, note_progress
 from ..tracks import known_track
 from ..visibility import decide_sight
-from .differences import report_difference
+from .history import report_difference
 from .provenance import note_packages
 
 OUTPUT_CHARACTERS = 4096

@@ -29,10 +29,9 @@ from ..receipts.issuing import issue_for_result
 from ..traces import current_traceparent
 from ..tracks import find_family
 from ..visibility import find_list_kind
-from .archive_copies import note_archive_copies
 from .copies import flag_copies
 from .episode_store import count_stored, missing_episodes, played_keys, read_stored_records
-from .near_copies import note_near_copies
+from .near_copies import note_archive_copies, note_near_copies
 from .provenance import read_provenance
 from .scores import Records, combine_hashes, combined_result, store_practice_scores, store_scores
 from .verdicts import ServiceVerdict

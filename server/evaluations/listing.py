@@ -13,7 +13,7 @@ from ..queue.workers import fleet
 from ..settings import Settings
 from ..views.evaluations import EvaluationDetailView, EvaluationRowView, ShardView
 from .copies import count_copied_episodes
-from .differences import count_differing_episodes
+from .history import count_differing_episodes
 from .scores import combined_score
 from .view import EvaluationRows, evaluation_view, summary_view, verdict_view
 

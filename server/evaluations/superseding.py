@@ -22,8 +22,7 @@ from ..database.models import Evaluation, Submission, Worker
 from ..database.states import ACTIVE_EVALUATION_STATES, EvaluationState
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
-from ..queue.declared import declared_versions, explain_other_evaluator, read_outdated_rule
-from ..queue.workers import is_alive, workers_alive
+from ..queue.workers import declared_versions, explain_other_evaluator, is_alive, read_outdated_rule, workers_alive
 from ..settings import OutdatedRule, Settings
 from . import lifecycle
 

@@ -27,8 +27,8 @@ from ..views.evaluations import (
 )
 from ..views.scores import TaskScoreView
 from ..visibility import decide_sight, played_list_kind
-from .differences import differing_episodes
 from .episode_store import EpisodeKey, find_shown_key
+from .history import differing_episodes
 from .lifecycle import LOG_TAIL_CHARACTERS
 from .progress import (
     EpisodeCounts,

@@ -20,8 +20,8 @@ from ..confirmations import compute_revision
 from ..database.engine import among
 from ..database.models import Submission
 from ..errors import ProblemCode, ServiceError
+from ..names import clean_text
 from ..principals import Principal
-from ..texts import clean_text
 from ..views.submissions import DescriptionView
 from ..visibility import visible
 from .public_pages import readable

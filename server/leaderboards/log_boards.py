@@ -21,9 +21,8 @@ from ..accounts.shown_names import ShownNames
 from ..competitions.stages import CountedResults, Stage
 from ..database.models import BoardResult, Evaluation, Team
 from ..evaluations.copies import find_copies
+from ..evaluations.logs import LogClaim, read_verification
 from ..evaluations.scores import score_views
-from ..logs.claims import LogClaim
-from ..logs.view import read_verification
 from ..principals import VISITOR
 from ..tracks import load_known_track
 from ..views.evaluations import CopyView

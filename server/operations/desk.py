@@ -9,7 +9,6 @@ from sqlalchemy import ColumnElement, and_, exists, func, or_, select
 from sqlalchemy.orm import Session, selectinload
 
 from ..accounts import messages, teams
-from ..appeals import appeals
 from ..audit import entry_view, newest_entries
 from ..competitions.competition import Competition
 from ..competitions.definition import StageRules
@@ -18,8 +17,8 @@ from ..database.models import ArchiveCopy, EpisodeDifference, Evaluation, LogCop
 from ..evaluations.readiness import count_running
 from ..evaluations.verdicts import ServiceVerdict
 from ..principals import Principal
-from ..views.appeals import AppealView
-from ..views.messages import AnnouncementView, QuestionView
+from ..submissions import appeals
+from ..views.correspondence import AnnouncementView, AppealView, QuestionView
 from ..views.teams import AuditEntryView, OrganizerTeamView
 
 SHOWN = 20

@@ -17,13 +17,13 @@ from ..evaluations.superseding import supersede_outdated
 from ..leaderboards.board_cache import forget_old_notes
 from ..playbacks import work as playbacks
 from ..playbacks.stills import ask_for_missing_stills
-from ..queue.declared import declare, versions_here
 from ..queue.work import sweep
+from ..queue.workers import declare, versions_here
 from ..services import Services
 from ..storage import stored_files
 from ..storage.scratch import remove_leftovers
+from ..submissions import partial_uploads
 from ..submissions.files import stored_digests
-from ..uploads import partial
 
 logger = structlog.get_logger(__name__)
 
@@ -129,7 +129,7 @@ def _postpone(error: Exception) -> None:
 
 def prune(services: Services) -> None:
     """Remove old playbacks, stored files that no row names, and uploads that were given up."""
-    partial.remove_expired(services)
+    partial_uploads.remove_expired(services)
     with services.database.transaction() as session:
         playbacks.remove_old(session, services.settings)
         forget_contacts(session, services.settings)

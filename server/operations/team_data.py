@@ -12,7 +12,6 @@ from vitac.evaluator.episodes.records import EpisodeRecord
 from ..accounts import members, teams, tokens, webhooks
 from ..accounts.messages import make_question_view
 from ..accounts.outbox import notice_view
-from ..appeals.appeals import appeal_view
 from ..audit import entry_view, record
 from ..competitions.competition import Competition
 from ..database.models import (
@@ -35,6 +34,7 @@ from ..errors import ProblemCode, ServiceError
 from ..evaluations.history import histories
 from ..principals import Principal
 from ..settings import Settings
+from ..submissions.appeals import appeal_view
 from ..submissions.view import submission_views
 from ..views.team_data import TeamDataView
 from ..views.teams import AuditEntryView

@@ -31,7 +31,7 @@ from ..queue.work import name_requirement, waiting
 from ..queue.workers import fleet
 from ..settings import Settings
 from ..tracks import find_playback_family
-from ..views.playbacks import PlaybackView, ShownEpisodeView
+from ..views.comparisons import PlaybackView, ShownEpisodeView
 from .story import tell_story
 from .work import remove
 

@@ -11,7 +11,7 @@ from ..database.models import EpisodeResult, Submission
 from ..errors import ProblemCode, ServiceError
 from ..leaderboards.public_pages import readable
 from ..principals import Principal
-from ..views.playbacks import EpisodeChoiceView
+from ..views.comparisons import EpisodeChoiceView
 from .asking import find_episode
 
 LISTED = 8

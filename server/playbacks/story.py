@@ -15,7 +15,7 @@ from vitac.envs.scene.perspective import Perspective
 from vitac.envs.tasks.definition import LARGEST_SURFACE_DIFF_M
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, counted_env_steps
 
-from ..views.playbacks import StoryMomentView
+from ..views.comparisons import StoryMomentView
 
 TOUCH_MM: Final = 0.2
 """Motion of a gel's surface since the grasp from which on the held part counts as touching something."""

@@ -11,6 +11,7 @@ from ..accounts.teams import REASON_LENGTH
 from ..audit import record
 from ..database.models import BoardResult, Submission
 from ..errors import ProblemCode, ServiceError
+from ..evaluations.copies import list_completed, mark_copy
 from ..principals import Principal
 from ..visibility import visible
 
@@ -70,3 +71,52 @@ def _mark_results(session: Session, submission: Submission) -> None:
     of_submission = BoardResult.submission_id == submission.id
     is_disqualified = submission.disqualified_at is not None
     session.execute(update(BoardResult).where(of_submission).values(is_disqualified=is_disqualified))
+
+
+def clear(session: Session, by: Principal, submission_id: UUID, reason: str) -> None:
+    """Rank a submission whatever it is alike to, now and when it is evaluated again; its team reads the reason.
+
+    Raises:
+        ServiceError: not an organizer, there is no such submission, the reason cannot be shown, or it is cleared
+            already.
+    """
+    submission = _lock_copy(session, by, submission_id)
+    shown = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH)
+    if submission.copy_cleared_at is not None:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST,
+            f"Submission {submission.id} is cleared already: {submission.copy_cleared_for}",
+        )
+    submission.copy_cleared_at, submission.copy_cleared_for = datetime.now(UTC), shown
+    _mark(session, submission)
+    record(session, by, "submission.clear", f"submission:{submission.id}", {"reason": shown}, before={"reason": None})
+
+
+def withdraw(session: Session, by: Principal, submission_id: UUID) -> None:
+    """Let what was found of a cleared submission count again; doing it again changes nothing.
+
+    Raises:
+        ServiceError: not an organizer, or there is no such submission.
+    """
+    submission = _lock_copy(session, by, submission_id)
+    if submission.copy_cleared_at is not None:
+        before = {"reason": submission.copy_cleared_for}
+        submission.copy_cleared_at = submission.copy_cleared_for = None
+        _mark(session, submission)
+        record(
+            session, by, "submission.withdraw-clearance", f"submission:{submission.id}", {"reason": None}, before=before
+        )
+
+
+def _lock_copy(session: Session, by: Principal, submission_id: UUID) -> Submission:
+    by.require_organizer(by.competition)
+    submission = visible(session, by, submission_id)
+    session.execute(select(Submission.id).where(Submission.id == submission.id).with_for_update(key_share=True))
+    session.refresh(submission, ["copy_cleared_at", "copy_cleared_for"])
+    return submission
+
+
+def _mark(session: Session, submission: Submission) -> None:
+    session.flush()
+    for evaluation in list_completed(session, submission.id):
+        mark_copy(session, evaluation)

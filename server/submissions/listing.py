@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, null, select, tuple_
+from sqlalchemy import ColumnElement, Float, func, null, select, tuple_
 from sqlalchemy.orm import Session, joinedload
 
 from ..accounts import teams
@@ -12,13 +12,14 @@ from ..cache import Cache
 from ..competitions.competition import Competition
 from ..database.models import EpisodeResult, Evaluation, Submission
 from ..database.states import EvaluationState
+from ..errors import ProblemCode, ServiceError
 from ..evaluations.episode_store import EpisodeKey, find_shown_key
 from ..evaluations.history import histories, newest_evaluation, newest_state
 from ..leaderboards.public_pages import readable
 from ..principals import Principal
 from ..settings import Settings
 from ..tracks import known_track
-from ..views.submissions import EpisodeView, SubmissionListView, SubmissionView
+from ..views.submissions import ArchiveContents, EpisodeView, ModelCardView, SubmissionListView, SubmissionView
 from ..visibility import visible
 from .view import submission_views
 
@@ -139,3 +140,53 @@ def _drawn(track: str) -> ColumnElement[Any]:
     known = known_track(track)
     draws = known is not None and any(task.draws for task in known.tasks.values())
     return EpisodeResult.record[("infos", 0, "draws")] if draws else null()
+
+
+_times: Cache[UUID, float] = Cache(at_most=1024)
+"""By evaluation: to sum them up, the database unpacks every record."""
+
+
+def model_card(session: Session, by: Principal, submission_id: UUID) -> ModelCardView:
+    """Return the card of a model.
+
+    Raises:
+        ServiceError: there is no such submission, or it is a log.
+    """
+    submission = readable(session, by, submission_id)
+    if not submission.kind.form.runs_policy:
+        raise ServiceError(
+            ProblemCode.UNSUPPORTED_SUBMISSION_KIND,
+            f"Expected a model, got a {submission.kind}: only models have a card.",
+        )
+    return make_card(session, by, newest_evaluation(session, submission))
+
+
+def make_card(session: Session, by: Principal, evaluation: Evaluation) -> ModelCardView:
+    """Return the card of an evaluated model."""
+    submission = evaluation.submission
+    contents = submission.contents
+    return ModelCardView(
+        name=submission.name,
+        track=submission.track,
+        tasks=submission.tasks,
+        observation_keys=submission.manifest.get("observation_keys"),
+        control_modes=submission.manifest.get("control_modes") or {},
+        archive_bytes=submission.archive_bytes,
+        contents=None if contents is None else ArchiveContents.model_validate(contents),
+        policy_ms=_find_policy_ms(session, by, evaluation),
+    )
+
+
+def _find_policy_ms(session: Session, by: Principal, evaluation: Evaluation) -> float | None:
+    key = find_shown_key(session, by, evaluation)
+    if key is None or evaluation.state is not EvaluationState.COMPLETED:
+        return None
+    return _times.get(evaluation.id, lambda: _read_policy_ms(session, key))
+
+
+def _read_policy_ms(session: Session, key: EpisodeKey) -> float:
+    policy_s = EpisodeResult.record[("timings", "policy_s")].astext.cast(Float)
+    total_s, env_steps = session.execute(
+        select(func.sum(policy_s), func.sum(EpisodeResult.env_steps)).where(*key.conditions())
+    ).one()
+    return 1000.0 * (total_s or 0.0) / max(1, env_steps or 0)

@@ -15,20 +15,20 @@ from ..competitions.stages import Stage
 from ..database.models import Evaluation, Submission
 from ..database.states import EvaluationState
 from ..evaluations.copies import find_copies
+from ..evaluations.logs import make_finding_views
 from ..evaluations.scores import counted_tasks
 from ..evaluations.view import EvaluationRows, evaluation_view, summary_view
 from ..leaderboards.best_entries import Board, PlacesOfBoards, places
 from ..leaderboards.descriptions import show_description
 from ..leaderboards.standings import explain_unranked_submission
-from ..logs.view import make_finding_views
 from ..principals import Principal
 from ..queue.workers import Fleet, fleet
 from ..settings import Settings
 from ..tracks import find_family
-from ..uploads.kinds import SERVED_KINDS
 from ..views.evaluations import CopyView
+from ..views.operations import WorkersView
 from ..views.submissions import RankView, SubmissionView
-from ..views.workers import WorkersView
+from .kinds import SERVED_KINDS
 
 PlacesOf = Callable[[Stage], PlacesOfBoards]
 

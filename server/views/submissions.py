@@ -11,9 +11,9 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 
 from .base import View
 from .evaluations import CopyView, EvaluationSummaryView, EvaluationView
-from .logs import LogView
+from .operations import WorkersView
+from .receipts import LogView
 from .teams import TeamView
-from .workers import WorkersView
 
 
 class DescriptionView(View):

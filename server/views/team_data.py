@@ -4,10 +4,8 @@ from datetime import datetime
 
 from pydantic import Field
 
-from .appeals import AppealView
 from .base import View
-from .messages import QuestionView
-from .notices import NoticeView, WebhookView
+from .correspondence import AppealView, NoticeView, QuestionView, WebhookView
 from .submissions import SubmissionView
 from .teams import AuditEntryView, OwnTeamView, TokenView
 

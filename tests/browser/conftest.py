@@ -29,7 +29,7 @@ from vitac.server.database.states import EvaluationState, Role
 from vitac.server.views.evaluations import VerdictView
 from vitac.server.views.leaderboards import LeaderboardView
 from vitac.server.views.submissions import EpisodeOutputView
-from vitac.web.recent import Recent
+from vitac.web.front import Recent
 from waiting import LIMIT_S
 
 expect.set_options(timeout=1000 * LIMIT_S)

@@ -24,7 +24,7 @@ from playwright.sync_api import Browser, Page, Route, expect
 from site_under_test import SiteUnderTest
 from vitac.server.database.states import EvaluationState, WorkerState
 from vitac.server.views.submissions import SubmissionView
-from vitac.web.pages.sandbox import sandbox
+from vitac.web.pages.service import sandbox
 from waiting import answered, resize, until
 
 LINES_OF_TEXT = """cell => {

@@ -11,11 +11,11 @@ from cli_service import CliService, cli_service
 from playwright.sync_api import Page, expect
 from service_factories import make_principal, make_secret, play_all, submit
 from vitac.server.accounts import members, messages, teams, tokens
-from vitac.server.appeals import appeals
 from vitac.server.database.states import Role
 from vitac.server.decisions import rejudging
 from vitac.server.leaderboards.public_pages import set_public
 from vitac.server.principals import CONSOLE, Principal
+from vitac.server.submissions import appeals
 from waiting import answered, resize
 
 from competitions import make_competition, open_now, put_in_place, shown_stage

@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from . import reference, rest, tables
+from . import markup, reference
 from .markup import Document, Section, render_document
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -21,9 +21,9 @@ GENERATED = re.compile(
 """Blocks that stand for what the code says of itself."""
 TABLES = {
     "environments": reference.environments,
-    "settings": tables.settings,
-    "outcomes": tables.outcomes,
-    "verdicts": tables.verdicts,
+    "settings": markup.settings,
+    "outcomes": markup.outcomes,
+    "verdicts": markup.verdicts,
 }
 REFERENCE = "reference/"
 """Begins the names of documents that are made of the code; searches prefer those that people wrote."""
@@ -129,9 +129,9 @@ class Library:
 
     def _generate(self, block: str, lines: str) -> str:
         if block == "rest":
-            return rest.rest_reference(self.describe_api())
+            return reference.rest_reference(self.describe_api())
         if block == "task":
-            return tables.task(lines.strip())
+            return markup.task(lines.strip())
         return TABLES[block]() if block in TABLES else reference.modules(lines.splitlines())
 
     def _address(self, name: str, target: str) -> str | None:

@@ -15,8 +15,7 @@ from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.progress import count_open
 from vitac.server.leaderboards.public_pages import public_among
 from vitac.server.leaderboards.reading import shown_leaderboard, shown_rank_history
-from vitac.server.playbacks.recent import newest_public_episode
-from vitac.server.playbacks.stills import find_stills
+from vitac.server.playbacks.stills import find_stills, newest_public_episode
 from vitac.server.principals import VISITOR
 from vitac.server.tracks import is_challenge_track
 from vitac.server.views.competition import CompetitionView

@@ -5,7 +5,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from vitac.server.accounts.messages import list_announcements, list_questions
 from vitac.server.api.messages import post_question
-from vitac.server.views.messages import AnnouncementView, QuestionView
+from vitac.server.views.correspondence import AnnouncementView, QuestionView
 
 from ..site import get_site, get_viewer, page
 from .forms import submit

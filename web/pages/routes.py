@@ -14,29 +14,15 @@ from ..documentation.library import ADDRESS, Library
 from ..headers import SecurityHeaders
 from ..rendering import STATIC, static_digest
 from ..site import Site, name_public_rankings
-from . import (
-    appeals,
-    desk,
-    documentation,
-    errors,
-    home,
-    judging,
-    messages,
-    operations,
-    receipts,
-    rejudging,
-    sandbox,
-    tracks,
-)
-from .competition import archive, competition
+from . import competition, desk, errors, home, messages, service, tracks
 from .episodes import embedded
 from .episodes import page as episodes
 from .files import boards
 from .files import submissions as tables
 from .files.formats import TableFormat
-from .leaderboards import leaderboard, logs
+from .leaderboards import leaderboard
 from .submissions import comparison, output, sensors, sharing, submissions, upload
-from .teams import register, sign_in, team
+from .teams import sign_in, team
 
 UPLOADS = (("POST", upload.ADDRESS),)
 """Pages that take uploads, which have limits of their own."""
@@ -82,22 +68,22 @@ def pages() -> APIRouter:
         ("/example/playback/scene", home.example, "GET"),
         ("/tracks/{track}", leaderboard.leaderboard, "GET"),
         ("/tracks/{track}/leaderboard.csv", boards.leaderboard, "GET"),
-        ("/tracks/{track}/logs", logs.logs, "GET"),
+        ("/tracks/{track}/logs", leaderboard.logs, "GET"),
         ("/tracks/{track}/logs.csv", boards.logs, "GET"),
         ("/tracks/{track}/text-logs.csv", boards.text_logs, "GET"),
         ("/tracks/{track}/rules", tracks.rules, "GET"),
         ("/competitions", competition.competitions, "GET"),
         ("/competitions/{competition}", competition.competition, "GET"),
-        ("/competitions/{competition}/archive", archive.archive, "GET"),
+        ("/competitions/{competition}/archive", competition.archive, "GET"),
         ("/competitions/{competition}/freeze", competition.freeze, "POST"),
         ("/competitions/{competition}/unfreeze", competition.unfreeze, "POST"),
-        ("/competitions/{competition}/receipts", receipts.receipts, "GET"),
-        ("/competitions/{competition}/appeals", appeals.list_appeals, "GET"),
-        ("/competitions/{competition}/appeals/open", appeals.open_appeal, "POST"),
-        ("/competitions/{competition}/appeals/withdraw", appeals.withdraw, "POST"),
+        ("/competitions/{competition}/receipts", service.receipts, "GET"),
+        ("/competitions/{competition}/appeals", desk.list_appeals, "GET"),
+        ("/competitions/{competition}/appeals/open", desk.open_appeal, "POST"),
+        ("/competitions/{competition}/appeals/withdraw", desk.withdraw, "POST"),
         ("/competitions/{competition}/tracks/{track}", leaderboard.leaderboard, "GET"),
         ("/competitions/{competition}/tracks/{track}/leaderboard.csv", boards.leaderboard, "GET"),
-        ("/competitions/{competition}/tracks/{track}/logs", logs.logs, "GET"),
+        ("/competitions/{competition}/tracks/{track}/logs", leaderboard.logs, "GET"),
         ("/competitions/{competition}/tracks/{track}/logs.csv", boards.logs, "GET"),
         ("/competitions/{competition}/tracks/{track}/text-logs.csv", boards.text_logs, "GET"),
         ("/submissions", submissions.submissions, "GET"),
@@ -110,7 +96,7 @@ def pages() -> APIRouter:
             for table in tables.TABLES
             for form in TableFormat
         ),
-        ("/submissions/{submission_id}/receipt.json", receipts.receipt_file, "GET"),
+        ("/submissions/{submission_id}/receipt.json", service.receipt_file, "GET"),
         ("/submissions/{submission_id}/compare", comparison.compare_with, "GET"),
         (comparison.ADDRESS, comparison.compare_pages, "GET"),
         (f"{comparison.ADDRESS}.csv", comparison.compare_csv, "GET"),
@@ -128,11 +114,11 @@ def pages() -> APIRouter:
         ("/submissions/{submission_id}/clearance", sharing.set_clearance, "POST"),
         ("/submissions/{submission_id}/preview.png", sharing.preview, "GET"),
         ("/competition", competition.competition, "GET"),
-        ("/receipts", receipts.receipts, "GET"),
-        ("/competition/archive", archive.archive, "GET"),
-        ("/sandbox", sandbox.sandbox, "GET"),
-        (f"{ADDRESS}search", documentation.search, "GET"),
-        (f"{ADDRESS}{{name:path}}", documentation.documentation, "GET"),
+        ("/receipts", service.receipts, "GET"),
+        ("/competition/archive", competition.archive, "GET"),
+        ("/sandbox", service.sandbox, "GET"),
+        (f"{ADDRESS}search", service.search, "GET"),
+        (f"{ADDRESS}{{name:path}}", service.documentation, "GET"),
         *(
             (address + path, page, method)
             for address in EPISODES
@@ -153,9 +139,9 @@ def pages() -> APIRouter:
                 ("/playback/{file}", episodes.playback_file, "GET"),
             )
         ),
-        ("/operations", operations.operations, "GET"),
-        ("/register", register.register_form, "GET"),
-        ("/register", register.register, "POST"),
+        ("/operations", service.operations, "GET"),
+        ("/register", sign_in.register_form, "GET"),
+        ("/register", sign_in.register, "POST"),
         (team.ADDRESS, team.team, "GET"),
         (f"{team.ADDRESS}/data.json", team.data, "GET"),
         (f"{team.ADDRESS}/invite", team.invite, "POST"),
@@ -164,16 +150,16 @@ def pages() -> APIRouter:
         (f"{team.ADDRESS}/{{action}}", team.change, "POST"),
         (messages.ADDRESS, messages.messages, "GET"),
         (f"{messages.ADDRESS}/ask", messages.ask, "POST"),
-        (appeals.ADDRESS, appeals.list_appeals, "GET"),
-        (f"{appeals.ADDRESS}/open", appeals.open_appeal, "POST"),
-        (f"{appeals.ADDRESS}/withdraw", appeals.withdraw, "POST"),
-        (judging.ADDRESS, judging.judging, "GET"),
-        (f"{judging.ADDRESS}/marks", judging.give_marks, "POST"),
-        (f"{judging.ADDRESS}/conflict", judging.declare_conflict, "POST"),
-        (rejudging.ADDRESS, rejudging.rejudgements, "GET"),
-        (f"{rejudging.ADDRESS}/start", rejudging.start, "POST"),
-        (f"{rejudging.ADDRESS}/apply", rejudging.apply, "POST"),
-        (f"{rejudging.ADDRESS}/discard", rejudging.discard, "POST"),
+        (desk.APPEALS_ADDRESS, desk.list_appeals, "GET"),
+        (f"{desk.APPEALS_ADDRESS}/open", desk.open_appeal, "POST"),
+        (f"{desk.APPEALS_ADDRESS}/withdraw", desk.withdraw, "POST"),
+        (desk.JUDGING_ADDRESS, desk.judging, "GET"),
+        (f"{desk.JUDGING_ADDRESS}/marks", desk.give_marks, "POST"),
+        (f"{desk.JUDGING_ADDRESS}/conflict", desk.declare_conflict, "POST"),
+        (desk.REJUDGING_ADDRESS, desk.rejudgements, "GET"),
+        (f"{desk.REJUDGING_ADDRESS}/start", desk.start, "POST"),
+        (f"{desk.REJUDGING_ADDRESS}/apply", desk.apply, "POST"),
+        (f"{desk.REJUDGING_ADDRESS}/discard", desk.discard, "POST"),
         (desk.ADDRESS, desk.desk, "GET"),
         (f"{desk.ADDRESS}/{{action}}", desk.change, "POST"),
         ("/join", team.join_form, "GET"),

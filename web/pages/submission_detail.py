@@ -5,17 +5,17 @@ from dataclasses import dataclass
 from uuid import UUID
 
 from sqlalchemy.orm import Session
+from vitac.server.evaluations.action_matches import read_matches
 from vitac.server.evaluations.history import histories
 from vitac.server.leaderboards.history import past_results
 from vitac.server.leaderboards.public_pages import readable
-from vitac.server.logs.action_matches import read_matches
 from vitac.server.principals import Principal
 from vitac.server.settings import Settings
-from vitac.server.submissions import listing, output
-from vitac.server.submissions.model_card import make_card
+from vitac.server.submissions import files, listing
+from vitac.server.submissions.listing import make_card
 from vitac.server.submissions.view import submission_views
 from vitac.server.views.leaderboards import PastResultView
-from vitac.server.views.logs import ActionMatchView
+from vitac.server.views.receipts import ActionMatchView
 from vitac.server.views.submissions import EpisodeView, ModelCardView, SubmissionView
 
 
@@ -56,7 +56,7 @@ def read_detail(session: Session, settings: Settings, by: Principal, submission_
         submission=view,
         episodes=listing.list_episodes(session, by, shown),
         action_matches=read_matches(session, by, shown) if is_own else (),
-        episodes_with_output=output.episodes_with_output(session, by, shown),
+        episodes_with_output=files.episodes_with_output(session, by, shown),
         practice_episodes=listing.list_episodes(session, by, shown, practice=True),
         past=past_results(session, by, shown) if is_own else (),
         card=make_card(session, by, shown) if found.kind.form.runs_policy else None,

@@ -10,7 +10,7 @@ from vitac.envs.maniskill.definition import PREFIX, is_maniskill
 from vitac.evaluator.agent.protocol.frames import ACTION_TYPES
 from vitac.evaluator.tracks import Task
 
-from ..limits import limit_rows, size
+from ..headers import limit_rows, size
 from ..rendering import STATIC
 from ..site import get_site, get_viewer, page
 from .leaderboards.tabs import accepts_logs, known_track, track_tabs

@@ -8,8 +8,7 @@ from markupsafe import Markup
 from vitac.server.views.leaderboards import TeamRanksView
 
 from ..rendering import percent
-from .axis import Axis, beside
-from .figure import Figure, Table, element, joined
+from .axis import Axis, Figure, Table, beside, element, joined
 
 DATES_WRITTEN = 4
 NAME_LENGTH = 18

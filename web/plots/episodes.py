@@ -11,9 +11,8 @@ from vitac.server.views.scores import TaskScoreView
 from vitac.server.views.submissions import EpisodeView
 
 from ..rendering import percent, words
-from .axis import Axis, below, beside
-from .figure import Figure, Table, element, joined
-from .starts import describe_start
+from .axis import Axis, Figure, Table, below, beside, element, joined
+from .map import describe_start
 
 CELL_PX = 20.0
 MAP_PX = 300

@@ -4,18 +4,27 @@ Called by `pages.submissions`.
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Literal
 
 from markupsafe import Markup, escape
+from vitac.envs.scene.perspective import signed
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import Task, Track, load_track
 from vitac.server.views.submissions import EpisodeView
 
 from ..rendering import words
-from .starts import describe_start
+
+
+def describe_start(task: Task, offset: Sequence[float]) -> str:
+    """Return the components of a start's offset with their names and units."""
+    third = "turned {}°" if any(action.name == "theta" for action in task.definition.actions) else "z {} mm"
+    labels = ("x {} mm", "y {} mm", third, "z {} mm")
+    pairs = zip(labels, offset, strict=False)  # fusion adds its hole
+    return ", ".join(label.format(signed(value)) for label, value in pairs)
+
 
 CellState = Literal["success", "other", "waiting"]
 

@@ -7,8 +7,7 @@ from markupsafe import Markup
 from vitac.evaluator.figures.figures import SensitivityMap
 from vitac.evaluator.sensors.appearance import Appearance, Point
 
-from .axis import Axis, below, beside
-from .figure import Figure, Table, element, joined
+from .axis import Axis, Figure, Table, below, beside, element, joined
 
 KINDS = ("other", "driven", "sensing")
 """Classes of the faces, by their kind."""

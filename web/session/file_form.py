@@ -14,7 +14,7 @@ from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 
-from .forms import FORM_LIMIT_BYTES, require_same_site
+from .signer import FORM_LIMIT_BYTES, require_same_site
 
 MEDIA_TYPE = "multipart/form-data"
 FIELDS_TIMEOUT_S = 30.0

@@ -4,6 +4,7 @@ import io
 import unicodedata
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from itertools import groupby
 from math import ceil
@@ -161,3 +162,58 @@ def _can_write(character: str, file: Path) -> bool:
     """Return whether the font has a glyph for a character: those that it lacks all look alike."""
     font = _font(20, file)
     return character == " " or bytes(font.getmask(character)) != bytes(font.getmask("\uffff"))
+
+
+_BIBTEX = str.maketrans(
+    {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        **{character: f"\\{character}" for character in "{}%$&#_"},
+    }
+)
+"""How characters are written that mean something to LaTeX."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Citation:
+    """A result as it is cited.
+
+    Attributes:
+        plain: one sentence.
+        bibtex: an entry of a BibTeX file.
+    """
+
+    plain: str
+    bibtex: str
+
+
+def cite(found: SubmissionView, track: str, address: str) -> Citation:
+    """Return the texts that cite a complete submission.
+
+    Args:
+        found: the submission.
+        track: title of its track.
+        address: of its page.
+    """
+    evaluation, year = found.evaluation, found.submitted_at.year
+    played = evaluation.played
+    rate = f"Success rate {100 * played.success_rate:.1f} % in {', '.join(played.tasks)}, evaluator" if played else ""
+    note = f"{rate or 'Evaluator'} {evaluation.evaluator_version}, result hash {evaluation.result_hash}"
+    fields = {
+        "title": f"{{{_escaped(found.name)}}}",
+        "author": f"{{{_escaped(found.team.name)}}}",
+        "year": str(year),
+        "howpublished": _escaped(f"ViTac Arena, {track}"),
+        "note": _escaped(note),
+        "url": address,
+    }
+    lines = [f"  {name:<12} = {{{text}}}" for name, text in fields.items()]
+    return Citation(
+        plain=f"{found.team.name}. {found.name}. ViTac Arena, {track}, {year}. {note}. {address}",
+        bibtex="\n".join([f"@misc{{vitac_{found.id.hex[:12]},", ",\n".join(lines), "}"]),
+    )
+
+
+def _escaped(text: str) -> str:
+    return text.translate(_BIBTEX)

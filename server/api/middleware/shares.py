@@ -20,10 +20,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ...database.states import Role
 from ...errors import ProblemCode, ServiceError
-from ..attempts import get_client_address
+from ..access import get_client_address
 from ..problems import problem
-from .body_limit import matches_route
 from .places import Places, SharedTime
+from .requests import matches_route
 
 logger = structlog.get_logger(__name__)
 

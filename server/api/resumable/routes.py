@@ -15,18 +15,16 @@ from ...limiter import UPLOADS
 from ...principals import Principal
 from ...services import Services
 from ...storage.scratch import require_room
-from ...submissions import completion, creation, listing
+from ...submissions import creation, listing, partial_uploads, upload
+from ...submissions.intake import check_file_name
+from ...submissions.kinds import SERVED_KINDS, check_kind
+from ...submissions.partial_uploads import UploadPlan
 from ...tracks import load_known_track
-from ...uploads import partial
-from ...uploads.acceptance import check_kind
-from ...uploads.file_names import check_file_name
-from ...uploads.kinds import SERVED_KINDS
-from ...uploads.partial import UploadPlan
 from ...views.submissions import SubmissionView
 from ..access import OwnerOf, ServicesOf, SubmitterOf
 from ..problems import RESPONSES, problem
 from . import protocol
-from .pieces import PieceReceiver
+from .protocol import PieceReceiver
 
 router = APIRouter(prefix="/uploads", tags=["uploads"], responses=RESPONSES)
 
@@ -86,7 +84,7 @@ def post_upload(
             competition=plan.competition,
         )
         check_file_name(plan.file_name, team=owner.name)
-        upload = partial.begin(session, services.settings, owner, plan)
+        upload = partial_uploads.begin(session, services.settings, owner, plan)
     response.headers["Location"] = f"{request.url.path.rstrip('/')}/{upload.id}"
     _tell(response, upload.received_bytes, upload.expires_at)
 
@@ -158,7 +156,7 @@ def delete_upload(
 ) -> None:
     """Give up an upload and remove its parts."""
     _find(services, principal, upload_id)
-    partial.remove(services, upload_id)
+    partial_uploads.remove(services, upload_id)
 
 
 @router.post(
@@ -173,7 +171,7 @@ def post_submission_of_upload(
 ) -> SubmissionView:
     """Check a complete upload, as a body sent at once is checked, and start its evaluation. May be repeated."""
     with request.app.state.upload_limiter.one(principal.account, UPLOADS):
-        submission_id, is_new = completion.complete(services, principal, upload_id)
+        submission_id, is_new = upload.complete(services, principal, upload_id)
     with services.database.transaction() as session:
         view = listing.get(session, services.settings, principal, submission_id)
     response.status_code = HTTPStatus.ACCEPTED if is_new else HTTPStatus.OK
@@ -208,12 +206,12 @@ def _plan(metadata: dict[str, str], total_bytes: int) -> UploadPlan:
 
 def _find(services: Services, principal: Principal, upload_id: UUID) -> PartialUpload:
     with services.database.transaction() as session:
-        return partial.find(session, principal, upload_id)
+        return partial_uploads.find(session, principal, upload_id)
 
 
 def _conflict(services: Services, upload_id: UUID, offset: int) -> ServiceError:
     with services.database.transaction() as session:
-        return partial.conflict(session, upload_id, offset)
+        return partial_uploads.conflict(session, upload_id, offset)
 
 
 def _tell(response: Response, offset: int, expires_at: datetime) -> None:

@@ -33,7 +33,6 @@ from vitac.evaluator.submission.sources import staged
 from vitac.evaluator.tracks import Task, load_track
 from vitac.evaluator.tracks.cut import Shard, cut
 from vitac.evaluator.tracks.sealed import new_secret, sealed_track
-from vitac.server.appeals import appeals
 from vitac.server.competitions.sealing import seal
 from vitac.server.database.models import Appeal, BoardResult, EpisodeResult, Evaluation
 from vitac.server.database.states import Role
@@ -43,7 +42,7 @@ from vitac.server.principals import CONSOLE, Principal
 from vitac.server.queue import work
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
-from vitac.server.submissions import creation
+from vitac.server.submissions import appeals, creation
 from vitac.worker.staging import SubmissionStage
 from vitac.worker.worker import QueueWorker
 

@@ -21,8 +21,8 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.database.models import EpisodeResult, Submission
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.evaluations.logs import LogClaim
 from vitac.server.leaderboards import public_pages
-from vitac.server.logs.claims import LogClaim
 from vitac.server.playbacks import asking
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.services import Services

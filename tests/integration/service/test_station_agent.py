@@ -21,10 +21,10 @@ from vitac.cli.client.http import Client
 from vitac.cli.client.submit import packed
 from vitac.cli.demo.laboratory import TRACK, made_for_station
 from vitac.envs.geometry.pegs import PegShape
+from vitac.server.accounts import stations
 from vitac.server.database.models import EpisodeResult, Shard, Station, Worker
 from vitac.server.database.states import WorkState
 from vitac.server.principals import CONSOLE
-from vitac.server.stations import stations
 from vitac.station.description import make_station_track
 from vitac.station.twin.hidden import PUBLIC_SETTINGS
 from vitac.station.twin.laboratory import TwinStation, twin_process, twin_station

@@ -40,17 +40,17 @@ from vitac.server.database.states import EvaluationState, Role, WorkState
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.episode_store import row_values, store_episodes
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.evaluations.logs import LogClaim
 from vitac.server.evaluations.scores import store_scores
 from vitac.server.leaderboards import board_cache, log_boards, standings
 from vitac.server.leaderboards.board_cache import MadeBoards
-from vitac.server.logs.claims import LogClaim
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease
 from vitac.server.queue.work import Claim
 from vitac.server.settings import Settings
 from vitac.server.submissions import creation
-from vitac.server.uploads.checked_upload import CheckedUpload
+from vitac.server.submissions.checked_upload import CheckedUpload
 
 TRACK = "track_1"
 TASK = "peg-insertion"

@@ -40,8 +40,8 @@ from vitac.server.views.leaderboards import (
     PastResultView,
     TextLogEntryView,
 )
-from vitac.server.views.logs import ActionMatchView, DivergenceView, LogView, MatchedEpisodeView
-from vitac.server.views.operations import CountsView, OperationsView, QueueView, StorageView
+from vitac.server.views.operations import CountsView, OperationsView, QueueView, StorageView, WorkersView, WorkerView
+from vitac.server.views.receipts import ActionMatchView, DivergenceView, LogView, MatchedEpisodeView
 from vitac.server.views.scores import PlayedScoreView, ShapeScoreView, TaskScoreView
 from vitac.server.views.submissions import (
     EpisodeView,
@@ -49,7 +49,6 @@ from vitac.server.views.submissions import (
     SubmissionView,
 )
 from vitac.server.views.teams import TeamView
-from vitac.server.views.workers import WorkersView, WorkerView
 
 NOW = datetime(2026, 11, 21, 3, 15, tzinfo=UTC)
 WITHIN_TOLERANCE = VerificationResult.WITHIN_TOLERANCE

@@ -25,7 +25,6 @@ from vitac.evaluator.tracks import load_track
 from vitac.server.accounts import members, messages, quotas, registration, teams, tokens
 from vitac.server.api import problems
 from vitac.server.api.app import set_limiters
-from vitac.server.appeals import appeals
 from vitac.server.competitions import view as competition
 from vitac.server.database import metrics
 from vitac.server.database.states import EvaluationState
@@ -35,17 +34,17 @@ from vitac.server.evaluations import progress
 from vitac.server.leaderboards import descriptions, public_pages, reading
 from vitac.server.limiter import WindowLimiter
 from vitac.server.operations import state
-from vitac.server.playbacks import asking, comparisons, recent, stills, work
+from vitac.server.playbacks import asking, comparisons, stills, work
 from vitac.server.principals import VISITOR, Principal
 from vitac.server.queue import workers
 from vitac.server.receipts.receipt import Receipt
 from vitac.server.services import Services
 from vitac.server.settings import Registration, load_settings
-from vitac.server.submissions import comparison, listing, output, receipts, runs, sensors, upload
+from vitac.server.submissions import appeals, comparison, files, listing, runs, sensors, upload
 from vitac.server.submissions.upload import AnnouncedUpload
 from vitac.server.submissions.watch import Changes
 from vitac.server.transparency.notes import make_log_key
-from vitac.server.views.comparisons import ComparisonView
+from vitac.server.views.comparisons import ComparisonView, PlaybackView, PublicEpisodeView, ShownEpisodeView
 from vitac.server.views.competition import (
     ArchiveView,
     CompetitionListView,
@@ -53,12 +52,10 @@ from vitac.server.views.competition import (
     PublicRankingView,
     StageView,
 )
+from vitac.server.views.correspondence import AnnouncementView
 from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView, TeamRanksView
-from vitac.server.views.logs import ActionMatchView
-from vitac.server.views.messages import AnnouncementView
 from vitac.server.views.operations import OperationsView
-from vitac.server.views.playbacks import PlaybackView, PublicEpisodeView, ShownEpisodeView
-from vitac.server.views.receipts import PublicLogView, WitnessView
+from vitac.server.views.receipts import ActionMatchView, PublicLogView, WitnessView
 from vitac.server.views.submissions import (
     DescriptionView,
     DocumentView,
@@ -357,9 +354,9 @@ for _module, _name, _data_of in (
     (reading, "shown_rank_history", lambda data: lambda *_, **__: data.ranks),
     (appeals, "takes_appeals", lambda data: lambda *_: data.takes_appeals),
     (comparison, "compare_results", lambda data: data.compare),
-    (output, "episode_outputs", lambda data: data.output),
-    (receipts, "log_view", lambda data: data.log),
-    (receipts, "newest_receipt", lambda data: data.receipt),
+    (files, "episode_outputs", lambda data: data.output),
+    (files, "log_view", lambda data: data.log),
+    (files, "newest_receipt", lambda data: data.receipt),
     (asking, "find_episode", lambda data: data.find_episode),
     (asking, "shown_episode", lambda data: data.shown_episode),
     (asking, "ask", lambda data: data.ask),
@@ -367,7 +364,7 @@ for _module, _name, _data_of in (
     (stills, "list_stills", lambda data: lambda *_: data.stills),
     (stills, "find_stills", lambda data: lambda _, ids: dict.fromkeys(ids, data.stills[0]) if data.stills else {}),
     (comparisons, "list_choices", lambda _: lambda *_, **__: ()),
-    (recent, "newest_public_episode", lambda data: lambda _: data.public_one),
+    (stills, "newest_public_episode", lambda data: lambda _: data.public_one),
     (messages, "list_announcements", lambda data: lambda: data.said),
     (asking, "find_digest", lambda data: lambda place, file: (place, file)),
     (work, "read_file", lambda data: lambda _, key: data.file_at(*key)),

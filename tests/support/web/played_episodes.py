@@ -18,7 +18,7 @@ from vitac.evaluator.tracks import find_task
 from vitac.server.database.states import WorkState
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 from vitac.server.playbacks.asking import PlaybackFile
-from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView, StillView, StoryMomentView
+from vitac.server.views.comparisons import PlaybackView, ShownEpisodeView, StillView, StoryMomentView
 from vitac.web.pages.episodes.page import EpisodeAddress
 
 KEY = "5eed" * 16

@@ -7,7 +7,7 @@ not try its sandbox out first, which takes two seconds; `tests/unit/worker/test_
 import subprocess
 from collections.abc import Callable, Sequence
 
-from vitac.cli.service.loading import no_collections
+from vitac.cli.service.web_server import no_collections
 
 with no_collections():  # as in `vitac worker`
     from vitac.evaluator.tracks import Task

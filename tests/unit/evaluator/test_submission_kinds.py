@@ -1,7 +1,7 @@
 import pytest
 from vitac.evaluator.shards.execution import RUNNERS
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.uploads.kinds import SERVED_KINDS
+from vitac.server.submissions.kinds import SERVED_KINDS
 
 
 @pytest.mark.parametrize("kind", SubmissionKind)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from example_policies import flow, load
-from vitac.cli.client.packing import pack
+from vitac.cli.client.pieces import pack
 from vitac.evaluator.submission.archive import unpack
 from vitac.evaluator.submission.manifest import load_unpacked_manifest
 from vitac.evaluator.submission.sources import submission_digest

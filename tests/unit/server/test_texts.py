@@ -1,7 +1,7 @@
 import pytest
 from submission_steps import refused
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.texts import TEXT_LENGTH, clean_text
+from vitac.server.names import TEXT_LENGTH, clean_text
 
 
 def test_lines_and_paragraphs_stay_and_ends_of_lines_go() -> None:

@@ -2,7 +2,7 @@ from dataclasses import fields, replace
 
 import pytest
 from vitac.evaluator.agent.limits import Limits
-from vitac.web.limits import LimitRow, limit_rows, size, time_limits
+from vitac.web.headers import LimitRow, limit_rows, size, time_limits
 
 NOT_FOR_TEAMS = {"message_bytes"}  # of the channel, which only the evaluator's runtime uses
 

@@ -1,8 +1,8 @@
 import asyncio
 
 import pytest
-from vitac.web import recent as module
-from vitac.web.recent import Recent
+from vitac.web import front as module
+from vitac.web.front import Recent
 
 
 def test_what_many_ask_for_is_read_again_after_a_while_and_not_kept_where_reading_failed(

@@ -8,8 +8,8 @@ from vitac.evaluator.agent.isolation.packages import PolicyPackages
 from vitac.evaluator.package_sets import PackageSet, locked_versions
 from vitac.evaluator.tracks.registry import find_version
 from vitac.evaluator.version import evaluator_version
-from vitac.server.queue.declared import explain_other_evaluator, explain_other_tracks
 from vitac.server.queue.work import name_requirement
+from vitac.server.queue.workers import explain_other_evaluator, explain_other_tracks
 from vitac.worker import capabilities
 
 

@@ -17,8 +17,7 @@ from vitac.server.database.states import EvaluationState, WorkerState, WorkState
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.operations import housekeeping
 from vitac.server.playbacks import work
-from vitac.server.queue.declared import OWN_SOURCES, declare, versions_here
-from vitac.server.queue.workers import workers_alive
+from vitac.server.queue.workers import OWN_SOURCES, declare, versions_here, workers_alive
 from vitac.server.services import Services
 from vitac.server.settings import OutdatedRule
 from vitac.server.submissions import creation

@@ -13,7 +13,6 @@ from sqlalchemy import select, text
 from submission_steps import refused
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.version import evaluator_version
-from vitac.server.appeals import appeals, replays
 from vitac.server.audit import newest_entries
 from vitac.server.competitions.sealing import seal
 from vitac.server.database.models import BoardResult, Evaluation, Submission
@@ -23,6 +22,7 @@ from vitac.server.principals import CONSOLE, Principal
 from vitac.server.queue import work
 from vitac.server.queue.work import name_requirement
 from vitac.server.services import Services
+from vitac.server.submissions import appeal_replays, appeals
 from vitac.worker.leased_run import RunEnd
 from vitac.worker.short_runs import ReplayRun
 from vitac.worker.staging import SubmissionStage
@@ -56,7 +56,7 @@ def archive(folder: Path, content: bytes) -> Path:
 
 def ask(services: Services, by: Principal, number: int, *, task: str = TASK, **given: Any) -> int:
     with services.database.transaction() as session:
-        return replays.ask(session, services.blobs, by, number, task=task, **given).id
+        return appeal_replays.ask(session, services.blobs, by, number, task=task, **given).id
 
 
 def do_next(services: Services, record_of: Callable[[int], EpisodeRecord] = make_record) -> str:
@@ -65,7 +65,7 @@ def do_next(services: Services, record_of: Callable[[int], EpisodeRecord] = make
     assert claimed is not None
     assert claimed.kind is WorkKind.REPLAY
     with services.database.transaction() as session:
-        lease = replays.begin(session, claimed)
+        lease = appeal_replays.begin(session, claimed)
     stage = SubmissionStage(services.blobs, services.settings.scratch_dir, services.settings.limits)
     shards, policies = FakeShards(record_of), []
     shards.gate = lambda _: policies.append((shards.started[0].order.submission / "policy.py").read_text())
@@ -94,7 +94,7 @@ def test_the_stored_or_a_corrected_policy_is_played_and_stands_beside_the_result
         return make_record(episode, EpisodeOutcome.TACTILE, state_hashes=("0" * 64,) * 4)
 
     assert do_next(services, failed) == "corrected = 1"
-    shown = [replays.wait(services, replay) for replay in (own, corrected)]
+    shown = [appeal_replays.wait(services, replay) for replay in (own, corrected)]
     assert [(one.episode, one.corrected, one.same_states, one.old_outcome, one.outcome) for one in shown] == [
         (3, False, True, "success", "success"),
         (4, True, False, "success", "tactile"),

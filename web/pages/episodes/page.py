@@ -15,7 +15,7 @@ from vitac.envs.maniskill.definition import is_maniskill
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.playback.making import NotPlayable, require_playable
 from vitac.evaluator.tracks import Task, load_track
-from vitac.server.api.attempts import get_client_address
+from vitac.server.api.access import get_client_address
 from vitac.server.database.models import EpisodeResult
 from vitac.server.database.states import OPEN_WORK_STATES, WorkState
 from vitac.server.errors import ServiceError
@@ -23,11 +23,11 @@ from vitac.server.leaderboards.reading import shown_leaderboard
 from vitac.server.playbacks import asking, comparisons, work
 from vitac.server.playbacks.asking import NOBODY_DRAWS, PlaybackFile
 from vitac.server.principals import Principal
-from vitac.server.views.playbacks import EpisodeChoiceView, PlaybackView, ShownEpisodeView
+from vitac.server.views.comparisons import EpisodeChoiceView, PlaybackView, ShownEpisodeView
 
-from ...plots.starts import describe_start
+from ...plots.map import describe_start
 from ...rendering import STATIC, words
-from ...session.forms import read_form
+from ...session.signer import read_form
 from ...site import Viewer, get_principal, get_site, get_viewer, open_to_all, page, require_form_token
 from ..addresses import as_id
 

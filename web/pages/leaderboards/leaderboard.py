@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 from uuid import UUID
 
@@ -11,15 +12,15 @@ from starlette.responses import Response
 from vitac.evaluator.tracks import Track
 from vitac.server.leaderboards.descriptions import descriptions_among
 from vitac.server.leaderboards.public_pages import public_among
-from vitac.server.leaderboards.reading import shown_leaderboard, shown_rank_history
+from vitac.server.leaderboards.reading import shown_leaderboard, shown_log_boards, shown_rank_history
 from vitac.server.views.leaderboards import BaselineView, LeaderboardEntryView, LeaderboardView, TeamRanksView
 from vitac.server.views.scores import TaskRateView, TaskScoreView
 
+from ...plots.axis import Figure
 from ...plots.dates import DatedRate, ranks_by_date, rates_by_date
-from ...plots.figure import Figure
 from ...rendering import steps, words
 from ...site import Site, get_principal, get_site, get_viewer, page
-from ..addresses import AskedBoard
+from ..addresses import AskedBoard, board_address
 from .paging import BoardPage, board_page
 from .tabs import known_track, read_surroundings
 
@@ -178,3 +179,37 @@ def _dates(site: Site, board: LeaderboardView, own_names: Collection[str]) -> Fi
 
     found: Figure = site.plots.get((board.track, board.task, board.revision, own), make)
     return found
+
+
+TEXT_LOGS = "text-logs"
+
+
+async def logs(request: Request) -> Response:
+    """Show the logs of a track, with `?stage=` of a stage, with `?q=` those of teams with that in their name."""
+    asked, site, viewer = AskedBoard.read(request, logs=True), get_site(request), await get_viewer(request)
+    track = known_track(asked.track)
+    by, own_names = get_principal(viewer), viewer.own_names if viewer else frozenset()
+    paged = partial(board_page, request, asked.address(), own_names=own_names)
+
+    def read(session: Session) -> dict[str, Any]:
+        found = shown_log_boards(session, by, track.name, stage=asked.stage, competition=asked.competition).view
+        shown = {board.task: paged(board.entries, section=f"logs-{board.task}") for board in found.boards}
+        text_logs = paged(found.text_logs, section=TEXT_LOGS)
+        listed = [entry.submission_id for board in shown.values() for entry in board.entries]
+        listed += [entry.submission_id for entry in text_logs.entries]
+        around = read_surroundings(session, site, track, asked, shown_stage=found.stage)
+        public = public_among(session, listed)
+        return {"found": found, "shown": shown, "text_logs": text_logs, "public": public, **around}
+
+    values = await site.read(read)
+    boards = (values["text_logs"], *values["shown"].values())
+    return page(
+        request,
+        "logs.html",
+        viewer=viewer,
+        own_names=own_names,
+        logs_address=board_address(asked.competition, track.name) + asked.part,
+        search=values["text_logs"].search,
+        searchable=any(board.total > board.size for board in boards),
+        **values,
+    )

@@ -10,11 +10,10 @@ from vitac.server.views.leaderboards import PastResultView
 from vitac.server.views.scores import TaskScoreView
 from vitac.server.views.submissions import EpisodeView, SubmissionView
 
+from ...plots.axis import Figure
 from ...plots.dates import DatedRate, rates_by_date
-from ...plots.draws import success_by_draw
+from ...plots.draws import peak_forces, success_by_draw
 from ...plots.episodes import count_outcomes, offset_maps, steps_histogram, success_by_shape
-from ...plots.figure import Figure
-from ...plots.forces import peak_forces
 from ...site import Site
 
 

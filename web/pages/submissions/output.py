@@ -5,7 +5,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from vitac.evaluator.tracks import load_track
 from vitac.server.submissions import listing
-from vitac.server.submissions.output import episode_outputs
+from vitac.server.submissions.files import episode_outputs
 
 from ...site import Tab, get_site, page, require_viewer
 from ..addresses import as_id

@@ -18,7 +18,7 @@ from vitac.server.submissions import sensors
 from vitac.server.views.submissions import SensorView
 from vitac.server.visibility import visible
 
-from ...plots.figure import Figure
+from ...plots.axis import Figure
 from ...plots.sensors import HEIGHT_SCALE, find_largest, marker_picture, quality_histogram, sensitivity_maps, still
 from ...site import Site, get_site, open_to_all, page, require_viewer
 from ..addresses import as_id

@@ -15,8 +15,7 @@ from vitac.server.leaderboards import descriptions, public_pages
 from vitac.server.principals import VISITOR
 from vitac.server.views.submissions import SubmissionView
 
-from ...sharing.citation import Citation, cite
-from ...sharing.preview import draw_preview
+from ...sharing.preview import Citation, cite, draw_preview
 from ...site import Viewer, get_site, open_to_all, signed_in_form
 from ..addresses import as_id
 from ..forms import submit

@@ -14,15 +14,15 @@ from starlette.responses import Response
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import UnknownTrack, load_track
 from vitac.server.api.streams import CountedStream, OpenStreams
-from vitac.server.appeals.appeals import takes_appeals
 from vitac.server.competitions.view import competition_list_view, track_stages
 from vitac.server.database.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from vitac.server.errors import TRACK_REMOVED
 from vitac.server.playbacks.stills import find_stills, list_stills
+from vitac.server.submissions.appeals import takes_appeals
 from vitac.server.submissions.listing import list_submissions
 from vitac.server.submissions.watch import Changes
+from vitac.server.views.comparisons import StillView
 from vitac.server.views.evaluations import TaskProgressView
-from vitac.server.views.playbacks import StillView
 from vitac.server.views.scores import PracticeScoreView, TaskScoreView
 from vitac.server.views.submissions import EpisodeView, RankView, SubmissionListView, SubmissionView
 

@@ -11,7 +11,7 @@ from vitac.server.limiter import UPLOADS
 from vitac.server.principals import Principal
 from vitac.server.submissions.upload import AnnouncedUpload, check, receive
 
-from ...limits import size
+from ...headers import size
 from ...session.file_form import read_file_form
 from ...site import Viewer, get_site, page, require_form_token, require_viewer
 from ..errors import wants_page

@@ -12,7 +12,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from vitac.server.accounts import members, passwords, teams, tokens
-from vitac.server.api.attempts import note_password, note_registration
+from vitac.server.api.access import note_password, note_registration
 from vitac.server.api.members import MemberChanges, NewMember
 from vitac.server.api.middleware.shares import leave_place
 from vitac.server.database.models import Member
@@ -22,7 +22,7 @@ from vitac.server.operations import team_data
 from vitac.server.principals import Principal
 from vitac.server.views.teams import OwnTeamView, TokenView
 
-from ...session.forms import read_form
+from ...session.signer import read_form
 from ...site import get_site, get_viewer, page, require_viewer, signed_in_form
 from ..forms import act, checked_form, read_id
 from .sign_in import begin_session

@@ -8,7 +8,7 @@ from cli_service import CliService, submission_folder
 from service_factories import claim, make_record, play_all, shard_ids, store
 from typer.testing import Result
 from vitac.cli.client.answers import RequestRefused
-from vitac.cli.verbs import ConsentMissing
+from vitac.cli.client.verbs import ConsentMissing
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server.database.models import Submission, Worker
 from vitac.server.database.states import WorkerState

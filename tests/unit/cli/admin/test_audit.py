@@ -18,11 +18,11 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 from typer.core import TyperCommand, TyperGroup
 from vitac.cli.admin.app import app
-from vitac.cli.verbs import NOTHING_CHANGED, ConsentMissing
+from vitac.cli.client.verbs import NOTHING_CHANGED, ConsentMissing
 from vitac.server.accounts import members, messages, teams
 from vitac.server.accounts.outbox import announce
+from vitac.server.accounts.stations import add_station
 from vitac.server.accounts.tokens import list_tokens
-from vitac.server.appeals import appeals, replays
 from vitac.server.audit import newest_entries
 from vitac.server.competitions.applying import freeze_boards
 from vitac.server.competitions.sealing import seal
@@ -30,8 +30,8 @@ from vitac.server.database.models import Evaluation, Notice, Team, Worker
 from vitac.server.database.states import NoticeKind, Role, WorkerState
 from vitac.server.decisions.finishing import finalize
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.stations.stations import add_station
-from vitac.server.views.appeals import AppealReplayView
+from vitac.server.submissions import appeal_replays, appeals
+from vitac.server.views.correspondence import AppealReplayView
 
 from competitions import (
     PUBLIC_RANKING,
@@ -306,7 +306,7 @@ def test_a_change_is_written_to_the_audit_log(
     service: CliService, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     arguments, action = CHANGES[command]
-    monkeypatch.setattr(replays, "wait", lambda *_: PLAYED)  # the episode itself takes a worker and seconds
+    monkeypatch.setattr(appeal_replays, "wait", lambda *_: PLAYED)  # the episode itself takes a worker and seconds
     prepare(service, command)
     given = [there_is(service, name, tmp_path) if name.isupper() else name for name in arguments]
     with service.database.transaction() as session:

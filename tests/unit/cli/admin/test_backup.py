@@ -4,7 +4,7 @@ from pathlib import Path
 from cli_service import CliService, submission_folder
 from databases import fresh_database
 from vitac.cli.admin.machine import RESTART
-from vitac.cli.verbs import NOTHING_CHANGED
+from vitac.cli.client.verbs import NOTHING_CHANGED
 from vitac.server.operations.restore import ServiceNotEmpty
 
 

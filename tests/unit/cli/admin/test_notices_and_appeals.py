@@ -6,9 +6,9 @@ from datetime import UTC, datetime
 from cli_service import CliService, evaluated_submission
 from vitac.cli.client.answers import RequestRefused
 from vitac.server.accounts import teams
-from vitac.server.appeals import appeals
 from vitac.server.database.models import Notice
 from vitac.server.database.states import NoticeChannel, NoticeKind
+from vitac.server.submissions import appeals
 
 WHEN = datetime(2031, 2, 1, 12, 30, 15, 250_000, tzinfo=UTC)
 

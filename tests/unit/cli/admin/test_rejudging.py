@@ -4,7 +4,7 @@ import quick_worker
 from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, outdate, submit_scored
 from vitac.cli.client.answers import RequestRefused
-from vitac.cli.verbs import ConsentMissing
+from vitac.cli.client.verbs import ConsentMissing
 
 
 def test_a_rejudgement_is_started_shown_and_applied(service: CliService) -> None:

@@ -11,11 +11,11 @@ import typer
 from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, make_settings, submit_scored
 from sqlalchemy.orm import Session
-from vitac.cli import verbs
 from vitac.cli.admin import competition
 from vitac.cli.admin.verbs import NOUNS
+from vitac.cli.client import verbs
 from vitac.cli.client.answers import RequestRefused
-from vitac.cli.verbs import NOTHING_CHANGED, ConsentMissing, find_operation, require_consent
+from vitac.cli.client.verbs import NOTHING_CHANGED, ConsentMissing, find_operation, require_consent
 from vitac.server.accounts import teams
 from vitac.server.api.app import API_PREFIX, create_app
 from vitac.server.principals import CONSOLE, Audience

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from cli_service import CliService, cli_service, submission_folder
 from service_factories import TRACK
+from vitac.cli.client.account import LoggedIn
 from vitac.cli.client.answers import RequestRefused
-from vitac.cli.client.register import LoggedIn
 
 from competitions import make_competition, open_now, put_in_place
 

@@ -2,10 +2,10 @@ from typing import Any, cast
 
 import pytest
 from vitac.cli.client.answers import RequestRefused, ServiceUnreachable
-from vitac.cli.client.follow import ask_patiently, follow, has_ended
 from vitac.cli.client.http import Client
 from vitac.cli.client.pieces import PAUSES_S
 from vitac.cli.client.progress import EvaluationProgress
+from vitac.cli.client.status import ask_patiently, follow, has_ended
 
 SUBMISSION_ID = "id"
 

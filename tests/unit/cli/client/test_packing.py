@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from submissions import MANIFEST
-from vitac.cli.client.packing import pack
+from vitac.cli.client.pieces import pack
 from vitac.evaluator.submission.names import ArchiveRejected
 from vitac.evaluator.submission.sources import NoSubmission, submission_digest
 

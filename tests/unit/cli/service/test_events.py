@@ -3,7 +3,7 @@ import json
 import logging
 
 import structlog
-from vitac.cli.service.events import configure_events
+from vitac.cli.service.web_server import configure_events
 from vitac.server.settings import LogFormat
 
 

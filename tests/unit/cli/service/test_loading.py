@@ -2,7 +2,7 @@ import gc
 from collections.abc import Iterator
 
 import pytest
-from vitac.cli.service.loading import no_collections
+from vitac.cli.service.web_server import no_collections
 
 
 @pytest.fixture(autouse=True)

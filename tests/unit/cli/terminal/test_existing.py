@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 import typer
-from vitac.cli.terminal.existing import existing, existing_file
+from vitac.cli.terminal.output import existing, existing_file
 
 
 @pytest.fixture

@@ -1,7 +1,7 @@
 from pathlib import Path
 
 import pytest
-from vitac.cli.terminal.ignored import note_ignored_folders
+from vitac.cli.terminal.output import note_ignored_folders
 
 
 def test_the_folder_of_another_track_beside_the_submission_is_named(

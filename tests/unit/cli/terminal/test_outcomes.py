@@ -1,5 +1,5 @@
 import pytest
-from vitac.cli.terminal.outcomes import print_meanings
+from vitac.cli.terminal.output import print_meanings
 
 
 def test_each_word_is_explained_once_in_the_order_of_its_first_use(capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,10 +16,9 @@ from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import FREE_FAILURES_PER_DAY, fail_by_machines
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.settings import Quotas, load_settings
-from vitac.server.submissions import runs
+from vitac.server.submissions import partial_uploads, runs
 from vitac.server.submissions.files import stored_digests
-from vitac.server.uploads import partial
-from vitac.server.uploads.partial import UploadPlan
+from vitac.server.submissions.partial_uploads import UploadPlan
 
 pytestmark = pytest.mark.usefixtures("quota_clock")
 
@@ -65,8 +64,8 @@ def test_stored_uploads_count_each_file_once_until_a_day_after_a_cancel(
             kind=SubmissionKind.MODEL, track=None, competition=None, again=False, file_name=None, total_bytes=3 << 20,
             sha256=None,
         )  # fmt: skip
-        monkeypatch.setattr(partial, "require_room", lambda *_: None)
-        partial.begin(session, load_settings(), team, plan)
+        monkeypatch.setattr(partial_uploads, "require_room", lambda *_: None)
+        partial_uploads.begin(session, load_settings(), team, plan)
     assert used(database, principal)["stored_mib"] == 8
     with pytest.raises(ServiceError, match="quota stored_mib"):
         submit(database, principal, "two", stored_mib=8)

@@ -15,11 +15,11 @@ from vitac.server.accounts.shown_names import ShownNames
 from vitac.server.competitions.competition import Competition
 from vitac.server.database.models import CompetitionRow, Submission, Team
 from vitac.server.database.states import Role
+from vitac.server.evaluations.logs import LogClaim
 from vitac.server.leaderboards.standings import leaderboard
-from vitac.server.logs.claims import LogClaim
 from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.submissions import creation
-from vitac.server.submissions.receipts import receipts
+from vitac.server.submissions.files import receipts
 
 from competitions import make_competition, open_now, put_in_place, shown_stage
 

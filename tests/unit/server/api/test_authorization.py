@@ -18,9 +18,8 @@ from sensor_checks import check_sensors
 from service_client import POLICY, Service, bearer, copied_service, make_archive, running_service
 from service_factories import TASK, TRACK, make_principal, make_score, make_settings, play_all, submit_scored
 from sqlalchemy import delete
-from vitac.server.accounts import members, messages, tokens
+from vitac.server.accounts import members, messages, stations, tokens
 from vitac.server.api.app import create_app
-from vitac.server.appeals import appeals
 from vitac.server.database.engine import Database
 from vitac.server.database.models import (
     ApiToken,
@@ -39,7 +38,7 @@ from vitac.server.database.states import NoticeChannel, NoticeKind, Role, Worker
 from vitac.server.decisions.rejudging_comparison import compute_revision
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE, Audience
-from vitac.server.stations import stations
+from vitac.server.submissions import appeals
 
 from competitions import make_competition, put_in_place
 

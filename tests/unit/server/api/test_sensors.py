@@ -41,9 +41,9 @@ from vitac.server.queue import leases, work
 from vitac.server.queue.kinds import KINDS
 from vitac.server.queue.leases import Lease
 from vitac.server.queue.work import name_requirement
-from vitac.server.submissions.figures import coefficients_digest, has_part
+from vitac.server.submissions.checked_upload import UploadedFile
 from vitac.server.submissions.files import add_files, stored_digests
-from vitac.server.uploads.checked_upload import UploadedFile
+from vitac.server.submissions.sensors import coefficients_digest, has_part
 from vitac.worker import leased_run
 from vitac.worker.leased_run import RunEnd
 from vitac.worker.shard_run import ShardRun

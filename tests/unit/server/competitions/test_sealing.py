@@ -27,12 +27,12 @@ from vitac.server.database.models import EpisodeResult, Evaluation, Submission
 from vitac.server.database.states import Role
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations import lifecycle
+from vitac.server.evaluations.action_matches import action_matches
 from vitac.server.evaluations.history import newest_evaluation
-from vitac.server.logs.action_matches import action_matches
-from vitac.server.logs.export import export_log
+from vitac.server.evaluations.logs import export_log
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import listing
-from vitac.server.submissions.output import episode_outputs
+from vitac.server.submissions.files import episode_outputs
 from vitac.server.visibility import EvaluationVisibility, decide_sight
 
 from competitions import stored_stage

@@ -10,7 +10,6 @@ from submission_steps import refused
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts import messages, teams, tokens
 from vitac.server.accounts.quotas import stage_uses
-from vitac.server.appeals import appeals
 from vitac.server.competitions.applying import apply, freeze_boards
 from vitac.server.competitions.competition import Competition, choose_competition, find_stage, list_competition_choices
 from vitac.server.competitions.definition import CompetitionDefinition
@@ -26,7 +25,7 @@ from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.receipts.issuing import receipts_of_board
 from vitac.server.settings import Settings
-from vitac.server.submissions import creation, listing
+from vitac.server.submissions import appeals, creation, listing
 from vitac.server.submissions.disqualification import disqualify, reinstate
 from vitac.server.submissions.runs import run_again
 from vitac.server.visibility import decide_sight, visible

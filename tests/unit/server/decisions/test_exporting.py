@@ -35,15 +35,15 @@ from vitac.server.decisions.exporting import export_receipts
 from vitac.server.errors import ServiceError
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import end_check
-from vitac.server.logs.claims import LogClaim
+from vitac.server.evaluations.logs import LogClaim
 from vitac.server.operations import team_data
 from vitac.server.principals import CONSOLE
 from vitac.server.receipts.audit import Audit, audit
 from vitac.server.receipts.export import ExportReader, sensor_name
 from vitac.server.storage.blobs import BlobStore, StoredFileLost
 from vitac.server.submissions import creation
+from vitac.server.submissions.checked_upload import UploadedFile
 from vitac.server.submissions.files import add_files
-from vitac.server.uploads.checked_upload import UploadedFile
 
 from competitions import shown_stage
 

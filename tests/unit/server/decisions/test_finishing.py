@@ -8,7 +8,6 @@ from service_factories import TASK, TRACK, make_principal, make_score, make_uplo
 from sqlalchemy import select, update
 from submission_steps import SETTINGS, refused
 from vitac.server.accounts import teams
-from vitac.server.appeals import appeals
 from vitac.server.audit import newest_entries
 from vitac.server.competitions.applying import freeze_boards, unfreeze_boards
 from vitac.server.competitions.competition import Competition
@@ -24,7 +23,7 @@ from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.receipts.issuing import receipts_of_ends
-from vitac.server.submissions import creation, listing
+from vitac.server.submissions import appeals, creation, listing
 
 from competitions import FIRST, SECOND, make_competition, moved, open_now, put_in_place, shown_stage, teams_on_board
 

@@ -15,7 +15,7 @@ from vitac.server.database.states import Role
 from vitac.server.decisions.judging import declare_conflict, give_marks, judged, percentiles
 from vitac.server.errors import ProblemCode
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.views.judging import JudgedTeamView
+from vitac.server.views.decisions import JudgedTeamView
 
 from competitions import make_competition, open_now, put_in_place, shown_stage
 

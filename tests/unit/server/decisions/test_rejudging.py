@@ -40,7 +40,7 @@ from vitac.server.principals import CONSOLE, Principal
 from vitac.server.receipts.issuing import receipts_of_submission
 from vitac.server.submissions import creation, runs
 from vitac.server.transparency.log import count_entries
-from vitac.server.views.rejudging import RejudgedSubmissionView
+from vitac.server.views.decisions import RejudgedSubmissionView
 
 from competitions import make_competition, open_now, put_in_place, shown_stage
 

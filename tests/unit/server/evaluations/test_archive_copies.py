@@ -11,8 +11,7 @@ from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
 from vitac.evaluator.submission.likeness import make_sketch
 from vitac.server.database.engine import Database
 from vitac.server.errors import ProblemCode
-from vitac.server.evaluations.archive_copies import compare_archives, list_archive_copies
-from vitac.server.evaluations.near_copies import list_near_copies
+from vitac.server.evaluations.near_copies import compare_archives, list_archive_copies, list_near_copies
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.operations.desk import troubles
 from vitac.server.principals import CONSOLE, Principal

@@ -23,8 +23,8 @@ from vitac.server.database.models import Submission
 from vitac.server.evaluations import lifecycle, listing
 from vitac.server.evaluations.copies import find_copies, flag_copies
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.evaluations.logs import LogClaim
 from vitac.server.leaderboards.log_boards import log_boards
-from vitac.server.logs.claims import LogClaim
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import creation
 from vitac.server.views.evaluations import CopyView

@@ -25,8 +25,8 @@ from vitac.server.database.engine import Database
 from vitac.server.database.models import Evaluation, Shard, Submission
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.evaluations.logs import LogClaim
 from vitac.server.leaderboards.standings import leaderboard
-from vitac.server.logs.claims import LogClaim
 from vitac.server.playbacks.asking import find_episode
 from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.submissions import creation, listing

@@ -16,7 +16,7 @@ from vitac.server.evaluations.superseding import supersede_outdated
 from vitac.server.operations.state import operations
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.queue import workers
-from vitac.server.queue.declared import OWN_SOURCES, declare, versions_here
+from vitac.server.queue.workers import OWN_SOURCES, declare, versions_here
 from vitac.server.settings import OutdatedRule
 from vitac.server.submissions import listing
 

@@ -5,9 +5,9 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.competitions.applying import apply
 from vitac.server.competitions.definition import CompetitionDefinition
 from vitac.server.database.engine import Database
+from vitac.server.evaluations.logs import LogClaim
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
-from vitac.server.logs.claims import LogClaim
 from vitac.server.principals import CONSOLE
 
 from competitions import OPENS, make_competition, open_now, put_in_place, shown_stage

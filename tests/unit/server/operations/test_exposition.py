@@ -16,8 +16,7 @@ from vitac.server.operations.exposition import KEPT_S, LOST, Exposition, server_
 from vitac.server.queue.workers import Disk
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
-from vitac.server.views.operations import CountsView, OperationsView, QueueView, StorageView
-from vitac.server.views.workers import WorkerView
+from vitac.server.views.operations import CountsView, OperationsView, QueueView, StorageView, WorkerView
 
 Series = tuple[str, frozenset[tuple[str, str]]]
 

@@ -20,7 +20,7 @@ from vitac.server.errors import ServiceError
 from vitac.server.operations import housekeeping
 from vitac.server.operations.housekeeping import Housekeeping, prune
 from vitac.server.playbacks import work
-from vitac.server.queue.declared import declare, declared_versions, versions_here
+from vitac.server.queue.workers import declare, declared_versions, versions_here
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
 from vitac.server.storage.scratch import scratch_folder

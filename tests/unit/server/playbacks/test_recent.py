@@ -10,9 +10,9 @@ from sqlalchemy.orm import Session
 from vitac.server.database.models import EpisodeResult, Playback, Submission
 from vitac.server.database.states import WorkState
 from vitac.server.leaderboards.public_pages import set_public
-from vitac.server.playbacks import recent
-from vitac.server.playbacks.recent import newest_public_episode
-from vitac.server.views.playbacks import PublicEpisodeView
+from vitac.server.playbacks import stills
+from vitac.server.playbacks.stills import newest_public_episode
+from vitac.server.views.comparisons import PublicEpisodeView
 
 NOW = datetime(2026, 11, 22, 12, tzinfo=UTC)
 
@@ -89,10 +89,10 @@ def test_playbacks_that_pages_no_longer_find_are_passed_over(team_a: Played, mon
     with team_a.database.transaction() as session:
         session.execute(update(Playback).where(Playback.episode_id == team_a.episode(2).id).values(key=sha256("older")))
     assert number_of(newest(team_a)) == 1, "the other one has another format"
-    monkeypatch.setattr(recent, "LOOKED_AT", 1)
+    monkeypatch.setattr(stills, "LOOKED_AT", 1)
     assert newest(team_a) is None
-    monkeypatch.setattr(recent, "LOOKED_AT", 100)
-    monkeypatch.setattr(recent, "current_versions", lambda: frozenset({"2+other"}))
+    monkeypatch.setattr(stills, "LOOKED_AT", 100)
+    monkeypatch.setattr(stills, "current_versions", lambda: frozenset({"2+other"}))
     assert newest(team_a) is None
 
 
@@ -108,7 +108,7 @@ def test_a_submission_that_becomes_private_meanwhile_is_passed_over(
         session.execute(update(Submission).where(Submission.id.in_(submissions)).values(is_public=False))
         return submissions
 
-    monkeypatch.setattr(recent, "public_among", privately)
+    monkeypatch.setattr(stills, "public_among", privately)
     assert newest(team_a) is None
 
 

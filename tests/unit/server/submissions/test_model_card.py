@@ -15,7 +15,7 @@ from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.leaderboards.public_pages import set_public
 from vitac.server.principals import VISITOR
 from vitac.server.submissions import creation
-from vitac.server.submissions.model_card import model_card
+from vitac.server.submissions.listing import model_card
 
 CONTENTS = {"frameworks": ["torch"], "code_bytes": 100, "weights_bytes": 2000}
 

@@ -26,7 +26,7 @@ from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import listing
-from vitac.server.submissions.output import episode_outputs, episodes_with_output
+from vitac.server.submissions.files import episode_outputs, episodes_with_output
 from vitac.server.views.submissions import OutputView
 from vitac.server.visibility import EvaluationVisibility, decide_sight
 

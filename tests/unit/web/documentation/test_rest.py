@@ -1,6 +1,6 @@
 from typing import Any
 
-from vitac.web.documentation.rest import rest_reference
+from vitac.web.documentation.reference import rest_reference
 
 ITEM = {"$ref": "#/components/schemas/ItemView"}
 DESCRIPTION: dict[str, Any] = {

@@ -5,7 +5,7 @@ from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server.settings import Settings
 from vitac.web.documentation.library import Library
-from vitac.web.documentation.tables import settings
+from vitac.web.documentation.markup import settings
 
 
 def test_every_setting_has_a_meaning_and_its_default() -> None:

@@ -15,9 +15,9 @@ from visits import COMPLETED
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server.api.conditional import compress
 from vitac.server.playbacks.asking import PlaybackFile
+from vitac.server.views.comparisons import PublicEpisodeView, StillView
 from vitac.server.views.competition import CompetitionTrackView, CompetitionView, StageView
-from vitac.server.views.messages import AnnouncementView
-from vitac.server.views.playbacks import PublicEpisodeView, StillView
+from vitac.server.views.correspondence import AnnouncementView
 from vitac.web.pages import home
 from vitac.web.rendering import STATIC
 
@@ -118,7 +118,7 @@ def test_a_card_says_whether_its_track_takes_submissions(
     stages: list[tuple[str, timedelta, timedelta, bool]],
     shown: str,
 ) -> None:
-    monkeypatch.setattr("vitac.web.recent.monotonic", lambda: 0.0)
+    monkeypatch.setattr("vitac.web.front.monotonic", lambda: 0.0)
     now = datetime.now(UTC)
     made = [a_stage(name, now + opens, now + closes, is_open=is_open) for name, opens, closes, is_open in stages]
     data.cup = a_cup(*made)

@@ -5,8 +5,8 @@ import pytest
 from page_fixtures import LOCK, TASK, TASKS, a_score, some_episodes
 from vitac.evaluator.tracks import load_track
 from vitac.server.views.submissions import EpisodeView
+from vitac.web.plots.axis import Figure
 from vitac.web.plots.episodes import MAX_BARS, count_outcomes, offset_maps, steps_histogram, success_by_shape
-from vitac.web.plots.figure import Figure
 
 ENDS = some_episodes(TASK, 270)
 

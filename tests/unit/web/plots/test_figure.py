@@ -1,4 +1,4 @@
-from vitac.web.plots.figure import Table, element, joined
+from vitac.web.plots.axis import Table, element, joined
 
 
 def test_attributes_and_content_are_escaped() -> None:

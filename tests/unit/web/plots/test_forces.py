@@ -3,7 +3,7 @@
 from page_fixtures import TASK
 from recorded_forces import some_forces
 from vitac.server.views.submissions import EpisodeView
-from vitac.web.plots.forces import peak_forces
+from vitac.web.plots.draws import peak_forces
 
 
 def an_end(number: int, peak_n: float | None, success: bool) -> EpisodeView:

@@ -2,7 +2,7 @@ import pytest
 from asgi_browser import AsgiBrowser
 from page_service import FixedData, an_application
 from visits import RUNNING, form_token, sign_in
-from vitac.web.session.forms import FORM_LIMIT_BYTES, local_target
+from vitac.web.session.signer import FORM_LIMIT_BYTES, local_target
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@ import re
 
 from page_fixtures import a_submission
 from vitac.server.database.states import EvaluationState
-from vitac.web.sharing.citation import cite
+from vitac.web.sharing.preview import cite
 
 ADDRESS = "https://arena.example/submissions/1"
 

@@ -4,7 +4,7 @@ import pytest
 from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, outdate, submit_scored
 from vitac.cli.client.answers import RequestRefused
-from vitac.cli.verbs import ConsentMissing
+from vitac.cli.client.verbs import ConsentMissing
 from vitac.server.errors import ProblemCode
 
 from competitions import SECOND, make_competition, open_now, put_in_place

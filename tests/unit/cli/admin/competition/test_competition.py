@@ -5,7 +5,7 @@ import pytest
 from cli_service import CliService
 from service_factories import TRACK
 from vitac.cli.client.answers import RequestRefused
-from vitac.cli.verbs import ConsentMissing
+from vitac.cli.client.verbs import ConsentMissing
 from vitac.evaluator.strict_model import DocumentRejected
 from vitac.evaluator.tracks.sealed import make_commitment
 from vitac.server.competitions.competition import Competition
@@ -146,7 +146,7 @@ def test_a_change_of_what_has_happened_is_confirmed_by_name(
     assert isinstance(refused.exception, RequestRefused)
     assert f"--confirm {name}" in str(refused.exception)
     asked: list[str] = []
-    monkeypatch.setattr("vitac.cli.verbs.require_consent", lambda question, *, yes: asked.append(question))
+    monkeypatch.setattr("vitac.cli.client.verbs.require_consent", lambda question, *, yes: asked.append(question))
     assert service.run(*apply, public).exit_code == 0
     assert asked == [f"{name}: do you mean that?", "Apply these 1 changes?"]
     assert service.run(*apply, public, "--yes").stdout.strip() == "Nothing changes."

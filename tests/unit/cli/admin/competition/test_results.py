@@ -5,7 +5,7 @@ import pytest
 from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from vitac.cli.client.answers import RequestRefused
-from vitac.cli.verbs import ConsentMissing
+from vitac.cli.client.verbs import ConsentMissing
 from vitac.server.accounts import teams
 from vitac.server.principals import CONSOLE
 

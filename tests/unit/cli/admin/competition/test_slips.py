@@ -10,11 +10,11 @@ from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from typer.testing import Result
 from vitac.cli.client.answers import RequestRefused
-from vitac.server.appeals import appeals
 from vitac.server.competitions.competition import Competition
 from vitac.server.database.engine import Database
 from vitac.server.errors import ProblemCode
 from vitac.server.principals import Principal
+from vitac.server.submissions import appeals
 
 from competitions import FIRST, PUBLIC_RANKING, SECOND, sealed_competition, write_competition
 

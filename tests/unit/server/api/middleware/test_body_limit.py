@@ -6,8 +6,8 @@ from contextlib import suppress
 
 import pytest
 from service_client import Service, bearer, make_archive, problem_of
-from vitac.server.api.middleware import body_limit
-from vitac.server.api.middleware.body_limit import LIMIT_BYTES
+from vitac.server.api.middleware import requests
+from vitac.server.api.middleware.requests import LIMIT_BYTES
 
 
 def test_large_json_is_refused_whether_its_length_is_told_or_not(service: Service) -> None:
@@ -39,7 +39,7 @@ def test_uploads_have_their_own_limit(service: Service) -> None:
 def test_a_body_that_trickles_is_given_up_though_it_never_stops(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(body_limit, "BODY_TIMEOUT_S", 0.3)
+    monkeypatch.setattr(requests, "BODY_TIMEOUT_S", 0.3)
     with socket.create_connection(service.address, timeout=0.02) as connection:
         connection.sendall(b"POST /api/v1/teams HTTP/1.1\r\nHost: a\r\nContent-Length: 60000\r\n\r\n{")
         answer = b""
@@ -56,7 +56,7 @@ def test_a_body_that_trickles_is_given_up_though_it_never_stops(
 
 
 def test_an_answer_may_take_longer_than_the_body(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(body_limit, "BODY_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(requests, "BODY_TIMEOUT_S", 0.2)
     submission = service.upload(make_archive()).json()["id"]
     events = []
     with service.client.stream(

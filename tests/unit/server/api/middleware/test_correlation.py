@@ -5,7 +5,7 @@ import structlog
 from fastapi import FastAPI, Request
 from starlette.responses import Response
 from vitac.server.api import problems
-from vitac.server.api.middleware.correlation import RequestIds
+from vitac.server.api.middleware.requests import RequestIds
 from vitac.server.errors import ProblemCode, ServiceError
 
 

@@ -2,7 +2,7 @@ import asyncio
 
 import httpx
 from fastapi import FastAPI
-from vitac.server.api.middleware.redirects import RelativeRedirects
+from vitac.server.api.middleware.requests import RelativeRedirects
 
 
 def test_a_redirect_does_not_follow_the_host_header() -> None:

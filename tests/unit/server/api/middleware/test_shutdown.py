@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 from starlette.types import Receive, Scope, Send
-from vitac.server.api.middleware.shutdown import Shutdown
+from vitac.server.api.middleware.requests import Shutdown
 
 START = {"type": "http.response.start", "status": 200, "headers": []}
 

@@ -17,11 +17,11 @@ from httpx import Response
 from service_client import API, Service, bearer, make_archive, problem_of, running_service
 from sqlalchemy import text, update
 from sqlalchemy.exc import OperationalError
-from vitac.server.api.resumable.pieces import PART_BYTES
+from vitac.server.api.resumable.protocol import PART_BYTES
 from vitac.server.database.engine import Database
 from vitac.server.database.models import PartialUpload
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.uploads import partial
+from vitac.server.submissions import partial_uploads
 from worker_fakes import eventually
 
 from competitions import FIRST, SECOND, make_competition, put_in_place
@@ -143,7 +143,7 @@ def test_submission_and_its_upload_are_noted_together_or_not_at_all(
         raise OperationalError("UPDATE", {}, psycopg.OperationalError("the connection is cut between the two"))
 
     with monkeypatch.context() as patch:
-        patch.setattr(partial, "finish", fail)
+        patch.setattr(partial_uploads, "finish", fail)
         assert service.post(f"{place.removeprefix(API)}/submission").status_code == 503
     with service.database.transaction() as session:
         assert session.scalar(text("SELECT count(*) FROM submissions")) == 0
@@ -165,7 +165,7 @@ def test_parts_that_cannot_be_removed_do_not_refuse_the_submission(
         assert service.post(f"{place.removeprefix(API)}/submission").status_code == 202
     with service.database.transaction() as session:
         session.execute(update(PartialUpload).values(expires_at=datetime.now(UTC)))
-    partial.remove_expired(service.services)
+    partial_uploads.remove_expired(service.services)
     assert stored_parts(service) == []
 
 
@@ -174,12 +174,12 @@ def test_an_upload_that_is_removed_while_it_is_put_together_is_not_found(service
     place = begun(service, len(archive))
     send(service, place, 0, archive)
     upload_id = UUID(place.rsplit("/", 1)[-1])
-    partial.remove(service.services, upload_id)
+    partial_uploads.remove(service.services, upload_id)
     with pytest.raises(ServiceError, match="no upload") as refused:
-        partial.put_together(service.services, upload_id, tmp_path)
+        partial_uploads.put_together(service.services, upload_id, tmp_path)
     assert refused.value.code is ProblemCode.NOT_FOUND
     with service.database.transaction() as session, pytest.raises(ServiceError, match="no upload"):
-        partial.lock(session, upload_id)
+        partial_uploads.lock(session, upload_id)
 
 
 def test_an_upload_that_goes_on_while_expired_ones_are_removed_stays(service: Service) -> None:
@@ -187,7 +187,7 @@ def test_an_upload_that_goes_on_while_expired_ones_are_removed_stays(service: Se
     send(service, place, 0, b"12345")
     with service.database.transaction() as session:
         session.execute(update(PartialUpload).values(expires_at=datetime.now(UTC)))
-    removing = threading.Thread(target=partial.remove_expired, args=(service.services,))
+    removing = threading.Thread(target=partial_uploads.remove_expired, args=(service.services,))
     with service.database.transaction() as session:
         # A piece that is being counted: the removal waits for it and then finds the upload alive.
         session.execute(update(PartialUpload).values(expires_at=datetime.now(UTC) + timedelta(hours=1)))
@@ -239,7 +239,9 @@ def test_of_two_clients_that_send_the_same_piece_one_goes_on(service: Service) -
     with service.database.transaction() as session:
         upload = session.query(PartialUpload).one()
     folder = service.settings.scratch_dir
-    assert partial.put_together(service.services, upload.id, folder).sha256 == hashlib.sha256(content).hexdigest()
+    assert (
+        partial_uploads.put_together(service.services, upload.id, folder).sha256 == hashlib.sha256(content).hexdigest()
+    )
     assert sum(path.stat().st_size for path in stored_parts(service)) == length
 
 
@@ -406,7 +408,7 @@ def test_an_abandoned_upload_expires_and_is_removed_with_its_parts(service: Serv
         session.execute(update(PartialUpload).values(expires_at=datetime.now(UTC)))
     assert ask(service, "HEAD", place).status_code == 404
     assert send(service, place, 1, b"x").status_code == 404
-    partial.remove_expired(service.services)
+    partial_uploads.remove_expired(service.services)
     assert stored_parts(service) == []
     with service.database.transaction() as session:
         assert session.scalar(text("SELECT count(*) FROM partial_uploads")) == 0
@@ -417,10 +419,10 @@ def test_parts_that_no_upload_has_are_removed_once_they_are_old(
 ) -> None:
     begun(service, 10)
     service.services.blobs.put_part("00000000-0000-0000-0000-000000000000", "1", b"x")
-    partial.remove_expired(service.services)
+    partial_uploads.remove_expired(service.services)
     assert len(stored_parts(service)) == 1
-    monkeypatch.setattr(partial, "timedelta", lambda **_: timedelta(0))
-    partial.remove_expired(service.services)
+    monkeypatch.setattr(partial_uploads, "timedelta", lambda **_: timedelta(0))
+    partial_uploads.remove_expired(service.services)
     assert stored_parts(service) == []
 
 
@@ -441,7 +443,7 @@ def test_a_store_that_does_not_work_loses_nothing_that_counted(
 
 
 def test_an_upload_of_too_many_pieces_is_refused(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(partial, "MAX_PARTS", 3)
+    monkeypatch.setattr(partial_uploads, "MAX_PARTS", 3)
     place = begun(service, 10)
     assert [send(service, place, offset, b"x").status_code for offset in range(4)] == [204, 204, 204, 429]
     assert (offset_of(service, place), len(stored_parts(service))) == (3, 3)

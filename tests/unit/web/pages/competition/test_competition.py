@@ -6,8 +6,8 @@ from page_service import FixedData
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 from vitac.server.views.competition import CompetitionTrackView, CompetitionView, PrizeView, StageView, WinnerView
-from vitac.server.views.messages import AnnouncementView
-from vitac.web.pages.competition.competition import list_countdowns
+from vitac.server.views.correspondence import AnnouncementView
+from vitac.web.pages.competition import list_countdowns
 
 DAY = timedelta(days=1)
 OPENS, CLOSES = datetime(2031, 1, 1, tzinfo=UTC), datetime(2031, 2, 1, 12, tzinfo=UTC)

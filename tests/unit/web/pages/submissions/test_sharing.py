@@ -7,7 +7,7 @@ from page_service import FixedData, an_application
 from played_episodes import a_shown_episode
 from visits import BEARS, BOTH, COMPLETED, GELBOTS, RUNNING, form_token, sign_in
 from vitac.server.leaderboards import descriptions
-from vitac.server.submissions import clearance
+from vitac.server.submissions import disqualification
 from vitac.server.views.evaluations import CopyView
 from vitac.server.views.submissions import DescriptionView, EpisodeOutputView
 
@@ -224,8 +224,8 @@ def test_organizers_clear_a_copy_with_a_reason_that_its_team_reads(
     copy = CopyView(team="Bears", episodes=88, of=90, task=TASK, ranked=False)
     cleared = copy.model_copy(update={"ranked": True, "cleared_for": "made apart"})
     done: list[str | None] = []
-    monkeypatch.setattr(clearance, "clear", lambda _session, _by, _id, reason: done.append(reason))
-    monkeypatch.setattr(clearance, "withdraw", lambda _session, _by, _id: done.append(None))
+    monkeypatch.setattr(disqualification, "clear", lambda _session, _by, _id, reason: done.append(reason))
+    monkeypatch.setattr(disqualification, "withdraw", lambda _session, _by, _id: done.append(None))
     for reader, found, sentence in (
         ("Gelbots", copy, "are near those of an earlier submission of Bears"),
         ("organizers", copy, "is not ranked until an organizer has cleared it"),

@@ -12,8 +12,8 @@ from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.database.states import EvaluationState
 from vitac.server.errors import TRACK_REMOVED
+from vitac.server.views.comparisons import StillView
 from vitac.server.views.evaluations import DifferingEpisodeView, EvaluationView, PackagesView
-from vitac.server.views.playbacks import StillView
 from vitac.web.pages.submissions import submissions
 from vitac.web.plots.map import EpisodeMap, episode_map
 

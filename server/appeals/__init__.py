@@ -1,1 +1,0 @@
-"""Appeals of teams against evaluations, and rulings."""

@@ -1,1 +1,0 @@
-"""Uploaded logs: what they claim, how models compare with them, and their export."""

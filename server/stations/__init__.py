@@ -1,1 +1,0 @@
-"""Laboratories whose agents play trials for the service."""

@@ -1,1 +1,0 @@
-"""Uploads: received, checked by all rules of their kind, stored."""

@@ -1,0 +1,134 @@
+"""The competition's home page: schedule, tracks, rules, prizes, commitments, winners."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import partial
+from uuid import UUID
+
+from sqlalchemy.orm import Session
+from starlette.requests import Request
+from starlette.responses import Response
+from vitac.server.accounts import messages
+from vitac.server.api import competitions as routes
+from vitac.server.competitions.view import competition_list_view, competition_view
+from vitac.server.decisions.publishing import archive_view
+from vitac.server.leaderboards.descriptions import descriptions_among
+from vitac.server.leaderboards.public_pages import public_among
+from vitac.server.views.competition import ArchiveView, CompetitionView
+from vitac.server.views.correspondence import AnnouncementView
+from vitac.server.views.submissions import DescriptionView
+
+from ..site import get_principal, get_site, get_viewer, page
+from .addresses import board_address, competition_address, read_competition_name
+from .forms import submit
+
+N_SAID = 3
+"""Number of the newest announcements on the page; all of them have a page of their own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Countdown:
+    """What opens or closes next on some tracks, and when."""
+
+    tracks: tuple[str, ...]
+    stage: str
+    closes: bool
+    moment: datetime
+
+
+async def competitions(request: Request) -> Response:
+    """Show all competitions of this service to everybody."""
+    found = (await get_site(request).read(competition_list_view)).items
+    return page(request, "competitions.html", viewer=await get_viewer(request), section="/competition", found=found)
+
+
+async def competition(request: Request) -> Response:
+    """Show a competition to everybody: the one in the address, else the one that opened last.
+
+    Raises:
+        ServiceError: there is no such competition.
+    """
+    competition = read_competition_name(request)
+
+    def read(session: Session) -> tuple[CompetitionView, Sequence[AnnouncementView], int]:
+        shown = competition_view(session, competition)
+        return shown, messages.list_announcements(session), len(competition_list_view(session).items)
+
+    found, said, n_competitions = await get_site(request).read(read)
+    viewer = await get_viewer(request)
+    return page(
+        request,
+        "competition.html",
+        viewer=viewer,
+        section="/competition",
+        found=found,
+        competition_url=competition_address(competition),
+        board_address=partial(board_address, competition),
+        has_others=n_competitions > 1,
+        said=said[:N_SAID],
+        organizes_service=competition is not None and get_principal(viewer).organizes(competition),
+        now=(now := datetime.now(UTC)),
+        countdowns=list_countdowns(found, now),
+    )
+
+
+def list_countdowns(found: CompetitionView, now: datetime) -> list[Countdown]:
+    """Return for each track the end of its open stage, else the start of the next, the earliest first."""
+    following: dict[tuple[datetime, bool, str], list[str]] = {}
+    for track in found.tracks:
+        ends = [(stage.closes, True, stage.title) for stage in track.stages if stage.opens <= now < stage.closes]
+        starts = [(stage.opens, False, stage.title) for stage in track.stages if stage.opens > now]
+        if coming := ends or starts:
+            following.setdefault(min(coming), []).append(track.title)
+    return [
+        Countdown(tracks=tuple(tracks), stage=stage, closes=closes, moment=moment)
+        for (moment, closes, stage), tracks in sorted(following.items())
+    ]
+
+
+async def freeze(request: Request) -> Response:
+    """Freeze the boards for everybody but organizers."""
+    return await _change_boards(request, routes.freeze)
+
+
+async def unfreeze(request: Request) -> Response:
+    """Show all results on the boards again."""
+    return await _change_boards(request, routes.unfreeze)
+
+
+async def _change_boards(request: Request, route: Callable[..., object]) -> Response:
+    competition = read_competition_name(request)
+    return await submit(request, route, back=competition_address(competition), ids={"competition": competition})
+
+
+async def archive(request: Request) -> Response:
+    """Show the archive of a competition to everybody.
+
+    Raises:
+        ServiceError: there is no such competition that is final.
+    """
+    competition = read_competition_name(request)
+    viewer = await get_viewer(request)
+
+    def read(session: Session) -> tuple[ArchiveView, Mapping[UUID, DescriptionView]]:
+        found = archive_view(session, competition)
+        public = public_among(session, [entry.submission_id for board in found.boards for entry in board.entries])
+        return found, descriptions_among(session, get_principal(viewer), public)
+
+    found, described = await get_site(request).read(read)
+    return page(
+        request,
+        "archive.html",
+        viewer=viewer,
+        section="/competition",
+        found=found.competition,
+        competition_url=competition_address(competition),
+        boards=found.boards,
+        described=described,
+        public_key=found.public_key,
+        decided_again_at=found.decided_again_at,
+        citation=found.citation,
+        titles={track.name: track.title for track in found.competition.tracks},
+        stages={(track.name, stage.name): stage.title for track in found.competition.tracks for stage in track.stages},
+    )

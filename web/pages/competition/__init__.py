@@ -1,1 +1,0 @@
-"""The front page, and pages of the competition."""
