@@ -1,4 +1,4 @@
-"""Writes cli/operations.json: the operations of the API, from which verbs of commands are made; run it after a change.
+"""Writes cli/client/operations.json: the operations of the API, from which verbs of commands are made; run it after a change.
 
 `.venv/bin/python setup/describe_api.py`. Without the file each command would load the whole application first, for two
 seconds.
@@ -12,7 +12,7 @@ from typing import Any
 from vitac.server.api.app import API_PREFIX, create_app
 from vitac.server.settings import load_settings
 
-TARGET = Path(__file__).parents[1] / "cli" / "operations.json"
+TARGET = Path(__file__).parents[1] / "cli" / "client" / "operations.json"
 
 
 def document() -> str:

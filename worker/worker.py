@@ -259,7 +259,7 @@ class Bell:
             try:
                 with psycopg.connect(self._address, autocommit=True) as connection:
                     connection.execute(f"LISTEN {work.CHANNEL}")
-                    self._rings.set()  # nobody was notified of what came before
+                    self._rings.set()  # earlier work rings no more
                     while not self._over.is_set():
                         for _ in connection.notifies(timeout=LOOK_S, stop_after=1):
                             self._rings.set()

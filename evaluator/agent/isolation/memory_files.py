@@ -185,10 +185,10 @@ def _fill(folder: Path, interpreter: Interpreter, own: tuple[tuple[Path, str], .
         ) from error
 
 
-def _copy(source: Path, target: Path, left_out: Callable[[str, list[str]], Iterable[str]] | None = None) -> None:
+def _copy(source: Path, target: Path, is_ignored: Callable[[str, list[str]], Iterable[str]] | None = None) -> None:
     target.parent.mkdir(parents=True, exist_ok=True, mode=0o755)
     if source.is_dir():
-        shutil.copytree(source, target, symlinks=True, ignore=left_out, dirs_exist_ok=True)
+        shutil.copytree(source, target, symlinks=True, ignore=is_ignored, dirs_exist_ok=True)
     else:
         shutil.copy2(source, target)
 

@@ -28,7 +28,7 @@ BY_HAND = {competition.APPLY, "GET /competitions/{competition}/results", "GET /l
 
 def test_operations_are_those_of_the_api(repository: Path) -> None:
     document = run_path(str(repository / "setup" / "describe_api.py"))["document"]
-    text = (repository / "cli" / "operations.json").read_text()
+    text = (repository / "cli" / "client" / "operations.json").read_text()
     assert text == document(), "run .venv/bin/python setup/describe_api.py"
 
 
