@@ -1,4 +1,4 @@
-"""Writes cli/client/operations.json: the operations of the API, from which verbs of commands are made; run it after a change.
+"""Writes operations.json: the operations of the API, from which verbs of commands are made; run it after a change.
 
 `.venv/bin/python setup/describe_api.py`. Without the file each command would load the whole application first, for two
 seconds.

@@ -27,7 +27,7 @@ from ..terminal.output import AsJson, Server, TokenFile, moment, print_json, pri
 from .answers import Answer, decode
 from .http import Client
 
-OPERATIONS = Path(__file__).parents[1] / "operations.json"
+OPERATIONS = Path(__file__).with_name("operations.json")
 PREFIX = "/api/v1"
 OWN_TEAM = "the team of the token"
 """Stands for its id in the table of a team's own verbs."""
