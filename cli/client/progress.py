@@ -119,15 +119,20 @@ def missing_tasks(found: Json) -> str:
     return f"{', '.join(missing)} ({meaning} the ranking of all tasks)"
 
 
+def describe_place(evaluation: Json) -> str:
+    """Return where an evaluation that has not begun stands, in a few words; empty for one that has."""
+    if check := evaluation.get("sensor_check"):
+        return "its sensor is being checked" if check == "running" else "its sensor waits to be checked"
+    return f"number {evaluation['queue_position']} in the queue" if evaluation["queue_position"] else ""
+
+
 def situation(found: Json) -> str:
     """Return what the evaluation waits for, or the estimated time left, in a few words."""
     evaluation = found["evaluation"]
     if waits := nobody(found):
         return waits
-    if check := evaluation.get("sensor_check"):
-        return "its sensor is being checked" if check == "running" else "its sensor waits to be checked"
-    if evaluation["state"] == "queued":
-        return f"number {evaluation['queue_position']} in the queue"
+    if place := describe_place(evaluation):
+        return place
     eta = evaluation["eta_s"]
     return "" if eta is None else f"about {eta:.0f} s left"
 

@@ -13,10 +13,10 @@ from vitac.evaluator.submission_kinds import SubmissionKind, kind_of_file
 from ..terminal.output import AsJson, Server, TokenFile, existing, note_ignored_folders, print_json
 from .http import Client, Json, make_client
 from .pieces import pack
-from .progress import missing_tasks, nobody
+from .progress import describe_place, missing_tasks, nobody
 from .status import format_time, has_ended, show_when_ended
 
-CHECKING = "the service checks it, and meshes the gel if it is a sensor"
+CHECKING = "the service checks it"
 
 
 def command(
@@ -133,11 +133,11 @@ def upload_bar(total_bytes: int, *, shown: bool) -> Iterator[Callable[[int], Non
 def describe(client: Client, answer: Json, *, is_known: bool) -> None:
     """Print id, state and page of an accepted submission."""
     evaluation = answer["evaluation"]
-    position = evaluation["queue_position"]
     print(f"submission  {answer['id']}")
     if answer["log"]:
         print(f"kind        {answer['log']['label']}")
-    print(f"state       {evaluation['state']}" + (f", number {position} in the queue" if position else ""))
+    place = describe_place(evaluation)
+    print(f"state       {evaluation['state']}" + (f", {place}" if place else ""))
     if waits := nobody(answer):
         print(f"waits       {waits}")
     if is_known:

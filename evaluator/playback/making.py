@@ -17,6 +17,7 @@ from vitac.envs.tasks.definition import Family
 
 from ..episodes.episode import make_environment
 from ..episodes.records import EpisodeRecord
+from ..parent_death import end_with_parent
 from ..sensors.made import MadeSensor
 from ..strict_model import StrictModel
 from ..tracks import Episode, Task, load_track
@@ -267,7 +268,11 @@ def serve(order: bytes, answers: IO[str]) -> None:
 
 
 def main() -> None:
-    """Read the order from standard input and answer on standard output, to which nobody else may write."""
+    """Read the order from standard input and answer on standard output, to which nobody else may write.
+
+    The argument is the process that started this one, with which it ends.
+    """
+    end_with_parent(int(sys.argv[1]))
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
         os.dup2(2, 1)
         serve(sys.stdin.buffer.read(), answers)

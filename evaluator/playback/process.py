@@ -65,7 +65,7 @@ def making(order: PlaybackOrder) -> Iterator[MakingProcess]:
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
     try:
         process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
-            COMMAND,
+            (*COMMAND, str(os.getpid())),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=os.environ | threads,

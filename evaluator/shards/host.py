@@ -8,7 +8,6 @@ it carries two descriptors: a socket for orders, one line each, and their answer
 A sensor is calibrated in a copy of its own, which takes half a minute; meanwhile other orders are carried out.
 """
 
-import ctypes
 import gc
 import logging
 import os
@@ -33,6 +32,7 @@ from ..agent.isolation.packages import installed_packages
 from ..episodes.episode import make_environment
 from ..estimator.calibration import STARTS, calibrated, is_calibrated, take
 from ..estimator.regression import Coefficients
+from ..parent_death import end_with_parent
 from ..sensors.made import read_design
 from ..tracks import Player, Task
 from ..tracks.registry import compute_hash, list_parts, list_tracks, load_track
@@ -41,7 +41,6 @@ from .host_process import LOAD_ALL
 from .order import PROCESS_ID, ShardOrder, encode_waiting
 from .policy import Preparation
 
-_PR_SET_PDEATHSIG = 1
 _DESCRIPTORS_PER_SHARD = 2
 _OPTIONAL_IN_NUMBA = ("cffi", "scipy")
 
@@ -199,7 +198,7 @@ class SimulationHost:
         """Do work in the forked process, which never returns."""
         exit_code = 1
         try:
-            _exit_with_parent(host_pid)
+            end_with_parent(host_pid)
             os.setsid()
             gc.enable()
             self._control.close()
@@ -290,13 +289,6 @@ def _read_line(connection: socket.socket) -> bytes:
             raise ValueError("Expected an order, got the end of the connection.")
         line += piece
     return line
-
-
-def _exit_with_parent(parent: int) -> None:
-    """Ask the kernel to kill this process when its parent ends."""
-    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:  # It ended before the request.
-        os._exit(1)
 
 
 def main() -> None:

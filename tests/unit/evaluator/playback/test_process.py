@@ -1,3 +1,4 @@
+import subprocess
 import sys
 import threading
 from pathlib import Path
@@ -7,6 +8,7 @@ from evaluation_records import make_record
 from vitac.evaluator.playback import process
 from vitac.evaluator.playback.making import PlaybackOrder
 from vitac.evaluator.playback.process import MakingBroke, PlaybackFailed, making
+from worker_fakes import eventually
 
 ORDER = PlaybackOrder(track="track_1", record=make_record(), folder=Path("/nowhere"))
 
@@ -68,3 +70,32 @@ def test_it_has_ended_when_the_block_is_left(monkeypatch: pytest.MonkeyPatch) ->
     with making(ORDER) as running:
         pass
     assert running._process.poll() is not None
+
+
+STARTER = f"""
+import sys, threading
+from pathlib import Path
+from vitac.evaluator.playback import process
+from vitac.evaluator.playback.making import PlaybackOrder
+
+SLEEPS = "import time; from vitac.evaluator.playback import making; making.serve = lambda *_: time.sleep(600); "
+process.COMMAND = (sys.executable, "-c", SLEEPS + "print('{{}}', flush=True); making.main()")
+with process.making(PlaybackOrder.model_validate_json({ORDER.model_dump_json()!r})) as running:
+    running._process.stdout.readline()
+    print(running._process.pid, flush=True)
+    running._process.stdin.close()
+    threading.Event().wait()
+"""
+
+
+def test_it_ends_with_its_worker_also_while_it_says_nothing() -> None:
+    with subprocess.Popen([sys.executable, "-c", STARTER], stdout=subprocess.PIPE, text=True) as starter:
+        assert starter.stdout is not None
+        making_pid = int(starter.stdout.readline())
+        eventually(lambda: state(making_pid) == "S")
+        starter.kill()
+    eventually(lambda: not Path(f"/proc/{making_pid}").exists() or state(making_pid) == "Z", limit_s=20.0)
+
+
+def state(pid: int) -> str:
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2][0]
