@@ -45,7 +45,7 @@ from vitac.server.settings import load_settings
 from vitac.server.submissions import creation, listing, runs
 from vitac.server.submissions.intake import ReceivedFile
 from vitac.server.submissions.kinds import accept
-from vitac.worker.record_store import TOGETHER_S
+from vitac.worker.shard_run import TOGETHER_S
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 PEG_INSERTION = EXAMPLES / "peg_insertion_heuristic" / "Track_1"

@@ -30,9 +30,8 @@ from vitac.server.services import Services
 from vitac.server.storage import stored_files
 from vitac.server.storage.scratch import scratch_folder
 from vitac.server.submissions.appeal_replays import ReplayLease, end_played
-from vitac.server.submissions.checked_upload import UploadedFile
 from vitac.server.submissions.files import add_files
-from vitac.server.submissions.intake import UPLOAD_FOLDER
+from vitac.server.submissions.intake import UPLOAD_FOLDER, UploadedFile
 
 from .leased_run import LeasedRun, RunningProcess, WorkStopped
 from .shard_run import RunningShard, StartShard

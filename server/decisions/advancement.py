@@ -19,7 +19,7 @@ from ..confirmations import compute_revision, require_base
 from ..database.models import Qualification, Submission, Team
 from ..database.states import NoticeKind
 from ..errors import ProblemCode, ServiceError
-from ..evaluations.readiness import count_running, require_current, require_scored
+from ..evaluations.history import count_running, require_current, require_scored
 from ..leaderboards.standings import leaderboard
 from ..principals import Principal
 from ..transparency.entries import TeamsAdvanced

@@ -16,7 +16,7 @@ from ..competitions.definition import Prize, TrackRules
 from ..competitions.stages import Stage
 from ..confirmations import Concern, require_confirmed
 from ..errors import ProblemCode, ServiceError
-from ..evaluations.readiness import require_current, require_scored
+from ..evaluations.history import require_current, require_scored
 from ..leaderboards.standings import leaderboard
 from ..principals import CONSOLE, Principal
 from ..receipts.export import make_final_board

@@ -14,7 +14,7 @@ from ..competitions.competition import Competition
 from ..competitions.definition import StageRules
 from ..competitions.stages import Stage
 from ..database.models import ArchiveCopy, EpisodeDifference, Evaluation, LogCopy, NearCopy, Qualification, Submission
-from ..evaluations.readiness import count_running
+from ..evaluations.history import count_running
 from ..evaluations.verdicts import ServiceVerdict
 from ..principals import Principal
 from ..submissions import appeals

@@ -20,10 +20,9 @@ from ..evaluations import lifecycle
 from ..principals import Principal
 from ..receipts.issuing import issue_for_submission
 from ..settings import Quotas
-from .checked_upload import CheckedUpload
 from .disqualification import require_qualified
 from .files import add_files
-from .intake import check_file_name
+from .intake import CheckedUpload, check_file_name
 from .runs import next_run, require_machines_hold
 
 EVALUATION_QUOTAS = (Quota.QUEUED_AT_ONCE, Quota.ATTEMPTS_PER_DAY, Quota.SCORED_RUNS_PER_DAY, Quota.STORED_MIB)

@@ -26,7 +26,7 @@ from ..transparency.log import read_log_state
 from ..views.receipts import PublicLogEntryView, PublicLogView
 from ..views.submissions import EpisodeOutputView, OutputView
 from ..visibility import decide_sight, visible
-from .checked_upload import UploadedFile
+from .intake import UploadedFile
 
 
 def add_files(session: Session, submission_id: UUID, files: Iterable[UploadedFile]) -> None:

@@ -33,8 +33,7 @@ from ..storage import stored_files
 from ..tracks import load_known_track
 from ..views.receipts import LogView
 from ..views.submissions import ArchiveContents
-from .checked_upload import CheckedUpload, UploadedFile
-from .intake import ReceivedFile
+from .intake import CheckedUpload, ReceivedFile, UploadedFile
 from .log_checks import check_log, check_text_log
 
 FRAMEWORKS: Final = ("torch", "tensorflow", "jax", "onnxruntime", "sklearn", "scipy", "cv2", "numpy")

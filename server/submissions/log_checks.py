@@ -18,8 +18,7 @@ from ..errors import ProblemCode, ServiceError
 from ..evaluations.logs import LogClaim
 from ..settings import Settings
 from ..tracks import load_known_track
-from .checked_upload import CheckedUpload
-from .intake import ReceivedFile
+from .intake import CheckedUpload, ReceivedFile
 
 DIGITS_IN_NAME = 8
 """A log has no name of its own: it is called after the start of its digest."""

@@ -23,8 +23,8 @@ from ..principals import Principal
 from ..queue.leases import Lease
 from ..views.submissions import DocumentView, EpisodeView, SensorView
 from ..visibility import decide_sight, visible
-from .checked_upload import UploadedFile
 from .files import find_file
+from .intake import UploadedFile
 from .listing import episodes
 
 

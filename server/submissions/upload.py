@@ -21,8 +21,7 @@ from ..storage.stored_files import require_stored
 from ..tracks import load_known_track
 from ..views.submissions import SubmissionView
 from . import creation, intake, listing, partial_uploads
-from .checked_upload import CheckedUpload
-from .intake import check_file_name
+from .intake import CheckedUpload, check_file_name
 from .kinds import SERVED_KINDS, accept, check_kind, remove_unnamed, removed_if_refused
 
 

@@ -50,7 +50,7 @@ from vitac.server.queue.leases import Lease
 from vitac.server.queue.work import Claim
 from vitac.server.settings import Settings
 from vitac.server.submissions import creation
-from vitac.server.submissions.checked_upload import CheckedUpload
+from vitac.server.submissions.intake import CheckedUpload
 
 TRACK = "track_1"
 TASK = "peg-insertion"

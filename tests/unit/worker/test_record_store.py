@@ -5,8 +5,8 @@ import pytest
 from service_factories import make_record
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.server.queue.work import LeaseLost
-from vitac.worker import record_store
-from vitac.worker.record_store import RecordStore
+from vitac.worker import shard_run
+from vitac.worker.shard_run import RecordStore
 from worker_fakes import eventually
 
 
@@ -40,7 +40,7 @@ def store(database: Database) -> RecordStore:
 def test_records_that_come_within_a_moment_are_stored_together(
     database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(record_store, "TOGETHER_S", 3600.0)
+    monkeypatch.setattr(shard_run, "TOGETHER_S", 3600.0)
     store = RecordStore(database.store, give_up=database.given_up.set)
     for number in (1, 2, 3):
         store.add(make_record(number))

@@ -47,7 +47,7 @@ from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore, StoredFileLost
 from vitac.server.submissions import creation, runs
-from vitac.worker import leased_run, record_store, shard_run
+from vitac.worker import leased_run, shard_run
 from vitac.worker.leased_run import RunEnd
 from vitac.worker.shard_run import ShardRun
 from vitac.worker.staging import SubmissionStage
@@ -125,7 +125,7 @@ def test_shard_is_run_from_the_unpacked_submission_and_ended(
 def test_each_episode_is_stored_soon_after_it_is_over(
     services: Services, stage: SubmissionStage, lease: Lease, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(record_store, "TOGETHER_S", 0.01)
+    monkeypatch.setattr(shard_run, "TOGETHER_S", 0.01)
 
     def gate(number: int) -> None:
         eventually(lambda: stored_numbers(services) == list(range(1, number)))
@@ -146,7 +146,7 @@ def test_packages_of_the_policy_are_stored_once_in_a_shard_and_again_where_stori
             raise DBAPIError("INSERT", {}, DiskFull("no space left"))
         store_episodes(session, lease, records, packages=packages)
 
-    monkeypatch.setattr(record_store, "TOGETHER_S", 0.01)
+    monkeypatch.setattr(shard_run, "TOGETHER_S", 0.01)
     monkeypatch.setattr(shard_run, "store_episodes", store)
     shards = FakeShards(gate=lambda number: eventually(lambda: len(stored_numbers(services)) >= min(number - 1, 2)))
     assert ShardRun(services, stage, lease, shards).run() is RunEnd.FINISHED

@@ -41,8 +41,8 @@ from vitac.server.queue import leases, work
 from vitac.server.queue.kinds import KINDS
 from vitac.server.queue.leases import Lease
 from vitac.server.queue.work import name_requirement
-from vitac.server.submissions.checked_upload import UploadedFile
 from vitac.server.submissions.files import add_files, stored_digests
+from vitac.server.submissions.intake import UploadedFile
 from vitac.server.submissions.sensors import coefficients_digest, has_part
 from vitac.worker import leased_run
 from vitac.worker.leased_run import RunEnd

@@ -42,8 +42,8 @@ from vitac.server.receipts.audit import Audit, audit
 from vitac.server.receipts.export import ExportReader, sensor_name
 from vitac.server.storage.blobs import BlobStore, StoredFileLost
 from vitac.server.submissions import creation
-from vitac.server.submissions.checked_upload import UploadedFile
 from vitac.server.submissions.files import add_files
+from vitac.server.submissions.intake import UploadedFile
 
 from competitions import shown_stage
 

@@ -4,8 +4,8 @@ from pathlib import Path
 from service_factories import claim, make_principal, shard_ids, submit
 from vitac.server.database.engine import Database
 from vitac.server.database.states import FileRole
-from vitac.server.submissions.checked_upload import UploadedFile
 from vitac.server.submissions.files import add_files, find_file, stored_digests
+from vitac.server.submissions.intake import UploadedFile
 
 
 def uploaded(role: FileRole, digit: str) -> UploadedFile:
