@@ -78,10 +78,10 @@ def check_address(address: str, *, inside_allowed: bool, what: str = "The webhoo
         raise _invalid(what, address, f"expected {' or '.join(schemes)}://HOST/...")
     if parts.username is not None or parts.password is not None or parts.fragment:
         raise _invalid(what, address, "expected an address without user, password and fragment")
-    if not inside_allowed and (port or 443) not in _PORTS:
-        raise _invalid(what, address, f"expected port {' or '.join(map(str, _PORTS))}, got {port}")
     if not inside_allowed and not _may_be_public(parts.hostname):
         raise _invalid(what, address, f"{parts.hostname} is not an address of the public internet")
+    if not inside_allowed and (port or 443) not in _PORTS:
+        raise _invalid(what, address, f"expected port {' or '.join(map(str, _PORTS))}, got {port}")
     return parts
 
 

@@ -145,7 +145,7 @@ def test_the_database_takes_as_many_connections_as_the_documents_say(
 
 
 def test_sets_only_settings_that_exist(services: dict[str, dict[str, Any]], dockerfile: str) -> None:
-    known = {f"VITAC_{name.upper()}" for name in Settings.model_fields} | {"VITAC_CACHE_DIR"}
+    known = {f"VITAC_{name.upper()}" for name in Settings.model_fields} | {"VITAC_CACHE_DIR", "VITAC_MEMORY_DIR"}
     used = {name for service in services.values() for name in service.get("environment", {}) if "POSTGRES_" not in name}
     used |= set(re.findall(r"\b(VITAC_[A-Z_]+)=", dockerfile))
     assert "VITAC_DATABASE_URL" in used

@@ -33,7 +33,6 @@ from worker_fakes import eventually
 MAIN = "import sys; from vitac.cli.main import main; main(sys.argv[1:])"
 AHEAD = """
 from datetime import datetime, timedelta
-from vitac.server.stations import stations
 class Ahead(datetime):
     @classmethod
     def now(cls, tz=None):

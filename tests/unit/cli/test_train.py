@@ -71,7 +71,7 @@ def test_collects_only(recipe: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("verb", "work"),
-    [("run", "run.Run.go"), ("collect", "run.Run.collect_first"), ("search", "search.method.Search.go")],
+    [("run", "run.Run.go"), ("collect", "run.Run.collect_first"), ("search", "search.method.WeightSearch.go")],
 )
 def test_stopping_says_how_to_go_on(
     recipe: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verb: str, work: str
@@ -107,7 +107,7 @@ def test_clones_and_shows_the_curves(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(expert, "make_environment", lambda _, observation_keys, settings: ToyPeg(observation_keys))
     monkeypatch.setattr(expert, "held_pose_mm_deg", lambda grasped: grasped)
     quick = partial(method.ClonePlan, hidden=8, gradient_steps=20, chosen_by=5, reported=20)
-    monkeypatch.setattr(method, "Plan", quick)
+    monkeypatch.setattr(method, "ClonePlan", quick)
     out = tmp_path / "run"
     words = ("train", "clone", "peg-insertion", "--out", str(out), "--rounds", "1", "--episodes", "25")
     cloned = vitac(*words)

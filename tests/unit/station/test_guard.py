@@ -201,8 +201,8 @@ def test_stage_does_not_move_on_when_nobody_guards_it(twins: TwinStation, guard:
 
 KILLED = """
 import os, signal, sys
-from vitac.station.devices.stage import Pose, Stage
-with Stage(sys.argv[1]) as stage, stage.held_if_killed():
+from vitac.station.devices.stage import LinearStage, Pose
+with LinearStage(sys.argv[1]) as stage, stage.held_if_killed():
     stage.start_move(Pose(14.0, 0.0, 0.0, 0.0), feed=180.0)
     os.kill(os.getpid(), signal.SIGKILL)
 """

@@ -38,7 +38,12 @@ def plain(raw: io.BytesIO, encoding: str = "utf-8") -> str:
 def found(state: str = "running", done: int = 0, alive: int = 1, eta: float | None = None) -> dict[str, object]:
     counts = {"episodes_done": done, "episodes_total": 270, "successes": done // 2}
     progress = counts | {"tasks": [counts | {"task": "peg-insertion"}]}
-    evaluation = {"state": state, "progress": progress, "queue_position": 3, "eta_s": eta}
+    evaluation = {
+        "state": state,
+        "progress": progress,
+        "queue_position": 3 if state == "queued" else None,
+        "eta_s": eta,
+    }
     return {"evaluation": evaluation, "workers": {"alive": alive}}
 
 
