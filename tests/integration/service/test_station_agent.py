@@ -33,6 +33,7 @@ from worker_fakes import eventually
 MAIN = "import sys; from vitac.cli.main import main; main(sys.argv[1:])"
 AHEAD = """
 from datetime import datetime, timedelta
+from vitac.server.accounts import stations
 class Ahead(datetime):
     @classmethod
     def now(cls, tz=None):
