@@ -458,7 +458,7 @@ def test_a_page_asks_again_only_where_the_answer_may_change(
 
 def test_a_page_whose_session_is_over_leads_to_the_sign_in(site: SiteUnderTest, page: Page) -> None:
     site.open(page, site.data.show(submission_id(site), a_shown_episode(None)))
-    expect(page.get_by_text("Waiting: 2")).to_be_visible()
+    expect(page.get_by_text("2 other playbacks are made first")).to_be_visible()
     page.context.clear_cookies()
     expect(page).to_have_url(re.compile("/sign-in"))
 
@@ -466,7 +466,7 @@ def test_a_page_whose_session_is_over_leads_to_the_sign_in(site: SiteUnderTest, 
 def test_a_failed_playback_says_so(site: SiteUnderTest, page: Page) -> None:
     path = site.data.show(submission_id(site), a_shown_episode(None))
     site.open(page, path)
-    expect(page.get_by_text("Waiting: 2")).to_be_visible()
+    expect(page.get_by_text("2 other playbacks are made first")).to_be_visible()
     site.data.episodes[next(iter(site.data.episodes))] = a_shown_episode(a_playback(WorkState.FAILED))
     expect(page.get_by_text("There is no playback of this episode. The states differ.")).to_be_visible()
     assert violations(page) == []
