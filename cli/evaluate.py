@@ -135,7 +135,7 @@ class _Request:
 
         track = _track(manifest, self.secret)
         definition = track.tasks[_chosen_task(manifest, self.task)]
-        with EvaluationProgress(len(self.episodes or definition.episodes)) as progress, compiling_shown(progress.bar):
+        with EpisodesProgress(len(self.episodes or definition.episodes)) as progress, compiling_shown(progress.bar):
             return evaluate(
                 submission_dir=folder,
                 track=track,
@@ -291,7 +291,7 @@ def _seconds(evaluation: "LocalEvaluation") -> dict[str, float]:
     return {key: sum(getattr(timing, f"{key}_s") for timing in timings) for key in keys}
 
 
-class EvaluationProgress:
+class EpisodesProgress:
     """A progress bar on stderr."""
 
     def __init__(self, total: int) -> None:
@@ -337,7 +337,7 @@ class EvaluationProgress:
         else:
             self.bar.update(self._task, description="starting", completed=0, total=self._total)
 
-    def __enter__(self) -> "EvaluationProgress":
+    def __enter__(self) -> "EpisodesProgress":
         self.bar.start()
         return self
 

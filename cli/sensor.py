@@ -167,13 +167,13 @@ def evaluate(
     from vitac.evaluator.evaluation.sensor import evaluate_sensor
     from vitac.evaluator.tracks import find_task
 
-    from .evaluate import EvaluationProgress, parse_episodes
+    from .evaluate import EpisodesProgress, parse_episodes
     from .terminal.compiling import compiling_shown
     from .terminal.output import print_figures
 
     numbers = parse_episodes(episodes)
     with (
-        EvaluationProgress(2 * len(numbers or find_task(_STANDARD)[1].episodes)) as progress,
+        EpisodesProgress(2 * len(numbers or find_task(_STANDARD)[1].episodes)) as progress,
         compiling_shown(progress.bar),
     ):
         found = evaluate_sensor(

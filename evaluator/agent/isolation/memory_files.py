@@ -4,7 +4,7 @@ A name that was looked up once on a disk answers faster afterwards, and so does 
 all sandboxes of a machine, and outlast them. A tmpfs has nothing cold: its names and pages are in memory from the
 beginning, and a name that is not there is not remembered. So one folder on a tmpfs holds all that policies see of the
 system, filled once for each set of packages and shared, read-only, by all sandboxes; and the submission is copied into
-a tmpfs of the sandbox's own, whose numbers of files begin anew.
+a tmpfs of the sandbox's own, which numbers its files from the beginning.
 """
 
 import fcntl

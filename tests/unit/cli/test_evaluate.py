@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import typer
 from vitac.cli import main as cli
-from vitac.cli.evaluate import EvaluationProgress, parse_episodes
+from vitac.cli.evaluate import EpisodesProgress, parse_episodes
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import result_hash
 from vitac.evaluator.evaluation.local import EvaluationReport
@@ -174,7 +174,7 @@ def test_what_is_no_submission_is_refused(tmp_path: Path, capsys: pytest.Capture
 
 
 def test_progress_shows_how_far_a_step_is_before_episodes_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
-    progress = EvaluationProgress(4)
+    progress = EpisodesProgress(4)
     progress.describe("calibrating the standard estimator")
     [line] = progress.bar.tasks
     assert line.total is None, "the bar moves"

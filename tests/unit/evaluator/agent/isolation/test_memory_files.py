@@ -87,4 +87,3 @@ def test_a_full_memory_says_how_much_is_left(memory: Path, tmp_path: Path, monke
     monkeypatch.setattr(memory_files, "_copy_libraries", refuse)
     with pytest.raises(SandboxFailed, match=r"No space left on device.*MiB left.*VITAC_MEMORY_DIR"):
         prepare(tmp_path, "one")
-    monkeypatch.undo()
