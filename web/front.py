@@ -7,9 +7,8 @@ from time import monotonic
 from typing import Generic, TypeVar
 from uuid import UUID
 
-from vitac.evaluator.tracks import Track
 from vitac.server.views.comparisons import PublicEpisodeView, StillView
-from vitac.server.views.competition import CompetitionView
+from vitac.server.views.competition import CompetitionState, CompetitionView
 from vitac.server.views.correspondence import AnnouncementView
 from vitac.server.views.leaderboards import LeaderboardEntryView
 
@@ -23,24 +22,90 @@ class TrackCard:
         further: whether it is none of the challenge's own.
         title: of the track.
         summary: what it is about.
-        picture: static file with one of its scenes; None where there is none.
-        ranked: number of teams on its board.
+        picture: static file with one of its scenes.
+        address: of its board.
+        ranked: number of teams on it.
         is_practice: whether the board is for practice.
+        stage: title of an earlier stage, whose board it is because that of the present one is empty; None: it is not.
         leader: the first one, if any.
-        state: whether it takes submissions.
-        moment: until when, or from when on; None outside of a competition.
+        states: whether it takes submissions, in each competition that holds it.
     """
 
     name: str
     further: bool
     title: str
     summary: str
-    picture: str | None
+    picture: str
+    address: str
     ranked: int
     is_practice: bool
+    stage: str | None
     leader: LeaderboardEntryView | None
-    state: str
+    states: Sequence["TrackState"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackState:
+    """Whether a track takes submissions.
+
+    Attributes:
+        competition: title of the competition; None where there is a single one, or none.
+        sentence: what is so.
+        moment: until when, or from when on; None outside of a competition.
+    """
+
+    competition: str | None
+    sentence: str
     moment: datetime | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Countdown:
+    """What opens or closes next on some tracks, and when."""
+
+    tracks: tuple[str, ...]
+    stage: str
+    closes: bool
+    moment: datetime
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompetitionCard:
+    """A competition on the front page.
+
+    Attributes:
+        address: of its page.
+        view: what its page shows.
+        state: how far it is.
+        countdowns: what opens or closes next.
+        prize: sum of all its prizes, in its currency.
+    """
+
+    address: str
+    view: CompetitionView
+    state: CompetitionState
+    countdowns: Sequence[Countdown]
+    prize: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class News:
+    """A new entry of a board.
+
+    Attributes:
+        track: title of the track.
+        picture: what stands in place of a still of an episode.
+        address: of the board.
+        competition: title of the competition; None where there is a single one, or none.
+        rank_before: rank of its team before it; None where that was on no board.
+    """
+
+    track: str
+    picture: str
+    address: str
+    competition: str | None
+    entry: LeaderboardEntryView
+    rank_before: int | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,25 +114,25 @@ class FrontPage:
 
     Attributes:
         cards: the tracks.
-        news: the newest entries of boards, with their tracks.
+        news: the newest entries of boards.
         stills: of episodes of their public submissions, by submission.
-        ranks_before: ranks of their teams before them, by evaluation; teams that were on no board have none.
         running: number of evaluations that run now.
         waiting: number of evaluations in the queue.
         public: submissions among them that everybody may see.
-        cup: the competition, if there is one.
+        competitions: those that are not final; the last one where all are.
+        has_past: whether the page of all competitions has more.
         said: the newest announcements.
         episode: a public one with a playback; None: the shipped one is played.
     """
 
     cards: Sequence[TrackCard]
-    news: Sequence[tuple[Track, LeaderboardEntryView]]
+    news: Sequence[News]
     stills: Mapping[UUID, StillView]
-    ranks_before: Mapping[UUID, int]
     running: int
     waiting: int
     public: Collection[UUID]
-    cup: CompetitionView | None
+    competitions: Sequence[CompetitionCard]
+    has_past: bool
     said: Sequence[AnnouncementView]
     episode: PublicEpisodeView | None
 

@@ -1,7 +1,7 @@
 """What all pages share: the service, the signer, the visitor of a request, and answers made from templates."""
 
 import asyncio
-from collections.abc import Awaitable, Callable, Hashable, Mapping
+from collections.abc import Awaitable, Callable, Hashable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -20,12 +20,12 @@ from vitac.envs.errors import VitacError
 from vitac.server.accounts import tokens
 from vitac.server.api.conditional import answer
 from vitac.server.cache import Cache
-from vitac.server.competitions.view import list_public_rankings
+from vitac.server.competitions.view import competition_list_view
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.limiter import WindowLimiter
 from vitac.server.principals import VISITOR, Principal
 from vitac.server.services import Services
-from vitac.server.views.competition import PublicRankingView
+from vitac.server.views.competition import CompetitionSummaryView
 
 from .front import FrontPage, Recent
 from .plots.map import EpisodeMap
@@ -40,6 +40,8 @@ PAGE_TIMEOUT_S = 20.0
 """Time after which a page says that the database does not answer; its statements end before."""
 FRONT_KEPT_S = 5.0
 """The front page is asked for most, and reads the boards of all tracks. What all pages say is read as seldom."""
+COMPETITION = "/competition"
+"""Address of the competition that opened last, and the section of the pages of all competitions."""
 MAX_PLOTS = 256
 """Number of cached plots; those of an evaluation or a board have up to 200 kB."""
 MAX_MAPS = 128
@@ -61,7 +63,7 @@ class Site:
         plots: of evaluations and boards.
         maps: of episodes of complete evaluations.
         front: what the front page shows.
-        public_rankings: competitions that rank on public lists, by name; all their pages say so.
+        competitions: of the service, the one that opened last first; the header leads to them.
         previews: pictures that links to submissions are shown with.
     """
 
@@ -75,9 +77,7 @@ class Site:
     plots: Cache[Hashable, Any] = field(default_factory=lambda: Cache(at_most=MAX_PLOTS))
     maps: Cache[Hashable, EpisodeMap] = field(default_factory=lambda: Cache(at_most=MAX_MAPS))
     front: Recent[FrontPage] = field(default_factory=lambda: Recent(kept_s=FRONT_KEPT_S))
-    public_rankings: Recent[Mapping[str, PublicRankingView]] = field(
-        default_factory=lambda: Recent(kept_s=FRONT_KEPT_S)
-    )
+    competitions: Recent[Sequence[CompetitionSummaryView]] = field(default_factory=lambda: Recent(kept_s=FRONT_KEPT_S))
     previews: Cache[str, bytes] = field(default_factory=lambda: Cache(at_most=MAX_PLOTS))
 
     def address(self, request: Request) -> str:
@@ -282,14 +282,15 @@ async def signed_in_form(request: Request) -> tuple[Viewer, Mapping[str, str]]:
     return viewer, fields
 
 
-def name_public_rankings(show: Page) -> Page:
-    """Make a page one that says which competitions rank on public lists: below the address of one, that one."""
+def name_competitions(show: Page) -> Page:
+    """Make a page one whose header leads to the competitions."""
 
     @wraps(show)
     async def shown(request: Request) -> Response:
-        site, competition = get_site(request), request.path_params.get("competition")
-        found = await site.public_rankings.get(lambda: site.read(list_public_rankings))
-        request.state.public_rankings = [each for name, each in found.items() if competition in {None, name}]
+        site = get_site(request)
+        request.state.competitions = await site.competitions.get(
+            lambda: site.read(lambda session: competition_list_view(session).items)
+        )
         return await show(request)
 
     return shown
@@ -302,17 +303,18 @@ def page(
 
     With `viewer_known=False` among the values, the header offers neither to sign in nor to sign out.
     """
-    site = get_site(request)
+    site, competitions = get_site(request), getattr(request.state, "competitions", ())
     html = render(
         template,
         request,
         viewer=viewer,
-        section=section,
-        navigation=navigation(site, viewer),
+        section="/competitions" if section == COMPETITION and len(competitions) > 1 else section,
+        navigation=navigation(site, viewer, competitions),
         version=site.version,
         address=site.address(request),
         registration=site.services.settings.registration.value,
-        public_rankings=getattr(request.state, "public_rankings", ()),
+        public_rankings=[one for one in _find_concerned(request, competitions, values) if one.public_rankings],
+        competition_titles={one.name: one.title for one in competitions} if len(competitions) > 1 else {},
         **{"viewer_known": True, **values},
     )
     if viewer is not None:
@@ -324,10 +326,30 @@ def page(
     return answer(request, body, revision=sha256(body).hexdigest()[:32], media_type=HTML, headers=headers)
 
 
-def navigation(site: Site, viewer: Viewer | None) -> tuple[tuple[str, str], ...]:
-    """Return targets and labels of the navigation."""
+def _find_concerned(
+    request: Request, competitions: Sequence[CompetitionSummaryView], values: Mapping[str, Any]
+) -> Sequence[CompetitionSummaryView]:
+    """Return the competitions that a page is about: its own, that of its submission or track, or all of the service."""
+    address = request.path_params
+    if f"{request.url.path}/".startswith(f"{COMPETITION}/"):
+        return competitions[:1]
+    if "competition" in address:
+        return [one for one in competitions if one.name == address["competition"]]
+    if "submission_id" in address:
+        return [one for one in competitions if one.name == getattr(values.get("submission"), "competition", None)]
+    if "track" in address:
+        return [one for one in competitions if address["track"] in one.tracks][:1]
+    return competitions
+
+
+def navigation(
+    site: Site, viewer: Viewer | None, competitions: Sequence[CompetitionSummaryView] = ()
+) -> tuple[tuple[str, str], ...]:
+    """Return targets and labels of the navigation; it leads to the only competition, or to the page of all."""
     first = f"/tracks/{site.tracks[0]}"
     links = [(first, "Leaderboard"), (f"{first}/rules", "Rules"), ("/docs/", "Documentation")]
+    if competitions:
+        links.insert(0, ("/competitions", "Competitions") if len(competitions) > 1 else (COMPETITION, "Competition"))
     if viewer is not None:
         links.append(("/submissions", "Submissions"))
         if viewer.has_team:

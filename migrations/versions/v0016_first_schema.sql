@@ -1,13 +1,5 @@
 -- The first schema of the service. PostgreSQL 15 or newer; a test compares it with the models.
 
-CREATE TABLE announcements (
-    id SERIAL NOT NULL,
-    title VARCHAR(120) NOT NULL,
-    text TEXT NOT NULL,
-    published_at TIMESTAMP WITH TIME ZONE DEFAULT now() NOT NULL,
-    withdrawn_at TIMESTAMP WITH TIME ZONE,
-    CONSTRAINT pk_announcements PRIMARY KEY (id)
-);
 CREATE TABLE audit_log (
     id BIGINT GENERATED ALWAYS AS IDENTITY,
     at TIMESTAMP WITH TIME ZONE DEFAULT now() NOT NULL,
@@ -183,6 +175,18 @@ CREATE TABLE workers (
     CONSTRAINT ck_workers_worker_order CHECK (worker_order IN ('work', 'cordon', 'drain'))
 );
 CREATE INDEX ix_workers_heartbeat_at ON workers (heartbeat_at);
+CREATE TABLE announcements (
+    id SERIAL NOT NULL,
+    competition TEXT DEFAULT '' NOT NULL,
+    team_id UUID,
+    title VARCHAR(120) NOT NULL,
+    text TEXT NOT NULL,
+    published_at TIMESTAMP WITH TIME ZONE DEFAULT now() NOT NULL,
+    withdrawn_at TIMESTAMP WITH TIME ZONE,
+    CONSTRAINT pk_announcements PRIMARY KEY (id),
+    CONSTRAINT fk_announcements_team_id FOREIGN KEY(team_id) REFERENCES teams (id) ON DELETE CASCADE
+);
+CREATE INDEX ix_announcements_team_id ON announcements (team_id);
 CREATE TABLE invitations (
     id UUID NOT NULL,
     team_id UUID NOT NULL,

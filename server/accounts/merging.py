@@ -9,6 +9,7 @@ from sqlalchemy.orm import Session, aliased
 from ..audit import record
 from ..competitions.competition import Competition
 from ..database.models import (
+    Announcement,
     ApiToken,
     Appeal,
     BoardResult,
@@ -57,7 +58,7 @@ def merge(session: Session, by: Principal, team: Team, into: Team) -> None:
     _move_members(session, team, into)
     _move_qualifications(session, team, into)
     _move_conflicts(session, team, into)
-    for said in (Appeal, Question):
+    for said in (Announcement, Appeal, Question):
         session.execute(update(said).where(said.team_id == team.id).values(team_id=into.id))
     for table in (ApiToken, BoardResult, Invitation, Notice, PartialUpload, Webhook):
         session.execute(update(table).where(table.team_id == team.id).values(team_id=into.id))

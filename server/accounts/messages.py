@@ -1,17 +1,20 @@
-"""Announcements: what organizers say to everybody; shown on the competition's page and sent to teams where wanted."""
+"""Announcements: what organizers say to everybody or to one team; shown on pages and sent to teams where wanted."""
 
+from collections.abc import Collection
 from datetime import UTC, datetime, timedelta
+from uuid import UUID
 
 from sqlalchemy import func, or_, select
 from sqlalchemy.orm import Session
 
 from .. import names
 from ..audit import record
-from ..database.models import Announcement, Question, Team
+from ..competitions.competition import Competition
+from ..database.models import Announcement, Question, Submission, Team
 from ..database.states import NoticeKind
 from ..errors import ProblemCode, ServiceError, not_found
 from ..names import clean_text
-from ..principals import Principal
+from ..principals import VISITOR, Principal
 from ..views.correspondence import AnnouncementView, QuestionView
 from . import teams
 from .outbox import announce
@@ -20,21 +23,36 @@ TITLE_LENGTH = 120
 ANNOUNCEMENTS_SHOWN = 100
 
 
-def publish_announcement(session: Session, by: Principal, *, title: str, text: str, notify: bool) -> Announcement:
-    """Show an announcement to everybody.
+def publish_announcement(
+    session: Session,
+    by: Principal,
+    *,
+    title: str,
+    text: str,
+    notify: bool,
+    competition: str | None = None,
+    team: Team | None = None,
+) -> Announcement:
+    """Show an announcement to everybody, or a message to one team.
 
     Args:
         session: of the transaction.
         by: an organizer.
         title: one line.
         text: plain text in paragraphs.
-        notify: whether it is sent to all teams, too.
+        notify: whether it is sent, too: to the team, else to all teams of which the competition has a submission, or
+            to all of the service.
+        competition: name of the one that it is about; None: the only one that the organizer has, or the service.
+        team: the only one who sees it; None: everybody.
 
     Raises:
-        ServiceError: not an organizer, or title or text cannot be shown.
+        ServiceError: not an organizer of it, there is no such competition, or title or text cannot be shown.
     """
-    by.require_organizer()
+    competition = competition or by.competition
+    by.require_organizer(competition)
     made = Announcement(
+        competition=Competition.find(session, competition).name if competition else "",
+        team=team,
         title=names.clean(title, what="A title", min_length=2, max_length=TITLE_LENGTH),
         text=clean_text(text, what="An announcement"),
         published_at=datetime.now(UTC),
@@ -44,10 +62,19 @@ def publish_announcement(session: Session, by: Principal, *, title: str, text: s
     record(session, by, "announcement.publish", f"announcement:{made.id}", {"title": made.title, "notify": notify})
     if notify:
         facts = {"title": made.title, "text": made.text, "page": "/announcements"}
-        taking_part = Team.approved_at.is_not(None), Team.disqualified_at.is_(None)
-        for team_id in session.scalars(select(Team.id).where(*taking_part)).all():
+        for team_id in _find_receivers(session, made):
             announce(session, NoticeKind.ANNOUNCEMENT, team_id, f"announcement:{made.id}", facts)
     return made
+
+
+def _find_receivers(session: Session, made: Announcement) -> Collection[UUID]:
+    if made.team_id is not None:
+        return [made.team_id]
+    query = select(Team.id).where(Team.approved_at.is_not(None), Team.disqualified_at.is_(None))
+    if made.competition:
+        submitted = select(Submission.team_id).where(Submission.competition == made.competition)
+        query = query.where(Team.id.in_(submitted))
+    return session.scalars(query).all()
 
 
 def withdraw_announcement(session: Session, by: Principal, announcement_id: int) -> None:
@@ -56,23 +83,47 @@ def withdraw_announcement(session: Session, by: Principal, announcement_id: int)
     Raises:
         ServiceError: not an organizer, or there is no such announcement.
     """
-    by.require_organizer()
+    by.require_organizer(by.competition)
     found = session.get(Announcement, announcement_id, with_for_update=True)
     if found is None:
         raise not_found("announcement", announcement_id)
+    by.require_organizer(found.competition or None)
     if found.withdrawn_at is None:
         found.withdrawn_at = datetime.now(UTC)
         after, before = {"shown": False}, {"shown": True, "title": found.title}
         record(session, by, "announcement.withdraw", f"announcement:{found.id}", after, before=before)
 
 
-def list_announcements(session: Session) -> list[AnnouncementView]:
-    """Return the announcements that everybody sees, newest first."""
+def list_announcements(
+    session: Session, by: Principal = VISITOR, *, competition: str | None = None
+) -> list[AnnouncementView]:
+    """Return the announcements that somebody sees, newest first: those to everybody, and messages to the own team.
+
+    Args:
+        session: of the transaction.
+        by: who reads; an organizer sees messages to all teams.
+        competition: only what is of this one or of the whole service; None: of all.
+    """
     query = select(Announcement).where(Announcement.withdrawn_at.is_(None)).order_by(Announcement.id.desc())
-    return [
-        AnnouncementView.model_validate(one, from_attributes=True)
-        for one in session.scalars(query.limit(ANNOUNCEMENTS_SHOWN))
-    ]
+    if not by.organizes_any:
+        query = query.where(or_(Announcement.team_id.is_(None), Announcement.team_id == by.team_id))
+    elif by.competition is not None:
+        query = query.where(or_(Announcement.team_id.is_(None), Announcement.competition == by.competition))
+    if competition is not None:
+        query = query.where(Announcement.competition.in_(("", competition)))
+    return [make_announcement_view(one) for one in session.scalars(query.limit(ANNOUNCEMENTS_SHOWN))]
+
+
+def make_announcement_view(announcement: Announcement) -> AnnouncementView:
+    """Return an announcement as its readers see it."""
+    return AnnouncementView(
+        id=announcement.id,
+        competition=announcement.competition or None,
+        team=announcement.team.name if announcement.team is not None else None,
+        title=announcement.title,
+        text=announcement.text,
+        published_at=announcement.published_at,
+    )
 
 
 MAX_OPEN = 5

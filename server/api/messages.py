@@ -8,8 +8,17 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ..accounts import messages
 from ..names import TEXT_LENGTH
+from ..principals import VISITOR
 from ..views.correspondence import AnnouncementListView, AnnouncementView, QuestionListView, QuestionView
-from .access import ChangingServicesOf, OptionalPrincipalOf, OrganizerOf, RowNumber, ServicesOf, TeamOf
+from .access import (
+    ChangingServicesOf,
+    CompetitionOrganizerOf,
+    OptionalPrincipalOf,
+    OrganizerOf,
+    RowNumber,
+    ServicesOf,
+    TeamOf,
+)
 from .problems import RESPONSES
 
 router = APIRouter(tags=["messages"], responses=RESPONSES)
@@ -19,9 +28,16 @@ class NewAnnouncement(BaseModel):
     """What organizers say to everybody."""
 
     model_config = ConfigDict(extra="forbid")
+    competition: str | None = Field(
+        default=None,
+        description="Which competition it is about; null: the one that the organizer has, or the whole service.",
+    )
     title: str = Field(min_length=2, max_length=messages.TITLE_LENGTH)
     text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Plain text.")
-    notify: bool = Field(default=False, description="Whether it is sent to all teams, too.")
+    notify: bool = Field(
+        default=False,
+        description="Whether it is sent, too: to all teams with a submission to the competition, else to all teams.",
+    )
 
 
 class NewQuestion(BaseModel):
@@ -40,27 +56,37 @@ class Answer(BaseModel):
     public: bool = Field(description="Whether everybody sees question and answer.")
 
 
+OfCompetition = Annotated[
+    str | None, Query(description="Only announcements of this competition and of the whole service.")
+]
 OnlyOpen = Annotated[bool, Query(alias="open", description="Only those that nobody has answered or decided.")]
 
 
 @router.get("/announcements")
-def list_announcements(services: ServicesOf) -> AnnouncementListView:
-    """Return what the organizers say to everybody, newest first."""
+def list_announcements(
+    services: ServicesOf, principal: OptionalPrincipalOf, competition: OfCompetition = None
+) -> AnnouncementListView:
+    """Return what the organizers say to everybody, and messages to the own team, newest first."""
     with services.database.transaction() as session:
-        return AnnouncementListView(items=messages.list_announcements(session))
+        by = principal or VISITOR
+        return AnnouncementListView(items=messages.list_announcements(session, by, competition=competition))
 
 
 @router.post("/announcements", status_code=HTTPStatus.CREATED)
-def post_announcement(services: ChangingServicesOf, principal: OrganizerOf, new: NewAnnouncement) -> AnnouncementView:
-    """Say something to everybody; for organizers."""
+def post_announcement(
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, new: NewAnnouncement
+) -> AnnouncementView:
+    """Say something to everybody, about the whole service or a competition; for organizers of it."""
     with services.database.transaction() as session:
-        made = messages.publish_announcement(session, principal, title=new.title, text=new.text, notify=new.notify)
-        return AnnouncementView.model_validate(made, from_attributes=True)
+        made = messages.publish_announcement(session, principal, **new.model_dump())
+        return messages.make_announcement_view(made)
 
 
 @router.delete("/announcements/{announcement_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
-def withdraw_announcement(services: ChangingServicesOf, principal: OrganizerOf, announcement_id: RowNumber) -> None:
-    """Show an announcement to nobody from now on; for organizers."""
+def withdraw_announcement(
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, announcement_id: RowNumber
+) -> None:
+    """Show an announcement to nobody from now on; for organizers of what it is about."""
     with services.database.transaction() as session:
         messages.withdraw_announcement(session, principal, announcement_id)
 

@@ -8,7 +8,7 @@ from typing import Annotated, Self
 from pydantic import AfterValidator, AwareDatetime, Field, NonNegativeInt, PositiveInt, model_validator
 from vitac.evaluator.strict_model import DocumentRejected, StrictModel, Word, read_yaml
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks import ListKind, Track, list_tracks, load_track
+from vitac.evaluator.tracks import ListKind, Track, UnknownTask, find_task, list_tracks, load_track
 
 from ..transparency.notes import OF_WITNESS, NoteRejected, VerifierKey
 
@@ -167,6 +167,9 @@ class TrackRules(StrictModel):
         default=None, description="What entries are compared by; null: as the track's file says."
     )
     ties: str = "The earlier submission is in front."
+    picture: Word | None = Field(
+        default=None, description="Task of this service whose picture stands for the track; null: its own first one."
+    )
     prizes: tuple[Prize, ...] = ()
     judging: Judging | None = None
 
@@ -288,6 +291,11 @@ def _problems(name: str, track: TrackRules) -> Iterator[str]:
             yield f"tracks.{name}.{error}."
             break
     yield from _stage_problems(known, track)
+    if track.picture is not None:
+        try:
+            find_task(track.picture)
+        except UnknownTask as error:
+            yield f"tracks.{name}.picture: {error}"
     if track.judging is not None and track.judging.weights.figures and not known.has_sensor:
         yield (
             f"tracks.{name}.judging.weights.figures: expected 0, got {track.judging.weights.figures:g}; teams bring no "

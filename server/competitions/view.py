@@ -17,7 +17,6 @@ from ..views.competition import (
     CompetitionView,
     DisqualifiedTeamView,
     PrizeView,
-    PublicRankingView,
     ReopeningView,
     StageView,
     WinnerView,
@@ -43,6 +42,7 @@ def competition_list_view(session: Session) -> CompetitionListView:
                 closes=competition.closes,
                 state=_state(competition, now),
                 tracks=list(dict.fromkeys(stage.track for stage in competition.stages_held_here)),
+                public_rankings=list(competition.definition.public_rankings.values()),
             )
             for competition in Competition.read_all(session)
             if competition.is_held
@@ -91,17 +91,6 @@ def competition_view(session: Session, name: str | None = None, *, at: datetime 
             if each.withdrawn_at is not None
         ],
     )
-
-
-def list_public_rankings(session: Session) -> Mapping[str, PublicRankingView]:
-    """Return the competitions in which boards of public lists decide something, by name, for all their pages."""
-    return {
-        competition.name: PublicRankingView(
-            title=competition.definition.title, decided=list(competition.definition.public_rankings.values())
-        )
-        for competition in Competition.read_all(session)
-        if competition.definition.public_rankings
-    }
 
 
 def disqualified_since_the_end(competition: Competition) -> list[DisqualifiedTeamView]:
@@ -167,6 +156,7 @@ def _track(name: str, competition: Competition, lists: Lists, now: datetime) -> 
         ties=track.ties,
         stages=[_stage(stage, lists, now) for stage in competition.stages if stage.track == name],
         prizes=[PrizeView(**prize.model_dump()) for prize in track.prizes],
+        picture=track.picture,
         judging=track.judging.sentence if track.judging else None,
     )
 

@@ -170,7 +170,7 @@ class Desk:
         asked: questions without an answer.
         appealed: appeals without a ruling.
         stages: of the competition, with who may take part.
-        said: announcements that everybody sees.
+        said: announcements and messages that they may withdraw.
         entries: the last lines of the audit log.
     """
 
@@ -194,6 +194,11 @@ def read_desk(session: Session, by: Principal) -> Desk:
         troubles=troubles(session, by),
         appealed=appeals.visible(session, by, open_only=True),
         stages=stages(session, by),
+        said=[
+            one
+            for one in messages.list_announcements(session, by)
+            if by.organizes_service or one.competition == by.competition
+        ],
     )
     if not by.organizes_service:
         return of_own
@@ -201,6 +206,5 @@ def read_desk(session: Session, by: Principal) -> Desk:
         of_own,
         waiting=[teams.organizer_team_view(session, team) for team in teams.waiting(session)],
         asked=messages.list_questions(session, by, open_only=True),
-        said=messages.list_announcements(session),
         entries=[entry_view(entry) for entry in newest_entries(session, N_ENTRIES)],
     )

@@ -10,11 +10,12 @@ from sqlalchemy.orm import Session, aliased
 from vitac.evaluator.episodes.records import EpisodeRecord
 
 from ..accounts import members, teams, tokens, webhooks
-from ..accounts.messages import make_question_view
+from ..accounts.messages import make_announcement_view, make_question_view
 from ..accounts.outbox import notice_view
 from ..audit import entry_view, record
 from ..competitions.competition import Competition
 from ..database.models import (
+    Announcement,
     ApiToken,
     Appeal,
     AuditEntry,
@@ -59,6 +60,9 @@ def export(session: Session, settings: Settings, by: Principal, team: Team) -> T
     of_team = select(Submission).where(Submission.team_id == team.id).order_by(Submission.submitted_at, Submission.id)
     runs = histories(session, session.scalars(of_team).all())
     notices = session.scalars(select(Notice).where(Notice.team_id == team.id).order_by(Notice.created_at))
+    messages = session.scalars(
+        select(Announcement).where(Announcement.team_id == team.id, Announcement.withdrawn_at.is_(None))
+    )
     asked = session.scalars(select(Question).where(Question.team_id == team.id).order_by(Question.id))
     appealed = session.scalars(select(Appeal).where(Appeal.team_id == team.id).order_by(Appeal.id))
     return TeamDataView(
@@ -67,6 +71,7 @@ def export(session: Session, settings: Settings, by: Principal, team: Team) -> T
         submissions=submission_views(session, settings, runs, by) if runs else [],
         webhooks=webhooks.list_webhooks(session, by, team) if by.leads_team else [],
         notices=[notice_view(one) for one in notices],
+        messages=[make_announcement_view(one) for one in messages],
         questions=[make_question_view(one, by) for one in asked],
         appeals=[appeal_view(one, by) for one in appealed],
         audit_log=_audit_log(session, by, team),
@@ -104,7 +109,7 @@ def erase(session: Session, by: Principal, team: Team) -> None:
     session.execute(delete(Question).where(Question.team_id == team.id, ~Question.public))
     session.execute(update(Question).where(Question.team_id == team.id).values(team_id=None))
     session.execute(update(Appeal).where(Appeal.team_id == team.id).values(text=REMOVED))
-    for table in (ApiToken, Invitation, Member, Notice, Webhook):
+    for table in (Announcement, ApiToken, Invitation, Member, Notice, Webhook):
         session.execute(delete(table).where(table.team_id == team.id))
     session.flush()
     record(session, by, "team.delete", f"team:{team.id}", {"erased": True}, before={"erased": False})

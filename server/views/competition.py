@@ -34,6 +34,9 @@ class CompetitionSummaryView(View):
     closes: datetime = Field(description="When its last stage closes.")
     state: CompetitionState
     tracks: list[str] = Field(description="Names of the tracks whose submissions this service takes.")
+    public_rankings: list[str] = Field(
+        default_factory=list, description="What boards of public lists decide, a clause for each, as its pages say."
+    )
 
 
 class CompetitionListView(View):
@@ -81,6 +84,9 @@ class CompetitionTrackView(View):
     ties: str
     stages: list[StageView]
     prizes: list[PrizeView]
+    picture: str | None = Field(
+        default=None, description="Task whose picture stands for the track; null: its own first one."
+    )
     judging: str | None = Field(default=None, description="How judges' marks count, in words; null: the board decides.")
 
 
@@ -121,13 +127,6 @@ class WithdrawnListView(View):
     commitment: str
     made_at: datetime
     withdrawn_at: datetime
-
-
-class PublicRankingView(View):
-    """A competition in which boards of public lists decide something, as all its pages say."""
-
-    title: str
-    decided: list[str] = Field(description="What they decide, a clause for each.")
 
 
 class CompetitionView(View):

@@ -13,6 +13,8 @@ class AnnouncementView(View):
     """What organizers say to everybody."""
 
     id: int
+    competition: str | None = Field(default=None, description="Whose it is; null: of the whole service.")
+    team: str | None = Field(default=None, description="To which team alone; null: to everybody.")
     title: str
     text: str = Field(description="Plain text.")
     published_at: datetime

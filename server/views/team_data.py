@@ -5,7 +5,7 @@ from datetime import datetime
 from pydantic import Field
 
 from .base import View
-from .correspondence import AppealView, NoticeView, QuestionView, WebhookView
+from .correspondence import AnnouncementView, AppealView, NoticeView, QuestionView, WebhookView
 from .submissions import SubmissionView
 from .teams import AuditEntryView, OwnTeamView, TokenView
 
@@ -19,6 +19,7 @@ class TeamDataView(View):
     submissions: list[SubmissionView]
     webhooks: list[WebhookView]
     notices: list[NoticeView]
+    messages: list[AnnouncementView] = Field(description="Of organizers to this team alone.")
     questions: list[QuestionView]
     appeals: list[AppealView]
     audit_log: list[AuditEntryView] = Field(description="What people changed of the team.")

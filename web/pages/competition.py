@@ -1,7 +1,6 @@
 """The competition's home page: schedule, tracks, rules, prizes, commitments, winners."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from uuid import UUID
@@ -19,22 +18,13 @@ from vitac.server.views.competition import ArchiveView, CompetitionView
 from vitac.server.views.correspondence import AnnouncementView
 from vitac.server.views.submissions import DescriptionView
 
+from ..front import Countdown
 from ..site import get_principal, get_site, get_viewer, page
 from .addresses import board_address, competition_address, read_competition_name
 from .forms import submit
 
 N_SAID = 3
 """Number of the newest announcements on the page; all of them have a page of their own."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Countdown:
-    """What opens or closes next on some tracks, and when."""
-
-    tracks: tuple[str, ...]
-    stage: str
-    closes: bool
-    moment: datetime
 
 
 async def competitions(request: Request) -> Response:
@@ -53,7 +43,8 @@ async def competition(request: Request) -> Response:
 
     def read(session: Session) -> tuple[CompetitionView, Sequence[AnnouncementView], int]:
         shown = competition_view(session, competition)
-        return shown, messages.list_announcements(session), len(competition_list_view(session).items)
+        said = messages.list_announcements(session, competition=shown.name)
+        return shown, said, len(competition_list_view(session).items)
 
     found, said, n_competitions = await get_site(request).read(read)
     viewer = await get_viewer(request)

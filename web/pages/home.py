@@ -1,30 +1,39 @@
-"""The front page: what this is, an episode to play, what happened recently, and the tracks with their state."""
+"""The front page: what this is, an episode to play, competitions and tracks with their state, and recent results."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from uuid import UUID
 
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
-from vitac.evaluator.tracks import Track, load_track
+from vitac.evaluator.tracks import find_task, load_track
 from vitac.server.accounts import messages
-from vitac.server.competitions.view import competition_view
+from vitac.server.competitions.view import competition_list_view, competition_view, track_stages
 from vitac.server.database.states import EvaluationState
-from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.progress import count_open
 from vitac.server.leaderboards.public_pages import public_among
 from vitac.server.leaderboards.reading import shown_leaderboard, shown_rank_history
 from vitac.server.playbacks.stills import find_stills, newest_public_episode
 from vitac.server.principals import VISITOR
 from vitac.server.tracks import is_challenge_track
-from vitac.server.views.competition import CompetitionView
-from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
+from vitac.server.views.competition import (
+    CompetitionState,
+    CompetitionSummaryView,
+    CompetitionTrackView,
+    CompetitionView,
+    StageView,
+)
+from vitac.server.views.leaderboards import DatedRankView, LeaderboardEntryView, LeaderboardView
 
-from ..front import FrontPage, TrackCard
+from ..front import CompetitionCard, FrontPage, News, TrackCard, TrackState
 from ..rendering import STATIC
 from ..site import Site, get_site, get_viewer, page
+from .addresses import board_address, board_query, competition_address
+from .competition import list_countdowns
 from .episodes.page import player_script
+from .tracks import find_scene
 
 NEWS = 5
 ANNOUNCEMENTS = 3
@@ -32,8 +41,8 @@ EXAMPLE = "example.scene"
 """The playback of an episode of peg insertion in which the peg goes straight to its hole."""
 
 
-PICTURES = {"track_1": "lock-opening.webp", "track_2": "fusion-insertion.webp", "track_3": "sensor-standard.webp"}
-"""Stills of the challenge's tracks: the end of an episode as `envs/playback_files/still.py` draws it."""
+PICTURES = {"track_1": "lock-opening"}
+"""Tasks whose pictures stand for their tracks, in place of those of their first tasks."""
 
 
 async def home(request: Request) -> Response:
@@ -51,32 +60,106 @@ async def home(request: Request) -> Response:
 
 
 def _front(session: Session, site: Site) -> FrontPage:
-    boards = {name: shown_leaderboard(session, VISITOR, name).view for name in site.tracks}
-    cup = _competition(session)
-    ranked = [(load_track(name), entry) for name, board in boards.items() for entry in board.entries if entry.rank]
-    news = sorted(ranked, key=lambda new: new[1].evaluated_at, reverse=True)[:NEWS]
-    public = public_among(session, [entry.submission_id for _, entry in news])
+    now, listed = datetime.now(UTC), competition_list_view(session).items
+    cups = {one.name: competition_view(session, one.name) for one in listed}
+    boards = {name: _read_boards(session, name, listed) for name in site.tracks}
+    ranked = [
+        (board, entry) for track in boards.values() for board in track for entry in board.view.entries if entry.rank
+    ]
+    newest = sorted(ranked, key=lambda new: new[1].evaluated_at, reverse=True)[:NEWS]
+    public = public_among(session, [entry.submission_id for _, entry in newest])
     open_now = count_open(session)
+    shown = [one for one in listed if one.state is not CompetitionState.FINAL] or listed[:1]
     return FrontPage(
-        ranks_before=_find_ranks_before(session, news),
         running=open_now[EvaluationState.RUNNING],
         waiting=open_now[EvaluationState.QUEUED],
-        cards=[_card(name, board, cup) for name, board in boards.items()],
-        news=news,
+        cards=[_card(name, boards[name], list(cups.values()), now) for name in site.tracks],
+        news=_list_news(session, newest, cups),
         public=public,
         stills=find_stills(session, VISITOR, public),
-        cup=cup,
+        competitions=[
+            CompetitionCard(
+                address=competition_address(one.name if len(listed) > 1 else None),
+                view=cups[one.name],
+                state=one.state,
+                countdowns=list_countdowns(cups[one.name], now),
+                prize=sum(prize.amount * prize.winners for track in cups[one.name].tracks for prize in track.prizes),
+            )
+            for one in shown
+        ],
+        has_past=len(shown) < len(listed),
         said=messages.list_announcements(session)[:ANNOUNCEMENTS],
         episode=newest_public_episode(session, site.services.settings),
     )
 
 
-def _find_ranks_before(session: Session, news: Sequence[tuple[Track, LeaderboardEntryView]]) -> dict[UUID, int]:
-    """Return which rank each team had before its new entry, by the entry's evaluation."""
-    histories = {track.name: shown_rank_history(session, VISITOR, track.name) for track, _ in news}
-    ranks = {(name, team.submission_id): team.ranks for name, teams in histories.items() for team in teams}
-    before = {entry.evaluation_id: ranks.get((track.name, entry.submission_id), ()) for track, entry in news}
-    return {evaluation: found[-2].rank for evaluation, found in before.items() if len(found) > 1}
+@dataclass(frozen=True, kw_only=True)
+class _Board:
+    """The board of a track in a stage; of the one that is shown first, `is_first`."""
+
+    track: str
+    competition: str | None
+    stage: StageView | None
+    view: LeaderboardView
+    is_first: bool
+
+    def address(self, *, several: bool) -> str:
+        place = board_address(self.competition if several else None, self.track)
+        return place + board_query(None, self.stage.name if self.stage and not self.is_first else None)
+
+
+def _read_boards(session: Session, track: str, listed: Sequence[CompetitionSummaryView]) -> list[_Board]:
+    """Return the boards of a track in all competitions that hold it, the stage that opened last first."""
+    boards: list[_Board] = []
+    names: list[str | None] = [one.name for one in listed if track in one.tracks]
+    for competition in names or [None]:
+        shown = shown_leaderboard(session, VISITOR, track, competition=competition).view
+        stages = {stage.name: stage for stage in track_stages(session, track, competition)}
+        opened = [name for name, stage in stages.items() if stage.opens <= datetime.now(UTC) and name != shown.stage]
+        earlier = [
+            shown_leaderboard(session, VISITOR, track, stage=name, competition=competition).view
+            for name in reversed(opened)
+        ]
+        boards += [
+            _Board(
+                track=track,
+                competition=competition,
+                stage=stages.get(view.stage or ""),
+                view=view,
+                is_first=view is shown,
+            )
+            for view in (shown, *earlier)
+        ]
+    return boards
+
+
+def _list_news(
+    session: Session, newest: Sequence[tuple[_Board, LeaderboardEntryView]], cups: Mapping[str, CompetitionView]
+) -> list[News]:
+    """Return the newest entries with which rank each team had before."""
+    histories: dict[tuple[str, str | None, str | None], Mapping[UUID, Sequence[DatedRankView]]] = {}
+
+    def find_rank_before(board: _Board, entry: LeaderboardEntryView) -> int | None:
+        key = (board.track, board.view.stage, board.competition)
+        if key not in histories:
+            teams = shown_rank_history(
+                session, VISITOR, board.track, stage=board.view.stage, competition=board.competition
+            )
+            histories[key] = {team.submission_id: team.ranks for team in teams}
+        ranks = histories[key].get(entry.submission_id, ())
+        return ranks[-2].rank if len(ranks) > 1 else None
+
+    return [
+        News(
+            track=load_track(board.track).title,
+            picture=_find_picture(board.track, list(cups.values())),
+            address=board.address(several=len(cups) > 1),
+            competition=cups[board.competition].title if board.competition and len(cups) > 1 else None,
+            entry=entry,
+            rank_before=find_rank_before(board, entry),
+        )
+        for board, entry in newest
+    ]
 
 
 async def example(_: Request) -> Response:
@@ -88,45 +171,44 @@ async def example(_: Request) -> Response:
     )
 
 
-def _competition(session: Session) -> CompetitionView | None:
-    try:
-        return competition_view(session)
-    except ServiceError as error:
-        if error.code is ProblemCode.NOT_FOUND:
-            return None
-        raise
-
-
-def _card(name: str, board: LeaderboardView, cup: CompetitionView | None) -> TrackCard:
-    track = load_track(name)
-    ranked = [entry for entry in board.entries if entry.rank]
-    state, moment = _state(name, cup)
+def _card(name: str, boards: Sequence[_Board], cups: Sequence[CompetitionView], now: datetime) -> TrackCard:
+    track, first = load_track(name), boards[0]
+    board = next((one for one in boards if any(entry.rank for entry in one.view.entries)), first)
+    ranked = [entry for entry in board.view.entries if entry.rank]
+    holding = [(cup, found) for cup in cups for found in cup.tracks if found.name == name]
     return TrackCard(
         name=name,
         further=not is_challenge_track(track),
         title=track.title,
         summary=track.summary,
-        picture=PICTURES.get(name),
+        picture=_find_picture(name, cups),
+        address=board.address(several=len(cups) > 1),
         ranked=len(ranked),
-        is_practice=board.is_practice,
+        is_practice=board.view.is_practice,
+        stage=board.stage.title if board.stage and board is not first else None,
         leader=ranked[0] if ranked else None,
-        state=state,
-        moment=moment,
+        states=[_find_state(found, cup.title if len(holding) > 1 else None, now) for cup, found in holding]
+        or [TrackState(competition=None, sentence="Open for practice", moment=None)],
     )
 
 
-def _state(name: str, cup: CompetitionView | None) -> tuple[str, datetime | None]:
+def _find_picture(name: str, cups: Sequence[CompetitionView]) -> str:
+    """Return the static file with a scene of a track: of the task that a competition names, else of its first one."""
+    named = (track.picture for cup in cups for track in cup.tracks if track.name == name and track.picture)
+    task = next(named, PICTURES.get(name))
+    return find_scene(find_task(task)[1] if task else next(iter(load_track(name).tasks.values())))
+
+
+def _find_state(track: CompetitionTrackView, competition: str | None, now: datetime) -> TrackState:
     """Return whether a track takes submissions, in words that a time follows."""
-    found = next((track for track in cup.tracks if track.name == name), None) if cup else None
-    if found is None:
-        return "Open for practice", None
-    if not found.taken_here:
-        return "Submissions are collected elsewhere", None
-    open_stage = next((stage for stage in found.stages if stage.is_open), None)
-    if open_stage is not None:
-        return f"{open_stage.title} is open until", open_stage.closes
-    now = datetime.now(UTC)
-    following = next((stage for stage in found.stages if stage.opens > now), None)
-    if following is not None:
-        return f"{following.title} opens on", following.opens
-    return "Closed since", found.stages[-1].closes
+    open_stage = next((stage for stage in track.stages if stage.is_open), None)
+    following = next((stage for stage in track.stages if stage.opens > now), None)
+    if not track.taken_here:
+        sentence, moment = "Submissions are collected elsewhere", None
+    elif open_stage is not None:
+        sentence, moment = f"{open_stage.title} is open until", open_stage.closes
+    elif following is not None:
+        sentence, moment = f"{following.title} opens on", following.opens
+    else:
+        sentence, moment = "Closed since", track.stages[-1].closes
+    return TrackState(competition=competition, sentence=sentence, moment=moment)

@@ -5,6 +5,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from vitac.server.accounts.messages import list_announcements, list_questions
 from vitac.server.api.messages import post_question
+from vitac.server.principals import VISITOR
 from vitac.server.views.correspondence import AnnouncementView, QuestionView
 
 from ..site import get_site, get_viewer, page
@@ -19,7 +20,7 @@ async def messages(request: Request) -> Response:
     by = viewer.principal if viewer is not None else None
 
     def read(session: Session) -> tuple[list[AnnouncementView], list[QuestionView]]:
-        return list_announcements(session), list_questions(session, by)
+        return list_announcements(session, by or VISITOR), list_questions(session, by)
 
     said, asked = await get_site(request).ask(read)
     return page(request, "messages.html", viewer=viewer, section=ADDRESS, said=said, asked=asked)

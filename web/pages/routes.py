@@ -13,7 +13,7 @@ from vitac.server.api.conditional import compressed
 from ..documentation.library import ADDRESS, Library
 from ..headers import SecurityHeaders
 from ..rendering import STATIC, static_digest
-from ..site import Site, name_public_rankings
+from ..site import Site, name_competitions
 from . import competition, desk, errors, home, messages, service, tracks
 from .episodes import embedded
 from .episodes import page as episodes
@@ -169,5 +169,5 @@ def pages() -> APIRouter:
         ("/sign-in/password", sign_in.sign_in_with_password, "POST"),
         ("/sign-out", sign_in.sign_out, "POST"),
     ):
-        router.add_route(path, name_public_rankings(page), methods=[method], include_in_schema=False)
+        router.add_route(path, name_competitions(page), methods=[method], include_in_schema=False)
     return router

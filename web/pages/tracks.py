@@ -8,7 +8,7 @@ from starlette.responses import Response
 from vitac.envs.maniskill import batch
 from vitac.envs.maniskill.definition import PREFIX, is_maniskill
 from vitac.evaluator.agent.protocol.frames import ACTION_TYPES
-from vitac.evaluator.tracks import Task
+from vitac.evaluator.tracks import Task, find_task
 
 from ..headers import limit_rows, size
 from ..rendering import STATIC
@@ -69,6 +69,9 @@ Each shows the end of an episode, and what its sensors saw at a step before.
 """
 
 
+NO_SCENE = "markers.svg"
+
+
 async def rules(request: Request) -> Response:
     """Show the rules of a track, from its file and the limits in force."""
     track, site = known_track(request.path_params["track"]), get_site(request)
@@ -89,10 +92,19 @@ async def rules(request: Request) -> Response:
 
 
 def find_pictures(task: Task) -> Sequence[Picture]:
-    """Return the pictures of a task: its scene, and what a policy sees of it where that is shown."""
+    """Return the pictures of a task, or of one of the challenge with the same environment.
+
+    They show its scene, and what a policy sees of it.
+    """
     if not is_maniskill(task.env_id):
-        return PICTURES.get(task.name, ())
+        same = (name for name in PICTURES if find_task(name)[1].env_id == task.env_id)
+        return PICTURES.get(task.name) or PICTURES.get(next(same, ""), ())
     file = batch.file_name(task.env_id.removeprefix(PREFIX))
     if not (STATIC / file).exists():
         return ()
     return (Picture(file=file, width=batch.WIDTH, height=batch.HEIGHT, shows=f"A start of {task.env_id}"),)
+
+
+def find_scene(task: Task | None) -> str:
+    """Return the static file with the scene of a task; a drawing of markers where there is none."""
+    return next((picture.file for picture in find_pictures(task)), NO_SCENE) if task else NO_SCENE

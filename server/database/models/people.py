@@ -14,14 +14,20 @@ from .work import Work
 
 
 class Announcement(Base):
-    """What organizers say to everybody."""
+    """What organizers say to everybody, or in a message to one team.
+
+    With an empty `competition` it is of the whole service.
+    """
 
     __tablename__ = "announcements"
     id: Mapped[int] = mapped_column(primary_key=True)
+    competition: Mapped[str] = mapped_column(default="", server_default="")
+    team_id: Mapped[UUID | None] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), index=True)
     title: Mapped[str] = mapped_column(String(120))
     text: Mapped[str]
     published_at: Mapped[datetime] = mapped_column(server_default=func.now())
     withdrawn_at: Mapped[datetime | None]
+    team: Mapped[Team | None] = relationship()
 
 
 class Question(Base):

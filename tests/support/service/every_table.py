@@ -101,6 +101,7 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
                 owner="visitor", requires="1 tactile", priority=3, problem=TEXT,
             ),
             Qualification(competition="cup", track=track, stage=stage, team_id=team_id),
+            Announcement(competition="cup", team_id=team_id, title=TEXT, text=TEXT),
             Question(team_id=team_id, text=TEXT, public=True),
             Rejudgement(track=track, stage=stage, reason=TEXT),
             SubmissionFile(

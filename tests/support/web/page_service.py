@@ -48,8 +48,9 @@ from vitac.server.views.comparisons import ComparisonView, PlaybackView, PublicE
 from vitac.server.views.competition import (
     ArchiveView,
     CompetitionListView,
+    CompetitionState,
+    CompetitionSummaryView,
     CompetitionView,
-    PublicRankingView,
     StageView,
 )
 from vitac.server.views.correspondence import AnnouncementView
@@ -100,7 +101,7 @@ class FixedData(FixedPlaybacks):
     takes_appeals: bool = False
     locked_since: datetime | None = None
     cup: CompetitionView | None = None
-    public_rankings: dict[str, PublicRankingView] = field(default_factory=dict)
+    public_rankings: list[str] = field(default_factory=list)
     decided_again_at: datetime | None = None
     service: OperationsView = field(default_factory=an_operations_view)
     public_one: PublicEpisodeView | None = None
@@ -161,6 +162,22 @@ class FixedData(FixedPlaybacks):
         if self.cup is None:
             raise ServiceError(ProblemCode.NOT_FOUND, "This service runs no competition.")
         return self.cup
+
+    def list_competitions(self) -> CompetitionListView:
+        if self.cup is None:
+            return CompetitionListView(items=[])
+        held = [track for track in self.cup.tracks if track.taken_here]
+        summary = CompetitionSummaryView(
+            name=self.cup.name,
+            title=self.cup.title,
+            summary=self.cup.summary,
+            opens=min(stage.opens for track in self.cup.tracks for stage in track.stages),
+            closes=max(stage.closes for track in self.cup.tracks for stage in track.stages),
+            state=CompetitionState.FINAL if self.cup.finalized_at else CompetitionState.OPEN,
+            tracks=[track.name for track in held],
+            public_rankings=self.public_rankings,
+        )
+        return CompetitionListView(items=[summary])
 
     def stages(self, track: str, _: str | None = None) -> Sequence[StageView]:
         tracks = self.cup.tracks if self.cup else ()
@@ -339,9 +356,8 @@ for _module, _name, _data_of in (
     (reading, "shown_leaderboard", lambda data: data.leaderboard),
     (reading, "shown_log_boards", lambda data: data.log_boards),
     (competition, "competition_view", lambda data: data.competition),
-    (competition, "competition_list_view", lambda _: lambda: CompetitionListView(items=[])),
+    (competition, "competition_list_view", lambda data: data.list_competitions),
     (competition, "list_choices", lambda _: list),
-    (competition, "list_public_rankings", lambda data: lambda: data.public_rankings),
     (competition, "track_stages", lambda data: data.stages),
     (publishing, "archive_view", lambda data: data.archive),
     (public_pages, "public_among", lambda data: data.public_among),
@@ -365,7 +381,7 @@ for _module, _name, _data_of in (
     (stills, "find_stills", lambda data: lambda _, ids: dict.fromkeys(ids, data.stills[0]) if data.stills else {}),
     (comparisons, "list_choices", lambda _: lambda *_, **__: ()),
     (stills, "newest_public_episode", lambda data: lambda _: data.public_one),
-    (messages, "list_announcements", lambda data: lambda: data.said),
+    (messages, "list_announcements", lambda data: lambda *_, **__: data.said),
     (asking, "find_digest", lambda data: lambda place, file: (place, file)),
     (work, "read_file", lambda data: lambda _, key: data.file_at(*key)),
     (sensors, "document", lambda data: data.document),

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime
+from itertools import pairwise
 
 from sqlalchemy.orm import Session
 from starlette.exceptions import HTTPException
@@ -46,6 +47,7 @@ def read_surroundings(
     """
     competition, part, stages = asked.competition, asked.part, track_stages(session, track.name, asked.competition)
     has_page = accepts_logs if part else lambda _: True
+    of_stages = stage_tabs(stages, shown_stage, asked.address)
     return {
         "section": f"/tracks/{track.name}",
         "track": track,
@@ -57,7 +59,8 @@ def read_surroundings(
         "competition_url": competition_address(competition),
         "track_tabs": () if competition else track_tabs(site, track, part, has_page=has_page),
         "competition_tabs": competition_tabs(session, competition, track.name, part),
-        "stage_tabs": stage_tabs(stages, shown_stage, asked.address),
+        "stage_tabs": of_stages,
+        "earlier_stage": next((tab for tab, after in pairwise(of_stages) if after.current), None),
         "tabs": task_tabs(track, asked.task, logs=bool(part), stage=asked.stage, competition=competition),
     }
 

@@ -21,6 +21,7 @@ from vitac.server.playbacks.stills import find_stills, list_stills
 from vitac.server.submissions.appeals import takes_appeals
 from vitac.server.submissions.listing import list_submissions
 from vitac.server.submissions.watch import Changes
+from vitac.server.tracks import known_task
 from vitac.server.views.comparisons import StillView
 from vitac.server.views.evaluations import TaskProgressView
 from vitac.server.views.scores import PracticeScoreView, TaskScoreView
@@ -32,6 +33,7 @@ from ...site import Site, Viewer, get_principal, get_site, get_viewer, open_to_a
 from ..addresses import as_id, board_address, board_query
 from ..leaderboards.tabs import find_stage_title
 from ..submission_detail import SubmissionDetail, read_detail
+from ..tracks import NO_SCENE, find_scene
 from .figures import figures
 from .sharing import shared
 
@@ -69,6 +71,8 @@ async def submissions(request: Request) -> Response:
         section="/submissions",
         found=found,
         stills=stills,
+        pictures={item.id: find_scene(known_task(item.track, item.tasks[0])) for item in found.items if item.tasks},
+        no_picture=NO_SCENE,
     )
 
 

@@ -68,7 +68,7 @@ AUDIENCES = {
     Audience.ORGANIZERS: frozenset({Who.ORGANIZER}),
 }
 """Who is meant by what a route declares, of a thing of the team OWNER; all others get 401, 403 or 404."""
-OF_NO_COMPETITION = ("{submission_id}", "{appeal_id}", "{rejudgement_id}", "/judging/conflicts")
+OF_NO_COMPETITION = ("{submission_id}", "{announcement_id}", "{appeal_id}", "{rejudgement_id}", "/judging/conflicts")
 """Things that belong to no competition here, so that the organizer of one does not see them."""
 
 SUBMISSION = "/api/v1/submissions/{submission_id}"
@@ -454,7 +454,7 @@ def test_every_route_declares_who_may_call_it() -> None:
     free = {path for (_, path), route in described().items() if "security" not in route}
     of_everybody = ("/health", "/ready", "/log/", "/api/v1/tracks", "/api/v1/competition", "/api/v1/receipts")
     others = {path for path in free if not path.startswith(of_everybody)}
-    assert others == {"/api/v1/announcements", "/api/v1/teams/join", "/api/v1/uploads"}
+    assert others == {"/api/v1/teams/join", "/api/v1/uploads"}
     assert not {path for place, path in described() if place != "get"} & {path for path in free if "comp" in path}
 
 

@@ -216,7 +216,7 @@ def test_an_organizer_of_one_competition_changes_only_what_belongs_to_it(both: D
         for of_the_service in (
             lambda: teams.disqualify(session, by, teams.own(session, ants), "late"),
             lambda: creation.owner(session, by, "Ants"),
-            lambda: messages.publish_announcement(session, by, title="News", text="Text", notify=False),
+            lambda: messages.answer_question(session, by, 1, "Yes.", public=True),
         ):
             with pytest.raises(ServiceError, match="and this concerns the whole service"):
                 of_the_service()

@@ -105,7 +105,7 @@ def test_a_database_that_stands_still_is_a_page_that_says_so(
     data: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(site, "PAGE_TIMEOUT_S", 0.05)
-    data.leaderboard = lambda *_: threading.Event().wait(0.5)  # type: ignore[assignment,method-assign]
+    data.leaderboard = lambda *_, **__: threading.Event().wait(0.5)  # type: ignore[assignment,method-assign]
     answer = browser.get("/")
     assert answer.status_code == 503
     assert "The database does not answer" in answer.text
@@ -131,7 +131,7 @@ def test_a_crash_is_a_page_that_tells_nothing_of_the_inside(data: FixedData, bro
 def test_database_that_is_away_is_a_page_that_says_why_and_when_to_come_back(
     data: FixedData, browser: AsgiBrowser, error: Exception, sentence: str
 ) -> None:
-    def away(by: Principal, track: str) -> LeaderboardView:
+    def away(*_: object, **__: object) -> LeaderboardView:
         raise OperationalError("SELECT 1", {}, error)
 
     data.leaderboard = away  # type: ignore[assignment]
@@ -148,7 +148,7 @@ def test_database_that_is_away_is_a_page_that_says_why_and_when_to_come_back(
     [OSError(errno.ENOSPC, "No space left on device"), OperationalError("INSERT", {}, psycopg.errors.DiskFull())],
 )
 def test_full_disk_is_a_page_that_says_so(data: FixedData, browser: AsgiBrowser, error: Exception) -> None:
-    def full(by: Principal, track: str) -> LeaderboardView:
+    def full(*_: object, **__: object) -> LeaderboardView:
         raise error
 
     data.leaderboard = full  # type: ignore[assignment]

@@ -99,7 +99,8 @@ def test_what_happened_lately_comes_first_and_links_what_is_public(data: FixedDa
     assert f'<a href="/submissions/{COMPLETED.id}">' in recent
     assert "86.7 % in peg insertion, rank 9" in recent
     assert f'<a class="thumbnail" href="/submissions/{COMPLETED.id}/episodes/{TASK}/7"><img src=' in recent
-    assert (recent.count('href="/submissions/'), recent.count("<img")) == (2, 1)
+    assert (recent.count('href="/submissions/'), recent.count("/playback/still")) == (2, 1)
+    assert recent.count("<img") == home.NEWS, "the picture of its track stands in place of a still"
     assert "9 teams ranked, first <bdi>Team 1</bdi> with" in html
 
 
@@ -125,6 +126,8 @@ def test_a_card_says_whether_its_track_takes_submissions(
     html = browser.get("/").text
     assert shown in html
     assert '<a class="button plain" href="/competition">The cup</a>' in html
+    assert '<a href="/competition">The cup</a></h3>' in html
+    assert '<li><a href="/competition">Competition</a></li>' in html
     data.cup = a_cup(*made, taken_here=False)
     assert "collected elsewhere" not in browser.get("/").text, "it is kept for seconds"
     assert "collected elsewhere" in AsgiBrowser(an_application(data)).get("/").text

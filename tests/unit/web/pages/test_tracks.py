@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from asgi_browser import AsgiBrowser
 from cubes_track import FILE
-from page_fixtures import LOCK, NOW, TASK, a_leaderboard, a_score, an_entry, an_id
+from page_fixtures import LOCK, NOW, TASK, a_finished_cup, a_leaderboard, a_score, an_entry, an_id
 from page_service import FixedData, a_site, an_application
 from PIL import Image
 from recorded_forces import some_forces
@@ -15,7 +15,6 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import list_tracks, load_track
 from vitac.server.leaderboards.baselines import list_baselines
 from vitac.server.tracks import sort_challenge_first
-from vitac.server.views.competition import PublicRankingView
 from vitac.web.pages.leaderboards.leaderboard import PLOTTED
 from vitac.web.pages.leaderboards.paging import PAGE_ENTRIES
 from vitac.web.pages.leaderboards.tabs import accepts_logs, track_tabs
@@ -187,7 +186,8 @@ def test_the_board_of_a_public_list_is_for_practice(data: FixedData, browser: As
 
 
 def test_all_pages_of_a_competition_that_ranks_on_a_public_list_say_so(data: FixedData, browser: AsgiBrowser) -> None:
-    data.public_rankings = {"cup": PublicRankingView(title="The cup", decided=["the prizes go by the board of Final"])}
+    data.cup = a_finished_cup()
+    data.public_rankings = ["the prizes go by the board of Final"]
     for address in ("/", "/tracks/track_1", "/tracks/track_1/logs", "/tracks/track_1/rules", "/receipts", "/sign-in"):
         assert "<strong>The cup ranks on a public list:</strong> the prizes go by" in browser.get(address).text
     assert "ranks on a public list" not in browser.get("/competitions/other/receipts").text

@@ -1,6 +1,8 @@
 """Pages of a service with two competitions on the same track, and of one with a single competition."""
 
+import re
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from cli_service import CliService, cli_service
@@ -28,7 +30,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CliService]:
     with cli_service(tmp_path_factory.mktemp("service") / "state") as service:
         with service.database.transaction() as session:
             for name in (MAIN, CLASS):
-                days = {"appeal_days": 7} if name == CLASS else {}
+                days = {"appeal_days": 7} if name == CLASS else {"prizes": [{"place": "first", "amount": 1500}]}
                 put_in_place(session, open_now(make_competition(name=name, title=f"The <{name}>", **days)))
             freeze_boards(session, CONSOLE, MAIN)
             ants = make_principal(session, "Ants")
@@ -47,6 +49,70 @@ def class_organizer(service: CliService) -> PageVisitor:
 def submission_to(database: Database, competition: str) -> str:
     with database.transaction() as session:
         return str(session.scalars(select(Submission.id).where(Submission.competition == competition)).first())
+
+
+def test_the_front_page_leads_to_all_competitions_with_their_stages_prizes_and_results(service: CliService) -> None:
+    html = visitor(service).get("/").text.replace("\N{NO-BREAK SPACE}", " ").replace("\N{NARROW NO-BREAK SPACE}", " ")
+    header, main = html.split("<main")
+    assert '<a href="/competitions">Competitions</a>' in header
+    for name in (MAIN, CLASS):
+        assert main.count(f'<a class="button plain" href="/competitions/{name}">The &lt;{name}&gt;</a>') == 1
+        assert f"The &lt;{name}&gt;: Simulation is open until" in main
+    assert main.count("<strong>Simulation</strong> is open until <time") == 2
+    assert "Prizes of 1 500 USD in all" in main
+    assert "Open for practice" not in main.partition('id="tracks"')[2].partition("<details>")[0].partition("</li>")[0]
+    assert "90.0 %" in main.partition('id="recent"')[2], "the boards of the other competition are frozen"
+    assert "No result is on the leaderboards yet" not in main
+
+
+def test_earlier_results_stay_on_the_front_page_when_the_next_stage_opens(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    with cli_service(tmp_path_factory.mktemp("next stage") / "state") as service:
+        with service.database.transaction() as session:
+            put_in_place(session, open_now(make_competition()))
+            made = submit(session, make_principal(session, "Ants"))
+            complete_scored(session, made, {TASK: make_score(90)})
+            put_in_place(session, open_now(make_competition(), stage=1))
+        main = visitor(service).get("/").text.split("<main")[1]
+        assert "Final is open until" in main
+        assert "No result is on the leaderboards yet" not in main
+        assert "1 team ranked in Simulation" in main
+        assert f'in <a href="/tracks/{TRACK}?stage=stage1">' in main
+        board = visitor(service).get(f"/tracks/{TRACK}").text
+        assert f'<a href="/tracks/{TRACK}?stage=stage1">results of Simulation</a>' in board
+
+
+def test_announcements_and_warnings_of_a_competition_stand_on_its_pages_and_those_of_the_service_on_all(
+    service: CliService, class_organizer: PageVisitor
+) -> None:
+    organizer = visitor_of_role(service, Role.ORGANIZER)
+    organizer.send("/desk", "/desk/announce", title="Maintenance", text="On Sunday.")
+    organizer.send("/desk", "/desk/announce", title="Of the cup", text="Its final.", competition=MAIN)
+    assert class_organizer.send("/desk", "/desk/announce", title="Of the class", text="Homework.").status_code == 303
+    everybody, of = visitor(service), {name: f"/competitions/{name}" for name in (MAIN, CLASS)}
+    titles = {name: re.findall(r"<h3>(.*?)</h3>", everybody.get(of[name]).text) for name in of}
+    assert titles == {MAIN: ["Of the cup", "Maintenance"], CLASS: ["Of the class", "Maintenance"]}
+    for name in (MAIN, CLASS):
+        said = f'<a href="{of[name]}">The &lt;{name}&gt;</a>'
+        assert said in everybody.get("/announcements").text.partition("<main")[2]
+        asked = everybody.get(f"/api/v1/announcements?competition={name}").json()["items"]
+        assert [one["competition"] for one in asked] == [name, None]
+    desk = class_organizer.get("/desk").text
+    assert "Of the class" in desk
+    assert "Maintenance" not in desk.partition('id="announce"')[2]
+    refused = class_organizer.send("/desk", "/desk/announce", title="Not ours", text="Text.", competition=MAIN)
+    assert refused.status_code == 403
+    foreign = next(one["id"] for one in asked_all(everybody) if one["title"] == "Of the cup")
+    assert class_organizer.send("/desk", "/desk/withdraw", id=str(foreign)).status_code == 403
+    assert "ranks on a public list" in everybody.get(of[CLASS]).text
+    for page in (of[MAIN], BOARDS[MAIN], f"/submissions/{submission_to(service.database, MAIN)}"):
+        assert "The &lt;class&gt; ranks on a public list" not in organizer.get(page).text
+
+
+def asked_all(browser: PageVisitor) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = browser.get("/api/v1/announcements").json()["items"]
+    return found
 
 
 def test_every_competition_has_its_pages(service: CliService) -> None:
@@ -108,7 +174,7 @@ def test_the_desk_of_an_organizer_of_one_competition_has_only_what_belongs_to_it
     desk = class_organizer.get("/desk").text
     assert f'href="{BOARDS[CLASS]}?stage=stage1"' in desk
     assert f'href="{BOARDS[MAIN]}?stage=stage1"' not in desk
-    for of_the_service in ('id="waiting"', 'id="questions"', 'id="announce"', 'id="audit"'):
+    for of_the_service in ('id="waiting"', 'id="questions"', 'id="audit"'):
         assert of_the_service not in desk
         assert of_the_service in visitor_of_role(service, Role.ORGANIZER).get("/desk").text
     assert team_visitor(service).get("/desk").status_code == 403
