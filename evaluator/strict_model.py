@@ -4,7 +4,9 @@ Used for track files, episode records and logs; YAML enters by `read_yaml` where
 by `parse_untrusted_yaml` where somebody untrusted did.
 """
 
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar, get_args
@@ -13,7 +15,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from vitac.envs.errors import VitacError
 from yaml.constructor import SafeConstructor
-from yaml.nodes import MappingNode, Node, ScalarNode
+from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 try:
     from yaml import CSafeLoader as FastLoader
@@ -24,7 +26,30 @@ UNTRUSTED_MAX_NODES: Final = 1_000
 UNTRUSTED_MAX_DEPTH: Final = 8
 _UNTRUSTED_TYPES: Final = frozenset(f"tag:yaml.org,2002:{name}" for name in ("bool", "float", "int", "null"))
 """What an untagged scalar may be besides text. Dates and merge keys are text."""
+_OWN_TYPES: Final = _UNTRUSTED_TYPES | {"tag:yaml.org,2002:merge"}
+"""The same of a document of our own: dates are text, so that messages show them as they were written."""
 _KEY_SHOWN_CHARS: Final = 80
+_OTHER_BASES: Final = re.compile(r"[-+]?(0[0-7_]+|[0-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9_]*)?)")
+"""What YAML 1.1 reads as a number of base 8 or 60, and YAML 1.2 does not: `010` is 8 or 10, `12:30` is 750 or text."""
+
+
+@dataclass(frozen=True)
+class Ambiguous:
+    """A value that programs read in different ways; no field takes it."""
+
+    text: str
+
+    def __str__(self) -> str:
+        """Return it as it was written."""
+        return self.text
+
+
+def _choose_types(types: frozenset[str]) -> dict[str, list[tuple[str, Any]]]:
+    """Return PyYAML's own way to choose what an untagged scalar is, with these besides text."""
+    return {
+        first: [(tag, pattern) for tag, pattern in resolvers if tag in types]
+        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
 
 
 class _UniqueKeys(SafeConstructor):
@@ -44,10 +69,17 @@ class _UniqueKeys(SafeConstructor):
 
     def construct_object(self, node: Node, deep: bool = False) -> Any:
         """Build one value; a scalar that PyYAML takes for a number and cannot read is a YAML error like any other."""
+        if (
+            isinstance(node, ScalarNode)
+            and node.tag.endswith((":int", ":float"))
+            and _OTHER_BASES.fullmatch(node.value)
+        ):
+            return Ambiguous(node.value)
         try:
             return super().construct_object(node, deep)
         except (ValueError, OverflowError) as error:
-            raise _refusal("a value looks like a number or date, but is none; put it in quotes", node) from error
+            shown = repr(node.value[:_SHOWN_CHARS])
+            raise _refusal(f"{shown} looks like a number, but is none; put it in quotes", node) from error
 
 
 class UniqueKeyLoader(_UniqueKeys, FastLoader):
@@ -56,6 +88,8 @@ class UniqueKeyLoader(_UniqueKeys, FastLoader):
     It is for nothing untrusted: tens of thousands of nested lists end the process.
     """
 
+    yaml_implicit_resolvers = _choose_types(_OWN_TYPES)
+
 
 class UntrustedLoader(_UniqueKeys, yaml.SafeLoader):
     """Loader for untrusted documents: no tags, anchors or aliases, and a small number of values.
@@ -63,10 +97,7 @@ class UntrustedLoader(_UniqueKeys, yaml.SafeLoader):
     Tags choose constructors and aliases multiply what is built, so that a few hundred bytes could cost seconds.
     """
 
-    yaml_implicit_resolvers = {  # noqa: RUF012 - PyYAML's own way to choose them
-        first: [(tag, pattern) for tag, pattern in resolvers if tag in _UNTRUSTED_TYPES]
-        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-    }
+    yaml_implicit_resolvers = _choose_types(_UNTRUSTED_TYPES)
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
@@ -160,10 +191,45 @@ def _parse(model: type[ModelT], text: str, origin: str, loader: type[UniqueKeyLo
     try:
         content = yaml.load(text, Loader=loader)  # noqa: S506 - both derive from SafeLoader
     except yaml.YAMLError as error:
-        raise DocumentRejected(f"{origin} is not valid YAML: {_one_line(error)}. Correct the file.") from error
+        raise DocumentRejected(f"{origin} is not valid YAML: {_explain_syntax(error, text)}") from error
     if content is None:
         raise DocumentRejected(f"{origin} is empty, expected {_needed_keys(model)}. Write these, or name another file.")
-    return validate(model, content, origin)
+    try:
+        read = model.model_validate(content)
+    except ValidationError as error:
+        written = _find_written(yaml.compose(text, Loader=loader))
+        raise DocumentRejected(f"{origin}: {explain(model, error, written)}") from error
+    if (ambiguous := next(_list_ambiguous(content), None)) is not None:
+        raise DocumentRejected(
+            f"{origin}: programs read {ambiguous.text} in different ways; put it in quotes, or write a number of base "
+            "10 without zeros before it."
+        )
+    return read
+
+
+def _list_ambiguous(content: object) -> Iterator[Ambiguous]:
+    if isinstance(content, Ambiguous):
+        yield content
+    values = content.values() if isinstance(content, Mapping) else content if isinstance(content, list) else ()
+    for value in values:
+        yield from _list_ambiguous(value)
+
+
+def _find_written(root: Node | None) -> "Written":
+    """Return what says how a scalar of a document was written."""
+
+    def find(place: Sequence[int | str]) -> str | None:
+        node = root
+        for part in place:
+            if isinstance(node, MappingNode):
+                node = next((value for key, value in node.value if key.value == str(part)), None)
+            elif isinstance(node, SequenceNode) and isinstance(part, int) and part < len(node.value):
+                node = node.value[part]
+            else:
+                return None
+        return str(node.value) if isinstance(node, ScalarNode) and not node.style else None
+
+    return find
 
 
 def validate(model: type[ModelT], content: object, origin: str) -> ModelT:
@@ -178,14 +244,29 @@ def validate(model: type[ModelT], content: object, origin: str) -> ModelT:
         raise DocumentRejected(f"{origin}: {explain(model, error)}") from error
 
 
-def explain(model: type[BaseModel], error: ValidationError) -> str:
-    """Return one sentence for each problem of a validation error, with the nearest valid key for an unknown one."""
-    problems = error.errors(include_url=False)
+Written = Callable[[Sequence[int | str]], str | None]
+"""Says how the scalar at a place of a document was written, without quotes; None where nobody knows."""
+
+
+def explain(model: type[BaseModel], error: ValidationError, written: Written = lambda _: None) -> str:
+    """Return one sentence for each problem of a validation error, with the nearest valid key for an unknown one.
+
+    What follows from a problem further inside is left out: a list whose member is wrong is no empty list.
+
+    Args:
+        model: what the document must be.
+        error: of its validation.
+        written: how a scalar was written.
+    """
+    found = error.errors(include_url=False)
+    inside = {each["loc"][:n] for each in found for n in range(len(each["loc"]))}
+    problems = [each for each in found if each["loc"] not in inside]
     more = f" And {len(problems) - _TOLD_PROBLEMS} more." if len(problems) > _TOLD_PROBLEMS else ""
-    return " ".join(_sentence(model, dict(problem)) for problem in problems[:_TOLD_PROBLEMS]) + more
+    sentences = (_sentence(model, dict(problem), written) for problem in problems[:_TOLD_PROBLEMS])
+    return " ".join(sentences) + more
 
 
-def _sentence(model: type[BaseModel], problem: dict[str, Any]) -> str:
+def _sentence(model: type[BaseModel], problem: dict[str, Any], written: Written) -> str:
     place = ".".join(str(part) for part in problem["loc"])[:_SHOWN_CHARS] or "the document"
     if problem["type"] == "extra_forbidden":
         return f"Unknown key {place!r}; {_nearest(str(problem['loc'][-1]), _list_keys(model, problem['loc'][:-1]))}"
@@ -193,8 +274,16 @@ def _sentence(model: type[BaseModel], problem: dict[str, Any]) -> str:
         return f"Missing key {place!r}; add it."
     if problem["type"] == "model_type" and not problem["loc"]:
         return f"Expected {_needed_keys(model)}, got {_shown(problem['input'])}."
-    given = "" if isinstance(problem["input"], dict | list) else f" (got: {_shown(problem['input'])})"
+    value, text = problem["input"], written(problem["loc"])
+    given = "" if isinstance(value, dict | list) else f" (got: {_shown(value, text)})"
     message = problem["msg"].removeprefix("Value error, ").rstrip(".")  # pydantic's name for a rule of ours
+    if problem["type"] == "string_type" and text is not None:
+        in_quotes = f'; put it in quotes, "{text[:_SHOWN_CHARS]}"' if text else " after the colon"
+        message = f"expected text{in_quotes}"
+    elif problem["type"] == "tuple_type":
+        message = "expected a list, such as [first, second]"
+    elif isinstance(value, Ambiguous) and problem["type"] in {"int_type", "float_type"}:
+        message = f"{message}; write a number of base 10 without zeros before it"
     sentence = f"{place}: {message}{given}"
     return sentence if sentence.endswith("?") else f"{sentence}."
 
@@ -204,8 +293,15 @@ def _needed_keys(model: type[BaseModel]) -> str:
     return f"a document with the keys {', '.join(needed)}" if needed else "a document with keys"
 
 
-def _shown(value: object) -> str:
-    """Return a scalar for a message, cut before it is formatted."""
+def _shown(value: object, text: str | None = None) -> str:
+    """Return a scalar for a message, cut before it is formatted; `text` is how it was written."""
+    if isinstance(value, Ambiguous):
+        return value.text[:_SHOWN_CHARS]
+    if text is not None and (value is None or isinstance(value, bool)):
+        read = "nothing" if value is None else str(value).lower()
+        return f"{text}, which YAML reads as {read}" if text and text != read else read
+    if text is not None and isinstance(value, int | float):
+        return text[:_SHOWN_CHARS]
     if isinstance(value, str | bytes):
         return repr(value[:_SHOWN_CHARS])
     if isinstance(value, int) and value.bit_length() > _SHOWN_BITS:
@@ -242,5 +338,14 @@ def _list_models(annotation: object) -> Iterator[type[BaseModel]]:
         yield from _list_models(argument)
 
 
-def _one_line(error: object) -> str:
-    return " ".join(str(error).split())
+def _explain_syntax(error: yaml.YAMLError, text: str) -> str:
+    """Return what is wrong with a text that is no YAML, with the line where that was noticed."""
+    mark = getattr(error, "problem_mark", None)
+    if not isinstance(error, yaml.MarkedYAMLError) or mark is None:
+        return f"{' '.join(str(error).split())}. Correct the file."
+    lines = text.splitlines()
+    mark = error.context_mark if mark.line >= len(lines) and error.context_mark else mark
+    line = next(iter(lines[mark.line : mark.line + 1]), "").strip()[:_SHOWN_CHARS]
+    problem = " ".join(f"{error.context or ''} {error.problem or ''}".split())
+    remedy = "" if "quotes" in problem else " Text with a colon or another special character needs quotes around it."
+    return f"{problem}, in line {mark.line + 1}: {line!r}. Correct the file.{remedy}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,12 +12,18 @@ from ..client.verbs import NOTHING_CHANGED, Base, Confirmed, Door, DryRun, Yes, 
 from ..terminal.output import AsJson, TokenFile, moment, print_json, print_table, warn
 from .door import Server, open_door
 
+if TYPE_CHECKING:
+    from vitac.server.competitions.definition import CompetitionDefinition
+
 CompetitionFile = Annotated[Path, typer.Argument(help="The competition's file (YAML).", exists=True, dir_okay=False)]
+_LINES, _STAGES = 10, 4
+"""Maximum number of lines of the summary of a new competition, and of stages in each."""
 APPLY = "PUT /competitions/{competition}/definition"
 
 
 def check(file: CompetitionFile, as_json: AsJson = False) -> None:
     """Check a competition's file without a service; the exit code is 0 if it can be applied."""
+    from vitac.server.competitions.applying import list_warnings
     from vitac.server.competitions.definition import read_competition
 
     found = read_competition(file)
@@ -41,6 +47,8 @@ def check(file: CompetitionFile, as_json: AsJson = False) -> None:
         ],
         none="",
     )
+    for warning in list_warnings(found):
+        warn(warning)
 
 
 def apply(
@@ -63,14 +71,18 @@ def apply(
     values = content | {"base": base, "confirm": confirm or []}
     with open_door(context, server, token_file) as door:
         if yes and not dry_run:
-            _show(door.call(APPLY, values), as_json=as_json)
-            return
-        tried = door.call(APPLY, values, dry_run=True)
-        _show(tried, as_json=as_json)
-        if dry_run:
-            _print_revision(tried)
-        elif tried["changes"]:
-            _ask_and_apply(door, content, tried)
+            done = door.call(APPLY, values)
+            _show(done, definition, as_json=as_json)
+        else:
+            done = door.call(APPLY, values, dry_run=True)
+            _show(done, definition, as_json=as_json)
+            if dry_run:
+                _print_revision(done)
+                return
+            if done["changes"]:
+                _ask_and_apply(door, content, done)
+    if done["changes"] and not as_json:
+        print("applied")
 
 
 def _ask_and_apply(door: Door, content: dict[str, Any], tried: Any) -> None:
@@ -80,14 +92,33 @@ def _ask_and_apply(door: Door, content: dict[str, Any], tried: Any) -> None:
     door.call(APPLY, content | {"base": tried["revision"], "confirm": confirmed})
 
 
-def _show(answer: Any, *, as_json: bool) -> None:
+def _show(answer: Any, definition: CompetitionDefinition, *, as_json: bool) -> None:
     if as_json:
         print_json(answer["changes"])
+    elif answer["changes"] and not answer["revision"]:
+        print("\n".join(_summarize(definition)))
     else:
         rows = [[each["place"], _text(each["before"]), _text(each["after"])] for each in answer["changes"]]
         print_table(("what", "before", "after"), rows, none="Nothing changes.")
     for warning in answer["warnings"]:
         warn(warning)
+
+
+def _summarize(new: CompetitionDefinition) -> list[str]:
+    """Return what a new competition is, in at most ten lines."""
+    prize = sum(prize.amount * prize.winners for track in new.tracks.values() for prize in track.prizes)
+    stages = sum(len(track.stages) for track in new.tracks.values())
+    lines = [
+        f"{new.name}: {new.title}",
+        f"tracks: {len(new.tracks)}, stages: {stages}, prizes: {prize} {new.currency}, rules: {len(new.rules)}, "
+        f"teams {'anonymous' if new.anonymous else 'by name'}",
+    ]
+    for name, track in new.tracks.items():
+        named = [f"{stage.name} {stage.opens:%F %R} to {stage.closes:%F %R} UTC" for stage in track.stages[:_STAGES]]
+        more = f"; {len(track.stages) - _STAGES} more" if len(track.stages) > _STAGES else ""
+        lines.append(f"{name}: {'; '.join(named)}{more}{'' if track.taken_here else ' (collected elsewhere)'}")
+    hidden = len(lines) - _LINES
+    return lines if hidden <= 0 else [*lines[: _LINES - 1], f"and {hidden + 1} more tracks"]
 
 
 def _print_revision(tried: Any) -> None:

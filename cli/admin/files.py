@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import typer
 from vitac.envs.errors import VitacError
 
-from ..client.verbs import NOTHING_CHANGED, DryRun, print_fields
+from ..client.verbs import NOTHING_CHANGED, DryRun, Yes, print_fields
 from ..terminal.output import AsJson, TokenFile, print_json, print_record
 from .door import Server, open_door
 
@@ -110,6 +110,7 @@ def add_token(
         int | None, typer.Option(min=1, help="Days until it expires; default: VITAC_TOKEN_LIFETIME_DAYS.")
     ] = None,
     dry_run: DryRun = False,
+    yes: Yes = False,  # noqa: ARG001 - nobody is asked
     server: Server = None,
     token_file: TokenFile = None,
     as_json: AsJson = False,

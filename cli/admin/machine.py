@@ -133,6 +133,7 @@ def replay(
         Path | None, typer.Option(exists=True, dir_okay=False, help="Zip with another policy than the submission's.")
     ] = None,
     dry_run: DryRun = False,
+    yes: Yes = False,  # noqa: ARG001 - nobody is asked
     as_json: AsJson = False,
 ) -> None:
     """Have a worker play an episode again; the stored result and the boards stay as they are."""

@@ -1,7 +1,7 @@
 """Makes verbs of the API's operations, as `operations.json` describes them; the tables of nouns say what is added.
 
 An operation gives a verb its arguments and options, their types, limits and help. A verb that changes something gets
-`--dry-run`, and `--yes` where it is asked about; every verb `--json`.
+`--dry-run` and `--yes`, also where nobody is asked, so that scripts give it everywhere; every verb `--json`.
 """
 
 from __future__ import annotations
@@ -306,7 +306,7 @@ def _make_command(verb: Verb, open_door: OpenDoor, server_option: Any) -> Callab
     parameters += [_parameter(verb, each) for each in verb.offered()]
     if operation.has("confirm"):
         parameters.append(Parameter("confirm", Parameter.KEYWORD_ONLY, default=None, annotation=Confirmed))
-    if verb.asks:
+    if operation.changes:
         parameters.append(Parameter("yes", Parameter.KEYWORD_ONLY, default=False, annotation=Yes))
     if operation.changes:
         parameters.append(Parameter("dry_run", Parameter.KEYWORD_ONLY, default=False, annotation=DryRun))

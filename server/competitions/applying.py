@@ -136,17 +136,17 @@ def _sort_again(competition: Competition, before: CompetitionDefinition) -> None
         result.sort_key = list(ranking.sort_key(result.ranked_by))
 
 
-def list_warnings(definition: CompetitionDefinition, changes: Sequence[Change]) -> list[str]:
+def list_warnings(definition: CompetitionDefinition, changes: Sequence[Change] | None = None) -> list[str]:
     """Return what takes effect at once where a file is applied, and cannot be taken back or is easily overlooked.
 
     Args:
         definition: the file.
-        changes: what it changes (`list_changes`).
+        changes: what it changes (`list_changes`); None: nobody knows, so all of it counts.
     """
     now = datetime.now(UTC)
     found = [
         _HIDING if change.after else _SHOWING
-        for change in changes
+        for change in changes or ()
         if change.place == "anonymous" and change.before is not None
     ]
     if definition.teams_locked is not None and definition.teams_locked <= now:
@@ -154,12 +154,17 @@ def list_warnings(definition: CompetitionDefinition, changes: Sequence[Change]) 
             f"teams_locked is {definition.teams_locked:%F %T} UTC, which is past: from now on only organizers register "
             "teams."
         )
+    changed = None if changes is None else {change.place for change in changes}
+    over: dict[tuple[str, datetime], list[str]] = {}
     for name, track in definition.tracks.items():
-        if track.taken_here and track.stages[-1].closes <= now:
-            found.append(
-                f"The last stage of {name} closed at {track.stages[-1].closes:%F %T} UTC: it takes no submissions."
-            )
-    return found
+        for stage in track.stages if track.taken_here else ():
+            is_new = changed is None or f"tracks.{name}.stages.{stage.name}.closes" in changed
+            if is_new and stage.closes <= now:
+                over.setdefault((stage.name, stage.closes), []).append(name)
+    return found + [
+        f"Stage {stage} of {', '.join(tracks)} closed at {closes:%F %T} UTC, which is past: it takes no submissions."
+        for (stage, closes), tracks in over.items()
+    ]
 
 
 def _describe_difference_since(competition: Competition, base: str | None, definition: CompetitionDefinition) -> str:

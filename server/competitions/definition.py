@@ -1,30 +1,30 @@
 """What a competition file says; `vitac admin competition` reads it, and everything that follows its rules asks it."""
 
 from collections.abc import Iterator, Mapping
-from datetime import UTC
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import AfterValidator, AwareDatetime, Field, NonNegativeInt, PositiveInt, model_validator
+from pydantic import Field, model_validator
 from vitac.evaluator.strict_model import DocumentRejected, StrictModel, Word, read_yaml
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, Track, UnknownTask, find_task, list_tracks, load_track
 
 from ..transparency.notes import OF_WITNESS, NoteRejected, VerifierKey
+from .instants import Instant
 
-Instant = Annotated[AwareDatetime, AfterValidator(lambda when: when.astimezone(UTC))]
-"""A moment with its time zone, stored in UTC."""
-
-
+Count = Annotated[int, Field(strict=True, gt=0)]
+Amount = Annotated[int, Field(strict=True, ge=0)]
+Share = Annotated[float, Field(strict=True, ge=0, le=1)]
+"""Numbers are strict: `yes` is not 1."""
 _ROUNDING = 1e-9
 
 
 class Advancement(StrictModel):
     """Who may take part in a stage, by the final board of the stage before: exactly one of the rules."""
 
-    top: PositiveInt | None = Field(default=None, description="Number of teams.")
-    top_share: float | None = Field(default=None, gt=0, le=1, description="This share of all registered teams.")
-    score_at_least: float | None = Field(default=None, ge=0, le=1, description="Everybody with this success rate.")
+    top: Count | None = Field(default=None, description="Number of teams.")
+    top_share: Share | None = Field(default=None, gt=0, description="This share of all registered teams.")
+    score_at_least: Share | None = Field(default=None, description="Everybody with this success rate.")
 
     @model_validator(mode="after")
     def _is_one_rule(self) -> Self:
@@ -49,10 +49,10 @@ class StageQuotas(StrictModel):
     What machines failed costs nothing, up to five times a day.
     """
 
-    scored_runs: PositiveInt | None = Field(
+    scored_runs: Count | None = Field(
         default=None, description="That have a score or may still get one, or saw a sealed list."
     )
-    attempts: PositiveInt | None = Field(default=None, description="However they end.")
+    attempts: Count | None = Field(default=None, description="However they end.")
 
 
 class StageRules(StrictModel):
@@ -72,13 +72,14 @@ class StageRules(StrictModel):
         default=False, description="Everybody may see the results of its submissions, unless their team says otherwise."
     )
     qualified: Advancement | None = Field(default=None, description="Only teams that advance by this rule.")
-    witnesses: NonNegativeInt = Field(
+    witnesses: Amount = Field(
         default=0,
         description="How many of the competition's witnesses must have signed all entries of the stage in the log "
         "of receipts before the competition can be made final.",
     )
     episode_period_s: float | None = Field(
         default=None,
+        strict=True,
         gt=0,
         le=10,
         description="Time from the start of an episode to that of the next [s], so that the instant at which one ends "
@@ -101,8 +102,8 @@ class Prize(StrictModel):
     """What a place wins."""
 
     place: Word = Field(description="first, second, third, or another name.")
-    amount: NonNegativeInt
-    winners: PositiveInt = 1
+    amount: Amount
+    winners: Count = 1
     note: str | None = None
 
 
@@ -116,9 +117,9 @@ class Criterion(StrictModel):
 class JudgingWeights(StrictModel):
     """What counts how much in the total of a judged track; together 1. None were published for 2025: they are ours."""
 
-    success: float = Field(default=0.5, ge=0, le=1, description="Of the success rate.")
-    judges: float = Field(default=0.3, ge=0, le=1, description="Of the judges' mean mark, a tenth of it.")
-    figures: float = Field(default=0.2, ge=0, le=1, description="Of the sensor's figures, compared with the others'.")
+    success: Share = Field(default=0.5, description="Of the success rate.")
+    judges: Share = Field(default=0.3, description="Of the judges' mean mark, a tenth of it.")
+    figures: Share = Field(default=0.2, description="Of the sensor's figures, compared with the others'.")
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:
@@ -135,8 +136,12 @@ class Judging(StrictModel):
     """How a track is judged."""
 
     criteria: tuple[Criterion, ...] = Field(min_length=1)
-    judges_at_least: PositiveInt = Field(default=2, description="Before that there is no total.")
+    judges_at_least: Count = Field(default=2, description="Before that there is no total.")
     weights: JudgingWeights = JudgingWeights()
+    judges: tuple[str, ...] = Field(
+        default=(),
+        description="Names of those who judge, as their tokens have them; empty: every judge of the service.",
+    )
 
     @property
     def sentence(self) -> str:
@@ -154,6 +159,11 @@ class Judging(StrictModel):
     @model_validator(mode="after")
     def _criteria_have_names_of_their_own(self) -> Self:
         _refuse_twice([criterion.name for criterion in self.criteria], "criterion name")
+        _refuse_twice(list(self.judges), "judge")
+        if self.judges and len(self.judges) < self.judges_at_least:
+            raise ValueError(
+                f"judges_at_least is {self.judges_at_least}, expected at most the {len(self.judges)} that judges names"
+            )
         return self
 
 
@@ -208,7 +218,7 @@ class CompetitionDefinition(StrictModel):
     freeze_at: Instant | None = Field(
         default=None, description="From then on boards show no new results to anybody but organizers."
     )
-    appeal_days: PositiveInt | None = Field(
+    appeal_days: Count | None = Field(
         default=None, description="How long after the end of an evaluation its team may appeal; null: no appeals."
     )
     anonymous: bool = Field(

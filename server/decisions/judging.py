@@ -47,7 +47,7 @@ def give_marks(
     Raises:
         ServiceError: not a judge or organizer, no such submission, its track is not judged, the competition is final,
             it plays no task of the ranking that a total is made for, a mark is missing or out of range, or the judge
-            has a conflict of interest with the team.
+            is not named in the file or has a conflict of interest with the team.
     """
     submission = visible(session, by, submission_id)
     name = _judge(session, by, judge, submission.competition)
@@ -56,6 +56,7 @@ def give_marks(
     competition = Competition.lock(session, submission.competition)
     competition.require_not_final()
     rubric = find_rubric(competition, submission.track)
+    _require_named([rubric], name)
     _require_ranked_task(session, submission)
     _require_whole(rubric, marks)
     conflict = session.get(JudgingConflict, (submission.team_id, name))
@@ -86,9 +87,10 @@ def declare_conflict(session: Session, by: Principal, team: str, reason: str, *,
         judge: for an organizer: whose conflict it is.
 
     Raises:
-        ServiceError: not a judge or organizer, no such team, or all competitions are final.
+        ServiceError: not a judge or organizer, one whom no file names, no such team, or all competitions are final.
     """
     name = _judge(session, by, judge)
+    _require_named(_list_open_rubrics(session), name)
     found = teams.find(session, team)
     teams.lock(session, found)  # before the competition, as for marks
     # The end, and the same judge's marks from elsewhere, wait for these.
@@ -258,6 +260,27 @@ def _judge(session: Session, by: Principal, named: str | None, competition: str 
     if not named:
         raise ServiceError(ProblemCode.INVALID_REQUEST, "Name the judge who gave the marks.")
     return tokens.judge_named(session, named)
+
+
+def _list_open_rubrics(session: Session) -> list[Judging]:
+    competitions = [one for one in Competition.read_all(session) if one.row.finalized_at is None]
+    return [track.judging for one in competitions for track in one.definition.tracks.values() if track.judging]
+
+
+def _require_named(rubrics: Sequence[Judging], judge: str) -> None:
+    """Refuse a judge whom none of some judged tracks names, unless one takes every judge.
+
+    Raises:
+        ServiceError: forbidden, with those who judge.
+    """
+    named = [rubric.judges for rubric in rubrics]
+    if named and all(named) and not any(judge in judges for judges in named):
+        judges = ", ".join(sorted({one for some in named for one in some}))
+        raise ServiceError(
+            ProblemCode.FORBIDDEN,
+            f"{judge!r:.80} is no judge by the competition's file, expected one of {judges}. Use that name, or add "
+            "another one to `judging.judges` in the file.",
+        )
 
 
 def _require_ranked_task(session: Session, submission: Submission) -> None:

@@ -8,7 +8,13 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from vitac.evaluator import tracks
-from vitac.evaluator.strict_model import UNTRUSTED_MAX_DEPTH, UNTRUSTED_MAX_NODES, UniqueKeyLoader, UntrustedLoader
+from vitac.evaluator.strict_model import (
+    UNTRUSTED_MAX_DEPTH,
+    UNTRUSTED_MAX_NODES,
+    Ambiguous,
+    UniqueKeyLoader,
+    UntrustedLoader,
+)
 
 BOTH = pytest.mark.parametrize("loader", [UniqueKeyLoader, UntrustedLoader])
 PLAIN = st.recursive(
@@ -56,10 +62,23 @@ def test_a_key_is_text(loader: type[UniqueKeyLoader | UntrustedLoader], text: st
         load(text, loader)
 
 
-@pytest.mark.parametrize("text", ["day: 2025-99-99", "number: 0b_", "time: 2025-03-01T99:00:00"])
-def test_what_only_looks_like_a_date_or_number_is_a_yaml_error(text: str) -> None:
-    with pytest.raises(yaml.YAMLError, match="looks like a number or date, but is none; put it in quotes"):
-        load(text, UniqueKeyLoader)
+@BOTH
+def test_what_only_looks_like_a_number_is_a_yaml_error(loader: type[UniqueKeyLoader | UntrustedLoader]) -> None:
+    with pytest.raises(yaml.YAMLError, match="'0b_' looks like a number, but is none; put it in quotes"):
+        load("number: 0b_", loader)
+
+
+@BOTH
+@pytest.mark.parametrize("text", ["12:30", "010", "-07", "1:30:15", "12:30.5"])
+def test_what_programs_read_in_different_ways_is_neither_a_number_nor_text(
+    loader: type[UniqueKeyLoader | UntrustedLoader], text: str
+) -> None:
+    assert load(f"value: {text}", loader) == {"value": Ambiguous(text)}
+
+
+@pytest.mark.parametrize("text", ["2025-99-99", "2025-03-01T99:00:00", "2025-03-01"])
+def test_dates_are_text(text: str) -> None:
+    assert load(f"day: {text}", UniqueKeyLoader) == {"day": text}
 
 
 @pytest.mark.parametrize(

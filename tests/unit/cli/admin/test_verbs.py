@@ -12,6 +12,7 @@ from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, make_settings, submit_scored
 from sqlalchemy.orm import Session
 from vitac.cli.admin import competition
+from vitac.cli.admin.app import app
 from vitac.cli.admin.verbs import NOUNS
 from vitac.cli.client import verbs
 from vitac.cli.client.answers import RequestRefused
@@ -43,6 +44,13 @@ def test_everything_that_only_organizers_may_do_is_a_verb() -> None:
     }
     assert len(routes) > 50
     assert routes - {verb.operation for noun in NOUNS.values() for verb in noun.verbs} == BY_HAND
+
+
+def test_a_script_gives_yes_to_every_verb_that_changes_something() -> None:
+    for noun, group in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
+        for name, verb in getattr(group, "commands", {}).items():
+            options = {option for parameter in verb.params for option in parameter.opts}
+            assert "--dry-run" not in options or "--yes" in options, f"{noun} {name}"
 
 
 def test_a_table_names_fields_that_there_are() -> None:

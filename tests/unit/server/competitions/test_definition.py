@@ -54,7 +54,7 @@ def set_in(place: Callable[[Content], Content], **values: object) -> Callable[[C
         (lambda content: content.pop("title"), "Missing key 'title'"),
         (lambda content: content.update(website="javascript:alert(1)"), "website"),
         (set_in(first, closes=OPENS.isoformat()), "expected a moment after 2031-01-01 00:00:00 UTC"),
-        (set_in(first, opens="2031-01-01T00:00:00"), "timezone"),
+        (set_in(first, opens="2031-01-01T00:00:00"), "it has no time zone; write 2031-01-01T00:00:00Z for UTC"),
         (set_in(first, opens="soon"), "opens"),
         (set_in(first, accepts=["model", "film"]), "accepts"),
         (set_in(first, accepts=[]), "stages.stage1.accepts is empty, expected some of model"),
@@ -95,6 +95,76 @@ def test_what_is_wrong_is_named(tmp_path: Path, spoil: Callable[[Content], objec
     spoil(content)
     with pytest.raises(DocumentRejected) as refused:
         read_competition(write_competition(tmp_path, content))
+    assert said in str(refused.value)
+
+
+EXPECTED = "expected a moment with its time zone, such as 2025-02-01T00:00:00Z; "
+
+
+@pytest.mark.parametrize(
+    ("written", "remedy", "got"),
+    [
+        ("12:30", "write a whole date with its time and zone", "12:30"),
+        ("20250101", "write a whole date with its time and zone", "20250101"),
+        ("no", "write a whole date with its time and zone", "no, which YAML reads as false"),
+        ("", "write one after the colon", "nothing"),
+        ("2031-02-30T00:00:00Z", "February 2031 has 28 days; write one of them", None),
+        ("2031-13-01T00:00:00Z", "there is no month 13; write YYYY-MM-DD", None),
+        ("2031-01-01", "it has no time and zone; write 2031-01-01T00:00:00Z for the first moment", None),
+        ("2031-01-01 7:05", "it has no time zone; write 2031-01-01T07:05:00Z for UTC, or an offset", None),
+        ("2031-01-01T12:30 PM", "write the hours from 00 to 23, without AM or PM", None),
+        ("2031-12-31 24:00 +01:00", "a day ends where the next one begins; write 2032-01-01T00:00:00+01:00", None),
+        ("2031-01-01T25:00:00Z", "hours go from 00 to 23", None),
+        ("2031/01/01 12:00:00Z", "write the date as YYYY-MM-DD", None),
+        ("01.02.2031 12:00", "write the date as YYYY-MM-DD", None),
+        ("2031-01-01T12.30.00Z", "write the time as HH:MM:SS, after a T", None),
+        ("2031-01-01 00:00 UTC", "write 2031-01-01T00:00:00Z", None),
+        ("2031-01-01 00:00 Europe/Berlin", "write the zone as Z for UTC or as +01:00", None),
+        ("2031-01-01T00:00:00+25:00", "an offset goes from -23:59 to +23:59", None),
+        ("9999-12-31T23:59:59-23:00", "years go from 1900 to 9998", None),
+        ("2031–01–01T00:00:00Z", "write it with plain characters", None),
+        ("soon", "write it in this form", None),
+    ],
+)
+def test_a_wrong_moment_is_shown_as_it_was_written_with_what_to_write(
+    tmp_path: Path, written: str, remedy: str, got: str | None
+) -> None:
+    path = write_competition(tmp_path, make_competition())
+    path.write_text(path.read_text().replace(f"'{OPENS.isoformat()}'", written))
+    with pytest.raises(DocumentRejected) as refused:
+        read_competition(path)
+    assert f"stages.0.opens: {EXPECTED}{remedy}" in str(refused.value)
+    assert str(refused.value).endswith(f" (got: {repr(written) if got is None else got})."), "nothing follows"
+
+
+@pytest.mark.parametrize("written", ["2031-01-01T00:00Z", "2031-1-1 0:00:00 +00", "2031-01-01T01:00:00.000+0100"])
+def test_a_moment_may_be_written_in_every_usual_form(tmp_path: Path, written: str) -> None:
+    path = write_competition(tmp_path, make_competition())
+    path.write_text(path.read_text().replace(f"'{OPENS.isoformat()}'", written))
+    assert read_competition(path).tracks[TRACK].stages[0].opens == OPENS
+
+
+@pytest.mark.parametrize(
+    ("line", "written", "said"),
+    [
+        ("title: The cup", "title: 12:30", 'title: expected text; put it in quotes, "12:30" (got: 12:30).'),
+        ("name: cup", "name: no", 'name: expected text; put it in quotes, "no" (got: no, which YAML reads as false).'),
+        ("name: cup", "name: 010", 'name: expected text; put it in quotes, "010" (got: 010).'),
+        ("title: The cup", "title:", "title: expected text after the colon (got: nothing)."),
+        ("title: The cup", "anonymous: 12:30", "anonymous: Input should be a valid boolean (got: 12:30)."),
+        ("title: Touch", "title: yes", 'put it in quotes, "yes" (got: yes, which YAML reads as true).'),
+        ("scored_runs: 2", "scored_runs: yes", "scored_runs: Input should be a valid integer (got: yes, which YAML"),
+        ("scored_runs: 2", "scored_runs: 010", "write a number of base 10 without zeros before it (got: 010)."),
+        ("title: The cup", "title: a: b", "in line 3: 'title: a: b'. Correct the file. Text with a colon"),
+        ("- model\n", "- no\n", "accepts.0: Input should be 'model', 'log' or 'text_log' (got: no, which YAML"),
+    ],
+)
+def test_a_wrong_value_is_shown_as_it_was_written(tmp_path: Path, line: str, written: str, said: str) -> None:
+    path = write_competition(tmp_path, make_competition())
+    assert line in path.read_text()
+    path.write_text("\n" + path.read_text().replace(line, written, 1))
+    with pytest.raises(DocumentRejected) as refused:
+        read_competition(path)
     assert said in str(refused.value)
 
 

@@ -13,7 +13,7 @@ from vitac.server.database.engine import Database
 from vitac.server.database.models import CompetitionRow, JudgingMark, Submission
 from vitac.server.database.states import Role
 from vitac.server.decisions.judging import declare_conflict, give_marks, judged, percentiles
-from vitac.server.errors import ProblemCode
+from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.views.decisions import JudgedTeamView
 
@@ -173,6 +173,23 @@ def figures(bits: float, pin_mm: float | None, normal_px_n: float | None = 1.0) 
         robustness=(),
         cpu_s=None,
     )
+
+
+def test_who_is_not_named_in_the_file_is_refused(database: Database, stage: dict[str, Submission]) -> None:
+    with database.transaction() as session:
+        row = session.get_one(CompetitionRow, "cup")
+        judging = row.definition["tracks"][TRACK]["judging"] | {"judges": ["Prof. X", "Dr. Y"]}
+        tracks = row.definition["tracks"] | {TRACK: row.definition["tracks"][TRACK] | {"judging": judging}}
+        row.definition = row.definition | {"tracks": tracks}
+    other = Principal(role=Role.JUDGE, token_id=UUID(int=8), judge_name="Dr. Z")
+    for by, judge in ((CONSOLE, "Proff. X"), (CONSOLE, "prof. x"), (other, None)):
+        with pytest.raises(ServiceError, match=r"is no judge by .*, expected one of Dr\. Y, Prof\. X"):
+            mark(database, stage["Ants"], judge, by=by)
+        with database.transaction() as session, refused(ProblemCode.FORBIDDEN):
+            declare_conflict(session, by, "Ants", "a cousin", judge=judge)
+    mark(database, stage["Ants"], "Prof. X")
+    mark(database, stage["Ants"], by=JUDGE)
+    assert shown(database)["Ants"].judges == ("Dr. Y", "Prof. X")
 
 
 def test_figures_are_compared_one_by_one_with_all_other_sensors() -> None:

@@ -51,7 +51,9 @@ def test_nothing_is_applied_without_consent_or_in_a_dry_run(service: CliService,
 
 def test_a_file_is_applied_once(service: CliService, file: str) -> None:
     first = service.run("admin", "competition", "apply", file, "--yes", "--confirm", PUBLIC_RANKING)
-    assert (first.exit_code, "tracks.track_1.stages.stage1.opens" in first.stdout) == (0, True)
+    lines = first.stdout.splitlines()
+    assert (first.exit_code, lines[0], lines[-1]) == (0, "cup: The cup", "applied")
+    assert "track_1: stage1 2031-01-01 00:00 to 2031-02-01 00:00 UTC; stage2 " in first.stdout
     again = service.run("admin", "competition", "apply", file)  # nothing to consent to
     assert (again.exit_code, again.stdout.strip()) == (0, "Nothing changes.")
     assert json.loads(service.run("admin", "competition", "apply", file, "--json").stdout) == []
@@ -88,13 +90,51 @@ def test_an_unknown_stage_cannot_be_revealed(service: CliService) -> None:
     assert "no stage 'none'" in str(refused.exception)
 
 
+def test_a_first_file_is_summed_up_in_ten_lines_and_ends_with_applied(service: CliService, tmp_path: Path) -> None:
+    content = make_competition()
+    names = ("track_1", "track_1_peg_robust", "track_1_lock_robust", "track_2", "track_2_gt", "track_2_robust")
+    for name in (*names, *(f"elsewhere_{number}" for number in range(6))):
+        rules = {"accepts": ["model"], "list": "sealed", "qualified": None}
+        stages = [stage | rules for stage in content["tracks"][TRACK]["stages"]]
+        content["tracks"][name] = {"title": name, "stages": stages, "taken_here": name in names}
+    file = str(write_competition(tmp_path, content))
+    for option in ("--dry-run", "--yes"):
+        done = service.run("admin", "competition", "apply", file, option)
+        lines = done.stdout.splitlines()
+        assert done.exit_code == 0
+        assert (len(lines), lines[-1]) == ((10, "and 5 more tracks") if option == "--dry-run" else (11, "applied"))
+        assert "tracks: 12, stages: 24" in lines[1]
+    content["title"] = "The new cup"
+    with service.database.transaction() as session:
+        base = Competition.read(session).revision
+    again = service.run(
+        "admin", "competition", "apply", str(write_competition(tmp_path, content)), "--yes", "--base", base
+    )
+    assert again.stdout.splitlines()[1:][-1] == "applied"
+    assert "The new cup" in again.stdout
+
+
+def test_stages_in_the_past_are_warned_of_where_a_file_is_checked_and_where_it_adds_them(
+    service: CliService, tmp_path: Path
+) -> None:
+    content = open_now(sealed_competition(), stage=1)
+    warning = "WARNING: Stage stage1 of track_1 closed at"
+    file = str(write_competition(tmp_path, content))
+    checked = service.run("admin", "competition", "check", file)
+    assert (checked.exit_code, checked.stderr.count(warning), checked.stderr.count("WARNING")) == (0, 1, 1)
+    assert warning in service.run("admin", "competition", "apply", file, "--yes").stderr
+    content["title"] = "Another title"
+    again = service.run("admin", "competition", "apply", str(write_competition(tmp_path, content)), "--dry-run")
+    assert "WARNING" not in again.stderr
+
+
 def test_what_a_file_closes_at_once_is_told_before_it_is_applied(service: CliService) -> None:
     example = str(Path(__file__).parents[5] / "competitions" / "vitac-2025.yaml")
     for arguments in (("--dry-run",), ("--yes",)):
         done = service.run("admin", "competition", "apply", example, *arguments, "--json")
         assert done.exit_code == 0
         assert "teams_locked is 2025-02-01 00:00:00 UTC, which is past" in done.stderr
-        assert "The last stage of track_1 closed at 2025-03-21" in done.stderr
+        assert "Stage stage2 of track_1, track_2 closed at 2025-03-21 00:00:00 UTC, which is past" in done.stderr
         assert "public list" not in done.stderr, "each stage ranks on a sealed list"
         assert len(json.loads(done.stdout)) > 10
     assert service.run("admin", "competition", "apply", example).stderr == "", "nothing changes any more"
