@@ -184,6 +184,7 @@ def add_episodes(session: Session, submission: Submission, rng: np.random.Genera
                     episode=number,
                     run=key.run,
                     shape=episode.shape,
+                    initial_offset=list(episode.offset),
                     outcome="success",
                     success=True,
                     env_steps=5,

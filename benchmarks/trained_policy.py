@@ -10,14 +10,15 @@ whose physics did not converge are listed.
 
 import argparse
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from pathlib import Path
 from runpy import run_path
 from typing import Any
 
 import numpy as np
 from vitac.evaluator.episodes import episode
-from vitac.evaluator.scoring.score import rate
+from vitac.evaluator.scoring.score import rate_by_start
+from vitac.evaluator.scoring.starts import group_by_start
 from vitac.evaluator.tracks import load_track
 from vitac.training.collection import Networks, critic_actor
 from vitac.training.episodes import TASK, TRUTHS, Actor, ActorInput, make_environment
@@ -94,20 +95,34 @@ class KnowsTruth:
 def figures(env: Any, policy: Any, starts: Iterator[Mapping[str, Any]], task: str = TASK) -> dict[str, Any]:
     """Return successes with their interval, also by shape, the mean env steps of successes, and how episodes ended."""
     rows = [{**played(env, policy, options, task), "start": dict(options)} for options in starts]
-    solved = [row["end"] == "success" for row in rows]
+    shapes = sorted({row["shape"] for row in rows})
+    by_shape = {shape: [row for row in rows if row["shape"] == shape] for shape in shapes}
     return {
-        **rate(sum(solved), len(rows)).model_dump(),
+        **rate_by_start(map(_ended, rows)).model_dump(exclude={"starts"}),
         "mean_steps": float(np.mean([row["env_steps"] for row in rows if row["end"] == "success"] or [0])),
         "by_shape": {
-            shape: rate(
-                sum(row["end"] == "success" for row in rows if row["shape"] == shape),
-                sum(row["shape"] == shape for row in rows),
-            ).model_dump()
-            for shape in sorted({row["shape"] for row in rows})
+            shape: rate_by_start(map(_ended, of_shape)).model_dump() | {"solved_of_start": count_starts(of_shape)}
+            for shape, of_shape in by_shape.items()
         },
         "ends": {end: sum(row["end"] == end for row in rows) for end in sorted({row["end"] for row in rows})},
         "not_converged": [row["start"] for row in rows if row["end"] == "not_converged"],
     }
+
+
+def name_start(options: Mapping[str, Any]) -> Hashable:
+    """Return the start that reset options ask for, which a list repeats with other seeds and a stream never."""
+    own = {name: value for name, value in options.items() if name != "rng_seed"}
+    return tuple((own or options).items())
+
+
+def _ended(row: Mapping[str, Any]) -> tuple[Hashable, bool]:
+    return name_start(row["start"]), row["end"] == "success"
+
+
+def count_starts(rows: Iterable[Mapping[str, Any]]) -> list[int]:
+    """Return of how many starts no repeat was solved, of how many one, and so on."""
+    groups = group_by_start(map(_ended, rows))
+    return [sum(sum(group) == solved for group in groups) for solved in range(max(map(len, groups)) + 1)]
 
 
 def played(env: Any, policy: Any, options: Mapping[str, Any], task: str = TASK) -> dict[str, Any]:

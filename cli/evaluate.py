@@ -240,8 +240,8 @@ def _print_summary(evaluation: "LocalEvaluation", manifest: "SubmissionManifest"
     if evaluation.score:
         score = evaluation.score
         rates = {"all": score, **score.by_shape}
-        rows = [(name, rate.episodes, rate.successes, *_percentages(rate)) for name, rate in rates.items()]
-        print_table(("shape", "episodes", "successes", "rate", "95 % interval"), rows, none="")
+        rows = [(name, rate.episodes, rate.starts, rate.successes, *_percentages(rate)) for name, rate in rates.items()]
+        print_table(("shape", "episodes", "starts", "successes", "rate", "95 % interval"), rows, none="")
         print(f"mean env steps of the successes: {'none' if score.mean_steps is None else f'{score.mean_steps:.2f}'}")
         first = {record.outcome: record.episode for record in reversed(evaluation.records)}
         outcomes = [(outcome, count, first[outcome], outcome.sentence) for outcome, count in score.outcomes.items()]

@@ -235,7 +235,7 @@ def _print_report(report: "SensorReport") -> None:
     print_table(("run", "episodes", "successes", "rate"), rows, none="")
     gain = report.gain
     interval = f"{100 * gain.low:+.1f} to {100 * gain.high:+.1f}"
-    print(f"sensing gain {100 * gain.gain:+.1f} points, 95 % interval {interval}, exact McNemar p {gain.p_value:.2g}")
+    print(f"sensing gain {100 * gain.gain:+.1f} points, 95 % interval {interval}, exact p {gain.p_value:.2g}")
     print(f"coefficients {report.coefficients_digest}")
     for run in report.runs:
         print(f"result hash of {run.task} {run.result_hash}")

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt, TypeAdapter, ValidationError
 from vitac.envs.errors import VitacError
 from vitac.envs.tasks.settings import FIDELITY, Fidelity
-from vitac.evaluator.scoring.score import interval_of_mean, rate
+from vitac.evaluator.scoring.score import interval_of_seeds, rate
 from vitac.evaluator.strict_model import StrictModel
 
 LINES = 12
@@ -165,8 +165,8 @@ def make_page(curves: Sequence[Curve], pictures: Mapping[str, str]) -> str:
 
 HEAD = """# Learning curves
 Written by `vitac train curves`. Success is that of held-out random starts without noise, in % with 95 % interval: of
-one training Wilson's, of several seeds that of their mean. The organizers' logs of 2025 are of the public lists, on the
-2025 simulator.
+one training it counts starts, of several seeds the seeds (Student's, so two say little). The organizers' logs of 2025
+are of the public lists, on the 2025 simulator, with intervals as if no start were repeated.
 """
 TABLE = """| method | seeds | env steps | solved, % | each seed, % |
 |---|---|---|---|---|
@@ -187,7 +187,7 @@ def _rows(seeds: Sequence[Curve]) -> Iterator[str]:
 
 def _percent(found: Sequence[tuple[int, int]]) -> str:
     rates = [rate(*each) for each in found]
-    mean, interval = sum(each.success_rate for each in rates) / len(rates), interval_of_mean(rates, of=len(rates))
+    mean, interval = sum(each.success_rate for each in rates) / len(rates), interval_of_seeds(rates)
     return f"{100 * mean:.1f} [{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
 
 
@@ -241,7 +241,7 @@ def _means(seeds: Sequence[Curve]) -> Iterator[tuple[float, float, float, float]
     """Yield env steps, mean success rate and its interval of each evaluation that all seeds have."""
     for points in zip(*(curve.points for curve in seeds), strict=False):
         rates = [rate(point.successes, point.episodes) for point in points]
-        interval = interval_of_mean(rates, of=len(rates))
+        interval = interval_of_seeds(rates)
         mean = sum(each.success_rate for each in rates) / len(rates)
         yield sum(point.env_steps for point in points) / len(points), mean, interval.low, interval.high
 

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from vitac.envs.fem.model.settings import ContactModel
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.scoring.comparison import paired_interval
-from vitac.evaluator.scoring.score import wilson_interval
+from vitac.evaluator.scoring.score import rate_by_start
+from vitac.evaluator.scoring.starts import group_by_start
 from vitac.evaluator.tracks import Episode, Task, find_task
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -35,9 +36,9 @@ POLICIES = {
 
 @dataclass(kw_only=True)
 class Played:
-    """One episode: whether it succeeded, forces [N], and the marker flow after the grasp and after an env step."""
+    """One episode: its start, whether it succeeded, forces [N], and the marker flow after the grasp and an env step."""
 
-    shape: str
+    start: tuple[str, tuple[float, ...]]
     success: bool
     flows: list[NDArray[np.float32]]
     part_forces_n: list[float] = field(default_factory=list)
@@ -70,7 +71,7 @@ def play(env: Any, task: Task, episode: Episode, policy: Any) -> Played:
     """Play one episode to its end."""
     observation, info = env.reset(options=episode.options)
     policy.reset(task.name)
-    played = Played(shape=episode.shape, success=False, flows=[observation["marker_flow"].copy()])
+    played = Played(start=(episode.shape, episode.offset), success=False, flows=[observation["marker_flow"].copy()])
     for _ in range(task.max_steps):
         action = np.clip(np.asarray(policy.act(observation), dtype=np.float32), -1, 1)
         observation, *_, info = env.step(action)
@@ -88,11 +89,12 @@ def play(env: Any, task: Task, episode: Episode, policy: Any) -> Played:
 
 def print_rates(name: str, episodes: list[Played]) -> None:
     """Print success with its interval by shape, and forces over all IPC steps."""
-    for shape in ["all", *dict.fromkeys(played.shape for played in episodes)]:
-        chosen = [played.success for played in episodes if shape in ("all", played.shape)]
-        interval = wilson_interval(sum(chosen), len(chosen))
-        bounds = f"[{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
-        print(f"{name} {shape}: {100 * np.mean(chosen):.1f} % {bounds} of {len(chosen)}")
+    for shape in ["all", *dict.fromkeys(played.start[0] for played in episodes)]:
+        chosen = rate_by_start(
+            (played.start, played.success) for played in episodes if shape in ("all", played.start[0])
+        )
+        bounds = f"[{100 * chosen.interval.low:.1f}, {100 * chosen.interval.high:.1f}]"
+        print(f"{name} {shape}: {100 * chosen.success_rate:.1f} % {bounds} of {chosen.episodes}")
     for what, lists in (
         ("part", [played.part_forces_n for played in episodes]),
         ("gel", [played.gel_forces_n for played in episodes]),
@@ -108,7 +110,8 @@ def print_loss(old: list[Played], new: list[Played]) -> None:
     """Print by how much success falls from the first model to the second, on the same episodes."""
     pairs = [(first.success, second.success) for first, second in zip(old, new, strict=True)]
     only_old, only_new = pairs.count((True, False)), pairs.count((False, True))
-    low, high = paired_interval(only_old, only_new, len(pairs))
+    differences = ((first.start, first.success - second.success) for first, second in zip(old, new, strict=True))
+    low, high = paired_interval(group_by_start(differences))
     print(
         f"loses {100 * (only_old - only_new) / len(pairs):.1f} points [{100 * low:.1f}, {100 * high:.1f}] "
         f"({only_old} of {len(pairs)} succeed only under the first, {only_new} only under the second)"

@@ -13,10 +13,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from runpy import run_path
+from statistics import fmean
 from typing import Any
 
 from trained_policy import figures, fresh_starts, public_starts
 from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator.scoring.score import interval_of_seeds, rate
 from vitac.evaluator.tracks import load_track
 from vitac.training.streams import Use, stream
 
@@ -27,16 +29,17 @@ BASELINES = {
 }
 HEAD = """# Baselines
 
-Written by `PYTHONPATH=benchmarks python benchmarks/policies/baselines.py`; successes in % with 95 % intervals (Wilson),
-env steps of successes, and the CPU time of an episode with its policy and physics, on the machine that wrote it. Fresh
-starts are random ones that no baseline learned from (stream {stream}).
+Written by `PYTHONPATH=benchmarks python benchmarks/policies/baselines.py`; successes in % with 95 %
+intervals, which count starts, env steps of successes, and CPU time of an episode with its policy and physics, on the
+machine that wrote it. Fresh starts are random ones that no baseline learned from (stream {stream}).
 
 | task | baseline | {starts} fresh starts | env steps | public list | env steps | CPU ms per episode |
 |---|---|---|---|---|---|---|
 """
 SHAPES = """
 ## By shape
-Successes on the public list, which the boards show in the baselines' rows.
+Successes on the public list, which the boards show in the baselines' rows; in brackets of how many starts no repeat was
+solved, of how many one, and so on.
 
 | task | baseline | shapes |
 |---|---|---|
@@ -44,7 +47,8 @@ Successes on the public list, which the boards show in the baselines' rows.
 SEEDS = """
 ## Training seeds
 The trained baselines again with other seeds of the same recipe, as `figures.json` of each example has them. Each seed
-plays 300 fresh starts of its own, so that only the public list compares seeds. Seed 1 is shipped.
+plays 300 fresh starts of its own, so that only the public list compares seeds. Seed 1 is shipped. The interval of the
+mean counts seeds.
 
 | task | baseline | seed | fresh starts | env steps | public list | solved | env steps |
 |---|---|---|---|---|---|---|---|
@@ -79,7 +83,7 @@ def main() -> None:
     chosen = parser.parse_args()
     rows = [row for task in BASELINES for row in make_rows(task, chosen.seed, chosen.starts)]
     head = HEAD.format(stream=stream(chosen.seed, Use.REPORT), starts=chosen.starts)
-    seeds = "".join(seed_line(task, name, seed, found) for task, name, seed, found in training_seeds())
+    seeds = "".join(map(seed_lines, training_seeds()))
     shapes = "".join(map(shapes_line, rows))
     chosen.out.write_text(head + "".join(map(line, rows)) + SHAPES + shapes + SEEDS + seeds)
 
@@ -113,27 +117,45 @@ def line(row: Row) -> str:
 
 def shapes_line(row: Row) -> str:
     """Return the line with the successes by shape."""
-    shapes = (f"{shape} {rate['successes']} of {rate['episodes']}" for shape, rate in row.public["by_shape"].items())
+    shapes = (
+        f"{shape} {rate['successes']} of {rate['episodes']} ({' '.join(map(str, rate['solved_of_start']))})"
+        for shape, rate in row.public["by_shape"].items()
+    )
     return f"| {row.task} | {row.name} | {', '.join(shapes)} |\n"
 
 
-def training_seeds() -> Iterator[tuple[str, str, str, Mapping[str, Any]]]:
-    """Yield task, baseline, seed and figures of all training runs, the one that is shipped first."""
+def training_seeds() -> Iterator[tuple[str, str, Mapping[str, Mapping[str, Any]]]]:
+    """Yield task and baseline with the figures of its training runs by seed, the one that is shipped first."""
     for task, names in BASELINES.items():
         for name in names:
             path = EXAMPLES / name / "figures.json"
             if path.exists():
                 shipped = json.loads(path.read_text())
-                for seed, found in {"1": shipped, **shipped["seeds"]}.items():
-                    yield task, name, seed, found
+                yield task, name, {"1": shipped, **shipped["seeds"]}
 
 
-def seed_line(task: str, name: str, seed: str, found: Mapping[str, Any]) -> str:
-    """Return the line of a training run."""
-    fresh, public = found["fresh"], found["public"]
-    cells = [task, name, seed, percent(fresh), f"{fresh['mean_steps']:.2f}"]
-    cells += [percent(public), f"{public['successes']} of {public['episodes']}", f"{public['mean_steps']:.2f}"]
-    return f"| {' | '.join(cells)} |\n"
+def seed_lines(runs: tuple[str, str, Mapping[str, Mapping[str, Any]]]) -> str:
+    """Return the lines of the training runs of a baseline, and of their mean."""
+    task, name, by_seed = runs
+    lines = [
+        [
+            seed,
+            f"{100 * found['fresh']['success_rate']:.1f}",
+            f"{found['fresh']['mean_steps']:.2f}",
+            f"{100 * found['public']['success_rate']:.1f}",
+            f"{found['public']['successes']} of {found['public']['episodes']}",
+            f"{found['public']['mean_steps']:.2f}",
+        ]
+        for seed, found in by_seed.items()
+    ]
+    rates = [rate(found["fresh"]["successes"], found["fresh"]["episodes"]) for found in by_seed.values()]
+    mean = {
+        "success_rate": fmean(each.success_rate for each in rates),
+        "interval": interval_of_seeds(rates).model_dump(),
+    }
+    public = fmean(found["public"]["success_rate"] for found in by_seed.values())
+    rows = [*lines, ["mean", percent(mean), "", f"{100 * public:.1f}", "", ""]]
+    return "".join(f"| {' | '.join([task, name, *cells])} |\n" for cells in rows)
 
 
 def percent(found: Mapping[str, Any]) -> str:

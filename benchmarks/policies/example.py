@@ -1,6 +1,6 @@
 """Compares the example policies with no motion and random actions, on random starts and on the public list.
 
-Usage: python benchmarks/policies/example.py [--task TASK] [--starts N] [--json FILE]
+Usage: PYTHONPATH=benchmarks python benchmarks/policies/example.py [--task TASK] [--starts N] [--json FILE]
 
 Random starts come from a seed that no example was made with.
 """
@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from trained_policy import name_start
 from vitac.evaluator.episodes.episode import make_environment
-from vitac.evaluator.scoring.score import Rate, rate
+from vitac.evaluator.scoring.score import Rate, rate_by_start
 from vitac.evaluator.tracks import Task, load_track
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -85,9 +86,9 @@ def example(task: str) -> MakeAct:
 def play(task: Task, name: str, starts: Iterable[Mapping[str, object]], make: MakeAct) -> Rate:
     """Return the success rate of one policy; print it with the mean env steps of its successes."""
     env = make_environment(task)
-    lengths = [episode(env, options, make(number)) for number, options in enumerate(starts)]
-    solved = [length for length in lengths if length]
-    result = rate(len(solved), len(lengths))
+    ends = [(name_start(options), episode(env, options, make(number))) for number, options in enumerate(starts)]
+    solved = [length for _, length in ends if length]
+    result = rate_by_start((start, length > 0) for start, length in ends)
     interval = f"[{result.interval.low:.1%}, {result.interval.high:.1%}]"
     steps = f", {sum(solved) / len(solved):.2f} env steps" if solved else ""
     print(f"  {name:8} {result.successes:3} {result.success_rate:6.1%}  {interval}{steps}", flush=True)

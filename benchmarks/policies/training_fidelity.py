@@ -24,8 +24,8 @@ import numpy as np
 from players import EXAMPLES, Example, Planner, Player
 from vitac.envs.tactile.camera import CHALLENGE_CAMERA, project
 from vitac.envs.tasks.settings import Fidelity
-from vitac.evaluator.scoring.comparison import mcnemar_p_value
 from vitac.evaluator.scoring.score import rate
+from vitac.evaluator.scoring.starts import permutation_p_value
 from vitac.evaluator.tracks import find_task
 from vitac.training.demonstrations.frames import make_observed_environment
 from vitac.training.run import format_rate
@@ -133,7 +133,7 @@ def compare_successes(task: str, name: str, count: int) -> dict[str, Any]:
     pairs = list(zip(*solved.values(), strict=True))
     lost, won = pairs.count((True, False)), pairs.count((False, True))
     rates = {str(fidelity): format_rate(rate(sum(each), count)) for fidelity, each in solved.items()}
-    return {**rates, "only_full": lost, "only_training": won, "p": mcnemar_p_value(lost, won)}
+    return {**rates, "only_full": lost, "only_training": won, "p": permutation_p_value([1] * lost + [-1] * won)}
 
 
 def make_player(task: str, name: str, fidelity: Fidelity) -> Player:

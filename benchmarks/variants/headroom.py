@@ -52,8 +52,11 @@ def main() -> None:
 
 def measure_by_draw(task: Task, quantity: Quantity, episodes: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the example's success in each part of a quantity's range, and whether it is monotone."""
-    pairs = [(episode["draws"][quantity.name], episode["example"] == "success") for episode in episodes]
-    parts = rates_by_draw(quantity, task.draws[quantity.name], pairs)
+    ends = [
+        (episode["draws"][quantity.name], start, episode["example"] == "success")
+        for start, episode in enumerate(episodes)
+    ]
+    parts = rates_by_draw(quantity, task.draws[quantity.name], ends)
     return {"monotone": is_monotone(parts), "parts": [part.model_dump() for part in parts]}
 
 

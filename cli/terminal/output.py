@@ -48,6 +48,20 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[object]], *, non
         print(GAP.join(_align(*cell) for cell in zip(line, widths, numeric, strict=True)).rstrip())
 
 
+LATEX_SPECIAL = str.maketrans(
+    {character: f"\\{character}" for character in "&%$#_{}"}
+    | {"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}"}
+)
+
+
+def print_latex(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Print rows as a `tabular` with the rules of the package `booktabs`, numbers right-aligned."""
+    numeric = (all(isinstance(row[index], int | float | None) for row in rows) for index in range(len(columns)))
+    lines = [" & ".join(_cell(value).translate(LATEX_SPECIAL) for value in row) + r" \\" for row in (columns, *rows)]
+    print(rf"\begin{{tabular}}{{{''.join('r' if each else 'l' for each in numeric)}}}")
+    print("\n".join([r"\toprule", lines[0], r"\midrule", *lines[1:], r"\bottomrule", r"\end{tabular}"]))
+
+
 def print_pairs(pairs: Mapping[str, object]) -> None:
     """Print one name and value a line."""
     width = max(len(name) for name in pairs)

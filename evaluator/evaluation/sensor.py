@@ -167,6 +167,7 @@ def _run(evaluation: LocalEvaluation) -> RunReport:
     return RunReport(
         task=evaluation.manifest.task,
         episodes=score.episodes,
+        starts=score.starts,
         successes=score.successes,
         success_rate=score.success_rate,
         interval=score.interval,

@@ -1,10 +1,11 @@
 """Evaluations compared episode by episode: two of one list, a sensor and its blind run, and success against a draw."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
+from itertools import groupby
 from math import sqrt
+from operator import itemgetter
 from typing import Protocol
 
 from pydantic import Field, NonNegativeInt, PositiveInt
@@ -12,27 +13,16 @@ from vitac.envs.errors import VitacError
 from vitac.envs.tasks.quantities import Quantity
 
 from ..strict_model import StrictModel
-from .score import NORMAL_QUANTILE, Rate, rate
+from .score import NORMAL_QUANTILE, Rate, rate_by_start
+from .starts import PlayedEpisode, design_effect, find_start, group_by_start, permutation_p_value
 
 
 class NothingToCompare(VitacError):
     """The two evaluations have no episode in common: they are of other tasks, or of other parts of the list."""
 
 
-class FinishedEpisode(Protocol):
+class FinishedEpisode(PlayedEpisode, Protocol):
     """What a comparison reads of an episode; records have it, and so do the service's views of them."""
-
-    @property
-    def task(self) -> str:
-        """Its task."""
-
-    @property
-    def episode(self) -> int:
-        """Its number in the list."""
-
-    @property
-    def shape(self) -> str:
-        """Shape of the part."""
 
     @property
     def outcome(self) -> str:
@@ -55,17 +45,17 @@ class EpisodePair:
     second: FinishedEpisode
 
     @property
-    def differs(self) -> bool:
-        """Whether one has solved it and the other has not."""
-        return self.first.success != self.second.success
+    def difference(self) -> int:
+        """1 where only the first has solved it, -1 where only the second has, 0 otherwise."""
+        return self.first.success - self.second.success
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Two evaluations on the episodes that both have.
+    """Two evaluations of a task on the episodes that both have.
 
     Attributes:
-        pairs: by task and number.
+        pairs: by number.
         unpaired: number of episodes that only one of them has.
     """
 
@@ -93,13 +83,28 @@ class Comparison:
         return len(self.pairs) - self.both - self.only_first - self.only_second
 
     @cached_property
+    def by_start(self) -> list[list[int]]:
+        """The differences of each start."""
+        return group_by_start((find_start(pair.first), pair.difference) for pair in self.pairs)
+
+    @property
+    def difference(self) -> float:
+        """Success rate of the first minus that of the second."""
+        return (self.only_first - self.only_second) / len(self.pairs)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of that."""
+        return paired_interval(self.by_start)
+
+    @cached_property
     def p_value(self) -> float:
         """How likely a difference at least as large is if both were equally good."""
-        return mcnemar_p_value(self.only_first, self.only_second)
+        return permutation_p_value(map(sum, self.by_start))
 
 
-def compare(first: Iterable[FinishedEpisode], second: Iterable[FinishedEpisode]) -> Comparison:
-    """Compare two evaluations on the episodes that both have, in any order.
+def compare_tasks(first: Iterable[FinishedEpisode], second: Iterable[FinishedEpisode]) -> dict[str, Comparison]:
+    """Compare two evaluations in each task on the episodes that both have, in any order.
 
     Raises:
         NothingToCompare: there is none.
@@ -110,30 +115,26 @@ def compare(first: Iterable[FinishedEpisode], second: Iterable[FinishedEpisode])
         raise NothingToCompare(
             f"Expected two evaluations of one task, got {len(ours)} and {len(theirs)} episodes, none of them in both."
         )
-    return Comparison(
-        pairs=tuple(EpisodePair(first=ours[key], second=theirs[key]) for key in common),
-        unpaired=len(ours.keys() ^ theirs.keys()),
-    )
+    single = [task for task, _ in ours.keys() ^ theirs.keys()]
+    return {
+        task: Comparison(
+            pairs=tuple(EpisodePair(first=ours[key], second=theirs[key]) for key in keys), unpaired=single.count(task)
+        )
+        for task, keys in groupby(common, key=itemgetter(0))
+    }
 
 
-def mcnemar_p_value(only_first: int, only_second: int) -> float:
-    """Return the exact two-sided p-value of McNemar's test.
+def adjust_p_values(p_values: Sequence[float]) -> list[float]:
+    """Return the p-values of several tests, adjusted so that one in twenty families has any below 0.05 by chance.
 
-    If both are equally good, each of the n = b + c episodes that only one of them solves is that of the first with
-    probability 1/2, so p = min(1, 2 sum_{i <= min(b, c)} binom(n, i) / 2^n); 1 where n = 0.
-    Q. McNemar, Note on the sampling error of the difference between correlated proportions or percentages,
-    Psychometrika 12 (1947) 153-157, with the binomial distribution in place of its approximation.
-
-    Args:
-        only_first: episodes that only the first solves (b).
-        only_second: episodes that only the second solves (c).
+    Of m tests the j-th smallest becomes the largest of (m - i + 1) p_i over i <= j, at most 1.
+    S. Holm, A simple sequentially rejective multiple test procedure, Scandinavian Journal of Statistics 6 (1979) 65-70.
     """
-    differing = only_first + only_second
-    ways, tail = 1, 0
-    for count in range(min(only_first, only_second) + 1):
-        tail += ways
-        ways = ways * (differing - count) // (count + 1)  # binom(n, i + 1); each from the factorials takes seconds
-    return min(1.0, float(Fraction(2 * tail, 2**differing)))
+    adjusted, largest = [0.0] * len(p_values), 0.0
+    for rank, place in enumerate(sorted(range(len(p_values)), key=p_values.__getitem__)):
+        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[place]))
+        adjusted[place] = largest
+    return adjusted
 
 
 class RunsDiffer(VitacError):
@@ -141,9 +142,10 @@ class RunsDiffer(VitacError):
 
 
 class SensingGain(StrictModel):
-    """Standard minus blind success rate, with its 95 % interval and the exact McNemar p-value."""
+    """Standard minus blind success rate, with its 95 % interval and the exact p-value, both by start."""
 
     episodes: PositiveInt
+    starts: PositiveInt
     standard_successes: NonNegativeInt
     blind_successes: NonNegativeInt
     gain: float = Field(ge=-1, le=1)
@@ -152,43 +154,45 @@ class SensingGain(StrictModel):
     p_value: float = Field(ge=0, le=1)
 
 
-def sensing_gain(standard: Iterable[FinishedEpisode], blind: Iterable[FinishedEpisode]) -> SensingGain:
-    """Return the gain over the episodes of both runs.
+def sensing_gain(standard: Collection[FinishedEpisode], blind: Collection[FinishedEpisode]) -> SensingGain:
+    """Return the gain over the episodes of both runs, which are of one task.
 
     Raises:
         RunsDiffer: they are not of the same episodes.
     """
-    seeing, unseeing = ({end.episode: end.success for end in ends} for ends in (standard, blind))
+    seeing, unseeing = ({end.episode: end for end in ends} for ends in (standard, blind))
     if not seeing or seeing.keys() != unseeing.keys():
         raise RunsDiffer(f"Expected both runs on the same episodes, got {len(seeing)} and {len(unseeing)}.")
-    only_standard = sum(success and not unseeing[number] for number, success in seeing.items())
-    only_blind = sum(success and not seeing[number] for number, success in unseeing.items())
-    low, high = paired_interval(only_standard, only_blind, len(seeing))
+    found = Comparison(
+        pairs=tuple(EpisodePair(first=seeing[number], second=unseeing[number]) for number in sorted(seeing)), unpaired=0
+    )
+    low, high = found.interval
     return SensingGain(
-        episodes=len(seeing),
-        standard_successes=sum(seeing.values()),
-        blind_successes=sum(unseeing.values()),
-        gain=(only_standard - only_blind) / len(seeing),
+        episodes=len(found.pairs),
+        starts=len(found.by_start),
+        standard_successes=found.both + found.only_first,
+        blind_successes=found.both + found.only_second,
+        gain=found.difference,
         low=low,
         high=high,
-        p_value=mcnemar_p_value(only_standard, only_blind),
+        p_value=found.p_value,
     )
 
 
-def paired_interval(only_first: int, only_second: int, pairs: int) -> tuple[float, float]:
+def paired_interval(differences: Collection[Sequence[int]]) -> tuple[float, float]:
     """Return the 95 % interval of the difference of two paired rates.
 
     With half an episode added to each of the four kinds of pairs, b and c of n differ, and the interval is
-    (b - c) / n +- z sqrt(b + c - (b - c)^2 / n) / n.
+    (b - c) / n +- z sqrt(b + c - (b - c)^2 / n) / n. The counts are those of as many independent pairs as the pairs
+    tell as much as (`starts.design_effect`).
     A. Agresti and Y. Min, Simple improved confidence intervals for comparing matched proportions, Statistics in
     Medicine 24 (2005) 729-740, section 3.
 
     Args:
-        only_first: pairs in which only the first succeeds.
-        only_second: pairs in which only the second succeeds.
-        pairs: all of them.
+        differences: of each start, of each of its pairs: 1 if only the first succeeds, -1 if only the second.
     """
-    first, second, n = only_first + 0.5, only_second + 0.5, pairs + 2.0
+    effect, each = design_effect(differences), [value for group in differences for value in group]
+    first, second, n = each.count(1) / effect + 0.5, each.count(-1) / effect + 0.5, len(each) / effect + 2.0
     centre = (first - second) / n
     half_width = NORMAL_QUANTILE * sqrt(first + second - (first - second) * (first - second) / n) / n
     return max(-1.0, centre - half_width), min(1.0, centre + half_width)
@@ -207,7 +211,7 @@ class RateOfPart(StrictModel):
 
 
 def rates_by_draw(
-    quantity: Quantity, limits: tuple[float, float], episodes: Iterable[tuple[float, bool]]
+    quantity: Quantity, limits: tuple[float, float], episodes: Iterable[tuple[float, Hashable, bool]]
 ) -> tuple[RateOfPart, ...]:
     """Return the success rate of each part of a range, those without an episode left out.
 
@@ -216,18 +220,18 @@ def rates_by_draw(
     Args:
         quantity: that was drawn.
         limits: lowest and highest value that it can have.
-        episodes: its value in each, and whether it was solved.
+        episodes: its value in each, the start, and whether it was solved.
     """
     if quantity.two_sided:
-        episodes = [(abs(value - quantity.nominal), solved) for value, solved in episodes]
+        episodes = [(abs(value - quantity.nominal), start, solved) for value, start, solved in episodes]
         limits = (0.0, max(abs(limit - quantity.nominal) for limit in limits))
     low, high = limits
     width = (high - low) / PARTS
-    solved: list[list[bool]] = [[] for _ in range(PARTS)]
-    for value, success in episodes:
-        solved[min(int((value - low) / width) if width else 0, PARTS - 1)].append(success)
+    parts: list[list[tuple[Hashable, bool]]] = [[] for _ in range(PARTS)]
+    for value, start, solved in episodes:
+        parts[min(int((value - low) / width) if width else 0, PARTS - 1)].append((start, solved))
     return tuple(
-        RateOfPart(low=low + part * width, high=low + (part + 1) * width, rate=rate(sum(found), len(found)))
-        for part, found in enumerate(solved)
-        if found
+        RateOfPart(low=low + part * width, high=low + (part + 1) * width, rate=rate_by_start(ends))
+        for part, ends in enumerate(parts)
+        if ends
     )

@@ -1,15 +1,13 @@
 """Whether a policy is better on the list that everybody knows than on a sealed one; called where evaluations end."""
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from fractions import Fraction
 from math import comb
 
 from ..episodes.records import EpisodeRecord
 from ..tracks.definition import EpisodeList
-
-_Ways = Mapping[int, int]
-"""In how many ways the starts of one list can be chosen out of those of both, by their successes."""
+from .starts import Ways, convolve
 
 
 def better_on_public_p_value(
@@ -31,9 +29,9 @@ def better_on_public_p_value(
     """
     ours, theirs = (_successes(starts, records) for records in (public, sealed))
     observed = sum(successes for of_shape in ours.values() for successes in of_shape)
-    ways: _Ways = {0: 1}
+    ways: Ways = {0: 1}
     for shape, of_shape in ours.items():
-        ways = _convolve(ways, _choose([*of_shape, *theirs[shape]], len(of_shape)))
+        ways = convolve(ways, _choose([*of_shape, *theirs[shape]], len(of_shape)))
     as_large = sum(count for total, count in ways.items() if total >= observed)
     return float(Fraction(as_large, sum(ways.values())))
 
@@ -57,7 +55,7 @@ def _start_of_each_episode(starts: EpisodeList) -> Iterator[int]:
         first += len(block.starts)
 
 
-def _choose(successes: list[int], chosen: int) -> _Ways:
+def _choose(successes: list[int], chosen: int) -> Ways:
     """Return the ways to choose some of the starts, by the successes of those that are chosen."""
     ways = {(0, 0): 1}
     for value, there in Counter(successes).items():
@@ -67,11 +65,3 @@ def _choose(successes: list[int], chosen: int) -> _Ways:
                 grown[count + more, total + more * value] += n * comb(there, more)
         ways = dict(grown)
     return {total: n for (count, total), n in ways.items() if count == chosen}
-
-
-def _convolve(first: _Ways, second: _Ways) -> _Ways:
-    found: Counter[int] = Counter()
-    for ours, n in first.items():
-        for theirs, m in second.items():
-            found[ours + theirs] += n * m
-    return found

@@ -1,17 +1,18 @@
 """The score of an evaluation, a pure function of its records; used by the CLI, the leaderboards and the pages."""
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import hypot, isfinite, sqrt
-from statistics import NormalDist, fmean, median
+from statistics import NormalDist, fmean, median, stdev
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 from vitac.envs.tasks.definition import Measure
 
 from ..episodes.records import ContactForces, EpisodeOutcome, EpisodeRecord, ForceFigures
 from ..strict_model import StrictModel
+from .starts import design_effect, find_start, group_by_start
 
 
 class ForceSummary(StrictModel):
@@ -70,9 +71,10 @@ class Interval(StrictModel):
 
 
 class Rate(StrictModel):
-    """Successes among episodes."""
+    """Successes among episodes, with as many different starts; the interval counts starts, not their repeats."""
 
     episodes: PositiveInt
+    starts: PositiveInt
     successes: NonNegativeInt
     success_rate: float = Field(ge=0, le=1)
     interval: Interval
@@ -125,7 +127,7 @@ def combine(tasks: Collection[str], scores: Mapping[str, Score]) -> CombinedScor
     )
 
 
-def wilson_interval(successes: int, episodes: int) -> Interval:
+def wilson_interval(successes: float, episodes: float) -> Interval:
     """Return Wilson's score interval of a binomial rate: inside [0, 1] and never empty, unlike p +- z s.
 
     With p = successes / n and z the normal quantile:
@@ -155,13 +157,64 @@ def interval_of_mean(rates: Sequence[Rate], *, of: int) -> Interval:
     return Interval(low=max(0.0, mean - below), high=min(1.0, mean + above))
 
 
+def interval_of_difference(first: Rate, second: Rate) -> tuple[float, float]:
+    """Return the 95 % interval of a rate minus another one of other starts.
+
+    With rates p, q and their intervals [l, u], [k, v]: p - q - sqrt((p - l)^2 + (v - q)^2) to
+    p - q + sqrt((u - p)^2 + (q - k)^2). Zou and Donner as above, equation 3.
+    """
+    difference = first.success_rate - second.success_rate
+    below = hypot(first.success_rate - first.interval.low, second.interval.high - second.success_rate)
+    above = hypot(first.interval.high - first.success_rate, second.success_rate - second.interval.low)
+    return difference - below, difference + above
+
+
+def interval_of_seeds(rates: Sequence[Rate]) -> Interval:
+    """Return the interval of the mean over the seeds of a training, each of which is one draw of what it can give.
+
+    It is Student's with the spread between the seeds, and at least as wide as the starts alone make it.
+    """
+    from scipy.special import stdtrit
+
+    of_starts = interval_of_mean(rates, of=len(rates))
+    if len(rates) == 1:
+        return of_starts
+    each = [rate.success_rate for rate in rates]
+    half_width = float(stdtrit(len(each) - 1, 0.975)) * stdev(each) / sqrt(len(each))
+    return Interval(
+        low=max(0.0, min(of_starts.low, fmean(each) - half_width)),
+        high=min(1.0, max(of_starts.high, fmean(each) + half_width)),
+    )
+
+
 def rate(successes: int, episodes: int) -> Rate:
-    """Return the successes among episodes, with their interval."""
+    """Return the successes among episodes that all have starts of their own, with their interval."""
     return Rate(
         episodes=episodes,
+        starts=episodes,
         successes=successes,
         success_rate=successes / episodes,
         interval=wilson_interval(successes, episodes),
+    )
+
+
+def rate_by_start(ends: Iterable[tuple[Hashable, bool]]) -> Rate:
+    """Return the successes among episodes, with Wilson's interval of as many independent ones as they tell as much as.
+
+    E. L. Korn and B. I. Graubard, Confidence intervals for proportions with small expected number of positive counts
+    estimated from survey data, Survey Methodology 24 (1998) 193-201, section 2.
+
+    Args:
+        ends: start of each episode, and whether it was solved.
+    """
+    groups = group_by_start(ends)
+    successes, episodes, effect = sum(map(sum, groups)), sum(map(len, groups)), design_effect(groups)
+    return Rate(
+        episodes=episodes,
+        starts=len(groups),
+        successes=successes,
+        success_rate=successes / episodes,
+        interval=wilson_interval(successes / effect, episodes / effect),
     )
 
 
@@ -176,7 +229,7 @@ def score(records: Collection[EpisodeRecord], measures: Iterable[Measure] = ()) 
     steps = sorted(record.env_steps for record in records if record.success)
     shapes = sorted({record.shape for record in records})
     return Score(
-        **dict(rate(len(steps), len(records))),
+        **dict(_compute_rate(records)),
         mean_steps=fmean(steps) if steps else None,
         by_shape={shape: _compute_rate(record for record in records if record.shape == shape) for shape in shapes},
         outcomes=dict(sorted(Counter(record.outcome for record in records).items())),
@@ -199,5 +252,4 @@ def _average_shared(measured: Sequence[Mapping[str, float]]) -> dict[str, float]
 
 
 def _compute_rate(records: Iterable[EpisodeRecord]) -> Rate:
-    solved = [record.success for record in records]
-    return rate(sum(solved), len(solved))
+    return rate_by_start((find_start(record), record.success) for record in records)

@@ -20,6 +20,7 @@ from vitac.envs.tasks.settings import FIDELITY, Fidelity
 
 from ..package_sets import PackageSet
 from ..ranking import DEFAULT_RANKING, Ranking, make_ranking
+from ..scoring.starts import DRAWN
 from ..strict_model import StrictModel, Word
 from ..submission_kinds import SubmissionKind
 
@@ -249,6 +250,15 @@ class Task(StrictModel):
             named = settings.get(FIDELITY, Fidelity.FULL)
             if named != Fidelity.FULL:
                 raise ValueError(f"settings.fidelity is {named!r}, which is for training only; leave it out")
+        return self
+
+    @model_validator(mode="after")
+    def _maniskill_draws_its_starts(self) -> Self:
+        shapes = self.episode_list.shapes
+        if is_maniskill(self.env_id) and shapes != (DRAWN,):
+            raise ValueError(
+                f"expected starts of shape {DRAWN}, got {', '.join(shapes)}; {self.env_id} draws them from the seed"
+            )
         return self
 
     @model_validator(mode="after")

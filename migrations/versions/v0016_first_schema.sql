@@ -551,6 +551,7 @@ CREATE TABLE episode_results (
     run INTEGER NOT NULL,
     commitment TEXT DEFAULT '' NOT NULL,
     shape TEXT NOT NULL,
+    initial_offset FLOAT[] NOT NULL,
     outcome TEXT NOT NULL,
     success BOOLEAN NOT NULL,
     env_steps INTEGER NOT NULL,

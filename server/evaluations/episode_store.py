@@ -178,6 +178,7 @@ def row_values(lease: Lease, record: EpisodeRecord) -> dict[str, Any]:
         "run": key.run,
         "commitment": key.commitment,
         "shape": record.shape,
+        "initial_offset": record.initial_offset,
         "outcome": record.outcome.value,
         "success": record.success,
         "env_steps": record.env_steps,

@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest, result_hash
 from vitac.evaluator.ranking import Ranking
 from vitac.evaluator.scoring.lists import better_on_public_p_value
-from vitac.evaluator.scoring.score import CombinedScore, Interval, Rate, Score, combine, score
+from vitac.evaluator.scoring.score import CombinedScore, Interval, Rate, Score, combine, interval_of_difference, score
 from vitac.evaluator.tracks import Track
 
 from ..competitions.competition import find_stage
@@ -120,6 +120,7 @@ def played_score(counting: Collection[str], scores: Mapping[str, Score]) -> Play
     return PlayedScoreView(
         tasks=list(played),
         episodes=sum(score.episodes for score in played.values()),
+        starts=sum(score.starts for score in played.values()),
         successes=sum(score.successes for score in played.values()),
         success_rate=found.success_rate,
         success_rate_interval=bounds(found.interval),
@@ -155,9 +156,11 @@ def practice_score_views(evaluation: Evaluation) -> list[PracticeScoreView] | No
 def _practice_score_view(row: Mapping[str, Any], sealed: Score) -> PracticeScoreView:
     found, p_value = Score.model_validate(_select_score(row)), float(row["p_value"])
     points = 100 * (found.success_rate - sealed.success_rate)
+    low, high = interval_of_difference(found, sealed)
     sentence = (
         f"Public list: {100 * found.success_rate:.1f} % ({found.successes} of {found.episodes}), "
-        f"{abs(points):.1f} points {'above' if points > 0 else 'below'} the sealed one. Better on the public list "
+        f"{abs(points):.1f} points {'above' if points > 0 else 'below'} the sealed one "
+        f"(95 % interval {100 * low:+.1f} to {100 * high:+.1f}). Better on the public list "
         f"than on the sealed one: p = {p_value:.2g}."
     )
     return PracticeScoreView(
@@ -209,6 +212,7 @@ def _score_view(task: str, score: Score, result_hash: str) -> TaskScoreView:
     return TaskScoreView(
         task=task,
         episodes=score.episodes,
+        starts=score.starts,
         successes=score.successes,
         success_rate=score.success_rate,
         success_rate_interval=bounds(score.interval),
@@ -225,6 +229,7 @@ def _shape_view(shape: str, rate: Rate) -> ShapeScoreView:
     return ShapeScoreView(
         shape=shape,
         episodes=rate.episodes,
+        starts=rate.starts,
         successes=rate.successes,
         success_rate=rate.success_rate,
         success_rate_interval=bounds(rate.interval),

@@ -12,8 +12,9 @@ from uuid import UUID
 
 from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
-from vitac.evaluator.scoring.comparison import NothingToCompare, compare
-from vitac.evaluator.scoring.score import rate
+from vitac.evaluator.scoring.comparison import Comparison, NothingToCompare, adjust_p_values, compare_tasks
+from vitac.evaluator.scoring.score import rate_by_start
+from vitac.evaluator.scoring.starts import find_start
 
 from ..database.models import Submission
 from ..errors import ProblemCode, ServiceError
@@ -171,6 +172,7 @@ def _shapes(score: TaskScoreView | None) -> Mapping[str, ShapeScoreView]:
 def _rate_view(part: ShapeScoreView) -> RateView:
     return RateView(
         episodes=part.episodes,
+        starts=part.starts,
         successes=part.successes,
         success_rate=part.success_rate,
         success_rate_interval=part.success_rate_interval,
@@ -196,9 +198,10 @@ def _rate_among(side: ComparedResult, task: str, quarters: Mapping[int, int], qu
     ends = [end for end in side.episodes if end.task == task and quarters.get(end.episode) == quarter]
     if not ends:
         return None
-    found = rate(sum(end.success for end in ends), len(ends))
+    found = rate_by_start((find_start(end), end.success) for end in ends)
     return RateView(
         episodes=found.episodes,
+        starts=found.starts,
         successes=found.successes,
         success_rate=found.success_rate,
         success_rate_interval=(found.interval.low, found.interval.high),
@@ -224,23 +227,35 @@ def quarters_of_starts(track: str, task: str) -> Mapping[int, int]:
 
 
 def _pairs(sides: Sequence[ComparedResult]) -> Iterator[ComparedPairView]:
+    """Yield the pairs of each task, whose p-values are adjusted for their number."""
+    by_task: dict[str, list[tuple[int, int, Comparison]]] = {}
     for (first, ours), (second, theirs) in combinations(enumerate(sides), 2):
         if not ours.plays_same_list(theirs):
             continue
         try:
-            found = compare(ours.episodes, theirs.episodes)
+            compared = compare_tasks(ours.episodes, theirs.episodes)
         except NothingToCompare:
             continue
-        yield ComparedPairView(
-            first=first,
-            second=second,
-            both=found.both,
-            only_first=found.only_first,
-            only_second=found.only_second,
-            neither=found.neither,
-            unpaired=found.unpaired,
-            p_value=found.p_value,
-        )
+        for task, comparison in compared.items():
+            by_task.setdefault(task, []).append((first, second, comparison))
+    for task, pairs in by_task.items():
+        adjusted = adjust_p_values([comparison.p_value for _, _, comparison in pairs])
+        for (first, second, comparison), p_value in zip(pairs, adjusted, strict=True):
+            yield ComparedPairView(
+                task=task,
+                first=first,
+                second=second,
+                both=comparison.both,
+                only_first=comparison.only_first,
+                only_second=comparison.only_second,
+                neither=comparison.neither,
+                unpaired=comparison.unpaired,
+                starts=len(comparison.by_start),
+                difference=comparison.difference,
+                difference_interval=comparison.interval,
+                p_value=comparison.p_value,
+                adjusted_p_value=p_value,
+            )
 
 
 def _differing(sides: Sequence[ComparedResult]) -> Iterator[ComparedEpisodeView]:

@@ -111,6 +111,7 @@ def _read_episodes(session: Session, key: EpisodeKey) -> Sequence[EpisodeView]:
             EpisodeResult.task,
             EpisodeResult.episode,
             EpisodeResult.shape,
+            EpisodeResult.initial_offset,
             EpisodeResult.outcome,
             EpisodeResult.success,
             EpisodeResult.env_steps,
@@ -125,13 +126,14 @@ def _read_episodes(session: Session, key: EpisodeKey) -> Sequence[EpisodeView]:
             task=task,
             episode=episode,
             shape=shape,
+            initial_offset=initial_offset,
             outcome=outcome,
             success=success,
             env_steps=env_steps,
             forces=forces,
             draws=draws or {},
         )
-        for task, episode, shape, outcome, success, env_steps, forces, draws in rows
+        for task, episode, shape, initial_offset, outcome, success, env_steps, forces, draws in rows
     )
 
 

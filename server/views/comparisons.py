@@ -9,7 +9,7 @@ from vitac.evaluator.episodes.records import EpisodeOutcome
 
 from ..database.states import WorkState
 from .base import View
-from .scores import PlayedScoreView, TaskScoreView
+from .scores import INTERVAL, STARTS, PlayedScoreView, TaskScoreView
 
 
 class ComparedResultView(View):
@@ -31,9 +31,10 @@ class RateView(View):
     """Successes among some episodes."""
 
     episodes: int
+    starts: int = Field(description=STARTS)
     successes: int
     success_rate: float
-    success_rate_interval: tuple[float, float] = Field(description="Wilson score interval, 95 %.")
+    success_rate_interval: tuple[float, float] = Field(description=INTERVAL)
 
 
 class ComparedGroupView(View):
@@ -46,8 +47,9 @@ class ComparedGroupView(View):
 
 
 class ComparedPairView(View):
-    """Two of the results, on the episodes that both have: exact McNemar test."""
+    """Two of the results in a task, on the episodes that both have: exact permutation test over the starts."""
 
+    task: str
     first: int = Field(description="Place in the list of results, from 0.")
     second: int
     both: int
@@ -55,10 +57,11 @@ class ComparedPairView(View):
     only_second: int
     neither: int
     unpaired: int = Field(description="Episodes that only one of them has, which are left out.")
-    p_value: float = Field(
-        description="How likely a difference at least as large is if both are equally good; of several pairs, one in "
-        "twenty is below 0.05 by chance."
-    )
+    starts: int = Field(description=STARTS)
+    difference: float = Field(description="Success rate of the first minus that of the second.")
+    difference_interval: tuple[float, float] = Field(description="95 % interval of that, by start.")
+    p_value: float = Field(description="How likely a difference at least as large is if both are equally good.")
+    adjusted_p_value: float = Field(description="The same, adjusted for the number of pairs in the task (Holm).")
 
 
 class ComparedEndView(View):

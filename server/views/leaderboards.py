@@ -12,7 +12,7 @@ from vitac.evaluator.tracks import ListKind
 
 from .base import View
 from .evaluations import CopyView
-from .scores import PlayedScoreView, TaskRateView, TaskScoreView
+from .scores import INTERVAL, PlayedScoreView, TaskRateView, TaskScoreView
 
 
 class BoardEntryView(View):
@@ -67,7 +67,7 @@ class BaselineView(View):
     episodes: int
     successes: int
     success_rate: float
-    success_rate_interval: tuple[float, float] = Field(description="Wilson score interval, 95 %.")
+    success_rate_interval: tuple[float, float] = Field(description=INTERVAL)
     mean_steps: float
     scores: list[TaskRateView] = Field(description="In each task.")
 

@@ -5,15 +5,21 @@ from vitac.evaluator.scoring.score import ForceSummary
 
 from .base import View
 
+STARTS = "Number of different starts among the episodes; the others repeat one."
+INTERVAL = (
+    "95 % interval: Wilson's, of as many independent episodes as these starts with their repeats tell as much as."
+)
+
 
 class ShapeScoreView(View):
     """Successes with one shape."""
 
     shape: str
     episodes: int
+    starts: int = Field(description=STARTS)
     successes: int
     success_rate: float
-    success_rate_interval: tuple[float, float] = Field(description="Wilson score interval, 95 %.")
+    success_rate_interval: tuple[float, float] = Field(description=INTERVAL)
 
 
 class TaskRateView(View):
@@ -21,9 +27,10 @@ class TaskRateView(View):
 
     task: str
     episodes: int
+    starts: int = Field(description=STARTS)
     successes: int
     success_rate: float
-    success_rate_interval: tuple[float, float] = Field(description="Wilson score interval, 95 %.")
+    success_rate_interval: tuple[float, float] = Field(description=INTERVAL)
     mean_steps: float | None = Field(description="Mean env steps of the successful episodes; null without a success.")
     shapes: list[ShapeScoreView]
 
@@ -46,6 +53,7 @@ class PlayedScoreView(View):
 
     tasks: list[str]
     episodes: int
+    starts: int = Field(description=STARTS)
     successes: int
     success_rate: float = Field(description="Mean over these tasks.")
     success_rate_interval: tuple[float, float] = Field(description="95 % interval of that.")

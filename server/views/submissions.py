@@ -111,6 +111,9 @@ class EpisodeView(View):
     task: str
     episode: int
     shape: str
+    initial_offset: tuple[float, ...] = Field(
+        description="Where it started; repeats of a start have the same shape and offset."
+    )
     outcome: str
     success: bool
     env_steps: int

@@ -19,6 +19,7 @@ import numpy as np
 from pydantic import Field
 from vitac.evaluator.scoring.comparison import SensingGain, sensing_gain
 from vitac.evaluator.scoring.score import Rate, rate
+from vitac.evaluator.scoring.starts import DRAWN
 from vitac.evaluator.strict_model import StrictModel
 from vitac.evaluator.tracks import find_task
 
@@ -93,9 +94,10 @@ class PolicyEpisode:
 
     task: str
     episode: int
-    shape: str
     success: bool
     env_steps: int
+    shape: str = DRAWN
+    initial_offset: tuple[float, ...] = ()
 
     @property
     def outcome(self) -> str:
@@ -157,12 +159,10 @@ class Cloning:
     def report(self, number: int) -> list[PolicyEpisode]:
         """Play the fresh starts with the policy of a round, and return how they ended."""
         played = self._played("reported", Use.REPORT, 0, self.plan.reported, load(self.folder.networks(number)))
-        rows = zip(played.shapes, played.solved, played.lengths, strict=True)
+        rows = zip(played.solved, played.lengths, strict=True)
         return [
-            PolicyEpisode(
-                task=self.plan.task, episode=start, shape=str(shape), success=bool(solved), env_steps=int(length)
-            )
-            for start, (shape, solved, length) in enumerate(rows)
+            PolicyEpisode(task=self.plan.task, episode=start, success=bool(solved), env_steps=int(length))
+            for start, (solved, length) in enumerate(rows)
         ]
 
     def _judged(self, number: int, weights: Mapping[str, FloatArray], played: Sequence[ClonedEpisodes]) -> Round:

@@ -10,6 +10,7 @@ from markupsafe import Markup
 from vitac.evaluator.episodes.records import ContactForces, ForceFigures
 from vitac.evaluator.scoring.comparison import rates_by_draw
 from vitac.evaluator.scoring.score import summarize_forces
+from vitac.evaluator.scoring.starts import find_start
 from vitac.evaluator.tracks import load_track
 from vitac.server.views.submissions import EpisodeView
 
@@ -40,7 +41,7 @@ def success_by_draw(track: str, task: str, ends: Sequence[EpisodeView]) -> list[
         return []
     figures = []
     for quantity in definition.drawn_quantities:
-        found = [(end.draws[quantity.name], end.success) for end in ends if quantity.name in end.draws]
+        found = [(end.draws[quantity.name], find_start(end), end.success) for end in ends if quantity.name in end.draws]
         if found:
             parts = rates_by_draw(quantity, definition.draws[quantity.name], found)
             figures.append(_figure(task, quantity, parts))

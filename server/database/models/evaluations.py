@@ -248,6 +248,7 @@ class EpisodeResult(Base):
     run: Mapped[int]
     commitment: Mapped[str] = mapped_column(default="", server_default="")
     shape: Mapped[str]
+    initial_offset: Mapped[list[float]] = mapped_column(ARRAY(Float))
     outcome: Mapped[str]
     success: Mapped[bool]
     env_steps: Mapped[int]

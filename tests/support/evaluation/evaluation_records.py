@@ -46,7 +46,7 @@ def make_record(
             "episode": episode,
             "task": "peg-insertion",
             "shape": ("cuboid", "trapezoid", "concave1")[(episode - 1) % 3],
-            "initial_offset": (1.0, -3.0, -4.0),
+            "initial_offset": (1.0, -3.0, -float(episode)),
             "outcome": outcome,
             "env_steps": env_steps,
             "total_reward": 1.5,

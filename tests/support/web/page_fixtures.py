@@ -77,6 +77,7 @@ def a_score(successes: tuple[int, ...], mean_steps: float | None, task: str = TA
     return TaskScoreView(
         task=task,
         episodes=total,
+        starts=whole.starts,
         successes=whole.successes,
         success_rate=whole.success_rate,
         success_rate_interval=(whole.interval.low, whole.interval.high),
@@ -85,6 +86,7 @@ def a_score(successes: tuple[int, ...], mean_steps: float | None, task: str = TA
             ShapeScoreView(
                 shape=shape,
                 episodes=each,
+                starts=part.starts,
                 successes=part.successes,
                 success_rate=part.success_rate,
                 success_rate_interval=(part.interval.low, part.interval.high),
@@ -268,6 +270,7 @@ def some_episodes(task: str, count: int) -> list[EpisodeView]:
             task=task,
             episode=episode.number,
             shape=episode.shape,
+            initial_offset=episode.offset,
             outcome=outcome,
             success=outcome == "success",
             env_steps=chance.randint(3, 8),

@@ -33,7 +33,14 @@ def a_shown_sensor(submission_id: UUID, *, name: str = "done", gel: str = "ridge
         "document": DocumentView(name="design-document.pdf", n_bytes=9, sha256="d0" * 32),
         "coefficients_sha256": None,
         "gain": SensingGain(
-            episodes=270, standard_successes=19, blind_successes=1, gain=0.067, low=0.03, high=0.1, p_value=4e-6
+            episodes=270,
+            starts=90,
+            standard_successes=19,
+            blind_successes=1,
+            gain=0.067,
+            low=0.03,
+            high=0.1,
+            p_value=4e-6,
         ),
         "figures": reference_figures(),
     }

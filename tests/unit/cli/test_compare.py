@@ -1,3 +1,4 @@
+import csv
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -62,29 +63,48 @@ def test_two_files_are_compared_episode_by_episode(
     code, out, _ = run(capsys, first, second, "--json")
     found = json.loads(out)
     assert code == 0
-    assert [row["episode"] for row in found.pop("episodes")] == list(range(1, 9))
-    assert found == {
-        "episodes_of_both": 8,
-        "episodes_of_one": 1,
-        "both_solve": 1,
-        "only_first_solves": 5,
-        "only_second_solves": 1,
-        "neither_solves": 1,
-        "p_value": 2 * (1 + 6) / 2**6,
-    }
+    assert [row["episode"] for row in found["episodes"]] == list(range(1, 9))
+    assert [(row["successes"], row["episodes"], row["starts"]) for row in found["results"]] == [(6, 8, 8), (2, 9, 9)]
+    [pair] = found["pairs"]
+    assert pair["low"] < pair["difference"] == 0.5 < pair["high"]
+    assert pair["p_value"] == pair["adjusted_p_value"] == 2 * (1 + 6) / 2**6
+    assert [pair[name] for name in COUNTS] == [8, 1, 1, 5, 1, 1]
 
 
-def test_people_see_the_episodes_that_one_of_them_solves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    files = log_of(tmp_path / "a", played({1, 2})), log_of(tmp_path / "b", played({2, 5}))
+COUNTS = (
+    "episodes", "episodes_of_one", "both_solve", "only_first_solves", "only_second_solves", "neither_solves",
+)  # fmt: skip
+
+
+def test_people_see_the_episodes_that_some_of_them_solve(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [log_of(tmp_path / name, played(solved)) for name, solved in (("a", {1, 2}), ("b", {2, 5}), ("c", {2}))]
     code, out, _ = run(capsys, *files)
-    table, summary = out.split("\n\n")
+    table, results, pairs = out.strip().split("\n\n")
     assert code == 0
     assert [line.split()[1] for line in table.splitlines()[1:3]] == ["1", "5"]
-    assert "success" in table
+    assert "success, 3" in table
     assert table.splitlines()[-2:] == ["success: The task was solved.", "steps: All env steps were used up."]
-    shown = dict(line.rsplit(None, 1) for line in summary.strip().splitlines())
-    assert (shown["only_first_solves"], shown["p_value"]) == ("1", "1")
-    assert str(tmp_path / "a") in summary
+    assert [line.split()[2] for line in results.splitlines()[1:]] == ["2", "2", "1"]
+    assert len(pairs.splitlines()) == 4
+    assert str(tmp_path / "a") in results
+
+
+def test_tables_for_spreadsheets_and_papers_have_the_same_numbers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = log_of(tmp_path / "a_b", played({1, 2, 3})), log_of(tmp_path / "c", played({2}))
+    [row] = csv.DictReader(run(capsys, *files, "--csv")[1].splitlines())
+    [pair] = json.loads(run(capsys, *files, "--json")[1])["pairs"]
+    assert {name: str(value) for name, value in pair.items()} == row
+    latex = run(capsys, *files, "--latex")[1]
+    assert latex.count(r"\begin{tabular}") == latex.count(r"\bottomrule") == 2
+    assert r"a\_b & " in latex
+    assert all(line.endswith(r"\\") for line in latex.splitlines() if "&" in line)
+
+
+def test_one_alone_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = run(capsys, log_of(tmp_path / "a", played({1})))
+    assert (code, "expected two or more" in err) == (2, True)
 
 
 def test_small_p_value_is_not_shown_as_zero(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -95,8 +115,8 @@ def test_small_p_value_is_not_shown_as_zero(tmp_path: Path, capsys: pytest.Captu
 def test_equal_results_differ_nowhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     same = log_of(tmp_path / "a", played({1, 2}))
     _, out, _ = run(capsys, same, same)
-    assert "No episode is solved by only one of them." in out
-    assert json.loads(run(capsys, same, same, "--json")[1])["p_value"] == 1.0
+    assert "No episode is solved by only some of them." in out
+    assert json.loads(run(capsys, same, same, "--json")[1])["pairs"][0]["p_value"] == 1.0
 
 
 @pytest.mark.parametrize(
@@ -147,7 +167,9 @@ class Service:
         outcome = "success" if solved else "steps"
         shape = "cuboid" if solved else self.shape
         ended = {"task": "peg-insertion", "shape": shape, "outcome": outcome, "success": solved, "env_steps": 8}
-        return httpx.Response(200, json=[ended | {"episode": episode} for episode in (1, 2, 3)])
+        return httpx.Response(
+            200, json=[ended | {"episode": episode, "initial_offset": [1, -3, -episode]} for episode in (1, 2, 3)]
+        )
 
 
 def test_submissions_of_a_service_are_named_by_id_or_address(
@@ -155,7 +177,7 @@ def test_submissions_of_a_service_are_named_by_id_or_address(
 ) -> None:
     service = Service(monkeypatch)
     code, out, _ = run(capsys, A, f"http://other.test/submissions/{B}", "--json")
-    found = json.loads(out)
+    [found] = json.loads(out)["pairs"]
     assert (code, found["only_first_solves"], found["p_value"]) == (0, 3, 0.25)
     assert service.asked[0] == f"http://default.test/api/v1/submissions/{A}"
     assert service.asked[-1] == f"http://other.test/api/v1/submissions/{B}/episodes"
@@ -166,7 +188,7 @@ def test_starts_that_differ_are_not_of_one_list(
 ) -> None:
     Service(monkeypatch).shape = "trapezoid"
     code, _, err = run(capsys, A, B)
-    assert (code, "got cuboid and trapezoid in episode 1" in err) == (1, True)
+    assert (code, "got cuboid at 1, -3, -1 and trapezoid at 1, -3, -1 in episode 1" in err) == (1, True)
 
 
 def test_a_file_and_a_submission_are_compared(
@@ -174,5 +196,5 @@ def test_a_file_and_a_submission_are_compared(
 ) -> None:
     Service(monkeypatch)
     file = log_of(tmp_path / "a", [make_record(1, shape="cuboid")])
-    found = json.loads(run(capsys, file, B, "--json")[1])
+    [found] = json.loads(run(capsys, file, B, "--json")[1])["pairs"]
     assert (found["only_first_solves"], found["episodes_of_one"]) == (1, 2)

@@ -17,7 +17,7 @@ from policies.baselines import (
     line,
     load_policy,
     percent,
-    seed_line,
+    seed_lines,
     shapes_line,
     training_seeds,
 )
@@ -108,9 +108,12 @@ def test_line_has_the_rates_with_intervals_and_the_cost() -> None:
     row = Row(task="peg-insertion", name="none", fresh=fresh, public=public, cpu_s=20.0)
     assert line(row) == f"| peg-insertion | none | {percent(fresh)} | 4.25 | {percent(public)} | - | 50 |\n"
     assert percent(fresh).startswith("50.0 [44.")
-    by_shape = {"key1": rate(3, 4).model_dump(), "key2": rate(0, 6).model_dump()}
+    by_shape = {
+        "key1": rate(3, 4).model_dump() | {"solved_of_start": [0, 1, 1]},
+        "key2": rate(0, 6).model_dump() | {"solved_of_start": [6, 0]},
+    }
     shown = shapes_line(replace(row, public={**public, "by_shape": by_shape}))
-    assert shown == "| peg-insertion | none | key1 3 of 4, key2 0 of 6 |\n"
+    assert shown == "| peg-insertion | none | key1 3 of 4 (0 1 1), key2 0 of 6 (6 0) |\n"
 
 
 def test_table_in_the_repository_has_every_baseline(repository: Path) -> None:
@@ -121,17 +124,29 @@ def test_table_in_the_repository_has_every_baseline(repository: Path) -> None:
         rows = [row.split(" | ") for row in part.splitlines() if row.startswith(("| peg", "| lock"))]
         named = [(row[0].removeprefix("| "), row[1]) for row in rows]
         assert named == [(task, name) for task, names in BASELINES.items() for name in names]
-    assert seeds == "".join(seed_line(*run) for run in training_seeds())
+    assert seeds == "".join(map(seed_lines, training_seeds()))
 
 
-def test_three_seeds_of_each_trained_baseline_are_told() -> None:
+def test_three_seeds_of_each_trained_baseline_are_told_and_the_interval_of_their_mean_counts_seeds() -> None:
     runs = list(training_seeds())
-    trained = [(task, names[0]) for task, names in BASELINES.items()]
-    assert [run[:3] for run in runs] == [(*which, seed) for which in trained for seed in "123"]
-    found = {part: rate(30, 40).model_dump() | {"mean_steps": 4.25} for part in ("fresh", "public")}
-    told = percent(found["fresh"])
-    line = seed_line("peg-insertion", "trained", "2", found)
-    assert line == f"| peg-insertion | trained | 2 | {told} | 4.25 | {told} | 30 of 40 | 4.25 |\n"
+    assert [run[:2] for run in runs] == [(task, names[0]) for task, names in BASELINES.items()]
+    assert all(list(by_seed) == ["1", "2", "3"] for _, _, by_seed in runs)
+    seeds = {
+        seed: {
+            "fresh": rate(solved, 40).model_dump() | {"mean_steps": 4.25},
+            "public": rate(30, 40).model_dump() | {"mean_steps": 4.5},
+        }
+        for seed, solved in (("1", 12), ("2", 32))
+    }
+    first, _, mean = seed_lines(("peg-insertion", "trained", seeds)).splitlines()
+    assert first == "| peg-insertion | trained | 1 | 30.0 | 4.25 | 75.0 | 30 of 40 | 4.50 |"
+    assert mean == "| peg-insertion | trained | mean | 55.0 [0.0, 100.0] |  | 75.0 |  |  |"
+
+
+def test_repeats_of_a_start_are_counted_together() -> None:
+    task = load_track("track_1").tasks["peg-insertion"]
+    found = figures(Counting(), Still(), iter([episode.options for episode in task.episodes]))
+    assert 90 <= sum(sum(part["solved_of_start"]) for part in found["by_shape"].values()) < 270
 
 
 def test_noise_takes_what_a_belief_is_further_from_the_truth_with_it() -> None:

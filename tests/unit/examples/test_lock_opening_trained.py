@@ -10,6 +10,7 @@ import pytest
 from toy_lock import turned_flow
 from trained_policy import played, public_starts
 from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator.scoring.score import interval_of_seeds, rate
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.evaluator.tracks import load_track
 from vitac.training.export import LARGEST_BYTES
@@ -94,10 +95,13 @@ def seed_row(seed: str, found: dict[str, Any]) -> str:
 
 
 def mean_row(runs: list[dict[str, Any]]) -> str:
-    percent = 100 * np.mean([found["fresh"]["success_rate"] for found in runs])
+    rates = [rate(found["fresh"]["successes"], found["fresh"]["episodes"]) for found in runs]
+    interval, mean = interval_of_seeds(rates), np.mean([each.success_rate for each in rates])
+    percent = f"{100 * mean:.1f} [{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
+    name = "mean, [by seeds](../../docs/statistics.md)"
     env_steps = {starts: np.mean([found[starts]["mean_steps"] for found in runs]) for starts in ("fresh", "public")}
     solved = np.mean([found["public"]["successes"] for found in runs])
-    return f"| mean | {percent:.1f} | {env_steps['fresh']:.2f} | {solved:.1f} | {env_steps['public']:.2f} |"
+    return f"| {name} | {percent} | {env_steps['fresh']:.2f} | {solved:.1f} | {env_steps['public']:.2f} |"
 
 
 def test_three_seeds_open_enough_and_as_fast_on_average(example: Path, figures: dict[str, Any]) -> None:

@@ -18,6 +18,7 @@ from vitac.server.views.scores import TaskRateView, TaskScoreView
 
 from ...plots.axis import Figure
 from ...plots.dates import DatedRate, ranks_by_date, rates_by_date
+from ...plots.files import find_plot_file
 from ...rendering import steps, words
 from ...site import Site, get_principal, get_site, get_viewer, page
 from ..addresses import AskedBoard, board_address
@@ -75,6 +76,9 @@ async def leaderboard(request: Request) -> Response:
         *_force_columns(track, task, values["shown"].entries),
     )
     counted = list(track.tasks.values()) if task is None else [track.tasks[task]]
+    dates, ranks_plot = _dates(site, board, own_names), _draw_ranks(site, board, values["ranks"])
+    if plot := find_plot_file(request, filter(None, (dates, ranks_plot))):
+        return plot
     return page(
         request,
         "leaderboard.html",
@@ -85,8 +89,8 @@ async def leaderboard(request: Request) -> Response:
         baselines=_with_cells(shown_columns, _find_baselines(board, values["shown"])),
         all_baselines=_with_cells(shown_columns, board.baselines),
         rows=_with_cells(shown_columns, values["shown"].entries),
-        dates=_dates(site, board, own_names),
-        ranks_plot=_draw_ranks(site, board, values["ranks"]),
+        dates=dates,
+        ranks_plot=ranks_plot,
         list_kind=board.list_kind.value,
         ranked=sum(entry.rank is not None for entry in board.entries),
         episodes=sum(len(definition.episodes) for definition in counted),

@@ -1,6 +1,6 @@
 """The plots of a submission's page. Called by `submissions`."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,6 +57,12 @@ def figures(
         ),
         "history": site.plots.get((found.id, reached), lambda: _histories(found, titles, past)),
     }
+
+
+def list_figures(drawn: Mapping[str, Any]) -> list[Figure]:
+    """Return all plots that `figures` has made."""
+    tasks: Sequence[TaskFigures] = drawn["plots"]
+    return [*(each for task in tasks for each in (*task.maps, *task.figures, *task.draws)), *drawn["history"]]
 
 
 def _draw_task(found: SubmissionView, score: TaskScoreView, title: str, episodes: Sequence[EpisodeView]) -> TaskFigures:

@@ -19,6 +19,7 @@ from vitac.server.views.submissions import SensorView
 from vitac.server.visibility import visible
 
 from ...plots.axis import Figure
+from ...plots.files import find_plot_file
 from ...plots.sensors import HEIGHT_SCALE, find_largest, marker_picture, quality_histogram, sensitivity_maps, still
 from ...site import Site, get_site, open_to_all, page, require_viewer
 from ..addresses import as_id
@@ -59,6 +60,14 @@ class SensorOnPage:
     figures: Sequence[Figure]
 
 
+@dataclass(frozen=True, kw_only=True)
+class ReferenceOnPage:
+    """The reference gel: as a drawing, and its markers."""
+
+    still: Markup
+    figure: Figure
+
+
 async def sensor(request: Request) -> Response:
     """Show the sensor of a submission, beside that of another one if the address names it."""
     viewer = await require_viewer(request)
@@ -67,13 +76,18 @@ async def sensor(request: Request) -> Response:
     ids = [as_id(text) for text in (request.path_params["submission_id"], *([beside] if beside else ()))]
     shown = [await _shown_sensor(site, viewer.principal, submission_id) for submission_id in ids]
     largest = _largest([found.view.figures for found in shown])
+    parts = [_part(number, found, largest) for number, found in enumerate(shown, start=1)]
+    reference = None if beside else _reference()
+    drawn = [figure for part in parts for figure in part.figures]
+    if plot := find_plot_file(request, drawn if reference is None else [*drawn, reference.figure]):
+        return plot
     return page(
         request,
         "sensor.html",
         viewer=viewer,
         section="/submissions",
-        parts=[_part(number, found, largest) for number, found in enumerate(shown, start=1)],
-        reference=None if beside else _reference(),
+        parts=parts,
+        reference=reference,
         height_scale=HEIGHT_SCALE,
         rows=_rows([found.view.figures for found in shown]),
         beside=beside,
@@ -133,9 +147,9 @@ def _part(number: int, shown: ShownSensor, largest: tuple[float, float]) -> Sens
     )
 
 
-def _reference() -> dict[str, object]:
+def _reference() -> ReferenceOnPage:
     looks = reference_looks()
-    return {"still": still(looks), "figure": marker_picture("reference", looks.markers_px)}
+    return ReferenceOnPage(still=still(looks), figure=marker_picture("reference", looks.markers_px))
 
 
 def _largest(figures: Sequence[SensorFigures | None]) -> tuple[float, float]:

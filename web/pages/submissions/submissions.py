@@ -27,6 +27,7 @@ from vitac.server.views.evaluations import TaskProgressView
 from vitac.server.views.scores import PracticeScoreView, TaskScoreView
 from vitac.server.views.submissions import EpisodeView, RankView, SubmissionListView, SubmissionView
 
+from ...plots.files import find_plot_file
 from ...plots.map import EpisodeMap, episode_map, title_of_task
 from ...rendering import render
 from ...site import Site, Viewer, get_principal, get_site, get_viewer, open_to_all, page, require_viewer
@@ -34,7 +35,7 @@ from ..addresses import as_id, board_address, board_query
 from ..leaderboards.tabs import find_stage_title
 from ..submission_detail import SubmissionDetail, read_detail
 from ..tracks import NO_SCENE, find_scene
-from .figures import figures
+from .figures import figures, list_figures
 from .sharing import shared
 
 
@@ -89,6 +90,9 @@ async def submission(request: Request) -> Response:
     stages = await get_site(request).read(lambda session: track_stages(session, found.track)) if found.stage else ()
     by, is_complete = get_principal(viewer), found.evaluation.state is EvaluationState.COMPLETED
     stills = await get_site(request).read(lambda session: list_stills(session, by, found.id)) if is_complete else ()
+    drawn = figures(get_site(request), found, values["titles"], values["episodes"], values["past"])
+    if plot := find_plot_file(request, list_figures(drawn)):
+        return plot
     return page(
         request,
         "submission.html",
@@ -96,7 +100,7 @@ async def submission(request: Request) -> Response:
         section="/submissions" if values["is_own"] else "",
         refresh=refresh,
         is_known="known" in request.query_params and values["is_own"],
-        **figures(get_site(request), found, values["titles"], values["episodes"], values["past"]),
+        **drawn,
         stage_title=find_stage_title(stages, found.stage),
         stills=_choose_stills(stills),
         **values,

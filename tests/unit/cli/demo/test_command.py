@@ -109,7 +109,7 @@ def test_evaluates_the_example_and_prints_leaderboard_and_addresses(finished: Fi
         "user: root, memory: cgroup-v1",
         "270 of 270 episodes, 180 successes",
         "66.7 %",
-        "60.8 to 72.0 %",
+        "56.4 to 75.5 %",
         "3.00",
         "Result hash",
         "/sign-in with the token in",

@@ -199,7 +199,10 @@ PICTURE = SampledPicture(env_step=2, sha256="a" * 64)
 
 
 def test_records_without_pictures_keep_the_bytes_and_hashes_that_they_had_before_there_were_any() -> None:
-    records = [make_record(1), make_record(2, EpisodeOutcome.POLICY_FAILED, 2)]
+    records = [
+        make_record(number, outcome, steps, initial_offset=(1.0, -3.0, -4.0))
+        for number, outcome, steps in ((1, EpisodeOutcome.SUCCESS, 3), (2, EpisodeOutcome.POLICY_FAILED, 2))
+    ]
     assert [record.record_digest()[:12] for record in records] == ["3cd85540f10a", "0191639b72d7"]
     assert result_hash(make_manifest(), records)[:12] == "3f1c404d8a50"
     assert all(not {"picture", "forces"} & record.model_dump(mode="json").keys() for record in records)

@@ -10,7 +10,7 @@ CLEARANCE, BESIDE = (
 
 
 def test_a_range_is_cut_into_equal_parts_and_ends_belong_to_the_outer_ones() -> None:
-    parts = rates_by_draw(CLEARANCE, (0.5, 2.5), [(0.5, False), (0.9, True), (1.0, True), (2.5, True)])
+    parts = rates_by_draw(CLEARANCE, (0.5, 2.5), [(0.5, 1, False), (0.9, 2, True), (1.0, 3, True), (2.5, 4, True)])
     assert [(part.low, part.high, part.rate.successes, part.rate.episodes) for part in parts] == [
         (0.5, 1.0, 1, 2),
         (1.0, 1.5, 1, 1),
@@ -19,5 +19,5 @@ def test_a_range_is_cut_into_equal_parts_and_ends_belong_to_the_outer_ones() -> 
 
 
 def test_a_two_sided_quantity_counts_by_its_distance_from_the_nominal_value() -> None:
-    parts = rates_by_draw(BESIDE, (-4.0, 2.0), [(-3.5, False), (0.5, True), (-0.5, True)])
+    parts = rates_by_draw(BESIDE, (-4.0, 2.0), [(-3.5, 1, False), (0.5, 2, True), (-0.5, 3, True)])
     assert [(part.low, part.rate.success_rate) for part in parts] == [(0.0, 1.0), (3.0, 0.0)]

@@ -8,7 +8,18 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from vitac.envs.tasks.definition import Better, Measure
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.evaluator.scoring.score import Interval, Rate, Score, combine, interval_of_mean, rate, score, wilson_interval
+from vitac.evaluator.scoring.score import (
+    Interval,
+    Rate,
+    Score,
+    combine,
+    interval_of_difference,
+    interval_of_mean,
+    interval_of_seeds,
+    rate,
+    score,
+    wilson_interval,
+)
 
 
 @given(st.integers(1, 1000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
@@ -64,6 +75,24 @@ def test_interval_of_a_mean_of_one_is_its_own() -> None:
     assert (mean.low, mean.high) == pytest.approx((own.low, own.high))
 
 
+@pytest.mark.parametrize(("rates", "half_width"), [((0.60, 0.70, 0.80), 4.3027 * 0.1 / 3**0.5), ((0.7, 0.7), None)])
+def test_seeds_of_a_training_are_what_an_interval_over_them_counts(
+    rates: tuple[float, ...], half_width: float | None
+) -> None:
+    seeds = [rate(round(1000 * each), 1000) for each in rates]
+    interval, of_starts = interval_of_seeds(seeds), interval_of_mean(seeds, of=len(seeds))
+    if half_width is None:
+        assert interval == of_starts  # equal by chance: starts still vary
+    else:
+        assert (interval.low, interval.high) == pytest.approx((0.7 - half_width, 0.7 + half_width), abs=1e-4)
+    assert interval_of_seeds(seeds[:1]) == interval_of_mean(seeds[:1], of=1)
+
+
+def test_interval_of_a_difference_is_that_of_newcombe() -> None:
+    # R. G. Newcombe, Statistics in Medicine 17 (1998) 873-890, table II, contrast a, method 10: 56/70 and 48/80.
+    assert interval_of_difference(rate(56, 70), rate(48, 80)) == pytest.approx((0.0524, 0.3339), abs=5e-5)
+
+
 def test_score_counts_successes_and_averages_only_their_steps() -> None:
     records = [
         make_record(1, env_steps=3),
@@ -98,12 +127,12 @@ def test_score_does_not_depend_on_order(ends: list[tuple[EpisodeOutcome, int]], 
 @pytest.mark.parametrize("success_rate", [-0.01, 1.01, float("nan")])
 def test_a_rate_outside_0_and_1_is_refused(success_rate: float) -> None:
     with pytest.raises(ValidationError):
-        Rate(episodes=2, successes=1, success_rate=success_rate, interval=Interval(low=0, high=1))
+        Rate(episodes=2, starts=2, successes=1, success_rate=success_rate, interval=Interval(low=0, high=1))
 
 
 @pytest.mark.parametrize("success_rate", [0.0, 1.0])
 def test_a_rate_may_be_0_and_1(success_rate: float) -> None:
-    held = Rate(episodes=2, successes=1, success_rate=success_rate, interval=Interval(low=0, high=1))
+    held = Rate(episodes=2, starts=2, successes=1, success_rate=success_rate, interval=Interval(low=0, high=1))
     assert held.success_rate == success_rate
 
 

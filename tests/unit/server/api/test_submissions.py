@@ -107,6 +107,8 @@ def test_completed_submission_shows_score_interval_shapes_and_rank(service: Serv
     assert score["result_hash"] == body["evaluation"]["result_hash"]
     episodes = service.get(f"/submissions/{identity}/episodes").json()
     assert len(episodes) == 270
+    assert episodes[0].pop("initial_offset") == [-4.0, -4.0, -8.0]
+    assert score["starts"] == len({(one["shape"], *one.get("initial_offset", ())) for one in episodes[1:]}) == 90
     assert episodes[0] == {
         "task": TASK,
         "episode": 1,

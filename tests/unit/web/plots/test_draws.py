@@ -13,6 +13,7 @@ def an_end(number: int, clearance_mm: float, success: bool) -> EpisodeView:
         task=TASK,
         episode=number,
         shape="cuboid",
+        initial_offset=(float(number), 0.0, 0.0),
         outcome="success" if success else "steps",
         success=success,
         env_steps=4,

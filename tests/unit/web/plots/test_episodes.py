@@ -21,7 +21,13 @@ def squares(figure: Figure) -> list[str]:
 
 def an_end(number: int, env_steps: int, outcome: str = "success") -> EpisodeView:
     return EpisodeView(
-        task=TASK, episode=number, shape="cuboid", outcome=outcome, success=outcome == "success", env_steps=env_steps
+        task=TASK,
+        episode=number,
+        shape="cuboid",
+        initial_offset=(0.0,),
+        outcome=outcome,
+        success=outcome == "success",
+        env_steps=env_steps,
     )
 
 
@@ -66,7 +72,15 @@ def test_all_squares_lie_inside_the_drawing() -> None:
 def test_lists_with_more_numbers_in_a_start_are_drawn_too(track: str) -> None:
     name, task = next(iter(load_track(track).tasks.items()))
     ends = [
-        EpisodeView(task=name, episode=each.number, shape=each.shape, outcome="steps", success=False, env_steps=50)
+        EpisodeView(
+            task=name,
+            episode=each.number,
+            shape=each.shape,
+            initial_offset=each.offset,
+            outcome="steps",
+            success=False,
+            env_steps=50,
+        )
         for each in task.episodes
     ]
     assert sum(len(squares(figure)) for figure in maps_of(name, ends, track)) == 150

@@ -11,6 +11,7 @@ def an_end(number: int, peak_n: float | None, success: bool) -> EpisodeView:
         task=TASK,
         episode=number,
         shape="cuboid",
+        initial_offset=(float(number), 0.0, 0.0),
         outcome="success" if success else "tactile",
         success=success,
         env_steps=4,

@@ -13,7 +13,13 @@ START = ", start x −4.00 mm, y −4.00 mm, turned −8.00°"
 def an_end(number: int, outcome: EpisodeOutcome, env_steps: int = 3) -> EpisodeView:
     success = outcome is EpisodeOutcome.SUCCESS
     return EpisodeView(
-        task="peg-insertion", episode=number, shape="cuboid", outcome=outcome, success=success, env_steps=env_steps
+        task="peg-insertion",
+        episode=number,
+        shape="cuboid",
+        initial_offset=(0.0,),
+        outcome=outcome,
+        success=success,
+        env_steps=env_steps,
     )
 
 

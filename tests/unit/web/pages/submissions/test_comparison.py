@@ -96,10 +96,11 @@ def test_three_are_compared_in_pairs_by_shape_and_by_difficulty(
     names = [f"Gelbots: {name}" for name in ("done", "other", "third")]
     pairs = {row[0]: [cell.split()[-1] for cell in row[1:]] for row in rows if " and " in row[0]}
     assert pairs == {
-        f"{names[0]} and {names[1]}": ["1", "6", "1", "1", "0.125"],
-        f"{names[0]} and {names[2]}": ["1", "6", "1", "1", "0.125"],
-        f"{names[1]} and {names[2]}": ["2", "0", "0", "7", "1"],
+        f"{names[0]} and {names[1]}": ["1", "6", "1", "1", "+88.1)", "0.375"],
+        f"{names[0]} and {names[2]}": ["1", "6", "1", "1", "+88.1)", "0.375"],
+        f"{names[1]} and {names[2]}": ["2", "0", "0", "7", "+17.8)", "1"],
     }
+    assert sum("+55.6 (" in " ".join(row) and "0.125, adjusted 0.375" in " ".join(row) for row in rows) == 2
     assert ["Shape", *names] in rows
     assert next(row for row in rows if row[0] == "Trapezoid")[1].endswith("82.2 % 74 of 90")
     assert ["Starts", *names] in rows

@@ -31,7 +31,7 @@ def test_page_shows_gel_mesh_markers_maps_and_figures(shown: AsgiBrowser) -> Non
         "Reference gel",
         "measured at 90 starts",
         "+6.7",
-        "(+3.0 to +10.0, exact McNemar p = 4e-06)",
+        "(+3.0 to +10.0, exact p = 4e-06)",
         f'data-shape="{ADDRESS}/shape"',
         'href="/docs/sensors#figures"',
         f'<a href="/submissions/{COMPLETED.id}/document" download>design-document.pdf<',
