@@ -6,10 +6,10 @@ Episodes with the same start often end alike, so that 270 of them may tell as li
 from collections import Counter
 from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from fractions import Fraction
-from typing import Final, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
-DRAWN: Final = "drawn"
-"""Shape of a start that is drawn from the episode's seed, as ManiSkill's are; no two episodes share one."""
+from ..tracks.definition import DRAWN
+
 ValueT = TypeVar("ValueT", int, bool)
 Ways = Mapping[int, int]
 """In how many ways each total comes about."""

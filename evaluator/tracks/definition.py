@@ -20,7 +20,6 @@ from vitac.envs.tasks.settings import FIDELITY, Fidelity
 
 from ..package_sets import PackageSet
 from ..ranking import DEFAULT_RANKING, Ranking, make_ranking
-from ..scoring.starts import DRAWN
 from ..strict_model import StrictModel, Word
 from ..submission_kinds import SubmissionKind
 
@@ -45,6 +44,10 @@ def environment_definition(env_id: str, settings: Mapping[str, Any]) -> TaskDefi
 
 TEXT_LOG_PROFILE: Final = "challenge-2025-log"
 """Name of the profile with the settings under which a task's 2025 text logs were made."""
+
+
+DRAWN: Final = "drawn"
+"""Shape of a start that is drawn from the episode's seed, as ManiSkill's are; no two episodes share one."""
 
 
 class UnknownTask(VitacError):

@@ -19,9 +19,9 @@ import numpy as np
 from pydantic import Field
 from vitac.evaluator.scoring.comparison import SensingGain, sensing_gain
 from vitac.evaluator.scoring.score import Rate, rate
-from vitac.evaluator.scoring.starts import DRAWN
 from vitac.evaluator.strict_model import StrictModel
 from vitac.evaluator.tracks import find_task
+from vitac.evaluator.tracks.definition import DRAWN
 
 from ..files import load, remove_leftovers, save, write_bytes, write_text
 from ..log import Charts, Row, extend_log, read_log

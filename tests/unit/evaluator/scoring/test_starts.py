@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.scoring.score import rate, rate_by_start, score
-from vitac.evaluator.scoring.starts import DRAWN, design_effect, intraclass_correlation, permutation_p_value
+from vitac.evaluator.scoring.starts import design_effect, intraclass_correlation, permutation_p_value
 from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks.definition import DRAWN
 
 TRAINED = (7, 12, 14, 57)
 """Starts of the public peg list of which `peg_insertion_trained` solves none, one, two and all three repeats."""
