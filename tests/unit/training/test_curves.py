@@ -82,7 +82,7 @@ def test_folder_without_a_curve_is_refused(tmp_path: Path) -> None:
 def test_page_has_the_mean_of_seeds_and_says_what_is_not_finished() -> None:
     curves = [curve(0, 20, 30), curve(1, 30), curve(2, 5, method="train reference", wanted=10_000)]
     page = make_page(curves, {"lock-opening": "lock.svg"})
-    assert "| `train clone` | 2 | 1,000 | 50.0 [40.7, 59.3] | 40, 60 |" in page
+    assert "| `train clone` | 2 | 1,000 | 50.0 [0.0, 100.0] | 40, 60 |" in page
     assert "2,000" not in page
     assert "| the organizers' log | | | 90.6 [85.1, 94.2] | |" in page
     assert "seed 2, was not trained to the end: 1,000 of 10,000 env steps in 10 minutes of CPU time" in page
