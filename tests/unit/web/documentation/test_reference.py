@@ -3,7 +3,9 @@ from vitac.web.documentation.reference import environments, modules
 
 def test_a_module_is_described_with_its_public_names_only() -> None:
     text = modules(["vitac.evaluator.scoring.score"])
-    assert "#### wilson_interval\n```python\nwilson_interval(successes: float, episodes: float) -> Interval\n```" in text
+    assert (
+        "#### wilson_interval\n```python\nwilson_interval(successes: float, episodes: float) -> Interval\n```" in text
+    )
     assert "\n#### _" not in text
 
 
