@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from .terminal.output import AsJson, Processes, Ray, existing, print_json, print_table
+from .terminal.stopping import stopped_by_signals
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -36,7 +37,8 @@ def collect(
 
     rows = []
     for task in tasks or list_tasks():
-        with compiling_shown(), _Counter() as counter:
+        remedy = f"run the same command to continue from {out}"
+        with stopped_by_signals(remedy), compiling_shown(), _Counter() as counter:
             report = partial(counter.show_collected, task, successes)
             path = collect_task(task, out, successes=successes, seed=seed, processes=processes, ray=ray, report=report)
         rows += [{"task": task, **row, "file": str(path)} for row in count_outcomes(path)]
@@ -64,13 +66,16 @@ def export(
     from vitac.training.demonstrations.exporting import DatasetFormat
     from vitac.training.demonstrations.exporting import export as export_task
 
+    from .terminal.compiling import compiling_shown
+
     is_one = (collection / FILE).exists()
     files = [collection / FILE] if is_one else sorted(collection.glob(f"*/{FILE}"))
     if not files:
         raise typer.BadParameter(f"{collection} holds no demonstrations; make some with `vitac data collect`.")
     for file in files:
         folder = to if is_one else to / file.parent.name
-        with _Counter() as counter:
+        remedy = f"{folder} was not written; run the same command again"
+        with stopped_by_signals(remedy), compiling_shown(), _Counter() as counter:
             export_task(
                 file,
                 folder,

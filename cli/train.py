@@ -11,6 +11,7 @@ import typer
 from typer.core import TyperGroup
 
 from .terminal.output import AsJson, Processes, Ray, print_json, print_pairs
+from .terminal.stopping import stopped_by_signals
 
 
 class _RecipeFirst(TyperGroup):
@@ -43,7 +44,7 @@ def run(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, ray: Ray =
     from vitac.training.run import Folder, Run, best, format_rate
 
     training = Run(recipe=read_recipe(recipe), folder=Folder(path=out), processes=processes, ray=ray, tell=_tell)
-    with _going_on_later(out):
+    with _training(out):
         results = training.go()
     chosen = best(results)
     rows = {f"round {result.number}": format_rate(result.student) for result in results}
@@ -61,7 +62,7 @@ def collect(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, ray: R
     from vitac.training.run import Folder, Run
 
     training = Run(recipe=read_recipe(recipe), folder=Folder(path=out), processes=processes, ray=ray, tell=_tell)
-    with _going_on_later(out):
+    with _training(out):
         episodes = training.collect_first()
     print_pairs({"episodes": episodes})
 
@@ -90,7 +91,7 @@ def search(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json
     searching = WeightSearch(
         recipe=read_search_recipe(recipe), folder=Folder(path=out), processes=processes, tell=_tell
     )
-    with _going_on_later(out):
+    with _training(out):
         found = searching.go()
     rows = {
         f"generation {each.number}": f"{format_rate(each.solved)}, {each.mean_env_steps:.2f} env steps"
@@ -118,7 +119,7 @@ def clone(
     from vitac.training.cloning.method import ClonePlan, clone
 
     plan = ClonePlan(task=task, seed=seed, rounds=rounds, episodes=episodes)
-    with _going_on_later(out):
+    with _training(out):
         gain = clone(plan, out, sensor=sensor, processes=processes, tell=_tell)
     if as_json:
         print_json(gain.model_dump())
@@ -152,7 +153,7 @@ def reference(
     _one_thread()
     from vitac.training.reference.td3 import train_reference
 
-    with _going_on_later(out):
+    with _training(out):
         submission = train_reference(
             task, out, env_steps=env_steps, seed=seed, sensor=sensor, fidelity=fidelity, device=device, tell=_tell
         )
@@ -190,13 +191,12 @@ def _one_thread() -> None:
 
 
 @contextmanager
-def _going_on_later(folder: Path) -> Iterator[None]:
-    """Say after Ctrl-C that nothing is lost."""
-    try:
+def _training(folder: Path) -> Iterator[None]:
+    """Show what a training waits for before its first episode, and how it is continued when it is stopped."""
+    from .terminal.compiling import compiling_shown
+
+    with stopped_by_signals(f"run the same command to continue from {folder}"), compiling_shown():
         yield
-    except KeyboardInterrupt:
-        print(f"\nstopped; run the same command to continue from {folder}", file=sys.stderr)
-        raise
 
 
 def _tell(line: str) -> None:

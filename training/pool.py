@@ -5,6 +5,7 @@ again.
 """
 
 import os
+import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -16,6 +17,7 @@ from typing import Any, TypeVar
 
 from vitac.envs.errors import VitacError
 from vitac.envs.extras import require_extra
+from vitac.evaluator.parent_death import end_with_parent
 from vitac.evaluator.version import evaluator_hash, platform_class, sources_hash
 
 T = TypeVar("T")
@@ -99,7 +101,13 @@ def _map_here(work: Callable[[T], R], items: Iterable[T], processes: int) -> Ite
 
 
 def _new_pool(processes: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(processes, mp_context=get_context("fork"))
+    return ProcessPoolExecutor(processes, mp_context=get_context("fork"), initializer=_begin, initargs=(os.getpid(),))
+
+
+def _begin(parent: int) -> None:
+    """Begin a process of a pool, which ends with its parent and by the same signals."""
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    end_with_parent(parent)
 
 
 def _work(item: Any) -> Any:

@@ -15,15 +15,19 @@ class Progress:
         self._clock = clock
         self._began: tuple[int, float] | None = None
 
+    def begin(self, done: int) -> None:
+        """Begin to measure after this number of parts, which were done before."""
+        self._began = (done, self._clock())
+
     def left(self, done: int, total: int) -> str:
         """Return how long is left as the end of a sentence, such as ", about 3 min left".
 
         It is empty where nothing is left, and where no part was done since the first call.
         """
-        now = self._clock()
         if self._began is None:
-            self._began = (done, now)
-        before, began_s = self._began
+            self.begin(done)
+        assert self._began is not None  # noqa: S101 - just begun
+        (before, began_s), now = self._began, self._clock()
         if done <= before or done >= total:
             return ""
         left_s = (now - began_s) / (done - before) * (total - done)

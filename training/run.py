@@ -8,7 +8,6 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
-from fcntl import LOCK_EX, LOCK_NB, flock
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,8 @@ from vitac.evaluator.version import evaluator_parts, sources_hash
 
 from .collection import ActorKind, CollectedBatch, Networks, collect
 from .episodes import Episodes
-from .files import load, not_saved, remove_leftovers, save, write_text
+from .files import load, remove_leftovers, save, write_text
+from .folder_lock import hold_folder
 from .learners import Learners
 from .log import Charts, Row, extend_log, read_log
 from .progress import Progress
@@ -37,7 +37,7 @@ Tell = Callable[[str], None]
 
 
 class OtherRun(VitacError):
-    """The folder holds a run of another recipe or version, or another process trains there; give another folder."""
+    """The folder holds a run of another recipe or version; give another folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +108,8 @@ class Run:
 
         Raises:
             StreamRefused: an official list has the seed of one of its streams.
-            OtherRun: the folder is that of another run, or another process trains there.
+            OtherRun: the folder is that of another run.
+            FolderInUse: another process writes there.
             NotSaved: the disk is full.
             FileDamaged: networks or log are not what was written.
             TrainingDiverged: a loss is no number any more; all rounds before are kept.
@@ -139,7 +140,8 @@ class Run:
 
         Raises:
             StreamRefused: an official list has the seed of one of its streams.
-            OtherRun: the folder is that of another run, or another process trains there.
+            OtherRun: the folder is that of another run.
+            FolderInUse: another process writes there.
             NotSaved: the disk is full.
         """
         with self._claimed():
@@ -225,35 +227,13 @@ def claimed(folder: Path, recipe: Mapping[str, Any], tell: Tell) -> Iterator[Non
 
     Raises:
         StreamRefused: an official list has the seed of one of its streams.
-        OtherRun: another process trains there, or it is that of another recipe or version, or does not say which.
+        FolderInUse: another process writes there.
+        OtherRun: it is that of another recipe or version, or does not say which.
         NotSaved: the disk is full.
     """
     refuse_official_streams(recipe["seed"])
-    with _alone(folder, tell):
+    with hold_folder(folder, tell):
         _claim(folder, recipe)
-        yield
-
-
-@contextmanager
-def _alone(folder: Path, tell: Tell) -> Iterator[None]:
-    """Keep other processes from training in the same folder, whose files they would mix up.
-
-    The file that is locked is never replaced or removed, for another one of its name could be locked as well. Processes
-    that play episodes for a run that was killed hold it, too, until they end.
-    """
-    path = folder / ".lock"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        file = path.open("ab")
-    except OSError as error:
-        raise not_saved(path, error) from error
-    with file:
-        try:
-            flock(file, LOCK_EX | LOCK_NB)
-        except BlockingIOError as error:
-            raise OtherRun(f"Another process trains in {folder}; wait for it, or give another folder.") from error
-        except OSError as error:
-            tell(f"{folder} takes no lock ({error.strerror}); make sure that no other process trains there")
         yield
 
 

@@ -19,6 +19,10 @@ _POLL_S = 0.2
 # Between two kernels nothing is compiled for a moment, so the end is shown after this number of polls without one.
 _QUIET_POLLS = 5
 _WHAT = "compiling the physics"
+ONCE = (
+    f"for Python {sys.version_info.major}.{sys.version_info.minor}, once for each version: "
+    "half a minute, with busy cores two or three"
+)
 
 
 class Display(Protocol):
@@ -81,7 +85,7 @@ class _Lines:
     def show(self, _: CompileProgress) -> None:
         if not self._is_shown:
             self._is_shown = True
-            print(f"vitac: {_WHAT}, once for each version (about half a minute)", file=sys.stderr, flush=True)
+            print(f"vitac: {_WHAT} {ONCE}", file=sys.stderr, flush=True)
 
     def end(self) -> None:
         self._is_shown = False
@@ -100,7 +104,7 @@ class _Bar:
         if self._bar is None:
             self._bar = _own_bar()
         if self._line is None:
-            self._line = self._bar.add_task(f"{_WHAT} (once for each version)", total=None)
+            self._line = self._bar.add_task(f"{_WHAT} {ONCE}", total=None)
         if self._is_own:
             self._bar.start()
         self._bar.update(self._line, completed=progress.compiled, total=progress.kernels)

@@ -296,5 +296,6 @@ def _lower(kernel: Any, args: tuple[Any, ...], library: Any, **flags: bool) -> A
 def _announce() -> None:
     """Say once in a process why nothing happens for a while."""
     logging.getLogger(STARTED_LOG).warning(
-        "Compiling the physics into %s, once for each version and kind of CPU: up to half a minute.", cache_directory()
+        "Compiling the physics into %s, once for each version, Python and kind of CPU: half a minute or more.",
+        cache_directory(),
     )

@@ -116,6 +116,8 @@ class Cloning:
         design: of both sensors, where the task has one.
         processes: how many play episodes.
         tell: called with each line of progress.
+        before: rounds of another policy that were learned before.
+        progress: of both policies.
     """
 
     plan: ClonePlan
@@ -124,6 +126,8 @@ class Cloning:
     design: Any = None
     processes: int = 1
     tell: Tell = field(default=lambda _: None)
+    before: int = 0
+    progress: Progress = field(default_factory=Progress)
 
     def __post_init__(self) -> None:
         self._stage = ClonedTask(find_task(self.plan.task)[1], self.keys, self.design)
@@ -141,18 +145,19 @@ class Cloning:
         played: list[ClonedEpisodes] = []
         weights: Mapping[str, FloatArray] | None = None
         remove_leftovers(self.folder.episodes)
-        progress = Progress()
-        progress.left(0, self.plan.rounds)
+        self.progress.begin(self.before)
         with Charts(self.folder.path, self.tell) as charts:
             for number in range(1, self.plan.rounds + 1):
                 first = number * _ROUND_NUMBERS
                 played.append(self._played(f"round-{number:03d}", Use.COLLECT, first, self.plan.episodes, weights))
                 weights = self._learned(number, join(played))
                 found.append(judged.get(number) or self._judged(number, weights, played))
-                if number not in judged:
+                if number in judged:
+                    self.progress.begin(self.before + number)
+                else:
                     charts.add_row(number, _row(found[-1]))
                 extend_log(self.folder.log, [_row(each) for each in found])
-                left = progress.left(number, self.plan.rounds)
+                left = self.progress.left(self.before + number, 2 * self.plan.rounds)
                 self.tell(f"round {number} of {self.plan.rounds}: {format_rate(found[-1].solved)}{left}")
         return found
 
@@ -246,7 +251,8 @@ def clone(
         NoExpert: the task has none.
         SensorMismatch: the task needs a sensor, or plays with the challenge's.
         SensorRejected: the sensor breaks a rule.
-        OtherRun: the folder is that of another plan or version, or another process trains there.
+        FolderInUse: another process writes there.
+        OtherRun: the folder is that of another plan or version.
         NotSaved: the disk is full.
     """
     track, task = find_task(plan.task)
@@ -254,9 +260,10 @@ def clone(
     plan = plan.model_copy(update={"sensor": made.digest if made else None})
     known = [entry.name for entry in task.observables if prod(entry.shape) <= FEW_NUMBERS]
     sensed = [entry.name for entry in task.observables if entry.name in (MARKERS, PICTURE)]
-    ended = []
+    ended, progress = [], Progress()
+    policies = ((folder, [*sensed, *known], 0), (folder / "blind", known, plan.rounds))
     with claimed(folder, plan.model_dump(mode="json"), tell):
-        for path, keys in ((folder, [*sensed, *known]), (folder / "blind", known)):
+        for path, keys, before in policies:
             cloning = Cloning(
                 plan=plan,
                 folder=Folder(path=path),
@@ -264,6 +271,8 @@ def clone(
                 design=made.design() if made else None,
                 processes=processes,
                 tell=partial(_tell_whose, tell, path.name),
+                before=before,
+                progress=progress,
             )
             chosen = best(cloning.go())
             cloning.export(chosen.number, sensor)

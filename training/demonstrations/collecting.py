@@ -4,7 +4,6 @@ A demonstration is what is needed to play it again, and what was found: seed, ac
 not stored, because it follows from these (`frames`).
 """
 
-import fcntl
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -23,6 +22,7 @@ from vitac.evaluator.strict_model import StrictModel, Word
 from vitac.evaluator.tracks import Task, find_task, list_tracks, load_track
 
 from ..files import not_saved
+from ..folder_lock import hold_folder
 from ..pool import map_in_order
 from ..streams import Use, stream
 from .expert import PLANS, Expert, ExpertPlan, add_noise
@@ -191,14 +191,15 @@ def collect(
 
     Raises:
         NoExpert: the task has none.
-        CollectionRejected: the file is of another seed or version, or is being written by another process.
+        CollectionRejected: the file is of another seed or version.
+        FolderInUse: another process writes there.
         NotSaved: it cannot be written.
     """
     track, found = find_task(task)
     expert = Expert(found)
     source = Source(manifest=make_manifest(track, found, expert.env), stream=stream(seed, Use.COLLECT))
     path = folder / task / FILE
-    with _continued(path, source) as file:
+    with hold_folder(path.parent), _continued(path, source) as file:
         stored = list(read_demonstrations(path))
         n_episodes, n_successes = len(stored), sum(each.is_success for each in stored)
         if stored and stored[-1].episode != n_episodes:
@@ -221,9 +222,7 @@ def collect(
 def _continued(path: Path, source: Source) -> Iterator[BinaryIO]:
     """Open a file to write after its last whole line."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a+b") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             _drop_partial_line(file)
             file.seek(0)
             first = file.readline()
@@ -236,8 +235,6 @@ def _continued(path: Path, source: Source) -> Iterator[BinaryIO]:
                     "folder."
                 )
             yield file
-    except BlockingIOError as error:
-        raise CollectionRejected(f"{path} is being written by another process; wait for it or stop it.") from error
     except OSError as error:
         raise not_saved(path, error) from error
 

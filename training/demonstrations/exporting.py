@@ -127,7 +127,10 @@ def write_minari(folder: Path, source: Source, env: Any, frames: Iterator[Frames
 
     task = source.manifest.task
     storage = MinariStorage.new(
-        folder / "data", observation_space=env.observation_space, action_space=env.action_space, env_spec=env.spec
+        (folder / "data").absolute(),
+        observation_space=env.observation_space,
+        action_space=env.action_space,
+        env_spec=env.spec,
     )
     storage.update_metadata(
         {

@@ -10,7 +10,6 @@ import shutil
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,6 +23,7 @@ from vitac.evaluator.tracks import find_task
 
 from ..files import load, save, write_bytes, write_text
 from ..log import Charts, Row, extend_log, read_log
+from ..pool import map_in_order
 from ..progress import Progress
 from ..run import Folder, Tell, claimed, format_rate
 from ..streams import Use, stream
@@ -156,7 +156,8 @@ class WeightSearch:
         Raises:
             NothingSolved: no candidate of a generation solved an episode.
             NotSaved: the disk is full.
-            OtherRun: the folder is that of another recipe or version, or another process trains there.
+            FolderInUse: another process writes there.
+            OtherRun: the folder is that of another recipe or version.
             FileDamaged: what a generation found, or the log, is not what was written.
         """
         with claimed(self.folder.path, self.recipe.model_dump(mode="json"), self.tell):
@@ -226,11 +227,8 @@ class WeightSearch:
 
     def _played(self, works: Sequence[tuple[FloatArray, tuple[int, int]]]) -> list[Ending]:
         playing = partial(_play, self.make)
-        if self.processes == 1:
-            return list(map(playing, works))
         _environment(self.make)  # Loaded here, so that it is in every process that is forked.
-        with get_context("fork").Pool(self.processes) as pool:
-            return pool.map(playing, works)
+        return list(map_in_order(playing, works, self.processes))
 
 
 def best(found: Iterable[Generation]) -> Generation:

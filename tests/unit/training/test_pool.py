@@ -2,12 +2,17 @@
 
 import os
 import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from functools import partial
 from itertools import count, islice
 from pathlib import Path
 
 import pytest
 from vitac.envs.extras import ExtraMissing
+from vitac.training.folder_lock import FolderInUse, hold_folder
 from vitac.training.pool import ProcessesLost, map_in_order
 
 
@@ -52,3 +57,55 @@ def test_without_ray_the_command_that_installs_it_is_named(monkeypatch: pytest.M
     monkeypatch.setattr("vitac.envs.extras.find_spec", lambda name: None if name == "ray" else object())
     with pytest.raises(ExtraMissing, match=r"ray is not installed. --ray needs the extra .ray."):
         next(map_in_order(square, range(2), ray="auto"))
+
+
+WRITER = """
+import os, sys, time
+from pathlib import Path
+from vitac.cli.terminal.stopping import stopped_by_signals
+from vitac.training.folder_lock import hold_folder
+from vitac.training.pool import map_in_order
+
+folder = Path(sys.argv[1])
+
+def work(number):
+    (folder / f"child-{os.getpid()}").touch()
+    time.sleep(600)
+
+with hold_folder(folder), stopped_by_signals("run it again"):
+    list(map_in_order(work, range(8), 3))
+"""
+
+
+def until(holds: Callable[[], bool]) -> bool:
+    """Wait until something holds, at most half a minute."""
+    deadline = time.monotonic() + 30.0
+    while not holds() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return holds()
+
+
+def is_alive(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize(("by", "code"), [(signal.SIGKILL, -9), (signal.SIGTERM, 128 + 15)])
+def test_processes_end_with_the_one_that_started_them_and_give_its_folder_back(
+    tmp_path: Path, by: signal.Signals, code: int
+) -> None:
+    said = tmp_path / "said"
+    with said.open("w") as stderr:
+        main = subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path)], stderr=stderr)
+    assert until(lambda: len(list(tmp_path.glob("child-*"))) == 3)
+    children = [int(path.name.removeprefix("child-")) for path in tmp_path.glob("child-*")]
+    with pytest.raises(FolderInUse, match=rf"\(process {main.pid} on "), hold_folder(tmp_path):
+        pass
+    main.send_signal(by)
+    assert main.wait(30) == code
+    assert until(lambda: not any(map(is_alive, children)))
+    with hold_folder(tmp_path):
+        assert f"process {os.getpid()} " in (tmp_path / ".lock").read_text()
+    assert ("stopped; run it again" in said.read_text()) == (by is signal.SIGTERM)

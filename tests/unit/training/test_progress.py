@@ -45,6 +45,15 @@ def test_parts_that_were_done_before_took_no_time(clock: Clock) -> None:
     assert left_after(clock, 120.0, 8, 10, before=6) == ", about 2 min left"
 
 
+def test_parts_that_are_found_done_on_the_way_do_not_count(clock: Clock) -> None:
+    progress = Progress(clock)
+    progress.begin(0)
+    clock.now_s += 1.0
+    progress.begin(2)
+    clock.now_s += 300.0
+    assert progress.left(3, 12) == ", about 45 min left"
+
+
 @pytest.mark.parametrize("done", [10, 11])
 def test_nothing_is_said_once_all_is_done(clock: Clock, done: int) -> None:
     assert left_after(clock, 50.0, done, 10) == ""

@@ -15,6 +15,7 @@ from vitac.envs.tasks.settings import Fidelity
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.version import evaluator_parts
 from vitac.training.files import FileDamaged
+from vitac.training.folder_lock import FolderInUse
 from vitac.training.learning.critic import CriticPlan
 from vitac.training.learning.network import Learner, TrainingDiverged
 from vitac.training.learning.student import AssessorPlan, StudentPlan
@@ -184,7 +185,7 @@ def test_second_run_in_the_same_folder_is_refused_and_changes_nothing(tmp_path: 
             before = files(tmp_path)
             for use in (run(tmp_path, short).go, run(tmp_path, short).collect_first):
                 with pytest.raises(
-                    OtherRun, match=r"Another process trains in .*; wait for it, or give another folder"
+                    FolderInUse, match=rf"\(process {os.getpid()} on .*\); wait for it, end it, or give"
                 ):
                     use()
             assert files(tmp_path) == before

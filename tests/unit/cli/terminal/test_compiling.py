@@ -8,12 +8,12 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress, TaskID
 from vitac.cli.terminal import compiling
-from vitac.cli.terminal.compiling import compiling_shown
+from vitac.cli.terminal.compiling import ONCE, compiling_shown
 from vitac.envs import kernel_cache
 from vitac.envs.kernel_cache import CompileProgress, CompilingTurn
 from worker_fakes import eventually
 
-STARTED = "vitac: compiling the physics, once for each version (about half a minute)\n"
+STARTED = f"vitac: compiling the physics {ONCE}\n"
 DONE = "vitac: compiled the physics\n"
 LIMIT_S = 120.0
 
@@ -119,9 +119,9 @@ def test_the_bar_of_a_command_gets_a_line_more(kernels: Path, monkeypatch: pytes
         turn = CompilingTurn()
         kernels.mkdir(exist_ok=True)
         with turn.taken(kernels, progress(0)):
-            bar.wait_for_lines(mine, ("compiling the physics (once for each version)", 0, 166))
+            bar.wait_for_lines(mine, (f"compiling the physics {ONCE}", 0, 166))
             turn.tell(progress(30))
-            bar.wait_for_lines(mine, ("compiling the physics (once for each version)", 30, 166))
+            bar.wait_for_lines(mine, (f"compiling the physics {ONCE}", 30, 166))
     bar.wait_for_lines(mine)
 
 
@@ -135,7 +135,7 @@ def test_a_terminal_gets_a_bar_while_it_lasts(kernels: Path, monkeypatch: pytest
         kernels.mkdir(exist_ok=True)
         for compiled in (1, 2):
             with CompilingTurn().taken(kernels, progress(compiled)):
-                bar.wait_for_lines(("compiling the physics (once for each version)", compiled, 166))
+                bar.wait_for_lines((f"compiling the physics {ONCE}", compiled, 166))
                 assert bar.live.is_started
     bar.wait_for_lines()
     assert not bar.live.is_started

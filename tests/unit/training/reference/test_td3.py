@@ -369,7 +369,7 @@ def test_second_process_in_the_same_folder_is_refused(whole: Path) -> None:
     log = (whole / "progress.csv").read_bytes()
     with (whole / ".lock").open("rb") as file:
         flock(file, LOCK_EX)
-        with pytest.raises(OtherRun, match=r"Another process trains in .*; wait for it, or give another folder"):
+        with pytest.raises(FolderInUse, match="wait for it, end it, or give another folder"):
             train(whole)
     assert (whole / "progress.csv").read_bytes() == log
 

@@ -122,7 +122,7 @@ def test_second_search_in_the_same_folder_is_refused_until_the_submission_is_who
     exported = method.export
 
     def try_too(*_: object) -> None:
-        with pytest.raises(OtherRun, match=r"Another process trains in .*; wait for it, or give another folder"):
+        with pytest.raises(FolderInUse, match="wait for it, end it, or give another folder"):
             search(tmp_path, SMALL).go()
 
     def export(*arguments: Any) -> None:
