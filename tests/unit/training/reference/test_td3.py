@@ -24,6 +24,7 @@ from vitac.envs.tasks.settings import Fidelity  # noqa: E402
 from vitac.evaluator.submission.manifest import load_manifest  # noqa: E402
 from vitac.evaluator.tracks import find_task  # noqa: E402
 from vitac.training.files import FileDamaged, NotSaved, load, save  # noqa: E402
+from vitac.training.folder_lock import FolderInUse  # noqa: E402
 from vitac.training.learning.network import TrainingDiverged  # noqa: E402
 from vitac.training.log import Charts  # noqa: E402
 from vitac.training.reference import td3  # noqa: E402

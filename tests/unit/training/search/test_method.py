@@ -11,6 +11,7 @@ from toy_lock import ToyLock
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.training.files import NotSaved, load
+from vitac.training.folder_lock import FolderInUse
 from vitac.training.log import FOLDER, Charts
 from vitac.training.run import Folder, OtherRun, read_results
 from vitac.training.search import method, policy
