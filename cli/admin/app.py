@@ -18,6 +18,7 @@ FURTHER: Mapping[tuple[str, str], Callable[..., Any]] = {
     ("competition", "apply"): competition.apply,
     ("results", "publish"): files.publish,
     ("receipt", "export"): files.export,
+    ("submission", "download"): files.download,
     ("token", "add"): files.add_token,
     ("track", "check"): machine.check_track,
     ("appeal", "replay"): machine.replay,

@@ -15,6 +15,7 @@ from ..client.verbs import NOTHING_CHANGED, DryRun, Yes, print_fields
 from ..terminal.output import AsJson, TokenFile, print_json, print_record
 from .door import Server, open_door
 
+STAGE_SUBMISSIONS = "GET /competitions/{competition}/tracks/{track}/stages/{stage}/submissions"
 CompetitionName = Annotated[
     str | None, typer.Option("--competition", help="Name of the competition; needed where there are several.")
 ]
@@ -46,6 +47,25 @@ def publish(
         print_json(written)
     else:
         print("\n".join(written))
+
+
+def download(
+    context: typer.Context,
+    track: Annotated[str, typer.Argument(help="Name of the track.")],
+    stage: Annotated[str, typer.Argument(help="Name of the stage.")],
+    file: Annotated[Path, typer.Argument(help="New file (zip).")],
+    competition: CompetitionName = None,
+    server: Server = None,
+    token_file: TokenFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write all submissions of a stage to a zip, by team, with an index."""
+    _refuse_existing(file)
+    with open_door(context, server, token_file) as door:
+        answer = door.send(STAGE_SUBMISSIONS, {"competition": competition, "track": track, "stage": stage})
+    file.write_bytes(answer.content)
+    found = {"file": str(file), "bytes": len(answer.content)}
+    print_record(found, as_json=as_json)
 
 
 def export(

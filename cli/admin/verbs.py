@@ -6,6 +6,7 @@ A new verb of an organizer is a route of the API and an entry here. Those that d
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -40,6 +41,13 @@ def _limit(text: str) -> int | None:
     if not (text.isascii() and text.isdigit() and len(text) < 10):
         raise typer.BadParameter(f"expected a number or unlimited, got {text!r}")
     return int(text)
+
+
+def _read_file(path: str) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise typer.BadParameter(f"{path} cannot be read: {error}; expected a CSV file in UTF-8") from None
 
 
 def _warn_of_stranger(answer: Any) -> Iterator[str]:
@@ -274,10 +282,46 @@ NOUNS: Mapping[str, Noun] = {
                 show=views.print_added_team,
             ),
             Verb(
+                "import",
+                "POST /teams/import",
+                help="Add the teams of a CSV file and print an invitation for each captain, shown only once.",
+                arguments=("csv",),
+                parse={"csv": _read_file},
+                columns=("name", "contact", "code", "expires_at"),
+            ),
+            Verb(
+                "bulk",
+                "POST /teams/changes",
+                help="Do the same with several teams, all or none; --reason is for refuse and disqualify, --title and "
+                "--text for message.",
+                arguments=("action", "teams"),
+                asks="{action} {teams}?",
+                columns=TEAM_COLUMNS,
+            ),
+            Verb(
+                "message",
+                "POST /teams/{team_id}/messages",
+                help="Send a message to one team: on its page of announcements, and as a notice.",
+                arguments=("title", "text"),
+                unknown=("id",),
+            ),
+            Verb(
+                "note",
+                "PUT /teams/{team_id}/note",
+                arguments=("note",),
+                done="note of {team}: {note}",
+            ),
+            Verb(
+                "invite",
+                "POST /teams/{team_id}/invitations",
+                help="Print an invitation; of a team for which nobody can act yet, whoever joins with it leads it.",
+                unknown=("id", "code"),
+            ),
+            Verb(
                 "list",
                 "GET /teams",
-                only=("waiting",),
-                columns=TEAM_COLUMNS,
+                only=("state", "search", "competition"),
+                columns=("name", "state", "contact", "members", "submissions", "created_at", "note", "id"),
                 none="No such team; `vitac admin team add NAME` makes one.",
             ),
             Verb("show", "GET /teams/{team_id}", help="Show one team with its members.", show=views.print_team),
@@ -396,6 +440,7 @@ NOUNS: Mapping[str, Noun] = {
     ),
     "submission": Noun(
         title="Submissions",
+        further=("download",),
         verbs=[
             Verb("list", "GET /submissions", help="List submissions, newest first.", show=views.print_submissions),
             Verb(

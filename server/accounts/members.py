@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, func, select
+from sqlalchemy import ColumnElement, exists, func, select
 from sqlalchemy.orm import Session
 
 from .. import names
@@ -48,8 +48,14 @@ class JoiningMember:
     password_hash: str | None = None
 
 
-def invite(session: Session, by: Principal, team: Team) -> tuple[Invitation, str]:
+def invite(session: Session, by: Principal, team: Team, *, leads: bool = False) -> tuple[Invitation, str]:
     """Make a code with which one person joins a team; it is shown once.
+
+    Args:
+        session: of the transaction.
+        by: the captain, or an organizer.
+        team: which one.
+        leads: whether that person leads the team, if nobody can act for it until then.
 
     Raises:
         ServiceError: not the captain, teams are locked, or the team is full.
@@ -60,7 +66,10 @@ def invite(session: Session, by: Principal, team: Team) -> tuple[Invitation, str
     _require_room(session, team)
     code = CODE_PREFIX + secrets.token_urlsafe(24)
     made = Invitation(
-        team=team, code_sha256=tokens.hash_secret(code), expires_at=datetime.now(UTC) + INVITATION_LIFETIME
+        team=team,
+        code_sha256=tokens.hash_secret(code),
+        expires_at=datetime.now(UTC) + INVITATION_LIFETIME,
+        leads=leads,
     )
     session.add(made)
     session.flush()
@@ -103,9 +112,13 @@ def join(session: Session, new: JoiningMember, lifetime: timedelta) -> tuple[Mem
     key = teams.name_key(shown)
     if session.scalar(select(Member.id).where(Member.team_id == team.id, Member.name_key == key)) is not None:
         raise ServiceError(ProblemCode.NAME_TAKEN, f"{team.name} has or had a member named {shown!r}; choose another.")
+    leads = found.leads and is_unclaimed(session, team)
+    if leads:
+        session.delete(find_captain(session, team))
+        session.flush()
     member = Member(
         team=team,
-        role=MemberRole.MEMBER,
+        role=MemberRole.CAPTAIN if leads else MemberRole.MEMBER,
         name=shown,
         name_key=key,
         email=new.email,
@@ -118,6 +131,13 @@ def join(session: Session, new: JoiningMember, lifetime: timedelta) -> tuple[Mem
     by = Principal(role=Role.TEAM, team_id=team.id, team_name=team.name, member_id=member.id, member_name=shown)
     record(session, by, "member.join", f"member:{member.id}", {"name": shown, "invitation": str(found.id)})
     return member, tokens.issue_to_member(session, by, member, lifetime)
+
+
+def is_unclaimed(session: Session, team: Team) -> bool:
+    """Return whether nobody can act for a team yet: its captain is a name without token, password and address."""
+    captain = find_captain(session, team)
+    has_token = session.scalar(select(exists().where(ApiToken.team_id == team.id)))
+    return captain.password_hash is None and captain.email is None and not has_token
 
 
 def remove(session: Session, by: Principal, member: Member) -> None:

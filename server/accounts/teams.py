@@ -203,11 +203,6 @@ def find_last_naming(session: Session) -> datetime | None:
     return session.scalar(select(func.max(Team.named_at)))
 
 
-def list_teams(session: Session) -> list[Team]:
-    """Return all teams by name."""
-    return list(session.scalars(select(Team).order_by(Team.name_key)))
-
-
 def disqualify(session: Session, by: Principal, team: Team, reason: str) -> None:
     """Take a team off all boards and refuse its submissions from now on; its results stay.
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from uuid import uuid4
 
 from fastapi import APIRouter, Query, Response
-from fastapi.responses import FileResponse
+from fastapi.responses import FileResponse, StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.orm import Session
 from starlette.background import BackgroundTask
@@ -25,6 +25,7 @@ from ..decisions import advancement, finishing
 from ..decisions.exporting import export_receipts
 from ..decisions.publishing import archive_view, result_files
 from ..errors import ProblemCode, ServiceError
+from ..submissions import stage_files
 from ..views.competition import AdvancementView, ArchiveView, CompetitionListView, CompetitionView
 from .access import ChangingServicesOf, CompetitionOrganizerOf, OrganizerOf, ServicesOf
 from .problems import RESPONSES
@@ -291,6 +292,25 @@ def list_sealed_lists(
             )
             for each in sealing.sealed_lists(session, Competition.find(session, competition))
         ]
+
+
+@router.get(
+    "/competitions/{competition}/tracks/{track}/stages/{stage}/submissions",
+    response_class=StreamingResponse,
+    responses={200: {"content": {"application/zip": {}}, "description": "An index and each upload as it was sent."}},
+)
+def get_stage_submissions(
+    services: ServicesOf, principal: CompetitionOrganizerOf, competition: str, track: str, stage: str
+) -> StreamingResponse:
+    """Return all submissions of a stage in a zip, by team."""
+    with services.database.reading() as session:
+        found = Competition.find(session, competition, track=track).stage(track, stage)
+        files = stage_files.list_files(session, principal, found)
+    return StreamingResponse(
+        stage_files.stream_zip(services.blobs, files),
+        media_type="application/zip",
+        headers={"Content-Disposition": f'attachment; filename="{competition}-{track}-{stage}.zip"'},
+    )
 
 
 @router.post("/competitions/{competition}/tracks/{track}/stages/{stage}/reveal")

@@ -10,17 +10,20 @@ from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.orm import Session
 
 from ..accounts import members, merging, passwords, quotas, teams, tokens, webhooks
+from ..accounts.messages import TITLE_LENGTH, make_announcement_view, publish_announcement
 from ..accounts.passwords import MAX_LENGTH, MIN_LENGTH
 from ..accounts.shown_names import ShownNames
+from ..accounts.team_lists import change_note
 from ..competitions.competition import Competition
 from ..competitions.view import disqualified_since_the_end
 from ..database.models import Team
 from ..database.states import NoticeKind, Quota
 from ..errors import not_found
+from ..names import TEXT_LENGTH
 from ..operations import team_data
 from ..principals import CONSOLE, Principal
 from ..services import Services
-from ..views.correspondence import NewWebhookView, WebhookListView
+from ..views.correspondence import AnnouncementView, NewWebhookView, WebhookListView
 from ..views.team_data import TeamDataView
 from ..views.teams import (
     DisqualifiedView,
@@ -99,6 +102,22 @@ class TeamChanges(BaseModel):
     )
 
 
+class Note(BaseModel):
+    """What organizers write about a team for each other."""
+
+    model_config = ConfigDict(extra="forbid")
+    note: str = Field(max_length=TEXT_LENGTH, description="Plain text; empty: no note.")
+
+
+class NewMessage(BaseModel):
+    """What organizers say to one team."""
+
+    model_config = ConfigDict(extra="forbid")
+    title: str = Field(min_length=2, max_length=TITLE_LENGTH)
+    text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Plain text.")
+    competition: str | None = Field(default=None, description="Which competition it is about; null: the whole service.")
+
+
 class TeamDisqualification(BaseModel):
     """Why a team no longer takes part."""
 
@@ -174,6 +193,25 @@ def change_team(
         return members.own_team_view(session, principal, team)
 
 
+@router.put("/{team_id}/note", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
+def put_note(services: ChangingServicesOf, principal: OrganizerOf, team_id: UUID, new: Note) -> None:
+    """Keep a note about a team for organizers, in place of the one before."""
+    with services.database.transaction() as session:
+        change_note(session, principal, _team(session, principal, team_id), new.note)
+
+
+@router.post("/{team_id}/messages", status_code=HTTPStatus.CREATED)
+def post_message(
+    services: ChangingServicesOf, principal: OrganizerOf, team_id: UUID, new: NewMessage
+) -> AnnouncementView:
+    """Send a message to one team: its members read it on the page of announcements, and get it as a notice."""
+    with services.database.transaction() as session:
+        team = _team(session, principal, team_id)
+        return make_announcement_view(
+            publish_announcement(session, principal, **new.model_dump(), notify=True, team=team)
+        )
+
+
 @router.put("/{team_id}/disqualification")
 def disqualify_team(
     services: ChangingServicesOf, principal: OrganizerOf, team_id: UUID, wanted: TeamDisqualification
@@ -240,7 +278,9 @@ def merge_team(services: ChangingServicesOf, principal: OrganizerOf, team_id: UU
 def invite_member(services: ChangingServicesOf, principal: CaptainOf, team_id: UUID) -> NewInvitationView:
     """Make a code with which one person joins the team; it is shown this once."""
     with services.database.transaction() as session:
-        return members.new_invitation_view(*members.invite(session, principal, _team(session, principal, team_id)))
+        team = _team(session, principal, team_id)
+        leads = principal.organizes_service and members.is_unclaimed(session, team)
+        return members.new_invitation_view(*members.invite(session, principal, team, leads=leads))
 
 
 @router.delete("/{team_id}/invitations/{invitation_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)

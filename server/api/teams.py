@@ -9,15 +9,26 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.orm import Session
 
-from ..accounts import registration, teams, tokens
+from ..accounts import messages, registration, team_lists, teams, tokens
 from ..accounts.quotas import charge, stage_uses, uses
 from ..accounts.shown_names import ShownNames
 from ..database.models import ApiToken, Team
 from ..database.states import Quota, Role
 from ..errors import ProblemCode, ServiceError
+from ..names import TEXT_LENGTH
 from ..principals import CONSOLE, Principal
 from ..services import Services
-from ..views.teams import MeView, NewTokenView, OrganizerTeamView, QuotaView, RegisteredTeamView, TokenListView
+from ..views.teams import (
+    ImportedTeamView,
+    ListedTeamView,
+    MeView,
+    NewTokenView,
+    OrganizerTeamView,
+    QuotaView,
+    RegisteredTeamView,
+    TeamState,
+    TokenListView,
+)
 from .access import (
     CaptainOf,
     ChangingServicesOf,
@@ -62,6 +73,29 @@ class NewToken(BaseModel):
     )
 
 
+class TeamsFile(BaseModel):
+    """A file with teams."""
+
+    model_config = ConfigDict(extra="forbid")
+    csv: str = Field(
+        max_length=1_000_000,
+        description="CSV with a line of names of columns: name and, if wanted, contact; others become the note.",
+    )
+
+
+class ChangeOfTeams(BaseModel):
+    """What is done with several teams at once."""
+
+    model_config = ConfigDict(extra="forbid")
+    action: team_lists.BulkAction
+    reason: str | None = Field(
+        default=None, max_length=teams.REASON_LENGTH, pattern=ONE_LINE, description="Of a refusal or disqualification."
+    )
+    title: str | None = Field(default=None, max_length=messages.TITLE_LENGTH, description="Of a message.")
+    text: str | None = Field(default=None, max_length=TEXT_LENGTH, description="Of a message: plain text.")
+    teams: list[str] = Field(min_length=1, max_length=1000, description="Names or ids.")
+
+
 @router.post("/teams", status_code=HTTPStatus.CREATED)
 def post_team(
     request: Request, services: ChangingServicesOf, principal: OptionalPrincipalOf, new: NewTeam
@@ -83,16 +117,46 @@ def post_team(
 @router.get("/teams")
 def list_teams(
     services: ServicesOf,
-    principal: OrganizerOf,  # noqa: ARG001 - says who may
+    principal: OrganizerOf,
     *,
-    waiting: Annotated[bool, Query(description="Only teams that wait to be accepted.")] = False,
+    state: Annotated[TeamState | None, Query(description="Only teams in this state.")] = None,
+    search: Annotated[str, Query(max_length=64, description="Only teams with this in name, contact or note.")] = "",
+    competition: Annotated[str | None, Query(description="Only teams with a submission to this competition.")] = None,
     name: Annotated[str | None, Query(description="Only the team of this name or id.")] = None,
-) -> list[OrganizerTeamView]:
-    """List all teams."""
+) -> list[ListedTeamView]:
+    """List all teams, or some of them."""
+    wanted = team_lists.TeamSearch(text=search, state=state, competition=competition)
     with services.database.transaction() as session:
-        listed = teams.waiting(session) if waiting else teams.list_teams(session)
-        found = listed if name is None else [teams.find(session, name)]
-        return [teams.organizer_team_view(session, team) for team in found]
+        only = teams.find(session, name).id if name is not None else None
+        listed = team_lists.list_teams(session, principal, wanted)
+        return [team for team in listed if only in {None, team.id}]
+
+
+@router.post("/teams/import", status_code=HTTPStatus.CREATED)
+def import_teams(services: ChangingServicesOf, principal: OrganizerOf, new: TeamsFile) -> list[ImportedTeamView]:
+    """Add the teams of a CSV file, accepted and each with an invitation for its captain; all of them or none."""
+    with services.database.transaction() as session:
+        made = team_lists.import_teams(session, principal, new.csv)
+        is_trial = services.database.is_trial
+        return [one.model_copy(update={"code": None}) for one in made] if is_trial else made
+
+
+@router.post("/teams/changes")
+def change_teams(
+    services: ChangingServicesOf, principal: OrganizerOf, change: ChangeOfTeams
+) -> list[OrganizerTeamView]:
+    """Do the same with several teams, all or none: accept, refuse, disqualify, reinstate, or send a message."""
+    with services.database.transaction() as session:
+        changed = team_lists.change_teams(
+            session,
+            principal,
+            change.teams,
+            change.action,
+            reason=change.reason or "",
+            title=change.title or "",
+            text=change.text or "",
+        )
+        return [teams.organizer_team_view(session, team) for team in changed]
 
 
 @router.post("/tokens", status_code=HTTPStatus.CREATED)

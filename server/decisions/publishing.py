@@ -15,6 +15,7 @@ from ..competitions.competition import Competition
 from ..competitions.definition import CompetitionDefinition
 from ..competitions.view import competition_view, disqualified_since_the_end
 from ..errors import ProblemCode, ServiceError
+from ..names import spreadsheet_text
 from ..transparency.log import ensure_key
 from ..views.competition import ArchiveView
 from ..views.leaderboards import LeaderboardView
@@ -32,7 +33,6 @@ _COLUMNS = (
     "high",
 )
 _MORE = ("mean_steps", "submission", "submitted_at", "list_kind", "result_hash", "evaluator_version")
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """A spreadsheet runs a cell that begins with one of these as a formula, and a team's name may begin so."""
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{{ title }}</title>
@@ -149,15 +149,19 @@ def _csv(boards: Sequence[LeaderboardView]) -> str:
     for board in boards:
         for entry in board.entries:
             first, last = entry.rank_range or (None, None)
-            cells = [board.track, board.stage, entry.rank, first, last, _plain(entry.team), entry.success_rate]
+            cells = [
+                board.track,
+                board.stage,
+                entry.rank,
+                first,
+                last,
+                spreadsheet_text(entry.team),
+                entry.success_rate,
+            ]
             cells += [*entry.success_rate_interval, entry.mean_steps, str(entry.submission_id)]
             cells += [entry.submitted_at.isoformat(), entry.list_kind, entry.result_hash, entry.evaluator_version]
             rows.writerow(cells)
     return stream.getvalue()
-
-
-def _plain(text: str) -> str:
-    return f"'{text}" if text.startswith(_FORMULA) else text
 
 
 def _page(

@@ -47,6 +47,7 @@ class StageState:
 
     Attributes:
         competition: name of the competition; None where there is a single one.
+        address: name of the competition in addresses.
         competition_title: of the competition.
         qualified: number of teams that were confirmed; None: it is for all.
         submissions: made to it.
@@ -55,6 +56,7 @@ class StageState:
     """
 
     competition: str | None
+    address: str
     competition_title: str
     track: str
     track_title: str
@@ -116,6 +118,7 @@ def stages(session: Session, by: Principal, at: datetime | None = None) -> Seque
     return [
         StageState(
             competition=competition.name if len(competitions) > 1 else None,
+            address=competition.name,
             competition_title=competition.definition.title,
             track=stage.track,
             track_title=stage.track_rules.title,

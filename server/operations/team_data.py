@@ -101,7 +101,7 @@ def erase(session: Session, by: Principal, team: Team) -> None:
         )
     now = datetime.now(UTC)
     team.name = f"Deleted team {secrets.token_hex(16)}"  # nobody can have taken this name before
-    team.name_key, team.contact = teams.name_key(team.name), None
+    team.name_key, team.contact, team.note = teams.name_key(team.name), None, ""
     team.named_at = team.erased_at = now
     _erase_output(session, team)
     session.execute(update(Submission).where(Submission.team_id == team.id).values(description=None))

@@ -99,7 +99,7 @@ class BlobStore:
             ServiceError: the store cannot be read.
         """
         with _working(), destination.open("xb") as file:
-            for chunk in self._chunks(sha256):
+            for chunk in self.chunks(sha256):
                 file.write(chunk)
 
     def read(self, sha256: str) -> bytes:
@@ -109,9 +109,9 @@ class BlobStore:
             StoredFileLost: it is not there or was altered.
             ServiceError: the store cannot be read.
         """
-        return b"".join(self._chunks(sha256))
+        return b"".join(self.chunks(sha256))
 
-    def _chunks(self, sha256: str) -> Iterator[bytes]:
+    def chunks(self, sha256: str) -> Iterator[bytes]:
         """Yield a stored file in pieces; only after the last one is its digest known to be right."""
         digest = hashlib.sha256()
         with _working():

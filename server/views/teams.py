@@ -1,6 +1,7 @@
 """Teams and tokens as they are shown."""
 
 from datetime import datetime
+from enum import StrEnum
 from typing import Any
 from uuid import UUID
 
@@ -26,6 +27,37 @@ class OrganizerTeamView(TeamView):
     disqualified_for: str | None = Field(description="Why the team no longer takes part; null: it does.")
     approved_at: datetime | None = Field(description="When it was accepted; null: it waits, or was refused.")
     refused_for: str | None = Field(description="Why it was not accepted; null: it was, or it waits.")
+
+
+class TeamState(StrEnum):
+    """Whether a team takes part."""
+
+    WAITING = "waiting"
+    """Until an organizer accepts it."""
+    ACCEPTED = "accepted"
+    REFUSED = "refused"
+    DISQUALIFIED = "disqualified"
+    REMOVED = "removed"
+    """Its name and members are gone; its scores stay."""
+
+
+class ListedTeamView(OrganizerTeamView):
+    """A team in a list of organizers."""
+
+    state: TeamState
+    note: str = Field(description="What organizers write about it for each other.")
+    members: int = Field(description="Present ones.")
+    submissions: int
+
+
+class ImportedTeamView(View):
+    """A team of a file, with the invitation of its captain."""
+
+    id: UUID
+    name: str
+    contact: str | None
+    code: str | None = Field(description="Whoever joins with it leads the team; shown this once, null in a dry run.")
+    expires_at: datetime
 
 
 class DisqualifiedView(OrganizerTeamView):

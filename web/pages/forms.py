@@ -13,7 +13,7 @@ from starlette.responses import RedirectResponse, Response
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import Audience, Principal
 
-from ..site import get_site, signed_in_form
+from ..site import get_site, require_viewer, signed_in_form
 
 FormT = TypeVar("FormT", bound=BaseModel)
 ID = "id"
@@ -96,6 +96,29 @@ def _read_id(hint: Any, text: str) -> object:
         raise ServiceError(
             ProblemCode.INVALID_REQUEST, f"Expected an id or a number as {ID}, got {text!r:.40}. Reload the page."
         ) from error
+
+
+async def fetch(request: Request, route: Callable[..., Response]) -> Response:
+    """Answer with what a route of the API answers to somebody with a session; its ids are those of the address.
+
+    Raises:
+        ServiceError: the route is not for them, or refuses it.
+    """
+    viewer, site = await require_viewer(request), get_site(request)
+    ids = {
+        name: _read_id(hint, request.path_params[name])
+        for name, hint in _declared(route).items()
+        if name in request.path_params
+    }
+    _require_audience(_declared(route)["principal"], viewer.principal, ids.get("competition"))
+    answer = await site.run(lambda: route(services=site.services, principal=viewer.principal, **ids))
+    answer.headers["Cache-Control"] = "no-store"
+    return answer
+
+
+def list_ticked(fields: Mapping[str, str], prefix: str) -> list[str]:
+    """Return the ends of the names of ticked boxes that begin with a prefix."""
+    return [name.removeprefix(prefix) for name in fields if name.startswith(prefix)]
 
 
 async def act(

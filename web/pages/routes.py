@@ -14,7 +14,7 @@ from ..documentation.library import ADDRESS, Library
 from ..headers import SecurityHeaders
 from ..rendering import STATIC, static_digest
 from ..site import Site, name_competitions
-from . import competition, desk, errors, home, messages, service, tracks
+from . import competition, desk, desk_competitions, desk_teams, errors, home, messages, service, tracks
 from .episodes import embedded
 from .episodes import page as episodes
 from .files import boards
@@ -160,6 +160,23 @@ def pages() -> APIRouter:
         (f"{desk.REJUDGING_ADDRESS}/start", desk.start, "POST"),
         (f"{desk.REJUDGING_ADDRESS}/apply", desk.apply, "POST"),
         (f"{desk.REJUDGING_ADDRESS}/discard", desk.discard, "POST"),
+        (desk_teams.ADDRESS, desk_teams.teams, "GET"),
+        (f"{desk_teams.ADDRESS}/bulk", desk_teams.change_several, "POST"),
+        (f"{desk_teams.ADDRESS}/note", desk_teams.change_note, "POST"),
+        (f"{desk_teams.ADDRESS}/import", desk_teams.import_file, "POST"),
+        ("/desk/competitions/{competition}", desk_competitions.competition, "GET"),
+        ("/desk/competitions/{competition}/finalize", desk_competitions.change, "POST"),
+        ("/desk/competitions/{competition}/reopen", desk_competitions.change, "POST"),
+        ("/desk/competitions/{competition}/results.zip", desk_competitions.results, "GET"),
+        *(
+            (f"/desk/competitions/{{competition}}/tracks/{{track}}/stages/{{stage}}{path}", page, method)
+            for path, page, method in (
+                ("", desk_competitions.stage, "GET"),
+                ("/advance", desk_competitions.advance, "POST"),
+                ("/reveal", desk_competitions.reveal, "POST"),
+                ("/submissions.zip", desk_competitions.submissions, "GET"),
+            )
+        ),
         (desk.ADDRESS, desk.desk, "GET"),
         (f"{desk.ADDRESS}/{{action}}", desk.change, "POST"),
         ("/join", team.join_form, "GET"),

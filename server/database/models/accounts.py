@@ -32,7 +32,7 @@ class Team(Base):
     A disqualified team is on no board and submits nothing; `disqualified_for` says why. A team submits once an
     organizer has accepted it (`approved_at`); a refused one never does. `named_at` is when it was last shown under
     another name, and `pseudonym` the random name under which others see it until an anonymous competition is final. Of
-    a team that was removed (`erased_at`) only its submissions' names and scores are left.
+    a team that was removed (`erased_at`) only its submissions' names and scores are left. Only organizers read `note`.
     """
 
     __tablename__ = "teams"
@@ -52,6 +52,7 @@ class Team(Base):
     named_at: Mapped[datetime] = mapped_column(server_default=func.now())
     erased_at: Mapped[datetime | None]
     pseudonym: Mapped[str] = mapped_column(String(64), server_default=_RANDOM_NAME)
+    note: Mapped[str] = mapped_column(default="", server_default="")
 
 
 class Member(Base):
@@ -87,7 +88,10 @@ class Member(Base):
 
 
 class Invitation(Base):
-    """A code with which one person joins a team; only its SHA-256 is stored."""
+    """A code with which one person joins a team; only its SHA-256 is stored.
+
+    `leads` says that this is the captain of a team for which nobody can act yet.
+    """
 
     __tablename__ = "invitations"
     __table_args__ = (
@@ -101,6 +105,7 @@ class Invitation(Base):
     expires_at: Mapped[datetime]
     used_at: Mapped[datetime | None]
     revoked_at: Mapped[datetime | None]
+    leads: Mapped[bool] = mapped_column(default=False, server_default="false")
     team: Mapped[Team] = relationship()
 
 

@@ -8,7 +8,9 @@ from typing import Any
 from cli_service import CliService
 from httpx import Client, Cookies, Response
 from service_factories import make_secret
+from sqlalchemy import select
 from vitac.server.accounts import teams, tokens
+from vitac.server.database.models import Team
 from vitac.server.database.states import Role
 from vitac.server.principals import CONSOLE, Principal
 
@@ -58,8 +60,8 @@ def visitor(service: CliService, secret: str | None = None) -> PageVisitor:
 def team_visitor(service: CliService, team: str = "Team A") -> PageVisitor:
     """Somebody with a shared token of a team, which is made where there is none."""
     with service.database.transaction() as session:
-        known = {one.name: one for one in teams.list_teams(session)}
-        found = known.get(team) or teams.register(session, CONSOLE, name=team)
+        known = session.scalar(select(Team).where(Team.name == team))
+        found = known or teams.register(session, CONSOLE, name=team)
         by = Principal(role=Role.TEAM, team_id=found.id, team_name=found.name, leads_team=True)
         secret = make_secret(session, by)
     return visitor(service, secret)

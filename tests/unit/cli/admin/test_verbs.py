@@ -11,7 +11,7 @@ import typer
 from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, make_settings, submit_scored
 from sqlalchemy.orm import Session
-from vitac.cli.admin import competition
+from vitac.cli.admin import competition, files
 from vitac.cli.admin.app import app
 from vitac.cli.admin.verbs import NOUNS
 from vitac.cli.client import verbs
@@ -24,7 +24,12 @@ from vitac.server.principals import CONSOLE, Audience
 from competitions import make_competition, moved, open_now, put_in_place
 
 ORGANIZERS = {Audience.ORGANIZERS, Audience.COMPETITION_ORGANIZERS}
-BY_HAND = {competition.APPLY, "GET /competitions/{competition}/results", "GET /leaderboards/{track}/receipts"}
+BY_HAND = {
+    competition.APPLY,
+    files.STAGE_SUBMISSIONS,
+    "GET /competitions/{competition}/results",
+    "GET /leaderboards/{track}/receipts",
+}
 
 
 def test_operations_are_those_of_the_api(repository: Path) -> None:

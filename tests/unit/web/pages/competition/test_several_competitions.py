@@ -244,7 +244,8 @@ def test_the_desk_names_the_competition_of_each_stage(service: CliService) -> No
     desk = visitor_of_role(service, Role.ORGANIZER).get("/desk").text
     for name in (MAIN, CLASS):
         assert f'<a href="{BOARDS[name]}?stage=stage1">The &lt;{name}&gt;, Touch, Simulation</a>' in desk
-        assert f"vitac admin advance propose {TRACK} stage2 --competition {name}<" in desk
+        assert f'<a href="/desk/competitions/{name}/tracks/{TRACK}/stages/stage2">' in desk
+        assert f'<a href="/desk/competitions/{name}">Winners, end and results of The &lt;{name}&gt;</a>' in desk
 
 
 def test_the_form_of_rejudging_names_the_competition(service: CliService, class_organizer: PageVisitor) -> None:
@@ -290,5 +291,5 @@ def test_a_single_competition_looks_as_if_there_could_be_no_other(tmp_path_facto
         ):
             shown = organizer.get(page)
             assert shown.status_code == 200, page
-            assert "/competitions" not in shown.text, page
+            assert '"/competitions' not in shown.text, page
             assert 'name="competition"' not in shown.text, page

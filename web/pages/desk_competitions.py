@@ -1,0 +1,133 @@
+"""Stages and the end of a competition for its organizers: who advances, the sealed list, all submissions, winners."""
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy.orm import Session
+from starlette.requests import Request
+from starlette.responses import Response
+from vitac.server.api import competitions as routes
+from vitac.server.competitions.competition import Competition
+from vitac.server.competitions.stages import Stage
+from vitac.server.competitions.view import competition_view
+from vitac.server.decisions.advancement import propose
+from vitac.server.errors import ServiceError
+from vitac.server.principals import Principal
+from vitac.server.submissions.stage_files import list_files
+from vitac.server.views.competition import CompetitionView
+
+from ..site import get_site, page, require_viewer
+from .forms import fetch, list_ticked, submit
+
+_PROPOSED, _TAKEN, _CONCERN = "proposed-", "take-", "confirm-"
+"""What the names of fields begin with: teams that advance by the rule, ticked teams, confirmed concerns."""
+
+
+async def competition(request: Request) -> Response:
+    """Show who would win, and what ends, publishes and reopens a competition.
+
+    Raises:
+        ServiceError: the visitor does not organize it.
+    """
+    viewer, site, name = await require_viewer(request), get_site(request), request.path_params["competition"]
+    by = viewer.principal
+
+    def read(session: Session) -> CompetitionView:
+        by.require_organizer(Competition.find(session, name).name)
+        return competition_view(session, name)
+
+    found = await site.read(read)
+    end, refusal = await _try_end(request, by, found)
+    return page(request, "desk_competition.html", viewer=viewer, section="/desk", found=found, end=end, refusal=refusal)
+
+
+async def _try_end(request: Request, by: Principal, found: CompetitionView) -> tuple[routes.Winners | None, str | None]:
+    """Return how the competition would end, or has ended, and why it cannot."""
+    services = get_site(request).services
+    final = found.finalized_at is not None
+    try:
+        if final:
+            return await get_site(request).run(lambda: routes.get_winners(services, by, found.name)), None
+        trial = services.make_trial()
+        return await get_site(request).run(lambda: routes.finalize(trial, by, found.name, routes.FinalEnd())), None
+    except ServiceError as error:
+        return None, error.detail
+
+
+async def change(request: Request) -> Response:
+    """End a competition, decide the end again, or reopen it."""
+    route = routes.reopen if request.url.path.endswith("/reopen") else routes.finalize
+
+    def read(fields: Mapping[str, str]) -> Mapping[str, object]:
+        return {**fields, "confirm": list_ticked(fields, _CONCERN)}
+
+    name = request.path_params["competition"]
+    return await submit(request, route, back=f"/desk/competitions/{name}", ids={"competition": name}, read=read)
+
+
+async def results(request: Request) -> Response:
+    """Download the results as they are published: JSON, CSV, a page to print and certificates."""
+    answer = await fetch(request, routes.get_results)
+    answer.headers["Content-Disposition"] = f'attachment; filename="{request.path_params["competition"]}-results.zip"'
+    return answer
+
+
+async def stage(request: Request) -> Response:
+    """Show all submissions of a stage, who takes part in it, and its sealed list.
+
+    Raises:
+        ServiceError: the visitor does not organize its competition.
+    """
+    viewer = await require_viewer(request)
+    by = viewer.principal
+
+    def read(session: Session) -> dict[str, Any]:
+        found = _find_stage(session, by, request)
+        listed = found.sealed_list
+        return {
+            "stage": found.rules,
+            "title": found.track_rules.title,
+            "over": found.is_over(datetime.now(UTC)),
+            "files": list_files(session, by, found),
+            "proposal": propose(session, by, found) if found.rules.qualified is not None else None,
+            "sealed": listed,
+        }
+
+    shown = await get_site(request).ask(read)
+    return page(request, "desk_stage.html", viewer=viewer, section="/desk", here=request.url.path, **shown)
+
+
+def _find_stage(session: Session, by: Principal, request: Request) -> Stage:
+    place = request.path_params
+    competition = Competition.find(session, place["competition"])
+    by.require_organizer(competition.name)
+    return competition.stage(place["track"], place["stage"])
+
+
+async def advance(request: Request) -> Response:
+    """Let the ticked teams take part in a stage."""
+
+    def read(fields: Mapping[str, str]) -> Mapping[str, object]:
+        proposed, taken = list_ticked(fields, _PROPOSED), list_ticked(fields, _TAKEN)
+        return {
+            "add": [team for team in taken if team not in proposed],
+            "without": [team for team in proposed if team not in taken],
+            "revision": fields.get("revision", ""),
+        }
+
+    return await submit(request, routes.confirm_advancement, back=_back(request), ids=request.path_params, read=read)
+
+
+async def reveal(request: Request) -> Response:
+    """Publish the episodes of a stage."""
+    return await submit(request, routes.reveal_list, back=_back(request), ids=request.path_params)
+
+
+async def submissions(request: Request) -> Response:
+    """Download all submissions of a stage."""
+    return await fetch(request, routes.get_stage_submissions)
+
+
+def _back(request: Request) -> str:
+    return request.url.path.rpartition("/")[0]
