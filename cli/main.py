@@ -64,6 +64,7 @@ NOUNS = (
     Noun(name="submit", module="client.submit", summary="Upload a submission to a service."),
     Noun(name="status", module="client.status", summary="Show your submissions on a service."),
     Noun(name="publish", module="client.publish", app="publish", summary="Make a submission's result public."),
+    Noun(name="choose", module="client.publish", app="choose", summary="Choose what plays the final list of a stage."),
     Noun(
         name="describe",
         module="client.publish",

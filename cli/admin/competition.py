@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -47,7 +48,7 @@ def check(file: CompetitionFile, as_json: AsJson = False) -> None:
         ],
         none="",
     )
-    for warning in list_warnings(found):
+    for warning in list_warnings(found, at=datetime.now(UTC)):
         warn(warning)
 
 

@@ -103,6 +103,12 @@ NOUNS: Mapping[str, Noun] = {
                 none="No stage plays a sealed list.",
             ),
             Verb(
+                "play-final",
+                f"POST {STAGE}/final",
+                asks="Have the chosen submissions play the final list of {stage} of {track}, once?",
+                done="the final list is played",
+            ),
+            Verb(
                 "reveal",
                 f"POST {STAGE}/reveal",
                 asks="Publish the episodes of stage {stage} of {track}? This cannot be undone.",

@@ -1,4 +1,4 @@
-"""`vitac publish`: makes the result of a submission public, or private again."""
+"""`vitac publish`, `describe` and `choose`: what a team decides about a submission of its own."""
 
 from __future__ import annotations
 
@@ -28,6 +28,26 @@ def publish(
         print(f"public as soon as its evaluation is complete: {client.server}/submissions/{found['id']}")
     else:
         print(f"public: {client.server}/submissions/{found['id']}")
+
+
+def choose(
+    submission: Annotated[str, typer.Argument(help="Id of a submission.")],
+    off: Annotated[bool, typer.Option("--off", help="Take the choice back.")] = False,
+    server: Server = None,
+    token_file: TokenFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Choose a submission for the final list of its stage, which is played after the close and alone decides.
+
+    A stage says how many a team may choose, mostly one: of more the newest choices count. Without a choice your best
+    submissions on the live list play it.
+    """
+    content = {"chosen": not off}
+    found = make_client(server, token_file).call("PUT", f"/api/v1/submissions/{submission}/chosen", content)
+    if as_json:
+        print_json(found)
+    else:
+        print(f"{found['name']}: {'chosen for the final list' if found['chosen'] else 'not chosen'}")
 
 
 FIELDS = ("text", "code", "paper", "discussion")

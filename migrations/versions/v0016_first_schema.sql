@@ -84,6 +84,7 @@ CREATE TABLE sealed_lists (
     made_at TIMESTAMP WITH TIME ZONE DEFAULT now() NOT NULL,
     revealed_at TIMESTAMP WITH TIME ZONE,
     withdrawn_at TIMESTAMP WITH TIME ZONE,
+    played_at TIMESTAMP WITH TIME ZONE,
     CONSTRAINT pk_sealed_lists PRIMARY KEY (commitment),
     CONSTRAINT uq_sealed_lists_competition_track_stage UNIQUE (competition, track, stage),
     CONSTRAINT ck_sealed_lists_commitment_is_sha256 CHECK (commitment ~ '^[0-9a-f]{64}$'),
@@ -303,13 +304,17 @@ CREATE TABLE submissions (
     description JSONB,
     description_removed_for TEXT,
     contents JSONB,
+    chosen_at TIMESTAMP WITH TIME ZONE,
+    final_of UUID,
     CONSTRAINT pk_submissions PRIMARY KEY (id),
+    CONSTRAINT uq_submissions_final_of UNIQUE (final_of),
     CONSTRAINT ck_submissions_digest_is_sha256 CHECK (digest ~ '^[0-9a-f]{64}$'),
     CONSTRAINT ck_submissions_archive_sha256_is_sha256 CHECK (archive_sha256 ~ '^[0-9a-f]{64}$'),
     CONSTRAINT ck_submissions_archive_is_not_empty CHECK (archive_bytes > 0),
     CONSTRAINT ck_submissions_disqualified_for_a_reason CHECK ((disqualified_at IS NULL) = (disqualified_for IS NULL)),
     CONSTRAINT ck_submissions_copy_cleared_for_a_reason CHECK ((copy_cleared_at IS NULL) = (copy_cleared_for IS NULL)),
     CONSTRAINT fk_submissions_team_id FOREIGN KEY(team_id) REFERENCES teams (id) ON DELETE RESTRICT,
+    CONSTRAINT fk_submissions_final_of FOREIGN KEY(final_of) REFERENCES submissions (id) ON DELETE RESTRICT,
     CONSTRAINT ck_submissions_kind CHECK (kind IN ('model', 'log', 'text_log'))
 );
 CREATE INDEX ix_submissions_of_team ON submissions (team_id, submitted_at DESC, id DESC);

@@ -3,7 +3,7 @@
 import secrets
 from collections.abc import Collection
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from uuid import UUID
 
 from sqlalchemy import ColumnElement, exists, func, select
@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 
 from .. import names
 from ..audit import record
+from ..database.clock import read_clock
 from ..database.engine import Database
 from ..database.models import ApiToken, Invitation, Member, Team
 from ..database.states import MemberRole, NoticeKind, Role
@@ -68,7 +69,7 @@ def invite(session: Session, by: Principal, team: Team, *, leads: bool = False) 
     made = Invitation(
         team=team,
         code_sha256=tokens.hash_secret(code),
-        expires_at=datetime.now(UTC) + INVITATION_LIFETIME,
+        expires_at=read_clock(session) + INVITATION_LIFETIME,
         leads=leads,
     )
     session.add(made)
@@ -88,7 +89,7 @@ def withdraw_invitation(session: Session, by: Principal, team: Team, invitation_
     if found is None or found.team_id != team.id or found.used_at is not None:
         raise not_found("open invitation", invitation_id)
     if found.revoked_at is None:
-        found.revoked_at = datetime.now(UTC)
+        found.revoked_at = read_clock(session)
         record(session, by, "member.uninvite", f"team:{team.id}", {"invitation": str(found.id)})
 
 
@@ -101,7 +102,7 @@ def join(session: Session, new: JoiningMember, lifetime: timedelta) -> tuple[Mem
     found = session.scalar(
         select(Invitation).where(Invitation.code_sha256 == tokens.hash_secret(new.code.strip())).with_for_update()
     )
-    if found is None or found.used_at or found.revoked_at or found.expires_at <= datetime.now(UTC):
+    if found is None or found.used_at or found.revoked_at or found.expires_at <= read_clock(session):
         raise ServiceError(
             ProblemCode.INVITE_REQUIRED, "This code is unknown, used or expired; ask the team's captain for a new one."
         )
@@ -125,7 +126,7 @@ def join(session: Session, new: JoiningMember, lifetime: timedelta) -> tuple[Mem
         password_hash=new.password_hash,
     )
     session.add(member)
-    found.used_at = datetime.now(UTC)
+    found.used_at = read_clock(session)
     session.flush()
     _ask_to_confirm(session, member)
     by = Principal(role=Role.TEAM, team_id=team.id, team_name=team.name, member_id=member.id, member_name=shown)
@@ -154,7 +155,7 @@ def remove(session: Session, by: Principal, member: Member) -> None:
             ProblemCode.INVALID_REQUEST, f"{member.name} is the captain. {_explain_handing_over(session, member)}"
         )
     tokens.end_tokens(session, by, member)
-    member.left_at, member.password_hash, member.email = datetime.now(UTC), None, None
+    member.left_at, member.password_hash, member.email = read_clock(session), None, None
     member.email_confirmed_at, member.email_code_sha256 = None, None
     action = "member.leave" if by.member_id == member.id else "member.remove"
     record(session, by, action, f"member:{member.id}", {"member": False}, before={"member": True, "name": member.name})
@@ -230,8 +231,8 @@ def set_password(
     with database.reading() as session:
         member = find(session, by, team_id, member_id)
         _require_own(by, member)
-        stored, name = member.password_hash, member.name
-    is_fresh = by.organizes_service or (by.signed_in_at is not None and datetime.now(UTC) - by.signed_in_at < FRESH_FOR)
+        stored, name, now = member.password_hash, member.name, read_clock(session)
+    is_fresh = by.organizes_service or (by.signed_in_at is not None and now - by.signed_in_at < FRESH_FOR)
     if stored is not None and not is_fresh and not passwords.is_right(old or "", stored):
         raise ServiceError(
             ProblemCode.FORBIDDEN,
@@ -264,7 +265,7 @@ def set_email(session: Session, by: Principal, member: Member, email: str | None
     before = {"email": member.email is not None}
     if by.organizes_service:
         member.email, member.email_code_sha256 = email, None
-        member.email_confirmed_at = datetime.now(UTC) if email is not None else None
+        member.email_confirmed_at = read_clock(session) if email is not None else None
     elif email != member.email or member.email_confirmed_at is None:
         member.email, member.email_confirmed_at = email, None
         if not _ask_to_confirm(session, member):
@@ -288,7 +289,7 @@ def confirm_email(session: Session, by: Principal, member: Member, code: str) ->
         raise ServiceError(
             ProblemCode.INVALID_REQUEST, "This is not the code of the last e-mail; set the address again for another."
         )
-    member.email_confirmed_at, member.email_code_sha256 = datetime.now(UTC), None
+    member.email_confirmed_at, member.email_code_sha256 = read_clock(session), None
     record(session, by, "member.email_confirm", f"member:{member.id}", {"email": True}, before={"email": True})
 
 
@@ -401,7 +402,7 @@ def _usable(team: Team) -> tuple[ColumnElement[bool], ...]:
         Invitation.team_id == team.id,
         Invitation.used_at.is_(None),
         Invitation.revoked_at.is_(None),
-        Invitation.expires_at > datetime.now(UTC),
+        Invitation.expires_at > func.now(),
     )
 
 

@@ -1,6 +1,6 @@
 """Two teams become one, with all submissions, members and tokens of both. Called by the organizers' commands."""
 
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 
 from sqlalchemy import delete, exists, select, update
 from sqlalchemy.dialects.postgresql import insert
@@ -8,6 +8,7 @@ from sqlalchemy.orm import Session, aliased
 
 from ..audit import record
 from ..competitions.competition import Competition
+from ..database.clock import read_clock
 from ..database.models import (
     Announcement,
     ApiToken,
@@ -65,7 +66,7 @@ def merge(session: Session, by: Principal, team: Team, into: Team) -> None:
     session.expire_all()
     after = {"teams": [into.name], "submissions": moved}
     session.execute(delete(Team).where(Team.id == team.id))
-    into.named_at = datetime.now(UTC)
+    into.named_at = read_clock(session)
     record(session, by, "team.merge", f"team:{into.id}", after, before=before)
 
 
@@ -144,7 +145,7 @@ def forget_contacts(session: Session, settings: Settings, at: datetime | None = 
     """Remove people's addresses when all competitions ended long enough ago; return how many. `at`: None is now."""
     days, ends = settings.contacts_kept_days, [one.row.finalized_at for one in Competition.read_all(session)]
     over = [end for end in ends if end is not None]
-    if days is None or len(over) < len(ends) or (at or datetime.now(UTC)) < max(over) + timedelta(days=days):
+    if days is None or len(over) < len(ends) or (at or read_clock(session)) < max(over) + timedelta(days=days):
         return 0
     of_members = session.scalars(
         update(Member).where(Member.email.is_not(None)).values(email=None).returning(Member.id)

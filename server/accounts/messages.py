@@ -1,7 +1,7 @@
 """Announcements: what organizers say to everybody or to one team; shown on pages and sent to teams where wanted."""
 
 from collections.abc import Collection
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from uuid import UUID
 
 from sqlalchemy import func, or_, select
@@ -10,6 +10,7 @@ from sqlalchemy.orm import Session
 from .. import names
 from ..audit import record
 from ..competitions.competition import Competition
+from ..database.clock import read_clock
 from ..database.models import Announcement, Question, Submission, Team
 from ..database.states import NoticeKind
 from ..errors import ProblemCode, ServiceError, not_found
@@ -55,7 +56,7 @@ def publish_announcement(
         team=team,
         title=names.clean(title, what="A title", min_length=2, max_length=TITLE_LENGTH),
         text=clean_text(text, what="An announcement"),
-        published_at=datetime.now(UTC),
+        published_at=read_clock(session),
     )
     session.add(made)
     session.flush()
@@ -89,7 +90,7 @@ def withdraw_announcement(session: Session, by: Principal, announcement_id: int)
         raise not_found("announcement", announcement_id)
     by.require_organizer(found.competition or None)
     if found.withdrawn_at is None:
-        found.withdrawn_at = datetime.now(UTC)
+        found.withdrawn_at = read_clock(session)
         after, before = {"shown": False}, {"shown": True, "title": found.title}
         record(session, by, "announcement.withdraw", f"announcement:{found.id}", after, before=before)
 
@@ -140,7 +141,7 @@ def ask_question(session: Session, by: Principal, text: str, *, public: bool) ->
     team = teams.own(session, by)
     kept = clean_text(text, what="A question")
     teams.lock(session, team)
-    day = datetime.now(UTC) - timedelta(days=1)
+    day = read_clock(session) - timedelta(days=1)
     of_team = select(func.count()).select_from(Question).where(Question.team_id == team.id)
     unanswered = session.scalar(of_team.where(Question.answered_at.is_(None), Question.hidden_at.is_(None))) or 0
     asked = session.scalar(of_team.where(Question.asked_at > day)) or 0
@@ -150,7 +151,7 @@ def ask_question(session: Session, by: Principal, text: str, *, public: bool) ->
             f"A team may have {MAX_OPEN} questions without an answer and ask {MAX_A_DAY} in a day; {team.name} has "
             f"{unanswered} and has asked {asked}.",
         )
-    made = Question(team_id=team.id, text=kept, public=public, asked_at=datetime.now(UTC))
+    made = Question(team_id=team.id, text=kept, public=public, asked_at=read_clock(session))
     session.add(made)
     session.flush()
     record(session, by, "question.ask", f"question:{made.id}", {"public": public})
@@ -167,7 +168,7 @@ def answer_question(session: Session, by: Principal, question_id: int, text: str
     kept = clean_text(text, what="An answer")
     found = _locked(session, question_id)
     before = {"answer": found.answer, "public": found.public}
-    found.answer, found.public, found.answered_at = kept, public, datetime.now(UTC)
+    found.answer, found.public, found.answered_at = kept, public, read_clock(session)
     after = {"answer": kept, "public": public}
     record(session, by, "question.answer", f"question:{found.id}", after, before=before)
     return found
@@ -182,7 +183,7 @@ def hide_question(session: Session, by: Principal, question_id: int) -> None:
     by.require_organizer()
     found = _locked(session, question_id)
     if found.hidden_at is None:
-        found.hidden_at = datetime.now(UTC)
+        found.hidden_at = read_clock(session)
         after, before = {"hidden": True}, {"hidden": False}
         record(session, by, "question.hide", f"question:{found.id}", after, before=before)
 

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from typing import Any
 from uuid import UUID, uuid4
 
@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 from ..audit import record
 from ..competitions.competition import Competition
 from ..competitions.stages import Stage
+from ..database.clock import read_clock
 from ..database.models import Evaluation, Member, Notice, Team, Webhook
 from ..database.states import NoticeChannel, NoticeKind
 from ..errors import ProblemCode, ServiceError, not_found
@@ -93,7 +94,7 @@ def _is_to(address: str) -> ColumnElement[bool]:
 
 
 def _count_mails(session: Session, within: timedelta, *conditions: ColumnElement[bool]) -> int:
-    recent = Notice.channel == NoticeChannel.MAIL, Notice.created_at > datetime.now(UTC) - within
+    recent = Notice.channel == NoticeChannel.MAIL, Notice.created_at > read_clock(session) - within
     return session.scalar(select(func.count()).select_from(Notice).where(*recent, *conditions)) or 0
 
 
@@ -152,7 +153,7 @@ def retry(session: Session, by: Principal, notice_id: UUID) -> Notice:
             f"Notice {notice_id} was {'sent' if found.sent_at else 'not given up yet'}; there is nothing to repeat.",
         )
     before = {"given_up": True, "problem": found.problem}
-    found.given_up_at, found.attempts, found.due_at = None, 0, datetime.now(UTC)
+    found.given_up_at, found.attempts, found.due_at = None, 0, read_clock(session)
     record(session, by, "notice.retry", f"notice:{found.id}", {"given_up": False}, before=before)
     return found
 
@@ -165,7 +166,7 @@ def announce_deadlines(session: Session, at: datetime | None = None) -> None:
 
     A stage whose closing instant is moved gets another one. `at` is the moment, None: now.
     """
-    now = at or datetime.now(UTC)
+    now = at or read_clock(session)
     open_stages = (stage for one in Competition.read_all(session) for stage in one.stages if stage.is_open(now))
     near = [stage for stage in open_stages if stage.rules.closes - now <= NEAR]
     if not near:

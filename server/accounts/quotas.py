@@ -5,7 +5,7 @@ nothing. Called by whatever gives a team something that is counted.
 """
 
 from collections.abc import Mapping
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from types import MappingProxyType
 from uuid import UUID
 
@@ -16,6 +16,7 @@ from sqlalchemy.orm import Session
 from ..audit import record
 from ..competitions.competition import Competition
 from ..competitions.stages import Stage
+from ..database.clock import read_clock
 from ..database.models import ApiToken, Evaluation, PartialUpload, Submission, SubmissionFile, Team, TeamQuota
 from ..database.states import ACTIVE_EVALUATION_STATES, EvaluationState, Quota
 from ..database.stored_episodes import OF_EVALUATION
@@ -72,7 +73,7 @@ def charge(session: Session, quotas: Quotas, by: Principal, team: Team, *wanted:
         return None
     teams.lock(session, team)
     check(session, quotas, by, team, *wanted)
-    return datetime.now(UTC)
+    return read_clock(session)
 
 
 def check(session: Session, quotas: Quotas, by: Principal, team: Team, *wanted: Quota) -> None:
@@ -86,7 +87,7 @@ def check(session: Session, quotas: Quotas, by: Principal, team: Team, *wanted: 
     for quota in wanted:
         limit = find_limit(session, quotas, team.id, quota)
         if limit is not None and (_used(session, team.id, quota) or 0) >= limit:
-            raise exceeded(team.name, quota, limit)
+            raise exceeded(team.name, quota, limit, read_clock(session))
 
 
 def check_stage(session: Session, by: Principal, team: Team, stage: Stage) -> None:
@@ -97,7 +98,7 @@ def check_stage(session: Session, by: Principal, team: Team, stage: Stage) -> No
     """
     if by.organizes_service:
         return
-    for quota, limit in stage.rules.quotas:
+    for quota, limit in stage.quotas:
         if limit is not None and _used_in_stage(session, team, stage, quota) >= limit:
             raise ServiceError(
                 ProblemCode.QUOTA_EXCEEDED,
@@ -108,12 +109,11 @@ def check_stage(session: Session, by: Principal, team: Team, stage: Stage) -> No
             )
 
 
-def exceeded(team: str, quota: Quota, limit: int) -> ServiceError:
-    """Return the refusal of one thing more."""
-    now = datetime.now(UTC)
-    opens_at = _find_opening(quota, now)
+def exceeded(team: str, quota: Quota, limit: int, now: datetime | None = None) -> ServiceError:
+    """Return the refusal of one thing more; of what is counted by day `now` says when there is room again."""
+    opens_at = None if now is None else _find_opening(quota, now)
     times: dict[str, object] = {}
-    if opens_at is not None:
+    if opens_at is not None and now is not None:
         times = {"opens_at": opens_at.isoformat(), "retry_after_s": max(1, round((opens_at - now).total_seconds()))}
     opening = f"at {opens_at:%F %H:%M} UTC" if opens_at is not None else _OPENING[quota]
     return ServiceError(
@@ -127,7 +127,7 @@ def exceeded(team: str, quota: Quota, limit: int) -> ServiceError:
 
 def uses(session: Session, quotas: Quotas, team_id: UUID) -> list[QuotaView]:
     """Return all quotas of a team."""
-    now = datetime.now(UTC)
+    now = read_clock(session)
     return [
         QuotaView(
             quota=quota,
@@ -141,7 +141,7 @@ def uses(session: Session, quotas: Quotas, team_id: UUID) -> list[QuotaView]:
 
 def stage_uses(session: Session, team: Team, at: datetime | None = None) -> list[StageQuotaView]:
     """Return what a team may still have in each open stage that it takes part in; `at` None: now."""
-    now = at or datetime.now(UTC)
+    now = at or read_clock(session)
     return [
         StageQuotaView(
             competition=competition.name,
@@ -155,7 +155,7 @@ def stage_uses(session: Session, team: Team, at: datetime | None = None) -> list
         for competition in Competition.read_all(session)
         for stage in competition.stages
         if stage.is_open(now) and stage.may_submit(team)
-        for quota, limit in stage.rules.quotas
+        for quota, limit in stage.quotas
     ]
 
 
@@ -198,7 +198,8 @@ def _used(session: Session, team_id: UUID, quota: Quota) -> int | None:
         return None
     if quota is Quota.STORED_MIB:
         return -(-_stored_bytes(session, team_id) // (1 << 20))
-    query = _tokens(team_id) if quota is Quota.TOKENS else _evaluations(team_id, quota)
+    now = read_clock(session)
+    query = _tokens(team_id, now) if quota is Quota.TOKENS else _evaluations(team_id, quota, now)
     return session.scalars(query).one()
 
 
@@ -213,15 +214,13 @@ def _stored_bytes(session: Session, team_id: UUID) -> int:
     unfinished = select(func.sum(PartialUpload.total_bytes)).where(
         PartialUpload.team_id == team_id,
         PartialUpload.submission_id.is_(None),
-        PartialUpload.expires_at > datetime.now(UTC),
+        PartialUpload.expires_at > read_clock(session),
     )
     return int(session.scalar(select(func.sum(stored.c[1]))) or 0) + int(session.scalar(unfinished) or 0)
 
 
-def _tokens(team_id: UUID) -> Select[int]:
-    is_good = ApiToken.revoked_at.is_(None) & or_(
-        ApiToken.expires_at.is_(None), ApiToken.expires_at > datetime.now(UTC)
-    )
+def _tokens(team_id: UUID, now: datetime) -> Select[int]:
+    is_good = ApiToken.revoked_at.is_(None) & or_(ApiToken.expires_at.is_(None), ApiToken.expires_at > now)
     return select(func.count()).select_from(ApiToken).where(ApiToken.team_id == team_id, ~ApiToken.is_session, is_good)
 
 
@@ -229,11 +228,11 @@ def _select_counted_evaluations(team_id: UUID) -> Select[int]:
     return select(func.count()).select_from(Evaluation).join(Submission).where(Submission.team_id == team_id)
 
 
-def _evaluations(team_id: UUID, quota: Quota) -> Select[int]:
+def _evaluations(team_id: UUID, quota: Quota, now: datetime) -> Select[int]:
     query = _select_counted_evaluations(team_id)
     if quota is Quota.QUEUED_AT_ONCE:
         return query.where(Evaluation.state.in_(ACTIVE_EVALUATION_STATES), Evaluation.charged_at.is_not(None))
-    today = query.where(Evaluation.charged_at >= _day_start(datetime.now(UTC)))
+    today = query.where(Evaluation.charged_at >= _day_start(now))
     if quota is Quota.SCORED_RUNS_PER_DAY:
         return today.where(Evaluation.state.in_({*ACTIVE_EVALUATION_STATES, EvaluationState.COMPLETED}))
     return today

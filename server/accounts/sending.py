@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from email.message import EmailMessage
 from email.utils import format_datetime
 from functools import partial
@@ -19,6 +19,7 @@ import structlog
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
+from ..database.clock import read_clock
 from ..database.engine import Database
 from ..database.models import Notice, Webhook
 from ..database.states import NoticeChannel, NoticeKind
@@ -206,7 +207,7 @@ class NoticeSender:
     def _look_for_deadlines(self) -> None:
         if time.monotonic() - self._looked_at > LOOK_FOR_DEADLINES_EVERY_S:
             with self._database.transaction() as session:
-                session.execute(delete(Notice).where(Notice.created_at < datetime.now(UTC) - KEPT))
+                session.execute(delete(Notice).where(Notice.created_at < read_clock(session) - KEPT))
             with self._database.transaction() as session:
                 outbox.announce_deadlines(session)
             self._looked_at = time.monotonic()
@@ -236,8 +237,8 @@ def claim(
         channels: of which it may be.
         apart_from: teams whose notices have to wait.
     """
-    now = datetime.now(UTC)
     with database.transaction() as session:
+        now = read_clock(session)
         # A notice whose last try was not noted, because its sender was killed, is given up here.
         while (found := _first_due(session, now, channels, apart_from)) and found.attempts >= MAX_ATTEMPTS:
             _give_up(found, now, found.problem or "The server stopped while it was sending this.")
@@ -287,8 +288,8 @@ def _give_up(notice: Notice, now: datetime, problem: str) -> None:
 
 
 def _note(database: Database, sent: Notice, problem: str | None) -> None:
-    now = datetime.now(UTC)
     with database.transaction() as session:
+        now = read_clock(session)
         found = session.get(Notice, sent.id, with_for_update=True)
         if found is None or found.attempts != sent.attempts:
             return  # removed, or sent by somebody else after our claim had ended

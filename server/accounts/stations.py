@@ -10,11 +10,12 @@ from datetime import UTC, datetime, timedelta
 from typing import Final
 from uuid import UUID
 
-from sqlalchemy import func, select
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from .. import names
 from ..audit import record
+from ..database.clock import read_clock
 from ..database.models import Station, Worker
 from ..database.states import WorkerState
 from ..errors import ProblemCode, ServiceError, not_found
@@ -86,7 +87,7 @@ def enrol(session: Session, settings: Settings, key: str, worker_id: UUID) -> st
 
 def _refuse_wrong_clock(session: Session) -> None:
     here = datetime.now(UTC)
-    difference = here - session.scalars(select(func.clock_timestamp())).one()
+    difference = here - read_clock(session)
     if abs(difference) > CLOCK_TOLERANCE:
         raise _refusal(
             f"The clock of this station is off by {difference.total_seconds():.0f} s from the database's: expected at "
@@ -96,7 +97,7 @@ def _refuse_wrong_clock(session: Session) -> None:
 
 def _is_alive(session: Session, settings: Settings, worker: Worker) -> bool:
     """Say whether an agent runs: one that died on this machine is known at once, another one by its heartbeat."""
-    now = session.scalars(select(func.clock_timestamp())).one()
+    now = read_clock(session)
     silent = now - worker.heartbeat_at > timedelta(seconds=settings.worker_lost_after_s)
     if worker.state is WorkerState.STOPPED or silent:
         return False

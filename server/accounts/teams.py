@@ -1,6 +1,6 @@
 """Teams: registration, look-up and listing."""
 
-from datetime import UTC, datetime
+from datetime import datetime
 from uuid import UUID
 
 from sqlalchemy import func, select, text
@@ -9,6 +9,7 @@ from sqlalchemy.orm import Session
 from .. import names
 from ..audit import record
 from ..competitions.competition import Competition
+from ..database.clock import read_clock
 from ..database.models import ApiToken, Member, Team
 from ..database.states import MemberRole, Role
 from ..errors import ProblemCode, ServiceError, not_found
@@ -39,7 +40,7 @@ def register(
         ServiceError: the name is taken (or looks like one that is) or cannot be shown.
     """
     shown = _checked_name(session, by, name)
-    approved_at = None if waits else datetime.now(UTC)
+    approved_at = None if waits else read_clock(session)
     added = Team(name=shown, name_key=name_key(shown), contact=contact, approved_at=approved_at)
     session.add(added)
     session.flush()
@@ -60,7 +61,7 @@ def rename(session: Session, by: Principal, team: Team, name: str) -> None:
     lock(session, team)
     shown = _checked_name(session, by, name, but=team)
     before = {"name": team.name}
-    team.name, team.name_key, team.named_at = shown, name_key(shown), datetime.now(UTC)
+    team.name, team.name_key, team.named_at = shown, name_key(shown), read_clock(session)
     record(session, by, "team.rename", f"team:{team.id}", {"name": shown}, before=before)
 
 
@@ -75,7 +76,7 @@ def accept(session: Session, by: Principal, team: Team) -> None:
     session.refresh(team)
     if team.approved_at is None:
         before = {"accepted": False, "reason": team.refused_for}
-        team.approved_at, team.refused_for = datetime.now(UTC), None
+        team.approved_at, team.refused_for = read_clock(session), None
         record(session, by, "team.accept", f"team:{team.id}", {"accepted": True}, before=before)
 
 
@@ -141,7 +142,7 @@ def find_lock_date(session: Session) -> datetime | None:
     competitions = Competition.read_all(session)
     running = [one for one in competitions if one.row.finalized_at is None] or competitions
     dates = [one.definition.teams_locked for one in running]
-    over = [at for at in dates if at is not None and at <= datetime.now(UTC)]
+    over = [at for at in dates if at is not None and at <= read_clock(session)]
     return max(over) if len(over) == len(dates) else None
 
 
@@ -215,7 +216,7 @@ def disqualify(session: Session, by: Principal, team: Team, reason: str) -> None
     session.refresh(team)
     if team.disqualified_for is not None:
         raise ServiceError(ProblemCode.TEAM_DISQUALIFIED, f"{team.name} is disqualified: {team.disqualified_for}.")
-    team.disqualified_at, team.disqualified_for = datetime.now(UTC), shown
+    team.disqualified_at, team.disqualified_for = read_clock(session), shown
     record(session, by, "team.disqualify", f"team:{team.id}", {"reason": shown}, before={"reason": None})
 
 

@@ -5,17 +5,18 @@ import re
 import secrets
 from collections.abc import Iterable
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from functools import cache
 from typing import Any
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, Row, Select, case, exists, or_, select, update
+from sqlalchemy import ColumnElement, Row, Select, case, exists, func, or_, select, update
 from sqlalchemy.orm import Session, aliased, joinedload
 
 from .. import names
 from ..audit import record
 from ..competitions.competition import Competition
+from ..database.clock import read_clock
 from ..database.models import ApiToken, Member, Team
 from ..database.states import MemberRole, Role
 from ..errors import ProblemCode, ServiceError, not_found
@@ -93,7 +94,10 @@ def _same_name(one: str, other: str) -> bool:
 
 
 def _refuse_second_judge(session: Session, label: str) -> None:
-    is_good = ApiToken.revoked_at.is_(None), or_(ApiToken.expires_at.is_(None), ApiToken.expires_at > datetime.now(UTC))
+    is_good = (
+        ApiToken.revoked_at.is_(None),
+        or_(ApiToken.expires_at.is_(None), ApiToken.expires_at > read_clock(session)),
+    )
     found = session.scalar(
         select(ApiToken.id).where(ApiToken.role == Role.JUDGE, ApiToken.label == label, *is_good).limit(1)
     )
@@ -142,7 +146,7 @@ def _add(session: Session, by: Principal, token: ApiToken, lifetime: timedelta |
     """Add a token with a new secret."""
     secret = PREFIX + secrets.token_urlsafe(SECRET_BYTES)
     token.secret_sha256 = hash_secret(secret)
-    token.created_at = datetime.now(UTC)
+    token.created_at = read_clock(session)
     token.expires_at = token.created_at + lifetime if lifetime is not None else None
     session.add(token)
     session.flush()
@@ -211,7 +215,7 @@ def revoke(session: Session, by: Principal, token_id: UUID) -> ApiToken:
 
 
 def _end(session: Session, by: Principal, token: ApiToken) -> None:
-    token.revoked_at = datetime.now(UTC)
+    token.revoked_at = read_clock(session)
     record(session, by, "token.revoke", f"token:{token.id}", {"label": token.label})
 
 
@@ -277,6 +281,7 @@ def _holders() -> Select[*tuple[Any, ...]]:
                 (ApiToken.team_id.is_not(None), ~captain_signs_in),
                 else_=False,
             ).label("leads_team"),
+            func.clock_timestamp().label("now"),
         )
         .outerjoin(Team, Team.id == ApiToken.team_id)
         .outerjoin(holder, holder.id == ApiToken.member_id)
@@ -284,17 +289,16 @@ def _holders() -> Select[*tuple[Any, ...]]:
 
 
 def _principal(session: Session, token: Row[*tuple[Any, ...]] | None) -> Principal:
-    now = datetime.now(UTC)
     if token is None:
         raise ServiceError(ProblemCode.INVALID_CREDENTIALS, "This token is not known here. Check server and token.")
     if token.revoked_at is not None:
         raise ServiceError(ProblemCode.INVALID_CREDENTIALS, f"This token was revoked at {token.revoked_at:%F %T} UTC.")
-    if token.expires_at is not None and token.expires_at <= now:
+    if token.expires_at is not None and token.expires_at <= token.now:
         raise ServiceError(
             ProblemCode.INVALID_CREDENTIALS, f"This token expired at {token.expires_at:%F %T} UTC. Ask for a new one."
         )
-    if token.last_used_at is None or token.last_used_at < now - USE_NOTED_EVERY:
-        session.execute(update(ApiToken).where(ApiToken.id == token.id).values(last_used_at=now))
+    if token.last_used_at is None or token.last_used_at < token.now - USE_NOTED_EVERY:
+        session.execute(update(ApiToken).where(ApiToken.id == token.id).values(last_used_at=token.now))
     return Principal(
         role=token.role,
         team_id=token.team_id,

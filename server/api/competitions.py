@@ -2,10 +2,11 @@
 
 import io
 import zipfile
+from collections.abc import Sequence
 from datetime import datetime
 from http import HTTPStatus
 from typing import Annotated, Literal
-from uuid import uuid4
+from uuid import UUID, uuid4
 
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse, StreamingResponse
@@ -21,7 +22,8 @@ from ..competitions.competition import Competition
 from ..competitions.definition import CompetitionDefinition, require_known_tracks
 from ..competitions.view import competition_list_view, competition_view, disqualified_since_the_end
 from ..confirmations import Concern, compute_revision, require_shown
-from ..decisions import advancement, finishing
+from ..database.clock import read_clock
+from ..decisions import advancement, final_list, finishing
 from ..decisions.exporting import export_receipts
 from ..decisions.publishing import archive_view, result_files
 from ..errors import ProblemCode, ServiceError
@@ -78,6 +80,12 @@ class Applied(BaseModel):
     concerns: list[Concern] = Field(description="What it touches that already happened.")
     warnings: list[str] = Field(description="What takes effect at once.")
     revision: str = Field(description="Of the competition before.")
+
+
+class FinalListStart(BaseModel):
+    """The submissions that play a final list from now on."""
+
+    submissions: Sequence[UUID]
 
 
 class SealedListRow(BaseModel):
@@ -269,7 +277,7 @@ def put_definition(
             base=new.base if is_trial else new.base or "",
             confirmed=None if is_trial else new.confirm,
         )
-        warnings = applying.list_warnings(definition, changes) if changes else []
+        warnings = applying.list_warnings(definition, changes, at=read_clock(session)) if changes else []
         return Applied(changes=changes, concerns=concerns, warnings=warnings, revision=revision)
 
 
@@ -331,6 +339,19 @@ def reveal_list(
             revealed_at=found.revealed_at,
             secret=None if services.database.is_trial else found.secret,
         )
+
+
+@router.post("/competitions/{competition}/tracks/{track}/stages/{stage}/final")
+def play_final_list(
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, competition: str, track: str, stage: str
+) -> FinalListStart:
+    """Have all teams' chosen submissions play the final list of a stage, once, now that the stage has closed.
+
+    The service does so by itself within seconds of the last evaluation of the stage; this says what it waits for.
+    """
+    with services.database.transaction() as session:
+        over = Competition.find(session, competition, track=track).stage(track, stage)
+        return FinalListStart(submissions=final_list.play(session, principal, over))
 
 
 @router.get(

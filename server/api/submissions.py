@@ -17,6 +17,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..accounts.teams import REASON_LENGTH
 from ..database.states import EvaluationState
+from ..decisions import final_list
 from ..errors import ProblemCode, ServiceError
 from ..evaluations import action_matches
 from ..evaluations.logs import export_log
@@ -70,6 +71,13 @@ class Publicity(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     public: bool = Field(description="Everybody; else its team, judges and organizers.")
+
+
+class Choice(BaseModel):
+    """Whether a submission plays the final list of its stage."""
+
+    model_config = ConfigDict(extra="forbid")
+    chosen: bool
 
 
 class Description(BaseModel):
@@ -285,6 +293,16 @@ def put_public(
 ) -> SubmissionView:
     """Let everybody see the result of a submission, once its evaluation is complete, or its team only."""
     return _show_changed(services, principal, submission_id, public_pages.set_public, public=wanted.public)
+
+
+@router.put("/{submission_id}/chosen")
+def put_chosen(services: ChangingServicesOf, principal: OwnerOf, submission_id: UUID, wanted: Choice) -> SubmissionView:
+    """Let a submission play the final list of its stage after the close, or no longer.
+
+    A stage says how many a team may choose, mostly one: of more the newest choices count. Of a team that chooses fewer,
+    the best submissions on the live list play, too.
+    """
+    return _show_changed(services, principal, submission_id, final_list.choose, chosen=wanted.chosen)
 
 
 @router.get("/{submission_id}/description")

@@ -100,7 +100,7 @@ def _touched_in_stage(
     competition: Competition, stage: Stage, new: CompetitionDefinition, at: datetime
 ) -> Iterator[tuple[str, str]]:
     track = new.tracks.get(stage.track)
-    rules = next((one for one in track.stages if one.name == stage.name), None) if track else None
+    rules = track.find_board(stage.name) if track else None
     place = f"tracks.{stage.track}.stages.{stage.name}"
     is_played = track is not None and track.taken_here and rules is not None and rules.list is stage.rules.list
     if not is_played and (found := stage.sealed_list) is not None:

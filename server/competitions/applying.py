@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any
 
 from sqlalchemy import select
@@ -11,6 +11,7 @@ from vitac.evaluator.tracks import ListKind
 
 from ..audit import newest_entries, record
 from ..confirmations import Concern, compute_revision, require_base, require_confirmed
+from ..database.clock import read_clock
 from ..database.models import ALL_TASKS, BoardResult, CompetitionRow, Submission
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
@@ -50,7 +51,7 @@ class Change:
 
 def list_concerns(session: Session, definition: CompetitionDefinition) -> list[Concern]:
     """Return what applying a file touches that already happened; `apply` wants each confirmed by its name."""
-    return find_concerns(Competition.read(session, definition.name), definition, datetime.now(UTC))
+    return find_concerns(Competition.read(session, definition.name), definition, read_clock(session))
 
 
 def list_changes(session: Session, definition: CompetitionDefinition) -> list[Change]:
@@ -64,7 +65,7 @@ def list_changes(session: Session, definition: CompetitionDefinition) -> list[Ch
     if competition.definition != definition:
         competition.require_not_final()
     _refuse_loss(competition, definition)
-    refuse_reopening(competition, definition, datetime.now(UTC))
+    refuse_reopening(competition, definition, read_clock(session))
     return list(_differences(competition.definition if competition.is_held else None, definition))
 
 
@@ -109,7 +110,7 @@ def apply(
     elif before != after:
         if competition.definition.freeze_at != definition.freeze_at:
             competition.row.frozen_at = definition.freeze_at
-        competition.row.definition, competition.row.applied_at = after, datetime.now(UTC)
+        competition.row.definition, competition.row.applied_at = after, read_clock(session)
     session.flush()
     _sort_again(Competition.read(session, definition.name), competition.definition)
     if before != after:
@@ -136,20 +137,22 @@ def _sort_again(competition: Competition, before: CompetitionDefinition) -> None
         result.sort_key = list(ranking.sort_key(result.ranked_by))
 
 
-def list_warnings(definition: CompetitionDefinition, changes: Sequence[Change] | None = None) -> list[str]:
+def list_warnings(
+    definition: CompetitionDefinition, changes: Sequence[Change] | None = None, *, at: datetime
+) -> list[str]:
     """Return what takes effect at once where a file is applied, and cannot be taken back or is easily overlooked.
 
     Args:
         definition: the file.
         changes: what it changes (`list_changes`); None: nobody knows, so all of it counts.
+        at: the moment.
     """
-    now = datetime.now(UTC)
     found = [
         _HIDING if change.after else _SHOWING
         for change in changes or ()
         if change.place == "anonymous" and change.before is not None
     ]
-    if definition.teams_locked is not None and definition.teams_locked <= now:
+    if definition.teams_locked is not None and definition.teams_locked <= at:
         found.append(
             f"teams_locked is {definition.teams_locked:%F %T} UTC, which is past: from now on only organizers register "
             "teams."
@@ -159,7 +162,7 @@ def list_warnings(definition: CompetitionDefinition, changes: Sequence[Change] |
     for name, track in definition.tracks.items():
         for stage in track.stages if track.taken_here else ():
             is_new = changed is None or f"tracks.{name}.stages.{stage.name}.closes" in changed
-            if is_new and stage.closes <= now:
+            if is_new and stage.closes <= at:
                 over.setdefault((stage.name, stage.closes), []).append(name)
     return found + [
         f"Stage {stage} of {', '.join(tracks)} closed at {closes:%F %T} UTC, which is past: it takes no submissions."
@@ -190,7 +193,8 @@ def _listed(changes: Iterator[Change]) -> str:
 
 def _refuse_loss(competition: Competition, definition: CompetitionDefinition) -> None:
     """Refuse to take away a stage that has submissions, and to change its list."""
-    lists = {(name, stage.name): stage.list for name, track in definition.tracks.items() for stage in track.stages}
+    boards = ((name, rules) for name, track in definition.tracks.items() for rules, _ in track.list_boards())
+    lists = {(name, rules.name): rules.list for name, rules in boards}
     used = competition.session.execute(
         select(Submission.track, Submission.stage).where(competition.submissions).distinct().order_by(Submission.track)
     )
@@ -238,7 +242,7 @@ def freeze_boards(session: Session, by: Principal, name: str | None = None) -> N
     """
     competition = Competition.lock_to_change(session, by, name)
     if competition.frozen_at is None:
-        competition.row.frozen_at = datetime.now(UTC)
+        competition.row.frozen_at = read_clock(session)
         after = {"frozen_at": competition.row.frozen_at.isoformat()}
         record(session, by, "competition.freeze", competition.subject, after)
 

@@ -14,6 +14,7 @@ from sqlalchemy import ColumnElement, and_, select
 from sqlalchemy.orm import Session
 
 from ..confirmations import compute_revision
+from ..database.clock import read_clock
 from ..database.engine import READS_ONLY
 from ..database.models import CompetitionRow, Rejudgement, Submission
 from ..errors import ProblemCode, ServiceError
@@ -71,7 +72,7 @@ class Competition:
         rows = session.scalars(select(CompetitionRow).order_by(CompetitionRow.name)).all()
         if not rows:
             return [cls._from_row(session, None)]
-        now = datetime.now(UTC)
+        now = read_clock(session)
         return sorted((cls._from_row(session, row) for row in rows), key=lambda one: _shown_first(one.opens, now))
 
     @classmethod
@@ -208,7 +209,7 @@ class Competition:
     def frozen_at(self) -> datetime | None:
         """Time since which its boards show no new results; None if they do."""
         at = self.row.frozen_at
-        return at if at is not None and at <= datetime.now(UTC) else None
+        return at if at is not None and at <= read_clock(self.session) else None
 
     @property
     def hides_names(self) -> bool:
@@ -222,13 +223,14 @@ class Competition:
 
     @cached_property
     def stages(self) -> tuple[Stage, ...]:
-        """All stages in the order of the file, also those of tracks that are not held here."""
+        """All stages in the order of the file, each followed by its final list; also of tracks not held here."""
         found = []
         for track, rules in self.definition.tracks.items():
-            before = None
-            for stage in rules.stages:
-                before = self._make_stage(track, stage.name, stage, rules, before)
-                found.append(before)
+            last: Stage | None = None
+            for board, of in rules.list_boards():
+                before, live = (last, None) if of is None else (None, last)
+                last = self._make_stage(track, board.name, board, rules, before, live)
+                found.append(last)
         return tuple(found)
 
     @property
@@ -238,8 +240,8 @@ class Competition:
 
     @property
     def last_stages(self) -> tuple[Stage, ...]:
-        """The last stage of each track that is held here: its boards decide who wins."""
-        return tuple(stage for stage in self.stages_held_here if stage.rules is stage.track_rules.stages[-1])
+        """The last stage of each track that is held here, or its final list: its boards decide who wins."""
+        return tuple({stage.track: stage for stage in self.stages_held_here}.values())
 
     def holds(self, track: str) -> bool:
         """Return whether submissions to a track are taken here."""
@@ -286,7 +288,7 @@ class Competition:
         load_known_track(track)
         stages = self.list_stages(track)
         if wanted is None:
-            return _last_opened(stages, at or datetime.now(UTC)) or stages[0]
+            return _last_opened(stages, at or read_clock(self.session)) or stages[0]
         names = [stage.name for stage in stages if not stage.is_practice]
         if wanted not in names:
             listed = f"its stages are {', '.join(names)}" if names else "it has none"
@@ -305,7 +307,7 @@ class Competition:
         stages = self.list_stages(track)
         found = next((stage for stage in stages if stage.is_in_time(at)), None)
         if found is None and by.organizes_service:
-            found = _last_opened(stages, at)
+            found = _last_opened(tuple(stage for stage in stages if stage.live is None), at)
         if found is None:
             raise ServiceError(ProblemCode.STAGE_CLOSED, f"{track} takes no submissions now: {_times(stages, at)}.")
         if found.is_revealed:
@@ -355,7 +357,13 @@ class Competition:
             )
 
     def _make_stage(
-        self, track: str, name: str, rules: StageRules, track_rules: TrackRules, before: Stage | None = None
+        self,
+        track: str,
+        name: str,
+        rules: StageRules,
+        track_rules: TrackRules,
+        before: Stage | None = None,
+        live: Stage | None = None,
     ) -> Stage:
         return Stage(
             session=self.session,
@@ -366,6 +374,7 @@ class Competition:
             rules=rules,
             track_rules=track_rules,
             before=before,
+            live=live,
         )
 
 
@@ -418,7 +427,9 @@ def _shown_first(opens: datetime, now: datetime) -> tuple[bool, float]:
 
 
 def _last_opened(stages: tuple[Stage, ...], at: datetime) -> Stage | None:
-    return next((stage for stage in reversed(stages) if stage.rules.opens <= at), None)
+    """Return the stage that opened last, or its final list once that is played."""
+    opened = (stage for stage in reversed(stages) if stage.rules.opens <= at)
+    return next((stage for stage in opened if stage.live is None or stage.played_since is not None), None)
 
 
 def _times(stages: tuple[Stage, ...], at: datetime) -> str:

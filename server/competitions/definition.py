@@ -1,6 +1,7 @@
 """What a competition file says; `vitac admin competition` reads it, and everything that follows its rules asks it."""
 
 from collections.abc import Iterator, Mapping
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -43,6 +44,22 @@ class Advancement(StrictModel):
         return f"every team with a success rate of {100 * (self.score_at_least or 0):g} % or more in the stage before"
 
 
+class Sealing(StrEnum):
+    """How the sealed list of a stage is played."""
+
+    LIVE_AND_FINAL = "live_and_final"
+    """A live list at each submission, and after the close a final one for each team's chosen submissions."""
+    AT_ONCE = "at_once"
+    """One list at each submission, which decides."""
+
+
+FINAL_SUFFIX = ".final"
+"""Of the name under which the final list of a stage has its board, submissions and commitment, as a stage has them."""
+
+AT_ONCE_RUNS = 3
+"""Scored runs of a team where the list that decides is played at once, and the file names no other number."""
+
+
 class StageQuotas(StrictModel):
     """Most evaluations of a team in a stage; null: any number.
 
@@ -66,6 +83,14 @@ class StageRules(StrictModel):
     list: ListKind = Field(
         default=ListKind.SEALED,
         description="Who may know the episodes that its models rank by. Logs always play the public list.",
+    )
+    sealed: Sealing | None = Field(
+        default=None,
+        description="How a sealed list is played; null: live and final where prizes or advancement hang on the stage, "
+        "at once elsewhere.",
+    )
+    final_submissions: Count = Field(
+        default=1, description="How many submissions of a team play the final list: chosen by it, or its best ones."
     )
     quotas: StageQuotas = StageQuotas()
     public_pages: bool = Field(
@@ -95,7 +120,28 @@ class StageRules(StrictModel):
                 f"a sealed list ranks models, and the stage accepts only {', '.join(self.accepts)}; a log would need "
                 "the episodes that nobody knows. Accept models, too, or make the list public, which is for practice"
             )
+        if self.list is ListKind.PUBLIC and self.sealed is not None:
+            raise ValueError(f"sealed is {self.sealed}, but the list is public. Leave it out, or make the list sealed")
+        if self.name.endswith(FINAL_SUFFIX):
+            raise ValueError(
+                f"expected a name that does not end in {FINAL_SUFFIX}, which stands for the final list of a stage, got "
+                f"{self.name!r}"
+            )
         return self
+
+    def make_final(self) -> "StageRules":
+        """Return its final list as a stage: nobody submits to it, and it is played once the stage has closed."""
+        return self.model_copy(
+            update={
+                "name": f"{self.name}{FINAL_SUFFIX}",
+                "title": f"{self.title}, final list",
+                "opens": self.closes,
+                "accepts": (),
+                "sealed": Sealing.AT_ONCE,
+                "quotas": StageQuotas(),
+                "qualified": None,
+            }
+        )
 
 
 class Prize(StrictModel):
@@ -182,6 +228,28 @@ class TrackRules(StrictModel):
     )
     prizes: tuple[Prize, ...] = ()
     judging: Judging | None = None
+
+    def decides(self, stage: StageRules) -> bool:
+        """Return whether prizes or advancement hang on a stage."""
+        after = self.stages[self.stages.index(stage) + 1 :]
+        return after[0].qualified is not None if after else bool(self.prizes)
+
+    def find_sealing(self, stage: StageRules) -> Sealing | None:
+        """Return how the sealed list of a stage is played; None where there is none."""
+        if stage.list is ListKind.PUBLIC or not self.taken_here:
+            return None
+        return stage.sealed or (Sealing.LIVE_AND_FINAL if self.decides(stage) else Sealing.AT_ONCE)
+
+    def list_boards(self) -> Iterator[tuple[StageRules, StageRules | None]]:
+        """Yield what has a board of its own: each stage, and after it its final list with the stage that it is of."""
+        for stage in self.stages:
+            yield stage, None
+            if self.find_sealing(stage) is Sealing.LIVE_AND_FINAL:
+                yield stage.make_final(), stage
+
+    def find_board(self, name: str) -> StageRules | None:
+        """Return the stage, or the final list, of that name."""
+        return next((rules for rules, _ in self.list_boards() if rules.name == name), None)
 
     def list_public_rankings(self) -> Iterator[tuple[str, str]]:
         """Yield where the board of a public list decides something, by its place in the track's part of the file."""

@@ -4,7 +4,7 @@ The commitment is public from the start. The secret is read by workers, which pl
 """
 
 import secrets
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Literal
 
 from sqlalchemy import exists, func, select
@@ -13,6 +13,7 @@ from vitac.evaluator.tracks import Track
 from vitac.evaluator.tracks.sealed import SECRET_BYTES, load_played_track, make_commitment
 
 from ..audit import record
+from ..database.clock import read_clock
 from ..database.models import Evaluation, SealedList
 from ..database.states import ACTIVE_EVALUATION_STATES
 from ..errors import ProblemCode, ServiceError, not_found
@@ -83,18 +84,21 @@ def withdraw_unplayed(session: Session, by: Principal, competition: Competition)
 
 
 def refuse_reopening(competition: Competition, definition: CompetitionDefinition, at: datetime) -> None:
-    """Refuse a file by which a stage would take submissions after its secret was published.
+    """Refuse a file by which a stage would take submissions after its secret was published, or its final list played.
 
     Raises:
         ServiceError: stage_in_use.
     """
     for found in sealed_lists(competition.session, competition):
         track = definition.tracks.get(found.track)
-        rules = next((stage for stage in track.stages if stage.name == found.stage), None) if track else None
-        if found.revealed_at is not None and rules is not None and rules.closes > at:
+        rules = track.find_board(found.stage) if track else None
+        over_since = found.revealed_at or found.played_at
+        if over_since is not None and rules is not None and rules.closes > at:
+            what = "secret" if found.revealed_at else "list"
+            how = "published" if found.revealed_at else "played"
             raise ServiceError(
                 ProblemCode.STAGE_IN_USE,
-                f"The secret of stage {found.stage} of {found.track} was published at {found.revealed_at:%F %T} UTC, "
+                f"The {what} of stage {found.stage} of {found.track} was {how} at {over_since:%F %T} UTC, "
                 f"so it never opens again: expected closes before now, got {rules.closes:%F %T} UTC. Add another "
                 "stage with a list of its own.",
             )
@@ -121,7 +125,7 @@ def _withdraw(session: Session, by: Principal, stage: Stage, found: SealedList) 
             ProblemCode.STAGE_IN_USE,
             f"Stage {stage.name} of {stage.track} has evaluations on its sealed list. Keep it sealed.",
         )
-    found.withdrawn_at = datetime.now(UTC)
+    found.withdrawn_at = read_clock(session)
     session.flush()
     before = {"commitment": found.commitment}
     record(session, by, "list.withdraw", stage.subject, {"commitment": None}, before=before)
@@ -142,13 +146,17 @@ def reveal(session: Session, by: Principal, stage: Stage) -> SealedList:
     active = select(func.count()).where(
         Evaluation.commitment == found.commitment, Evaluation.state.in_(ACTIVE_EVALUATION_STATES)
     )
+    if stage.live is not None and found.played_at is None:
+        raise ServiceError(
+            ProblemCode.LIST_SEALED, f"Expected {stage} to be played before its secret is published; wait until then."
+        )
     if waiting := session.scalar(active):
         raise ServiceError(
             ProblemCode.LIST_SEALED,
             f"Expected no evaluation of {stage} that waits or runs, got {waiting}; wait or cancel.",
         )
     if found.revealed_at is None:
-        found.revealed_at = datetime.now(UTC)
+        found.revealed_at = read_clock(session)
         record(session, by, "list.reveal", stage.subject, {"commitment": found.commitment})
         _log_change(session, found, "published")
     return found

@@ -13,10 +13,11 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 from vitac.evaluator.tracks.registry import find_version
 
+from ..database.clock import read_clock
 from ..database.models import CompetitionRow, Qualification, SealedList, Submission, Team
 from ..errors import ProblemCode, ServiceError
 from ..tracks import known_track
-from .definition import StageRules, TrackRules
+from .definition import AT_ONCE_RUNS, Sealing, StageQuotas, StageRules, TrackRules
 
 PRACTICE = ""
 """Name of the stage of submissions outside of a competition: to a track that has none, or for practice."""
@@ -59,7 +60,8 @@ class Stage:
         competition_row: to which it belongs; empty and not in the database where there is none.
         rules: what the competition's file says of it.
         track_rules: what the file says of its track.
-        before: the stage of its track before it; None for the first.
+        before: the stage of its track before it, or the final list of that; None for the first.
+        live: of a final list the stage whose chosen submissions it plays; None of a stage itself.
     """
 
     competition: str
@@ -70,9 +72,12 @@ class Stage:
     rules: StageRules = field(compare=False, repr=False)
     track_rules: TrackRules = field(compare=False, repr=False)
     before: "Stage | None" = field(default=None, compare=False, repr=False)
+    live: "Stage | None" = field(default=None, compare=False, repr=False)
 
     def __str__(self) -> str:
         """Return how sentences name it."""
+        if self.live is not None:
+            return f"the final list of {self.live}"
         return f"stage {self.name} of {self.track}" if self.name else self.track
 
     @property
@@ -105,7 +110,7 @@ class Stage:
     def frozen_at(self) -> datetime | None:
         """Time since which its boards show no new results; None if they do."""
         at = None if self.is_practice else self.competition_row.frozen_at
-        return at if at is not None and at <= datetime.now(UTC) else None
+        return at if at is not None and at <= read_clock(self.session) else None
 
     @property
     def final_since(self) -> datetime | None:
@@ -115,11 +120,27 @@ class Stage:
     @property
     def decides(self) -> bool:
         """Whether prizes or advancement follow from its board."""
-        if self.is_practice:
+        if self.is_practice or self.has_final:
             return False
-        stages = self.track_rules.stages
-        after = stages[stages.index(self.rules) + 1 :]
-        return after[0].qualified is not None if after else bool(self.track_rules.prizes)
+        return self.track_rules.decides(self.live.rules if self.live else self.rules)
+
+    @property
+    def sealing(self) -> Sealing | None:
+        """How its sealed list is played; None where the file gives it none."""
+        return None if self.is_practice else self.track_rules.find_sealing(self.live.rules if self.live else self.rules)
+
+    @property
+    def has_final(self) -> bool:
+        """Whether a final list is played after it, which decides in its place."""
+        return self.live is None and self.sealing is Sealing.LIVE_AND_FINAL
+
+    @property
+    def quotas(self) -> StageQuotas:
+        """Most evaluations of a team; few scored ones where the list that decides is played at once."""
+        quotas = self.rules.quotas
+        if self.sealing is Sealing.AT_ONCE and quotas.scored_runs is None:
+            return quotas.model_copy(update={"scored_runs": AT_ONCE_RUNS})
+        return quotas
 
     @property
     def ranks_on_public_list(self) -> bool:
@@ -184,6 +205,32 @@ class Stage:
         """Return whether it has closed."""
         return self.rules.closes <= at
 
+    @property
+    def played_since(self) -> datetime | None:
+        """Since when the final list is played: of the stage and of that list itself; None before, and without one."""
+        if self.live is None and not self.has_final:
+            return None
+        name = self.name if self.live else self.rules.make_final().name
+        of_track = SealedList.competition == self.competition, SealedList.track == self.track, SealedList.stage == name
+        return self.session.scalar(select(SealedList.played_at).where(*of_track))
+
+    @property
+    def list_sentence(self) -> str | None:
+        """Which list its board shows, and when the final one is played; None of a stage without a final list."""
+        if self.live is None and not self.has_final:
+            return None
+        since, submissions = self.played_since, (self.live or self).rules.final_submissions
+        chosen = "the chosen submission" if submissions == 1 else f"up to {submissions} chosen submissions"
+        when = (
+            f"has been played since {since:%F %H:%M} UTC"
+            if since
+            else f"is played after {self.rules.closes:%F %H:%M} UTC, once, for {chosen} of each team"
+        )
+        decides = "which alone decides rank, prizes and advancement"
+        if self.live is not None:
+            return f"This board shows the final list, {decides}. It {when}."
+        return f"This board shows the live list, played at each submission. The final list, {decides}, {when}."
+
     def is_qualified(self, team: Team) -> bool:
         """Return whether the organizers confirmed a team for it."""
         return self.session.get(Qualification, (self.competition, self.track, self.name, team.id)) is not None
@@ -231,7 +278,7 @@ class Stage:
         Raises:
             ServiceError: it takes submissions still or later.
         """
-        if not self.is_over(datetime.now(UTC)):
+        if not self.is_over(read_clock(self.session)):
             raise ServiceError(
                 ProblemCode.STAGE_NOT_OVER,
                 f"Stage {self.name} of {self.track} closes at {self.rules.closes:%F %T} UTC; wait until then.",

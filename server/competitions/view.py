@@ -1,12 +1,13 @@
 """Makes the view of the competition; called by API and pages."""
 
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import ListKind
 
+from ..database.clock import read_clock
 from ..database.models import SealedList, Submission, Team
 from ..errors import ProblemCode, ServiceError
 from ..views.competition import (
@@ -31,7 +32,7 @@ Lists = Mapping[tuple[str, str], SealedList]
 
 def competition_list_view(session: Session) -> CompetitionListView:
     """Return all competitions, the one that opened last first."""
-    now = datetime.now(UTC)
+    now = read_clock(session)
     return CompetitionListView(
         items=[
             CompetitionSummaryView(
@@ -52,7 +53,7 @@ def competition_list_view(session: Session) -> CompetitionListView:
 
 def list_choices(session: Session) -> Sequence[CompetitionSummaryView]:
     """Return the competitions between which an upload has to choose; empty where no track has several now."""
-    names = {competition.name for competition in list_competition_choices(session, datetime.now(UTC))}
+    names = {competition.name for competition in list_competition_choices(session, read_clock(session))}
     return [view for view in competition_list_view(session).items if view.name in names]
 
 
@@ -62,7 +63,7 @@ def competition_view(session: Session, name: str | None = None, *, at: datetime 
     Raises:
         ServiceError: this service runs none.
     """
-    competition, now = Competition.find(session, name) if name else Competition.read(session), at or datetime.now(UTC)
+    competition, now = Competition.find(session, name) if name else Competition.read(session), at or read_clock(session)
     if not competition.is_held:
         raise ServiceError(ProblemCode.NOT_FOUND, "This service runs no competition; all its tracks are for practice.")
     found, row, lists = competition.definition, competition.row, _lists(competition)
@@ -126,7 +127,7 @@ def track_stages(
     """
     competition = Competition.find_by_track(session, track, name)
     stages = [stage for stage in competition.list_stages(track) if not stage.is_practice]
-    lists, now = _lists(competition) if stages else {}, at or datetime.now(UTC)
+    lists, now = _lists(competition) if stages else {}, at or read_clock(session)
     return [_stage(stage, lists, now) for stage in stages]
 
 
@@ -168,13 +169,15 @@ def _stage(stage: Stage, lists: Lists, now: datetime) -> StageView:
         title=stage.title,
         opens=rules.opens,
         closes=rules.closes,
+        final_of=stage.live.name if stage.live else None,
+        played_since=sealed.played_at if sealed else None,
         is_open=stage.is_open(now),
         accepts=list(rules.accepts),
         list_kind=rules.list if stage.track_rules.taken_here else None,
         is_practice=stage.track_rules.taken_here and rules.list is ListKind.PUBLIC and not stage.decides,
         commitment=sealed.commitment if sealed else None,
         secret=sealed.secret if sealed and sealed.revealed_at else None,
-        scored_runs=rules.quotas.scored_runs,
-        attempts=rules.quotas.attempts,
+        scored_runs=stage.quotas.scored_runs,
+        attempts=stage.quotas.attempts,
         qualified=rules.qualified.sentence if rules.qualified else None,
     )

@@ -1,7 +1,6 @@
 """Who advances to a stage: proposed by the stage's rule, decided by the organizers, recorded."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from datetime import UTC, datetime
 from fractions import Fraction
 from math import ceil
 from uuid import UUID
@@ -16,6 +15,7 @@ from ..competitions.competition import Competition
 from ..competitions.definition import Advancement
 from ..competitions.stages import Stage
 from ..confirmations import compute_revision, require_base
+from ..database.clock import read_clock
 from ..database.models import Qualification, Submission, Team
 from ..database.states import NoticeKind
 from ..errors import ProblemCode, ServiceError
@@ -100,7 +100,7 @@ def confirm(
         )
     _refuse_loss(session, stage, previous.keys() - chosen.keys())
     session.execute(delete(Qualification).where(stage.qualifications))
-    now = datetime.now(UTC)
+    now = read_clock(session)
     for team_id in chosen.keys() - previous.keys():
         facts = stage_facts(stage) | {"team": chosen[team_id]}
         announce(session, NoticeKind.PROMOTED, team_id, f"{stage.subject}/{team_id}/{now.isoformat()}", facts)

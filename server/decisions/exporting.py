@@ -2,7 +2,6 @@
 
 import zipfile
 from collections.abc import Collection, Iterable, Iterator
-from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
 from uuid import UUID
@@ -16,6 +15,7 @@ from vitac.evaluator.tracks.registry import further_track_files
 
 from ..competitions.competition import Competition
 from ..competitions.stages import Stage
+from ..database.clock import read_clock
 from ..database.engine import among
 from ..database.models import AuditEntry, BoardResult, Evaluation, Submission, Team
 from ..database.states import FileRole
@@ -131,7 +131,7 @@ def export_receipts(
     receipts = [receipt for receipt in of_board if isinstance(receipt, Receipt)]
     results = [receipt.result.evaluation for receipt in receipts]
     description = ExportDescription(
-        made_at=datetime.now(UTC),
+        made_at=read_clock(session),
         public_key=state.public_key,
         secret=sealed.secret if sealed and sealed.revealed_at else None,
         commitment=stage.commitment,

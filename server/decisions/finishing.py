@@ -15,6 +15,7 @@ from ..competitions.competition import Competition
 from ..competitions.definition import Prize, TrackRules
 from ..competitions.stages import Stage
 from ..confirmations import Concern, require_confirmed
+from ..database.clock import read_clock
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.history import require_current, require_scored
 from ..leaderboards.standings import leaderboard
@@ -83,7 +84,7 @@ def finalize(
             over, a stage lacks witnesses, a board has results of another evaluator version, a judged track has an entry
             without a total, or something is neither settled nor confirmed.
     """
-    competition, now = Competition.lock_to_change(session, by, name), at or datetime.now(UTC)
+    competition, now = Competition.lock_to_change(session, by, name), at or read_clock(session)
     _require_over(session, competition, now)
     require_witnessed(session, competition)
     found = _winners_now(session, competition)
@@ -100,7 +101,7 @@ def concerns_at_end(session: Session, name: str | None = None) -> list[Concern]:
     """Return what is not settled, and would be by the end alone."""
     competition = Competition.find(session, name)
     competition.require_held()
-    return unsettled(competition, datetime.now(UTC))
+    return unsettled(competition, read_clock(session))
 
 
 def reopen(session: Session, by: Principal, reason: str, name: str | None = None) -> None:
@@ -115,7 +116,7 @@ def reopen(session: Session, by: Principal, reason: str, name: str | None = None
     _require_final(competition)
     shown, row = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH), competition.row
     before = {"finalized_at": str(row.finalized_at), "winners": row.winners, "boards": row.boards}
-    row.reopened = [*row.reopened, {"at": datetime.now(UTC).isoformat(), "reason": shown}]
+    row.reopened = [*row.reopened, {"at": read_clock(session).isoformat(), "reason": shown}]
     row.finalized_at = row.winners = row.boards = None
     record(session, by, "competition.reopen", competition.subject, {"reason": shown}, before=before)
     _issue_receipt(session, competition, reason=shown)

@@ -1,7 +1,6 @@
 """Submissions evaluated again, beside their results, with the present evaluator; applied or discarded together."""
 
 from collections.abc import Collection, Sequence
-from datetime import UTC, datetime
 from uuid import UUID
 
 from sqlalchemy import delete, exists, select
@@ -14,6 +13,7 @@ from ..accounts.outbox import announce_evaluation
 from ..audit import record
 from ..competitions.competition import Competition, find_stage
 from ..competitions.stages import Stage
+from ..database.clock import read_clock
 from ..database.engine import among
 from ..database.locks import lock_evaluation
 from ..database.models import BoardResult, Evaluation, Rejudgement, Submission, Team
@@ -158,7 +158,7 @@ def apply(
             ProblemCode.RESULTS_OUTDATED,
             "Something has changed since you looked, so nothing was applied. Check it and try again.",
         )
-    now = datetime.now(UTC)
+    now = read_clock(session)
     # By id: an evaluation of another rejudgement is locked in the same order.
     chosen = sorted(find_newest_evaluations(session, found).values(), key=lambda evaluation: evaluation.id)
     keeping = {row.submission for row in rows if row.keeps_result}
@@ -204,7 +204,7 @@ def discard(session: Session, by: Principal, rejudgement_id: UUID) -> None:
         locked = lock_evaluation(session, evaluation.id)
         if locked.state in ACTIVE_EVALUATION_STATES:
             lifecycle.cancel(session, locked)
-    found.discarded_at = datetime.now(UTC)
+    found.discarded_at = read_clock(session)
     record(session, by, "rejudgement.discard", _subject(found), {"discarded": True})
 
 

@@ -3,7 +3,6 @@
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from datetime import UTC, datetime
 from typing import Any, Self
 
 from sqlalchemy import bindparam, func, select
@@ -13,6 +12,7 @@ from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure, diges
 from vitac.evaluator.tracks import ListKind
 
 from ..competitions.competition import find_stage
+from ..database.clock import read_clock
 from ..database.models import EpisodeResult, Evaluation, Submission
 from ..principals import Principal
 from ..queue.leases import Lease
@@ -89,12 +89,13 @@ class EpisodeKey:
 def played_keys(evaluation: Evaluation, submission: Submission) -> tuple[EpisodeKey, ...]:
     """Return the keys of the episodes on each list that an evaluation plays; first that of its result.
 
-    Beside the sealed list of a stage, the public one is played for comparison.
+    Beside the sealed list of a stage, the public one is played for comparison, but not beside its final list.
     """
     key = EpisodeKey.from_evaluation(evaluation, submission)
     track = known_track(submission.track)
     is_public = track is not None and all(task.episode_list.kind is ListKind.PUBLIC for task in track.tasks.values())
-    return (key, key.select_public_list()) if key.commitment and is_public else (key,)
+    plays_both = key.commitment and is_public and submission.final_of is None
+    return (key, key.select_public_list()) if plays_both else (key,)
 
 
 def find_shown_key(
@@ -120,7 +121,7 @@ def _is_closed_to(session: Session, by: Principal, submission: Submission) -> bo
     if by.may_see(submission.team_id, submission.competition) or by.organizes(submission.competition):
         return False
     stage = find_stage(session, submission)
-    return stage.ranks_on_public_list and not stage.is_over(datetime.now(UTC))
+    return stage.ranks_on_public_list and not stage.is_over(read_clock(session))
 
 
 _TABLE = EpisodeResult.metadata.tables[EpisodeResult.__tablename__]

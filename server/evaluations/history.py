@@ -157,9 +157,18 @@ def count_running(session: Session, stage: Stage) -> int:
 def require_scored(session: Session, stage: Stage) -> None:
     """Refuse while an evaluation of a stage waits or runs, or the newest one of a submission was lost to machines.
 
+    A final list has to be played first.
+
     Raises:
         ServiceError: stage_not_over.
     """
+    if stage.live is not None and stage.played_since is None:
+        raise ServiceError(
+            ProblemCode.STAGE_NOT_OVER,
+            f"Expected {stage} to be played; that begins by itself once the stage has closed and its evaluations have "
+            f"ended, or with `vitac admin competition play-final {stage.track} {stage.live.name}`, which says what is "
+            "missing.",
+        )
     if running := count_running(session, stage):
         raise ServiceError(
             ProblemCode.STAGE_NOT_OVER,

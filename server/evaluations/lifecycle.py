@@ -1,7 +1,7 @@
 """Life of an evaluation: from its start, or the check of its sensor, to its last shard, a cancel, or a failure."""
 
-from collections.abc import Sequence
-from datetime import UTC, datetime, timedelta
+from collections.abc import Collection, Sequence
+from datetime import datetime, timedelta
 from itertools import product
 from uuid import UUID
 
@@ -20,6 +20,7 @@ from vitac.evaluator.tracks.registry import compute_hash, find_version
 
 from ..accounts.outbox import announce_evaluation
 from ..competitions.competition import find_stage
+from ..database.clock import read_clock
 from ..database.locks import lock_evaluation
 from ..database.models import Evaluation, SensorCheck, Shard, Submission, SubmissionFile, Trial, Work
 from ..database.states import OPEN_WORK_STATES, EvaluationState, FileRole, NoticeKind, WorkKind, WorkState
@@ -91,7 +92,7 @@ def start(
         rejudgement_id=rejudgement_id,
         is_proposed=rejudgement_id is not None,
         traceparent=current_traceparent(),
-        created_at=datetime.now(UTC),
+        created_at=read_clock(session),
     )
     session.add(evaluation)
     session.flush()
@@ -107,10 +108,17 @@ def start(
     return evaluation
 
 
-def _add_shards(session: Session, evaluation: Evaluation) -> None:
+def _add_shards(session: Session, evaluation: Evaluation) -> bool:
+    """Queue the next of the lists that an evaluation plays; return whether there was one.
+
+    The public list comes first, alone: nothing that a policy does with it, and nothing that its team sees of it, can
+    come from an episode of the sealed list.
+    """
     submission = evaluation.submission
+    queued = set(session.scalars(select(Shard.commitment).where(Shard.evaluation_id == evaluation.id)))
+    keys = [key for key in reversed(played_keys(evaluation, submission)) if key.commitment not in queued]
     track, owner = load_track(submission.track), f"team:{submission.team_id}"
-    for key, task in product(played_keys(evaluation, submission), submission.tasks):
+    for key, task in product(keys[:1], submission.tasks):
         family = find_family(submission.track, task)
         kind = WorkKind.TRIAL if family is Family.STATION else WorkKind.SHARD
         requires = name_requirement(evaluation.evaluator_version, family)
@@ -127,6 +135,7 @@ def _add_shards(session: Session, evaluation: Evaluation) -> None:
                     **columns,
                 )
             )
+    return bool(keys)
 
 
 def _brings_sensor(submission: Submission) -> bool:
@@ -198,8 +207,10 @@ def finish_shard(session: Session, lease: Lease, result: ShardResult) -> None:
     else:
         # Earlier shards run on: the verdict is the first one's, whatever the order in which they end.
         _cancel_work(session, evaluation, after=lease.work_id)
-    if not _count_open_shards(session, evaluation):
-        _conclude(session, evaluation)
+    if not _has_shards(session, evaluation, OPEN_WORK_STATES):
+        is_broken = _has_shards(session, evaluation, {WorkState.FAILED})
+        if is_broken or not _add_shards(session, evaluation):
+            _conclude(session, evaluation)
 
 
 def _require_all_stored(session: Session, lease: Lease) -> None:
@@ -250,7 +261,7 @@ def cancel(session: Session, evaluation: Evaluation) -> None:
     """End a queued or running evaluation; its workers find out at their next renewal."""
     _cancel_work(session, evaluation)
     evaluation.state = EvaluationState.CANCELLED
-    evaluation.finished_at = datetime.now(UTC)
+    evaluation.finished_at = read_clock(session)
 
 
 def first_refuted_shard(session: Session, evaluation: Evaluation) -> Shard | None:
@@ -287,13 +298,14 @@ def _conclude(session: Session, evaluation: Evaluation) -> None:
     if not evaluation.is_proposed:
         by_list = {key.commitment: records for key, records in zip(keys, played, strict=True)}
         note_near_copies(session, evaluation, by_list)
-        note_archive_copies(session, submission)
+        if submission.final_of is None:  # whose archive was compared when it was chosen from
+            note_archive_copies(session, submission)
 
 
 def _complete(session: Session, evaluation: Evaluation, records: Records) -> None:
     manifests = {task: read_provenance(session, evaluation, task, evaluation.commitment or "") for task in records}
     hashes = {task: result_hash(manifests[task], records[task]) for task in records}
-    finished_at = datetime.now(UTC)
+    finished_at = read_clock(session)
     track = load_track(evaluation.submission.track)
     scores = {task: score(records[task], track.task(task).definition.measures) for task in records}
     store_scores(session, evaluation, scores, hashes, finished_at=finished_at)
@@ -329,7 +341,7 @@ def _fail(session: Session, evaluation: Evaluation, code: str, message: str) -> 
     evaluation.verdict_code = code
     evaluation.verdict_message = message
     evaluation.state = EvaluationState.FAILED
-    evaluation.finished_at = datetime.now(UTC)
+    evaluation.finished_at = read_clock(session)
     if not evaluation.is_proposed:
         announce_evaluation(session, NoticeKind.FAILED, evaluation)
 
@@ -355,6 +367,6 @@ def _cancel_work(session: Session, evaluation: Evaluation, after: int = 0) -> No
     )
 
 
-def _count_open_shards(session: Session, evaluation: Evaluation) -> int:
-    query = select(func.count()).select_from(Shard)
-    return session.scalar(query.where(Shard.evaluation_id == evaluation.id, Shard.state.in_(OPEN_WORK_STATES))) or 0
+def _has_shards(session: Session, evaluation: Evaluation, states: Collection[WorkState]) -> bool:
+    of_evaluation = Shard.evaluation_id == evaluation.id, Shard.state.in_(states)
+    return session.scalar(select(Shard.id).where(*of_evaluation).limit(1)) is not None

@@ -136,10 +136,12 @@ def leaderboard(
     shown_names = ShownNames.read(session, CONSOLE if live else VISITOR)
     names = f"{named_at} {shown_names.hidden and not live}"
     is_practice = list_kind is ListKind.PUBLIC and not stage.decides
-    revision = compute_revision(f"{board} {counted} {list_kind} {is_practice} {names}", best)
+    list_sentence = stage.list_sentence
+    revision = compute_revision(f"{board} {counted} {list_kind} {list_sentence} {is_practice} {names}", best)
     shown = _Shown(
         board=board,
         list_kind=list_kind,
+        list_sentence=list_sentence,
         is_practice=is_practice,
         is_reference=reference,
         rule=stage.describe_ranking(task),
@@ -158,6 +160,7 @@ class _Shown:
 
     Attributes:
         list_kind: of the episodes that submissions to it play.
+        list_sentence: which of two sealed lists it shows; None where there are no two.
         is_practice: whether it decides nothing because its list is public.
         is_reference: whether it ranks nobody.
         rule: how it is ranked where the competition's file says it; empty where the track's does.
@@ -167,6 +170,7 @@ class _Shown:
 
     board: Board
     list_kind: ListKind
+    list_sentence: str | None
     is_practice: bool
     is_reference: bool
     rule: str
@@ -193,6 +197,7 @@ def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView |
         frozen_at=shown.counted.frozen_at,
         final_since=shown.counted.final_since,
         list_kind=shown.list_kind,
+        list_sentence=shown.list_sentence,
         is_practice=shown.is_practice,
         is_reference=shown.is_reference,
         ranking=shown.board.ranking,

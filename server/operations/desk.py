@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import datetime
 from uuid import UUID
 
 from sqlalchemy import ColumnElement, and_, exists, func, or_, select
@@ -13,6 +13,7 @@ from ..audit import entry_view, newest_entries
 from ..competitions.competition import Competition
 from ..competitions.definition import StageRules
 from ..competitions.stages import Stage
+from ..database.clock import read_clock
 from ..database.models import ArchiveCopy, EpisodeDifference, Evaluation, LogCopy, NearCopy, Qualification, Submission
 from ..evaluations.history import count_running
 from ..evaluations.verdicts import ServiceVerdict
@@ -114,7 +115,7 @@ def stages(session: Session, by: Principal, at: datetime | None = None) -> Seque
         ServiceError: forbidden.
     """
     by.require_organizer(by.competition)
-    now, competitions = at or datetime.now(UTC), Competition.read_all(session)
+    now, competitions = at or read_clock(session), Competition.read_all(session)
     return [
         StageState(
             competition=competition.name if len(competitions) > 1 else None,

@@ -12,6 +12,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from ..accounts.merging import forget_contacts
 from ..database.metrics import RetryReason, TotalsWriter
+from ..decisions.final_list import play_due
 from ..evaluations.lifecycle import give_up
 from ..evaluations.superseding import supersede_outdated
 from ..leaderboards.board_cache import forget_old_notes
@@ -29,9 +30,9 @@ logger = structlog.get_logger(__name__)
 
 PRUNE_EVERY_S = 3600.0
 OTHERS_EVERY_S = 10.0
-"""Seconds between two looks for playbacks that nobody can make, results without stills, evaluations of other versions
-and folders of killed processes. Whoever waits for one waits up to so much longer; lost work is looked for in every
-round, because each worker does this beside its own."""
+"""Seconds between two looks for playbacks that nobody can make, results without stills, evaluations of other versions,
+final lists that are due and folders of killed processes. Whoever waits for one waits up to so much longer; lost work is
+looked for in every round, because each worker does this beside its own."""
 ORPHAN_KEPT = timedelta(hours=24)
 """An upload is stored before its row is committed, so a file without a row is left alone for this time."""
 
@@ -106,6 +107,8 @@ class Housekeeping:
             self._declare()
             with self._services.database.transaction() as session:
                 supersede_outdated(session, self._services.settings)
+            with self._services.database.transaction() as session:
+                play_due(session)
             with self._services.database.transaction() as session:
                 ask_for_missing_stills(session, self._services.settings, self._have_stills)
         with self._services.database.transaction() as session:

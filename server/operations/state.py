@@ -12,6 +12,7 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import InstrumentedAttribute, Session
 from vitac.evaluator.tracks import list_tracks, load_track
 
+from ..database.clock import read_clock
 from ..database.metrics import SeriesKey
 from ..database.models import EpisodeResult, Evaluation, Shard, Submission, Worker
 from ..database.states import ACTIVE_EVALUATION_STATES, OPEN_WORK_STATES, EvaluationState, WorkState
@@ -77,7 +78,7 @@ RATE_WINDOW = timedelta(minutes=5)
 
 def operations(session: Session, settings: Settings, counted: Mapping[SeriesKey, float]) -> OperationsView:
     """Return the state of the service, with a summary of the totals."""
-    now = session.scalars(select(func.clock_timestamp())).one()
+    now = read_clock(session)
     shards = running_shards(session)
     recent = select(Worker).where(Worker.heartbeat_at > now - WORKERS_SHOWN_FOR).order_by(Worker.host, Worker.pid)
     return OperationsView(

@@ -2,7 +2,6 @@
 
 import secrets
 from collections.abc import Collection, Mapping
-from datetime import UTC, datetime
 from typing import Any
 
 from sqlalchemy import delete, exists, func, or_, select, update
@@ -14,6 +13,7 @@ from ..accounts.messages import make_announcement_view, make_question_view
 from ..accounts.outbox import notice_view
 from ..audit import entry_view, record
 from ..competitions.competition import Competition
+from ..database.clock import read_clock
 from ..database.models import (
     Announcement,
     ApiToken,
@@ -75,7 +75,7 @@ def export(session: Session, settings: Settings, by: Principal, team: Team) -> T
         questions=[make_question_view(one, by) for one in asked],
         appeals=[appeal_view(one, by) for one in appealed],
         audit_log=_audit_log(session, by, team),
-        made_at=datetime.now(UTC),
+        made_at=read_clock(session),
     )
 
 
@@ -99,7 +99,7 @@ def erase(session: Session, by: Principal, team: Team) -> None:
             ProblemCode.INVALID_REQUEST,
             f"Expected no evaluation of {team.name} that waits or runs, got {running}; wait or cancel.",
         )
-    now = datetime.now(UTC)
+    now = read_clock(session)
     team.name = f"Deleted team {secrets.token_hex(16)}"  # nobody can have taken this name before
     team.name_key, team.contact, team.note = teams.name_key(team.name), None, ""
     team.named_at = team.erased_at = now

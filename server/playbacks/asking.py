@@ -6,7 +6,7 @@ Visitors may ask for those of public submissions and have one such limit togethe
 """
 
 import hashlib
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from enum import StrEnum
 from uuid import UUID
 
@@ -19,6 +19,7 @@ from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.registry import find_version
 
 from ..accounts.shown_names import ShownNames
+from ..database.clock import read_clock
 from ..database.locks import AdvisoryLock, wait_for_turn
 from ..database.models import EpisodeResult, Playback, Work
 from ..database.states import OPEN_WORK_STATES, WorkKind, WorkState
@@ -124,7 +125,7 @@ def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeRes
     # The second of two who ask at the same time waits here for the first one.
     wait_for_turn(session, AdvisoryLock.PLAYBACK_OF_EPISODE, playback_key(episode))
     found = find_playback(session, episode)
-    if found is not None and not _may_retry(found):
+    if found is not None and not _may_retry(session, found):
         return found
     _require_somebody_who_draws(session, settings, episode)
     if not by.organizes_any:
@@ -137,7 +138,7 @@ def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeRes
         key=playback_key(episode),
         episode_id=episode.id,
         evaluator_version=version,
-        asked_at=datetime.now(UTC),
+        asked_at=read_clock(session),
         **waiting(session, WorkKind.PLAYBACK, owner=asked_by, requires=requires),
     )
     session.add(playback)
@@ -221,9 +222,9 @@ def playback_view(session: Session, settings: Settings, playback: Playback) -> P
     )
 
 
-def _may_retry(playback: Playback) -> bool:
+def _may_retry(session: Session, playback: Playback) -> bool:
     failed_at = playback.finished_at if playback.state is WorkState.FAILED else None
-    return failed_at is not None and failed_at < datetime.now(UTC) - FAILED_KEPT
+    return failed_at is not None and failed_at < read_clock(session) - FAILED_KEPT
 
 
 def _require_somebody_who_draws(session: Session, settings: Settings, episode: EpisodeResult) -> None:
@@ -234,7 +235,7 @@ def _require_somebody_who_draws(session: Session, settings: Settings, episode: E
 
 
 def _refuse_one_more(session: Session, settings: Settings, asked_by: str) -> None:
-    within_hour = Playback.asked_at > datetime.now(UTC) - timedelta(hours=1)
+    within_hour = Playback.asked_at > read_clock(session) - timedelta(hours=1)
     limits: tuple[tuple[int, ColumnElement[bool], str], ...] = (
         (settings.playbacks_at_once, Playback.state.in_(OPEN_WORK_STATES), "playbacks that wait or are being made"),
         (settings.playbacks_per_hour, within_hour, "new playbacks in an hour"),

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from typing import Any
 
 import structlog
@@ -13,6 +13,7 @@ from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.tracks.registry import find_evaluator
 
 from ..competitions.sealing import derive_list_seed
+from ..database.clock import read_clock
 from ..database.engine import Database
 from ..database.models import EpisodeResult, Playback, Submission, SubmissionFile, Work, Worker
 from ..database.states import OPEN_WORK_STATES, FileRole, WorkerState, WorkState
@@ -85,7 +86,7 @@ def end_made(session: Session, lease: PlaybackLease, digests: Mapping[str, str])
 
 def give_up_unmade(session: Session) -> None:
     """Give up playbacks that no worker can make: each counts against the limits of who asked for it as it waits."""
-    now = datetime.now(UTC)
+    now = read_clock(session)
     oldest = now - UNMADE_KEPT
     there = (Worker.heartbeat_at > oldest, Worker.state != WorkerState.REFUSING)
     rows = session.execute(select(Worker.evaluator_version, Worker.families).where(*there)).all()
@@ -101,7 +102,7 @@ def give_up_unmade(session: Session) -> None:
 
 def remove_old(session: Session, settings: Settings) -> None:
     """Remove playbacks that were asked for long ago; they are made again when somebody wants to see them."""
-    oldest = datetime.now(UTC) - timedelta(days=settings.playbacks_kept_days)
+    oldest = read_clock(session) - timedelta(days=settings.playbacks_kept_days)
     remove(session, Playback.asked_at < oldest, Playback.state.not_in(OPEN_WORK_STATES))
 
 

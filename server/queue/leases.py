@@ -5,12 +5,13 @@ from dataclasses import asdict, dataclass
 from typing import Any
 from uuid import UUID
 
-from sqlalchemy import bindparam, func, select, update
+from sqlalchemy import bindparam, select, update
 from sqlalchemy.orm import Session, contains_eager
 from vitac.evaluator.shards.order import ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from .. import traces
+from ..database.clock import read_clock
 from ..database.locks import lock_evaluation
 from ..database.models import Evaluation, SensorCheck, Shard, SubmissionFile
 from ..database.states import EvaluationState, FileRole, WorkState
@@ -69,7 +70,7 @@ def begin(session: Session, claim: Claim) -> Lease:
         lock_evaluation(session, evaluation.id)
         lock_held(session, claim)
         evaluation.state = EvaluationState.RUNNING
-        evaluation.started_at = session.scalars(select(func.clock_timestamp())).one()
+        evaluation.started_at = read_clock(session)
     return Lease(
         **vars(claim),
         evaluation_id=evaluation.id,

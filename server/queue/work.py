@@ -7,7 +7,7 @@ longer changes anything: its next statement raises `LeaseLost`.
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from functools import partial
 from typing import Any
 from uuid import UUID
@@ -20,6 +20,7 @@ from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 from vitac.envs.tasks.definition import Family
 
+from ..database.clock import read_clock
 from ..database.engine import Database
 from ..database.locks import AdvisoryLock, try_lock, unless_held
 from ..database.models import Work
@@ -276,7 +277,7 @@ def _queue_again(
 ) -> None:
     noted = []
     if repeat is not None:
-        noted = [RepeatView(at=datetime.now(UTC), cause=repeat[0], reason=repeat[1]).model_dump(mode="json")]
+        noted = [RepeatView(at=read_clock(session), cause=repeat[0], reason=repeat[1]).model_dump(mode="json")]
     change_held(
         session,
         claim,

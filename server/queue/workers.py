@@ -4,7 +4,7 @@ import json
 import shutil
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from functools import cache
 from pathlib import Path
 from uuid import UUID
@@ -18,6 +18,7 @@ from vitac.evaluator.tracks.registry import current_versions, find_evaluator, fi
 from vitac.evaluator.version import evaluator_version
 
 from ..audit import record
+from ..database.clock import read_clock
 from ..database.models import DeclaredEvaluator, Evaluation, Shard, Worker
 from ..database.states import ACTIVE_EVALUATION_STATES, WorkerOrder, WorkerState, WorkState
 from ..errors import ProblemCode, ServiceError, not_found
@@ -85,7 +86,7 @@ def measure_disk(folder: Path) -> Disk:
 
 def register(session: Session, worker: Worker) -> None:
     """Add a worker process and forget those without a heartbeat for a week."""
-    session.execute(delete(Worker).where(Worker.heartbeat_at < datetime.now(UTC) - FORGOTTEN_AFTER))
+    session.execute(delete(Worker).where(Worker.heartbeat_at < read_clock(session) - FORGOTTEN_AFTER))
     session.add(worker)
 
 
@@ -167,7 +168,7 @@ def list_workers(session: Session) -> Sequence[Worker]:
 
 def list_views(session: Session, settings: Settings) -> list[WorkerView]:
     """Return all known workers as organizers see them, the one with the newest heartbeat first."""
-    shards, now = running_shards(session), datetime.now(UTC)
+    shards, now = running_shards(session), read_clock(session)
     return [worker_view(one, settings, now=now, shards=shards.get(one.id, ())) for one in list_workers(session)]
 
 
@@ -178,7 +179,7 @@ def view_worker(session: Session, settings: Settings, worker_id: UUID) -> Worker
         ServiceError: there is none.
     """
     shards = running_shards(session).get(worker_id, ())
-    return worker_view(find(session, worker_id), settings, now=datetime.now(UTC), shards=shards)
+    return worker_view(find(session, worker_id), settings, now=read_clock(session), shards=shards)
 
 
 def find(session: Session, worker_id: UUID) -> Worker:

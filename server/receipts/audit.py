@@ -221,7 +221,7 @@ def _check_results(
     found: Audit,
 ) -> None:
     """Report results without their submission, of other teams, or missing on the board."""
-    found.findings += check_arrivals(arrivals.values())
+    found.findings += check_arrivals(described, arrivals)
     for is_wrong, sentence in check_submissions(arrivals, receipts.values()):
         (found.findings if is_wrong else found.unusual).append(sentence)
     for is_wrong, sentence in (*check_teams(described, receipts), *check_entries(described, receipts)):

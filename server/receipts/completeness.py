@@ -9,6 +9,7 @@ from uuid import UUID
 from vitac.evaluator.ranking import RankedScore
 from vitac.evaluator.tracks.sealed import make_commitment
 
+from ..competitions.definition import FINAL_SUFFIX
 from ..transparency.entries import EntryKind, LogEntry
 from ..transparency.merkle import Tree
 from ..transparency.notes import Checkpoint, NoteRejected, make_log_key
@@ -83,10 +84,16 @@ def check_order(entries: Iterable[LogEntry]) -> Iterator[str]:
             )
 
 
-def check_arrivals(arrivals: Iterable[SubmissionReceipt]) -> Iterator[str]:
-    """Yield a finding for each submission whose receipt was not issued when it is said to have arrived."""
-    for receipt in arrivals:
+def check_arrivals(described: ExportDescription, arrivals: Mapping[UUID, SubmissionReceipt]) -> Iterator[str]:
+    """Yield a finding for each submission whose receipt was not issued when it is said to have arrived.
+
+    One that plays a final list arrived as the one that was chosen, of the same team and content.
+    """
+    for receipt in arrivals.values():
         arrival = receipt.submission
+        if arrival.final_of is not None:
+            yield from _check_chosen(described, receipt, arrivals.get(arrival.final_of))
+            continue
         late = arrival.issued_at - arrival.submitted_at
         if not timedelta() <= late <= _ARRIVAL:
             yield (
@@ -94,6 +101,23 @@ def check_arrivals(arrivals: Iterable[SubmissionReceipt]) -> Iterator[str]:
                 f"{_moment(arrival.issued_at)}, but the submission is said to have arrived at "
                 f"{_moment(arrival.submitted_at)}."
             )
+
+
+def _check_chosen(
+    described: ExportDescription, receipt: SubmissionReceipt, chosen: SubmissionReceipt | None
+) -> Iterator[str]:
+    """Yield a finding where a submission that plays a final list is not the one that was chosen."""
+    arrival, subject = receipt.submission, f"Receipt {receipt.entry.number} of a submission that plays a final list"
+    if chosen is None or chosen.submission.final_of is not None or chosen.entry.number > receipt.entry.number:
+        yield f"{subject}: the arrival of the chosen one, {arrival.final_of}, has no receipt before it."
+        return
+    expected = chosen.submission.model_copy(update={"stage": f"{chosen.submission.stage}{FINAL_SUFFIX}"})
+    for name in ("submission_digest", "competition", "track", "stage", "kind", "submitted_at"):
+        if getattr(arrival, name) != getattr(expected, name):
+            yield f"{subject}: its {name.replace('_', ' ')} is not that of the chosen one."
+    names = {name for team in described.teams for name in (team.name, *team.former_names)}
+    if not any(arrival.is_of_team(name) and expected.is_of_team(name) for name in names):
+        yield f"{subject}: the chosen one is not clearly of the same team."
 
 
 def check_submissions(

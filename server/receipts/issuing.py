@@ -39,7 +39,9 @@ _TASK_FIELDS = tuple(TaskResult.model_fields)
 def issue_for_submission(session: Session, submission: Submission) -> None:
     """Add the receipt of a submission that has arrived to the log, in the transaction that stores it; see `append`."""
     append(
-        session, lambda at: Arrival.model_validate(_describe_submission(submission, at)), submission_id=submission.id
+        session,
+        lambda at: Arrival.model_validate({**_describe_submission(submission, at), "final_of": submission.final_of}),
+        submission_id=submission.id,
     )
 
 
@@ -70,15 +72,25 @@ def list_entries(
 
 
 def receipts_of_board(session: Session, stage: Stage, kind: SubmissionKind) -> Sequence[Receipt | SubmissionReceipt]:
-    """Return the receipts of a stage's submissions and of all their results, on its boards or not."""
+    """Return the receipts of a stage's submissions and of all their results, on its boards or not.
+
+    Those of a final list come with the arrivals of what was chosen.
+    """
     board = board_name(stage.competition, stage.track, stage.name, kind)
     submission_id = func.coalesce(ReceiptRow.submission_id, Evaluation.submission_id)
+    chosen = select(Submission.final_of).where(stage.submissions, Submission.final_of.is_not(None))
     found = _receipts(
         session,
         select(ReceiptRow)
         .outerjoin(Evaluation, Evaluation.id == ReceiptRow.evaluation_id)
         .outerjoin(Submission, Submission.id == submission_id)
-        .where(or_(and_(stage.submissions, Submission.kind == kind), ReceiptRow.board == board)),
+        .where(
+            or_(
+                and_(stage.submissions, Submission.kind == kind),
+                ReceiptRow.board == board,
+                ReceiptRow.submission_id.in_(chosen),
+            )
+        ),
     )
     return [receipt for receipt in found if not isinstance(receipt, EndReceipt)]
 

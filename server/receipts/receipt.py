@@ -90,6 +90,9 @@ class Arrival(OfSubmission):
 
     stands_for = EntryKind.SUBMISSION
 
+    final_of: UUID | None = None
+    """The chosen submission that arrived before, where this one plays the final list of its stage; null elsewhere."""
+
 
 class Result(OfSubmission):
     """The final result of one evaluation."""

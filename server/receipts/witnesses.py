@@ -10,6 +10,7 @@ from sqlalchemy.orm import Session
 
 from ..competitions.competition import Competition
 from ..competitions.stages import Stage
+from ..database.clock import read_clock
 from ..database.models import CompetitionRow, Cosignature, ReceiptRow
 from ..errors import ProblemCode, ServiceError
 from ..transparency.log import count_entries, make_checkpoint, parse_entry, read_log_key, read_tree
@@ -60,7 +61,7 @@ def add_cosignatures(session: Session, text: str) -> int:
             f"No competition of this service names the witness {_name_signers(checkpoint)}. Send the organizers the "
             "key that `vitac witness key` prints: they put it into the competition file.",
         )
-    latest = datetime.now(UTC) + _CLOCK_DIFFERENCE
+    latest = read_clock(session) + _CLOCK_DIFFERENCE
     of_now = [row for row in rows.values() if row["signed_at"] <= latest]
     if not of_now:
         early = min(row["signed_at"] for row in rows.values())
@@ -87,7 +88,7 @@ def list_witness_views(session: Session) -> list[WitnessView]:
     keys = list(map(str, list_witnesses(session)))
     if not keys:
         return []
-    size, now = count_entries(session), session.scalars(select(func.clock_timestamp())).one()
+    size, now = count_entries(session), read_clock(session)
     sizes = _signed_sizes(session)
     return [_witness_view(session, key, sizes.get(key), size, now) for key in keys]
 

@@ -1,6 +1,6 @@
 """Appeals: a team says that an evaluation went wrong, an organizer looks, plays episodes again beside it, and rules."""
 
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from typing import Any
 from uuid import UUID
 
@@ -10,6 +10,7 @@ from sqlalchemy.orm import Session, joinedload, selectinload
 from ..accounts import teams
 from ..audit import record
 from ..competitions.competition import Competition, find_stage
+from ..database.clock import read_clock
 from ..database.models import Appeal, EpisodeResult, Evaluation, Rejudgement, Submission
 from ..database.states import TERMINAL_EVALUATION_STATES, AppealState, WorkState
 from ..errors import ProblemCode, ServiceError, not_found
@@ -67,7 +68,7 @@ def open_appeal(
     is_open = Appeal.state == AppealState.OPEN
     if session.scalar(counted.where(is_open, Appeal.evaluation_id == evaluation.id)):
         raise ServiceError(ProblemCode.INVALID_REQUEST, "There is an open appeal against this evaluation already.")
-    of_team, day = Appeal.team_id == submission.team_id, datetime.now(UTC) - timedelta(days=1)
+    of_team, day = Appeal.team_id == submission.team_id, read_clock(session) - timedelta(days=1)
     waiting = session.scalar(counted.where(is_open, of_team)) or 0
     opened = session.scalar(counted.where(of_team, Appeal.opened_at > day)) or 0
     if waiting >= MAX_OPEN or opened >= MAX_A_DAY:
@@ -83,7 +84,7 @@ def open_appeal(
         episode=episode,
         text=kept,
         state=AppealState.OPEN,
-        opened_at=datetime.now(UTC),
+        opened_at=read_clock(session),
     )
     session.add(made)
     session.flush()
@@ -224,7 +225,7 @@ def _end(session: Session, by: Principal, appeal: Appeal, state: AppealState, ru
     if appeal.state is not AppealState.OPEN:
         raise ServiceError(ProblemCode.INVALID_REQUEST, f"Appeal {appeal.id} is {appeal.state} already.")
     before: dict[str, Any] = {"state": appeal.state.value}
-    appeal.state, appeal.ruling, appeal.ended_at = state, ruling, datetime.now(UTC)
+    appeal.state, appeal.ruling, appeal.ended_at = state, ruling, read_clock(session)
     after = {"state": state.value, "ruling": ruling}
     record(session, by, "appeal.rule" if ruling else "appeal.withdraw", f"appeal:{appeal.id}", after, before=before)
 
@@ -243,7 +244,7 @@ def _require_time(session: Session, evaluation: Evaluation) -> None:
     if days is None:
         raise ServiceError(ProblemCode.APPEAL_TOO_LATE, "This service takes no appeals; ask the organizers a question.")
     until = (_find_application(session, evaluation) or evaluation.finished_at) + timedelta(days=days)
-    if datetime.now(UTC) >= until:
+    if read_clock(session) >= until:
         raise ServiceError(ProblemCode.APPEAL_TOO_LATE, f"Appeals were possible until {until:%F %T} UTC, {days} days.")
 
 

@@ -1,6 +1,6 @@
 """Makes submissions out of checked uploads, in one transaction with their evaluation and its jobs."""
 
-from datetime import UTC, datetime
+from datetime import datetime
 
 from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import insert
@@ -12,6 +12,7 @@ from ..accounts.quotas import charge, check, check_stage
 from ..audit import record
 from ..competitions.competition import Competition, choose_competition
 from ..competitions.stages import Stage
+from ..database.clock import read_clock
 from ..database.models import Submission, Team
 from ..database.states import NoticeKind, Quota
 from ..database.stored_uploads import WAS_CANCELLED
@@ -65,7 +66,7 @@ def create(
     team_row = owner(session, by, team)
     teams.lock(session, team_row)
     teams.require_taking_part(team_row)
-    now = at or datetime.now(UTC)
+    now = at or read_clock(session)
     stage = choose_competition(session, upload.track, now, competition).open_stage(upload.track, by, now)
     stage.require_accepts(team_row, upload.kind)
     check_file_name(upload.file_name, team=team_row.name, stage=stage)
@@ -116,7 +117,7 @@ def expect_upload(
     """
     found = owner(session, by, team)
     if track is not None:
-        choose_competition(session, track, datetime.now(UTC), competition)
+        choose_competition(session, track, read_clock(session), competition)
     elif competition is not None:
         Competition.find(session, competition)
     known = select(Submission.id).where(Submission.team_id == found.id, Submission.archive_sha256 == sha256).limit(1)

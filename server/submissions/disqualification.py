@@ -1,6 +1,5 @@
 """Takes one submission off all boards, or puts it back; its team takes part as before. Called by API and command."""
 
-from datetime import UTC, datetime
 from uuid import UUID
 
 from sqlalchemy import select, update
@@ -9,6 +8,7 @@ from sqlalchemy.orm import Session
 from .. import names
 from ..accounts.teams import REASON_LENGTH
 from ..audit import record
+from ..database.clock import read_clock
 from ..database.models import BoardResult, Submission
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.copies import list_completed, mark_copy
@@ -26,7 +26,7 @@ def disqualify(session: Session, by: Principal, submission_id: UUID, reason: str
     submission = _lock(session, by, submission_id)
     shown = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH)
     require_qualified(submission)
-    submission.disqualified_at, submission.disqualified_for = datetime.now(UTC), shown
+    submission.disqualified_at, submission.disqualified_for = read_clock(session), shown
     _mark_results(session, submission)
     subject = f"submission:{submission.id}"
     record(session, by, "submission.disqualify", subject, {"reason": shown}, before={"reason": None})
@@ -87,7 +87,7 @@ def clear(session: Session, by: Principal, submission_id: UUID, reason: str) -> 
             ProblemCode.INVALID_REQUEST,
             f"Submission {submission.id} is cleared already: {submission.copy_cleared_for}",
         )
-    submission.copy_cleared_at, submission.copy_cleared_for = datetime.now(UTC), shown
+    submission.copy_cleared_at, submission.copy_cleared_for = read_clock(session), shown
     _mark(session, submission)
     record(session, by, "submission.clear", f"submission:{submission.id}", {"reason": shown}, before={"reason": None})
 

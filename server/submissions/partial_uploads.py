@@ -8,7 +8,7 @@ so a connection that died unnoticed holds up nobody. Called by the API, `submiss
 import hashlib
 import secrets
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from uuid import UUID
 
@@ -17,6 +17,7 @@ from sqlalchemy.orm import Session, joinedload
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..accounts import teams
+from ..database.clock import read_clock
 from ..database.models import PartialUpload, Team, UploadPart
 from ..errors import ProblemCode, ServiceError, not_found
 from ..principals import Principal
@@ -74,7 +75,7 @@ def begin(session: Session, settings: Settings, owner: Team, plan: UploadPlan) -
     unfinished = select(PartialUpload).where(
         PartialUpload.team_id == owner.id,
         PartialUpload.submission_id.is_(None),
-        PartialUpload.expires_at > datetime.now(UTC),
+        PartialUpload.expires_at > read_clock(session),
     )
     if plan.sha256 is not None:
         same = unfinished.filter_by(**vars(plan)).order_by(PartialUpload.received_bytes.desc()).limit(1)
@@ -87,7 +88,7 @@ def begin(session: Session, settings: Settings, owner: Team, plan: UploadPlan) -
             f"{owner.name} has {settings.unfinished_uploads} unfinished uploads, the most that are possible; finish or "
             f"delete one. Each is removed {settings.upload_kept_h} h after its last piece.",
         )
-    upload = PartialUpload(team=owner, received_bytes=0, expires_at=_expiry(settings), **vars(plan))
+    upload = PartialUpload(team=owner, received_bytes=0, expires_at=_expiry(session, settings), **vars(plan))
     session.add(upload)
     session.flush()
     return upload
@@ -100,7 +101,7 @@ def find(session: Session, by: Principal, upload_id: UUID) -> PartialUpload:
         ServiceError: there is none that the principal may see; one that has expired is gone.
     """
     upload = session.get(PartialUpload, upload_id, options=[joinedload(PartialUpload.team)])
-    if upload is None or not by.may_change(upload.team_id) or upload.expires_at <= datetime.now(UTC):
+    if upload is None or not by.may_change(upload.team_id) or upload.expires_at <= read_clock(session):
         raise not_found("upload", upload_id)
     return upload
 
@@ -123,7 +124,7 @@ def add_parts(session: Session, settings: Settings, upload_id: UUID, parts: list
         ServiceError: the upload continues elsewhere, has too many parts, or is gone.
     """
     first, n_bytes = parts[0].first_byte, sum(part.n_bytes for part in parts)
-    expires_at = _expiry(settings)
+    expires_at = _expiry(session, settings)
     advanced = session.execute(
         update(PartialUpload)
         .where(
@@ -134,7 +135,7 @@ def add_parts(session: Session, settings: Settings, upload_id: UUID, parts: list
         .values(
             received_bytes=first + n_bytes,
             expires_at=expires_at,
-            completed_at=case((PartialUpload.total_bytes == first + n_bytes, datetime.now(UTC))),
+            completed_at=case((PartialUpload.total_bytes == first + n_bytes, read_clock(session))),
         )
         .returning(PartialUpload.id)
     ).one_or_none()
@@ -219,7 +220,7 @@ def remove(services: Services, upload_id: UUID) -> None:
 def remove_expired(services: Services) -> None:
     """Remove the uploads that got no piece for too long, and parts of uploads that are not there."""
     with services.database.transaction() as session:
-        has_expired = PartialUpload.expires_at <= datetime.now(UTC)
+        has_expired = PartialUpload.expires_at <= read_clock(session)
         expired = session.scalars(delete(PartialUpload).where(has_expired).returning(PartialUpload.id)).all()
     for upload_id in expired:
         services.blobs.delete_parts(str(upload_id))
@@ -230,5 +231,5 @@ def remove_expired(services: Services) -> None:
         services.blobs.delete_parts(upload)
 
 
-def _expiry(settings: Settings) -> datetime:
-    return datetime.now(UTC) + timedelta(hours=settings.upload_kept_h)
+def _expiry(session: Session, settings: Settings) -> datetime:
+    return read_clock(session) + timedelta(hours=settings.upload_kept_h)

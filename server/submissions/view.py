@@ -131,6 +131,8 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
         archive_bytes=submission.archive_bytes,
         submitted_at=submission.submitted_at,
         public=submission.is_public,
+        chosen=_is_chosen(submission, shown),
+        final_of=submission.final_of,
         disqualified_for=submission.disqualified_for,
         copy_of=shown.copies.get(newest.id),
         description=show_description(submission, shown.by, shown.names),
@@ -142,6 +144,12 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
         task_ranks={task: place for task, place in ranks.items() if task is not None},
         log=log,
     )
+
+
+def _is_chosen(submission: Submission, shown: _Shown) -> bool | None:
+    may_see = shown.by.may_see(submission.team_id, submission.competition)
+    is_model_of_live = submission.kind.form.runs_policy and shown.find_stage(submission).has_final
+    return submission.chosen_at is not None if may_see and is_model_of_live else None
 
 
 def _explain_unranked(newest: Evaluation, shown: _Shown) -> str | None:

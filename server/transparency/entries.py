@@ -36,6 +36,8 @@ class EntryKind(StrEnum):
     """Who may take part in a stage."""
     REJUDGEMENT = "rejudgement"
     """Results that were replaced by those of another evaluation."""
+    FINAL_LIST = "final_list"
+    """Which submissions play the final list of a stage."""
     BOARD = "board"
     """A board as it was at the end of a competition."""
 
@@ -155,6 +157,15 @@ class RejudgementApplied(OfStage):
     """Submissions with a result of the rejudgement."""
     withdrawn: NonNegativeInt
     """Submissions that it left without a result."""
+
+
+class FinalListPlayed(OfStage):
+    """Which submissions play a final list, all together and once, after the stage has closed."""
+
+    stands_for = EntryKind.FINAL_LIST
+
+    submissions: tuple[UUID, ...]
+    """Those that were chosen; each plays it as another submission, whose receipt names it."""
 
 
 class FinalBoard(OfStage):

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from uuid import UUID
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -10,6 +10,7 @@ from sqlalchemy import func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
+from ..database.clock import read_clock
 from ..database.locks import AdvisoryLock, wait_for_turn
 from ..database.models import Cosignature, ReceiptKey, ReceiptRow, TreeNode
 from ..errors import ProblemCode, ServiceError
@@ -66,7 +67,7 @@ def append(
     ensure_key(session)
     wait_for_turn(session, AdvisoryLock.RECEIPTS, "")
     last = session.scalar(select(ReceiptRow).order_by(ReceiptRow.number.desc()).limit(1))
-    now = session.scalars(select(func.clock_timestamp())).one().astimezone(UTC)
+    now = read_clock(session)
     content = make(max(now, parse_entry(last).issued_at) if last else now)
     entry = content.entry(last.number + 1 if last else 1)
     leaf = entry.leaf()

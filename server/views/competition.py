@@ -52,6 +52,12 @@ class StageView(View):
     title: str
     opens: datetime
     closes: datetime = Field(description="What is complete at this instant is too late.")
+    final_of: str | None = Field(
+        default=None, description="The stage of which it is the final list: nobody submits to it; null of a stage."
+    )
+    played_since: datetime | None = Field(
+        default=None, description="Since when a final list is played; null before, and of a stage."
+    )
     is_open: bool = Field(description="Whether it takes submissions now.")
     accepts: list[SubmissionKind]
     list_kind: ListKind | None = Field(description="Null where the service plays no episodes of it.")

@@ -85,6 +85,11 @@ class LeaderboardView(View):
         default=None, description="Since then the results of the competition are final; null: they are not."
     )
     list_kind: ListKind = Field(description="Who can know the episodes that submissions to it play.")
+    list_sentence: str | None = Field(
+        default=None,
+        description="Which of the two sealed lists of its stage it shows, and when the final one is played; null where "
+        "there are no two.",
+    )
     is_practice: bool = Field(
         default=False, description="Everybody can know the episodes: gives no prizes and no advancement."
     )
@@ -176,6 +181,18 @@ class LogBoardsView(View):
         boards = [board.model_copy(update={"entries": board.entries[after : after + limit]}) for board in self.boards]
         changes = {"boards": boards, "text_logs": self.text_logs[after : after + limit]}
         return self.model_copy(update=changes | {"next_after": after + limit if most > after + limit else None})
+
+
+class ShakeUpView(View):
+    """What a submission has reached on the final list, beside what it had reached on the live one."""
+
+    team: str
+    submission_id: UUID = Field(description="The one that played the final list.")
+    live_rate: float
+    final_rate: float
+    interval: tuple[float, float] = Field(description="95 % interval of the final rate minus the live one.")
+    live_rank: int = Field(description="Its place among the submissions on the final board, by their live rates.")
+    final_rank: int
 
 
 class DatedRankView(View):

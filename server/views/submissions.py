@@ -76,6 +76,13 @@ class SubmissionView(View):
     archive_bytes: int
     submitted_at: datetime
     public: bool = Field(description="Everybody may see its result, once its evaluation is complete.")
+    chosen: bool | None = Field(
+        default=None,
+        description="Whether its team wants it to play the final list of its stage; null where none is played.",
+    )
+    final_of: UUID | None = Field(
+        default=None, description="The submission that was chosen, where this one plays a final list; null elsewhere."
+    )
     disqualified_for: str | None = Field(default=None, description="Why it is on no board; null: it may be.")
     copy_of: CopyView | None = Field(default=None, description="Null where it is alike to no earlier one.")
     description: DescriptionView | None = Field(default=None, description="What its team wrote about it, where shown.")

@@ -109,6 +109,7 @@ def pages() -> APIRouter:
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
         ("/submissions/{submission_id}/cancel", sharing.cancel, "POST"),
         ("/submissions/{submission_id}/public", sharing.set_public, "POST"),
+        ("/submissions/{submission_id}/chosen", sharing.set_chosen, "POST"),
         ("/submissions/{submission_id}/description", sharing.describe, "POST"),
         ("/submissions/{submission_id}/description/removal", sharing.set_removal, "POST"),
         ("/submissions/{submission_id}/clearance", sharing.set_clearance, "POST"),

@@ -44,6 +44,7 @@ class SealedList(Base):
     """The secret from which the episode lists of a stage follow; everybody may know it once it is revealed.
 
     One that is withdrawn is played by no stage now; where its stage is sealed again, it is the same list again.
+    `played_at` says of a final list since when the chosen submissions play it.
     """
 
     __tablename__ = "sealed_lists"
@@ -60,6 +61,7 @@ class SealedList(Base):
     made_at: Mapped[datetime] = mapped_column(server_default=func.now())
     revealed_at: Mapped[datetime | None]
     withdrawn_at: Mapped[datetime | None]
+    played_at: Mapped[datetime | None]
 
 
 class Rejudgement(Base):

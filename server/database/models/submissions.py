@@ -22,6 +22,8 @@ class Submission(Base):
     Results of a disqualified one are on no board; `disqualified_for` says why. `copy_cleared_for` says why one that was
     found to be a copy is ranked. `archive_sketch` is what a model's archive is compared by, `contents` says what is in
     it. `description` is what the team wrote about its result; `description_removed_for` says why others do not see it.
+    `chosen_at` says since when its team wants it to play the final list of its stage; `final_of` is the one that was
+    chosen, of the submission that plays that list.
     """
 
     __tablename__ = "submissions"
@@ -68,6 +70,8 @@ class Submission(Base):
     description: Mapped[dict[str, str] | None] = mapped_column(JSONB(none_as_null=True))
     description_removed_for: Mapped[str | None]
     contents: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
+    chosen_at: Mapped[datetime | None]
+    final_of: Mapped[UUID | None] = mapped_column(ForeignKey("submissions.id", ondelete="RESTRICT"), unique=True)
     team: Mapped[Team] = relationship()
 
 

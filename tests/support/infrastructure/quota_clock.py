@@ -1,7 +1,9 @@
 """The time by which quotas count within a day, so that no test depends on when midnight is."""
 
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta, tzinfo
+from datetime import UTC, datetime, timedelta
+
+from sqlalchemy.orm import Session
 
 
 @dataclass(kw_only=True)
@@ -10,8 +12,8 @@ class QuotaClock:
 
     moment: datetime = field(default_factory=lambda: datetime.now(UTC))
 
-    def now(self, zone: tzinfo) -> datetime:
-        return self.moment.astimezone(zone)
+    def read(self, _: Session) -> datetime:
+        return self.moment
 
     @property
     def midnight(self) -> datetime:

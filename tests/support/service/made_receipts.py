@@ -71,7 +71,7 @@ def receipt_for(result: Result, *, number: int) -> Receipt:
 
 def arrival_of(result: Result, *, number: int, **changes: object) -> SubmissionReceipt:
     """The receipt of the submission that a result is of."""
-    values = {name: getattr(result, name) for name in Arrival.model_fields}
+    values = {name: getattr(result, name) for name in Arrival.model_fields.keys() & Result.model_fields}
     arrival = Arrival(**(values | {"issued_at": result.submitted_at} | changes))
     entry = arrival.entry(number)
     return SubmissionReceipt(entry=entry, public_key=PUBLIC_KEY, proofs=prove(arrival, number), submission=arrival)

@@ -345,10 +345,22 @@ def play(
 
 
 def play_all(database: Database, submission: Submission, record_of: RecordOf = make_record) -> None:
-    """Runs all shards of its newest evaluation, in one transaction."""
+    """Runs all shards of its newest evaluation, of one list after the other, in one transaction."""
     with database.transaction() as session:
-        for shard_id in shard_ids(session, submission):
-            _play(session, shard_id, record_of)
+        played: set[int] = set()
+        while waiting := [shard_id for shard_id in shard_ids(session, submission) if shard_id not in played]:
+            for shard_id in waiting:
+                _play(session, shard_id, record_of)
+            played.update(waiting)
+
+
+def play_public_list(database: Database, submission: Submission) -> list[int]:
+    """Runs what its newest evaluation plays first, and returns the shards of the sealed list, which follow."""
+    with database.transaction() as session:
+        first = shard_ids(session, submission)
+        for shard_id in first:
+            _play(session, shard_id, make_record)
+        return [shard_id for shard_id in shard_ids(session, submission) if shard_id not in first]
 
 
 def _play(session: Session, shard_id: int, record_of: RecordOf, worker_id: UUID | None = None) -> None:

@@ -27,5 +27,5 @@ def principal(database: Database) -> Principal:
 def quota_clock(monkeypatch: pytest.MonkeyPatch) -> QuotaClock:
     """The clock of quotas, which stands still."""
     clock = QuotaClock()
-    monkeypatch.setattr(quotas, "datetime", clock)
+    monkeypatch.setattr(quotas, "read_clock", clock.read)
     return clock

@@ -13,12 +13,14 @@ from vitac.evaluator.tracks import Track
 from vitac.server.leaderboards.descriptions import descriptions_among
 from vitac.server.leaderboards.public_pages import public_among
 from vitac.server.leaderboards.reading import shown_leaderboard, shown_log_boards, shown_rank_history
+from vitac.server.leaderboards.shake_up import list_shake_up
 from vitac.server.views.leaderboards import BaselineView, LeaderboardEntryView, LeaderboardView, TeamRanksView
 from vitac.server.views.scores import TaskRateView, TaskScoreView
 
 from ...plots.axis import Figure
 from ...plots.dates import DatedRate, ranks_by_date, rates_by_date
 from ...plots.files import find_plot_file
+from ...plots.shake_up import draw_shake_up
 from ...rendering import steps, words
 from ...site import Site, get_principal, get_site, get_viewer, page
 from ..addresses import AskedBoard, board_address
@@ -66,7 +68,9 @@ async def leaderboard(request: Request) -> Response:
         around = read_surroundings(session, site, track, asked, shown_stage=board.stage)
         ranks = shown_rank_history(session, by, track.name, task=task, stage=asked.stage, competition=asked.competition)
         described = descriptions_among(session, by, public)
-        return {"board": board, "shown": shown, "public": public, "described": described, "ranks": ranks, **around}
+        shake_up = list_shake_up(session, board.entries[:PLOTTED], task) if board.list_sentence else []
+        values = {"board": board, "shown": shown, "public": public, "described": described, "ranks": ranks}
+        return {**values, "shake_up": shake_up, **around}
 
     values = await site.read(read)
     board: LeaderboardView = values["board"]
@@ -77,7 +81,8 @@ async def leaderboard(request: Request) -> Response:
     )
     counted = list(track.tasks.values()) if task is None else [track.tasks[task]]
     dates, ranks_plot = _dates(site, board, own_names), _draw_ranks(site, board, values["ranks"])
-    if plot := find_plot_file(request, filter(None, (dates, ranks_plot))):
+    shake_up = draw_shake_up(values["shake_up"]) if values["shake_up"] else None
+    if plot := find_plot_file(request, filter(None, (dates, ranks_plot, shake_up))):
         return plot
     return page(
         request,
@@ -91,6 +96,7 @@ async def leaderboard(request: Request) -> Response:
         rows=_with_cells(shown_columns, values["shown"].entries),
         dates=dates,
         ranks_plot=ranks_plot,
+        shake_up_plot=shake_up,
         list_kind=board.list_kind.value,
         ranked=sum(entry.rank is not None for entry in board.entries),
         episodes=sum(len(definition.episodes) for definition in counted),

@@ -65,6 +65,11 @@ async def set_public(request: Request) -> Response:
     return await _submit(request, routes.put_public, part="#sharing")
 
 
+async def set_chosen(request: Request) -> Response:
+    """Let a submission play the final list of its stage, or no longer."""
+    return await _submit(request, routes.put_chosen, part="#final-list")
+
+
 async def describe(request: Request) -> Response:
     """Write about a public result."""
     viewer, fields = await signed_in_form(request)

@@ -84,6 +84,7 @@ READS = {
 CHANGES = {
     "backup": (["FILE"], "service.backup"),
     "competition apply": (["COMPETITION", "--yes", "--confirm", PUBLIC_RANKING], "competition.apply"),
+    "competition play-final": (["track_1", "stage1", "--yes"], "stage.play_final"),
     "competition reveal": (["track_1", "stage1", "--yes"], "list.reveal"),
     "advance confirm": (["track_1", "stage2", "--yes"], "stage.qualify"),
     "results freeze": ([], "competition.freeze"),
@@ -252,6 +253,11 @@ def prepare(service: CliService, command: str) -> None:
         elif command == "competition reveal":
             put_in_place(session, open_now(sealed_competition(), stage=1))
             seal(session, CONSOLE, stored_stage(session, "track_1", "stage1"))
+        elif command == "competition play-final":
+            content = open_now(sealed_competition(), stage=1)
+            content["tracks"]["track_1"]["stages"][0]["sealed"] = "live_and_final"
+            put_in_place(session, content)
+            seal(session, CONSOLE, stored_stage(session, "track_1", "stage1.final"))
         elif command == "evaluation restart-unserved":
             own = teams.find(session, "Team A")
             submit(session, Principal(role=Role.TEAM, team_id=own.id, team_name=own.name))

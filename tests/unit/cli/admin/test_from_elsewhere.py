@@ -74,7 +74,7 @@ def test_a_whole_competition_is_run_with_a_token_only(
     service: CliService, organizer: Organizer, tmp_path: Path
 ) -> None:
     content = open_now(make_competition(prizes=[{"place": "first", "amount": 1000}]))
-    content["tracks"][TRACK]["stages"][1]["qualified"] = {"top": 2}
+    content["tracks"][TRACK]["stages"][1] |= {"qualified": {"top": 2}, "sealed": "at_once"}
     content["tracks"][TRACK]["judging"] = {
         "criteria": [{"name": "clarity", "title": "The words"}],
         "judges_at_least": 1,

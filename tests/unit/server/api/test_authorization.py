@@ -336,6 +336,7 @@ BODIES: dict[tuple[str, str], Options] = {
     ("patch", MEMBER): lambda *_: {"json": {"email": "ann@example.org"}},
     ("put", f"{SUBMISSION}/disqualification"): lambda *_: {"json": {"reason": "copied"}},
     ("put", f"{SUBMISSION}/clearance"): lambda *_: {"json": {"reason": "made apart"}},
+    ("put", f"{SUBMISSION}/chosen"): lambda *_: {"json": {"chosen": True}},
     ("put", f"{SUBMISSION}/description"): lambda *_: {"json": {"text": "A network."}},
     ("put", f"{SUBMISSION}/description/removal"): lambda *_: {"json": {"reason": "no"}},
     ("put", f"{SUBMISSION}/public"): lambda setting, _: {"json": {"public": setting.is_public}},

@@ -1,5 +1,6 @@
 """The competition as one object of a transaction: read once, locked by who changes it, and left alone after the end."""
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -143,8 +144,13 @@ def test_outside_of_a_competition_a_stage_takes_everything_from_everybody_at_any
             Competition.read(session).shown_stage(TRACK, PRACTICE)
 
 
-def test_frozen_and_final_hold_for_the_stages_of_the_competition_and_not_for_practice() -> None:
-    competition = competition_of(make_competition())
+def test_frozen_and_final_hold_for_the_stages_of_the_competition_and_not_for_practice(database: Database) -> None:
+    with database.transaction() as session:
+        competition = replace(competition_of(make_competition()), session=session)
+        _holds_for_stages(competition)
+
+
+def _holds_for_stages(competition: Competition) -> None:
     competition.row.frozen_at, competition.row.finalized_at = FROZEN, ENDED
     competition.row.boards = [{"track": TRACK, "evaluator_version": "old"}]
     stage, practice = competition.stage(TRACK, FIRST), competition.stored_stage(TRACK, PRACTICE)

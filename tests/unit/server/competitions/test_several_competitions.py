@@ -42,7 +42,7 @@ def both(database: Database) -> Database:
         for name, days in ((MAIN, 0.0), (CLASS, 0.5)):
             content = moved(open_now(make_competition(name=name, title=f"The {name}", appeal_days=7)), days=days)
             stage = content["tracks"][TRACK]["stages"][0]
-            stage |= {"list": "sealed", "accepts": ["model"], "quotas": {"scored_runs": 1}}
+            stage |= {"list": "sealed", "sealed": "at_once", "accepts": ["model"], "quotas": {"scored_runs": 1}}
             apply(session, CONSOLE, CompetitionDefinition.model_validate(content), confirmed=None)
     return database
 

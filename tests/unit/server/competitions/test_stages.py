@@ -11,7 +11,7 @@ from service_factories import (
     make_record,
     make_score,
     make_upload,
-    shard_ids,
+    play_public_list,
     store,
     submit_scored,
 )
@@ -159,9 +159,8 @@ def test_a_run_that_saw_the_sealed_list_counts_also_where_it_was_cancelled(
         sealing.seal(session, CONSOLE, stored_stage(session, TRACK, SECOND))
     for content, sees in (("one", True), ("two", False), ("three", True)):
         found = create(database, principal, IN_SECOND, content)
-        with database.transaction() as session:
-            (shard, *_) = shard_ids(session, session.get_one(Submission, found.id))
         if sees:
+            shard, *_ = play_public_list(database, found)
             store(database, claim(database, shard), [make_record(1)])
         with database.transaction() as session:
             lifecycle.cancel(session, newest_evaluation(session, session.get_one(Submission, found.id)))

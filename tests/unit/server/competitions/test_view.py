@@ -26,7 +26,8 @@ def prepared(database: Database) -> Database:
         content = make_competition(prizes=[{"place": "first", "amount": 5}], appeal_days=3)
         content["tracks"][TRACK]["judging"] = {"criteria": [{"name": "idea", "title": "The idea"}]}
         put_in_place(session, content)
-        sealing.seal(session, CONSOLE, stored_stage(session, TRACK, SECOND))
+        for name in (SECOND, f"{SECOND}.final"):
+            sealing.seal(session, CONSOLE, stored_stage(session, TRACK, name))
     return database
 
 
@@ -34,11 +35,13 @@ def test_everybody_sees_schedule_prizes_and_commitments_but_no_secret(prepared: 
     with prepared.transaction() as session:
         found = competition_view(session, at=OPENS + timedelta(days=1))
         secret = sealing.sealed_lists(session, Competition.read(session))[0].secret
-    first, second = found.tracks[0].stages
+    first, second, final = found.tracks[0].stages
     assert [(stage.name, stage.is_open) for stage in (first, second)] == [(FIRST, True), (SECOND, False)]
     assert (first.list_kind, first.commitment) == (ListKind.PUBLIC, None)
     assert (second.scored_runs, second.qualified) == (2, "the best team of the stage before")
-    assert second.commitment is not None
+    assert None not in {second.commitment, final.commitment}
+    assert second.commitment != final.commitment
+    assert (final.final_of, final.opens, final.is_open, final.accepts) == (SECOND, second.closes, False, [])
     assert second.secret is None
     assert secret not in found.model_dump_json()
     assert found.tracks[0].prizes[0].amount == 5

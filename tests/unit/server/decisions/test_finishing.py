@@ -146,7 +146,7 @@ def test_results_of_another_evaluator_version_win_nothing_unnoticed(played: Data
 
 def test_the_last_stage_decides_and_tracks_elsewhere_have_no_winners_here(database: Database) -> None:
     content = make_competition(prizes=PRIZES)
-    content["tracks"][TRACK]["stages"][1]["qualified"] = None
+    content["tracks"][TRACK]["stages"][1] |= {"qualified": None, "sealed": "at_once"}
     content["tracks"]["track_9"] = deepcopy(content["tracks"][TRACK]) | {"taken_here": False}
     with database.transaction() as session:
         put_in_place(session, open_now(content))

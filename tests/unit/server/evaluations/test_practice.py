@@ -1,5 +1,7 @@
 """The public list that is played beside the sealed one: it is shown, and ranks nothing."""
 
+from functools import partial
+
 import pytest
 from service_factories import (
     TASK,
@@ -10,11 +12,11 @@ from service_factories import (
     make_principal,
     make_record,
     make_upload,
+    play,
     play_all,
     shard_ids,
     store,
 )
-from sqlalchemy import select
 from submission_steps import SETTINGS, refused
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.shards.order import ShardEnd
@@ -22,7 +24,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 from vitac.server.competitions.sealing import seal
 from vitac.server.database.engine import Database
-from vitac.server.database.models import Evaluation, Shard, Submission
+from vitac.server.database.models import Submission
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.logs import LogClaim
@@ -64,20 +66,14 @@ def submit(database: Database, by: Principal, kind: SubmissionKind = SubmissionK
 
 def play_lists(database: Database, submission: Submission, *, public: int, sealed: int) -> None:
     """Plays every episode; the first ones of each list are solved."""
-    with database.transaction() as session:
-        commitments = {
-            shard.id: shard.commitment
-            for shard in session.scalars(select(Shard).where(Shard.evaluation_id == Evaluation.id))
-        }
+
+    def record_of(number: int, *, task: str, solved: int) -> EpisodeRecord:
+        return make_record(number, EpisodeOutcome.SUCCESS if number <= solved else EpisodeOutcome.STEPS, task)
+
     for shard_id in shard_numbers(database, submission):
-        lease = claim(database, shard_id)
-        solved = sealed if commitments[shard_id] else public
-        store(database, lease, [record(number, solved) for number in lease.episodes])
-        finish(database, lease)
-
-
-def record(number: int, solved: int) -> EpisodeRecord:
-    return make_record(number, EpisodeOutcome.SUCCESS if number <= solved else EpisodeOutcome.STEPS)
+        play(database, shard_id, partial(record_of, solved=public))
+    for shard_id in shard_numbers(database, submission)[10:]:
+        play(database, shard_id, partial(record_of, solved=sealed))
 
 
 def shard_numbers(database: Database, submission: Submission) -> list[int]:

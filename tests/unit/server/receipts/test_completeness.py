@@ -320,8 +320,32 @@ def test_a_first_result_long_after_its_submission_is_unusual_and_that_of_a_later
 
 @pytest.mark.parametrize(("minutes", "is_found"), [(0, False), (9, False), (11, True), (-1, True)])
 def test_the_receipt_of_an_arrival_is_issued_when_the_submission_arrives(minutes: int, is_found: bool) -> None:
-    receipts = arrived(a_named_result(1), issued_at=WHEN + timedelta(minutes=minutes)).values()
-    assert bool(list(check_arrivals(receipts))) is is_found
+    receipts = arrived(a_named_result(1), issued_at=WHEN + timedelta(minutes=minutes))
+    assert bool(list(check_arrivals(exported([]), receipts))) is is_found
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, None),
+        ({"submission_digest": "cd" * 32}, "its submission digest is not that of the chosen one"),
+        ({"submitted_at": WHEN - timedelta(days=1)}, "its submitted at is not that of the chosen one"),
+        ({"stage": "stage2.final"}, "its stage is not that of the chosen one"),
+        ({"team_sha256": team_commitment("0" * 32, "Bees")}, "not clearly of the same team"),
+        ({"final_of": UUID(int=7)}, "has no receipt before it"),
+    ],
+)
+def test_what_plays_a_final_list_arrived_before_as_the_one_that_was_chosen(
+    changes: dict[str, Any], said: str | None
+) -> None:
+    result = a_named_result(1, stage="stage1")
+    chosen = arrival_of(result, number=1)
+    final = {"submission": UUID(int=9), "stage": "stage1.final", "final_of": result.submission}
+    issued_at = WHEN + timedelta(days=30)
+    copy = arrival_of(result, number=2, **(final | {"issued_at": issued_at} | changes))
+    arrivals = {receipt.submission.submission: receipt for receipt in (chosen, copy)}
+    found = list(check_arrivals(exported([], teams={"Ants": []}), arrivals))
+    assert [said in sentence for sentence in found] == ([] if said is None else [True])
 
 
 def test_entries_are_issued_one_after_the_other() -> None:

@@ -29,7 +29,7 @@ def cup(first_closes: datetime, **changes: Any) -> dict[str, Any]:
     first, second = content["tracks"][TRACK]["stages"]
     first |= {"list": "public", "opens": (first_closes - 20 * DAY).isoformat(), "closes": first_closes.isoformat()}
     second |= {"opens": first_closes.isoformat(), "closes": (first_closes + 10 * DAY).isoformat()}
-    second["qualified"] = {"top": 2}
+    second |= {"qualified": {"top": 2}, "sealed": "at_once"}
     content["tracks"][TRACK]["prizes"] = [{"place": "first", "amount": 1000}]
     return content
 
@@ -86,7 +86,7 @@ def test_a_competition_whose_organizer_slips_at_every_step_is_right_at_its_end(
     )
     content |= {"title": "The first cup", "summary": "By touch."}
     public = json.loads(json.dumps(content))
-    public["tracks"][TRACK]["stages"][1]["list"] = "public"
+    public["tracks"][TRACK]["stages"][1] |= {"list": "public", "sealed": None}
     file, place = str(write_competition(tmp_path, public)), f"tracks.{TRACK}.stages.{SECOND}.list"
     refused(service.run(*APPLY, file, "--yes", "--base", revision(service.database)), ProblemCode.CONFIRMATION_NEEDED)
     options = ("--yes", "--base", revision(service.database), "--confirm", place, "--confirm", f"tracks.{TRACK}.prizes")
