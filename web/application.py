@@ -1,6 +1,7 @@
 """The HTTP application: the server's API and the pages. Called by `vitac serve` and `vitac demo`."""
 
 from importlib.metadata import version
+from urllib.parse import urlsplit
 
 from fastapi import FastAPI
 from vitac.evaluator.tracks import list_tracks
@@ -11,6 +12,7 @@ from vitac.server.settings import Settings
 from vitac.server.tracks import sort_challenge_first
 
 from .pages import routes
+from .public_path import PublicPath
 from .session.signer import SessionSigner, load_key
 from .sharing.preview import checked_font
 from .site import Site
@@ -39,6 +41,8 @@ def create(services: Services, *, sweeps: bool = True) -> FastAPI:
         preview_font=checked_font(settings.preview_font),
     )
     routes.install(app, site)
+    if path := urlsplit(settings.public_url or "").path.rstrip("/"):
+        app.add_middleware(PublicPath, path=path)
     return app
 
 

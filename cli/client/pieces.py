@@ -105,7 +105,8 @@ class PieceSender:
         )
         headers = {"Upload-Length": str(self.file.stat().st_size), "Upload-Metadata": metadata}
         answer = self.send("POST", UPLOADS, headers=PROTOCOL | headers)
-        return answer.headers["Location"], int(answer.headers["Upload-Offset"])
+        below = answer.headers["Location"].partition(UPLOADS)[2]  # the service may stand below a path of its host
+        return f"{UPLOADS}{below}", int(answer.headers["Upload-Offset"])
 
     def _send_rest(self, place: str, offset: int) -> None:
         length = self.file.stat().st_size

@@ -47,12 +47,14 @@ class Frames:
 def choose_observables(task: Task, keys: Collection[str] | None) -> tuple[Observable[Any], ...]:
     """Return the observables with these keys, by default coloured pictures and all that have few numbers.
 
+    Optional ones of the task, such as the pictures of both gels, are observed where they are asked for.
+
     Raises:
         UnknownObservationKey: the task does not have one.
     """
     listed = task.definition.observables
     if keys is not None:
-        return chosen_observables(listed, keys)
+        return chosen_observables((*listed, *task.definition.optional_observables), keys)
     return tuple(entry for entry in listed if is_coloured_picture(entry) or prod(entry.shape) <= _MOST_NUMBERS)
 
 
@@ -68,6 +70,9 @@ def make_observed_environment(task: Task, observables: Collection[Observable[Any
 
     keys = [entry.name for entry in observables]
     arguments: dict[str, Any] = {"observation_keys": keys, **task.environment_arguments, **settings}
+    optional = {entry.name for entry in task.definition.optional_observables}.intersection(keys)
+    if optional:
+        arguments["optional_observables"] = (*task.optional_observables, *sorted(optional))
     return gymnasium.make(task.env_id, disable_env_checker=True, privileged=True, **arguments).unwrapped
 
 

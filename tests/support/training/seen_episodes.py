@@ -59,16 +59,29 @@ def seen(episode: int, length: int) -> Frames:
             "motion": random.normal(size=(length + 1, 3)).astype(np.float32),
             "flow": random.normal(size=(length + 1, 2, 4)).astype(np.float32),
             "shape": np.full((length + 1, 1), episode, dtype=np.float32),
+            "marker_flow": random.normal(scale=50.0, size=(length + 1, 2, 2, 128, 2)).astype(np.float32),
+            "relative_motion": random.normal(size=(length + 1, 3)).astype(np.float32),
         },
         actions=actions,
         rewards=random.normal(size=length).astype(np.float32),
     )
 
 
-def write_data_set(folder: Path, version: Version, lengths: Sequence[int] = (3, 5, 2)) -> list[Frames]:
-    """Write a data set of episodes of these lengths, and return them."""
+def write_data_set(
+    folder: Path, version: Version, lengths: Sequence[int] = (3, 5, 2), *, with_touch: bool = False
+) -> list[Frames]:
+    """Write a data set of episodes of these lengths, and return them.
+
+    Args:
+        folder: of the data set.
+        version: of the format.
+        lengths: env steps of each episode.
+        with_touch: columns are those of markers and relative motion alone, as `vitac data export` makes them.
+    """
     episodes = [seen(number, length) for number, length in enumerate(lengths, start=1)]
-    write_lerobot(folder, version, SOURCE, features(), episodes, fps=FPS)
+    observables = [each for each in SOURCE.task.observables if each.name in ("marker_flow", "relative_motion")]
+    columns = list_features(SOURCE.task, observables) if with_touch else features()
+    write_lerobot(folder, version, SOURCE, columns, episodes, fps=FPS)
     stored = tuple(StoredEpisode.of(each.demonstration) for each in episodes)
     write_origin(folder, Origin(source=SOURCE, episodes=stored))
     return episodes

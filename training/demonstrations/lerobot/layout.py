@@ -3,9 +3,10 @@
 The format is described in the documentation of LeRobot, under "LeRobotDataset v3.0".
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,7 @@ class Feature:
         shape: of an entry; (1,) for a single number.
         names: of the numbers of an entry, or of the axes of a picture.
         key: of the observation that it holds, if any.
+        read: makes its entries of those of the observation; None: they are the same.
     """
 
     name: str
@@ -75,6 +77,7 @@ class Feature:
     shape: tuple[int, ...]
     names: Sequence[str] | None = None
     key: str | None = None
+    read: Callable[[NDArray[Any]], NDArray[Any]] | None = None
 
     def describe(self, fps: float) -> dict[str, Any]:
         """Return the entry of `info.json`."""
@@ -101,7 +104,7 @@ def list_features(task: Task, observables: Sequence[Observable[Any]]) -> tuple[F
     """Return all columns of a task: what is seen, done, found, and the indices."""
     actions = [component.name for component in task.actions]
     return (
-        *(_observed(entry) for entry in observables),
+        *(feature for entry in observables for feature in _observed(entry)),
         Feature(name="action", dtype="float32", shape=(len(actions),), names=actions),
         Feature(name="next.reward", dtype="float32", shape=(1,)),
         Feature(name="next.done", dtype="bool", shape=(1,)),
@@ -111,15 +114,69 @@ def list_features(task: Task, observables: Sequence[Observable[Any]]) -> tuple[F
     )
 
 
-def _observed(entry: Observable[Any]) -> Feature:
-    if is_coloured_picture(entry):
-        name, axes = f"observation.images.{entry.name}", ("height", "width", "channels")
-        return Feature(name=name, dtype="video", shape=entry.shape, names=axes, key=entry.name)
-    if entry.privileged:
-        name = f"privileged.{entry.name}"
+def _observed(entry: Observable[Any]) -> Iterator[Feature]:
+    """Yield the columns of an observable: as it is, and what LeRobot's own policies can read of touch."""
+    axes = ("height", "width", "channels")
+    if entry.name == TACTILE_PICTURES:
+        for gel, side in enumerate(SIDES):
+            name = f"observation.images.{side}"
+            yield Feature(
+                name=name, dtype="video", shape=entry.shape[1:], names=axes, key=entry.name, read=partial(_picture, gel)
+            )
+    elif is_coloured_picture(entry):
+        yield Feature(
+            name=f"observation.images.{entry.name}", dtype="video", shape=entry.shape, names=axes, key=entry.name
+        )
+    elif entry.privileged:
+        yield Feature(name=f"privileged.{entry.name}", dtype=entry.dtype, shape=entry.shape, key=entry.name)
     else:
         name = "observation.state" if entry.name == "relative_motion" else f"observation.{entry.name}"
-    return Feature(name=name, dtype=entry.dtype, shape=entry.shape, key=entry.name)
+        yield Feature(name=name, dtype=entry.dtype, shape=entry.shape, key=entry.name)
+    if entry.name == MARKERS:
+        yield Feature(
+            name="observation.environment_state",
+            dtype="float32",
+            shape=(len(MOTION_NAMES),),
+            names=MOTION_NAMES,
+            key=entry.name,
+            read=fit_motions,
+        )
+
+
+MARKERS, TACTILE_PICTURES, SIDES = "marker_flow", "rgb_images", ("left", "right")
+MOTION_NAMES = tuple(
+    f"{side}_{axis}_{term}" for side in SIDES for term in ("mean", "along_u", "along_v") for axis in ("u", "v")
+)
+_CENTRE_PX, _SPREAD_PX = np.array([160.0, 125.0]), 100.0
+"""Middle of the markers in a sensor's picture, and the distance at which a slope's number is its motion."""
+
+
+def _picture(gel: int, pictures: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the pictures of one gel in red, green and blue, shape [n, h, w, 3]."""
+    return pictures[:, gel, ..., ::-1]
+
+
+def fit_motions(flows: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Fit the motion of each gel's markers by a mean and slopes over the picture, by least squares [px].
+
+    Every observation may have another grid of markers, so that a network cannot compare them one by one.
+
+    Args:
+        flows: reference and current markers of both gels, shape [n, 2, 2, markers, 2]; the last is repeated.
+
+    Returns:
+        Numbers in the order of `MOTION_NAMES`, shape [n, 12].
+    """
+    rows = []
+    for gels in flows.astype(np.float64):
+        fitted = []
+        for reference, current in gels:
+            count = 1 + int(np.argmax((reference == reference[-1]).all(axis=1)))
+            place = (reference[:count] - _CENTRE_PX) / _SPREAD_PX
+            columns = np.column_stack([np.ones(count), place])
+            fitted.append(np.linalg.lstsq(columns, (current - reference)[:count], rcond=None)[0].ravel())
+        rows.append(np.concatenate(fitted))
+    return np.array(rows, dtype=np.float32)
 
 
 def make_info(

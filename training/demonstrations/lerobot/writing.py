@@ -220,7 +220,10 @@ class _Writer:
         last = np.arange(length) == length - 1
         indices = np.arange(length, dtype=np.int64)
         seen = {
-            feature.name: frames.observations[feature.key][:-1] for feature in self._features if feature.key is not None
+            feature.name: feature.read(observed) if feature.read else observed
+            for feature in self._features
+            if feature.key is not None
+            for observed in [frames.observations[feature.key][:-1]]
         }
         return {
             **seen,

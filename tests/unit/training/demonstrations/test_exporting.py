@@ -1,5 +1,7 @@
 """Data sets of real demonstrations: replayed while they are written, and read back."""
 
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +10,12 @@ from vitac.cli.main import main
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.training.demonstrations.collecting import FILE, collect, make_line, read_demonstrations, read_source
 from vitac.training.demonstrations.exporting import DatasetFormat, FolderExists, export
-from vitac.training.demonstrations.frames import DemonstrationDiffers
+from vitac.training.demonstrations.frames import (
+    DemonstrationDiffers,
+    choose_observables,
+    make_observed_environment,
+)
+from vitac.training.demonstrations.lerobot.layout import INFO, MOTION_NAMES
 from vitac.training.demonstrations.replaying import read_folder, replay
 
 pytest.importorskip("pyarrow", reason="needs the extra `data`")
@@ -101,3 +108,50 @@ def test_card_says_where_it_comes_from(collection: Path, capsys: pytest.CaptureF
     assert f"`vitac data collect {TASK} --successes 4 --seed 0 --out DIR`" in card
     assert read_source(collection).manifest.mesh_hash in card
     assert "| clean | 2 | 2 | 100.0 [34.2, 100.0] |" in card
+
+
+def test_touch_is_a_vector_and_both_gels_are_pictures_where_they_are_asked_for(
+    collection: Path, tmp_path: Path
+) -> None:
+    import cv2
+    from pyarrow import parquet
+    from vitac.training.cloning.policy import fit_motion
+
+    export(
+        collection,
+        tmp_path / "set",
+        DatasetFormat.LEROBOT_3_0,
+        keys=(*KEYS, "rgb_images"),
+        only_successes=True,
+        report=nothing,
+    )
+    table = parquet.read_table(tmp_path / "set" / "data/chunk-000/file-000.parquet")
+    flows = np.array(table["observation.marker_flow"].to_pylist())
+    vectors = np.array(table["observation.environment_state"].to_pylist(), dtype=np.float32)
+    expected = [np.concatenate([fit_motion(*gel) for gel in flow]) for flow in flows]
+    np.testing.assert_allclose(vectors, expected, atol=1e-4)
+    info = json.loads((tmp_path / "set" / INFO).read_text())["features"]
+    assert info["observation.environment_state"]["shape"] == [12] == [len(MOTION_NAMES)]
+    source = read_source(collection)
+    first = next(each for each in read_demonstrations(collection) if each.is_success)
+    env = make_observed_environment(source.task, choose_observables(source.task, ["rgb_images"]))
+    seen, _ = env.reset(options=dict(first.options(source)))
+    for gel, side in enumerate(("left", "right")):
+        video = cv2.VideoCapture(str(tmp_path / "set" / f"videos/observation.images.{side}/chunk-000/file-000.mp4"))
+        _, shown = video.read()
+        assert np.abs(shown.astype(int) - seen["rgb_images"][gel]).mean() < 12  # both in blue, green, red
+        video.release()
+
+
+@pytest.mark.parametrize("form", list(DatasetFormat))
+def test_paths_may_be_relative_and_have_spaces_and_accents(
+    collection: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: DatasetFormat
+) -> None:
+    if form is DatasetFormat.MINARI:
+        pytest.importorskip("minari", reason="needs the extra `data`")
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(collection.parent, "à voir/eine Übung")
+    options = ["--format", form.value, *(part for key in KEYS for part in ("--key", key))]
+    assert run("data", "export", "à voir/eine Übung", "--to", "été 1/set", *options) == 0
+    if form is not DatasetFormat.MINARI:
+        assert run("data", "check", "été 1/set", "--replay", 1) == 0

@@ -30,6 +30,39 @@ print(json.dumps({"fps": found.fps, "episodes": found.num_episodes, **texts, "pi
 """
 
 
+ACT = """
+import sys
+import torch
+from lerobot.configs.types import FeatureType
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.datasets.utils import dataset_to_policy_features
+from lerobot.policies.act.configuration_act import ACTConfig
+from lerobot.policies.factory import make_policy, make_pre_post_processors
+found = LeRobotDataset("vitac/set", root=sys.argv[1])
+config = ACTConfig(device="cpu", chunk_size=2, n_action_steps=2, dim_model=32, n_heads=2, dim_feedforward=32,
+                   pretrained_backbone_weights=None, push_to_hub=False)
+policy = make_policy(config, ds_meta=found.meta)
+before, _ = make_pre_post_processors(config, dataset_stats=found.meta.stats)
+rows = LeRobotDataset("vitac/set", root=sys.argv[1], delta_timestamps={"action": [0, 1 / found.fps]})
+batch = before(next(iter(torch.utils.data.DataLoader(rows, batch_size=4))))
+loss, _ = policy.forward(batch)
+loss.backward()
+assert torch.isfinite(loss), loss
+print(sorted(name for name, each in config.input_features.items() if each.type is FeatureType.ENV))
+"""
+"""Trains LeRobot's own ACT for a step, as `lerobot-train --policy.type=act` does."""
+
+
+@pytest.mark.slow
+def test_lerobots_own_act_learns_from_the_vector_of_touch(tmp_path: Path) -> None:
+    write_data_set(tmp_path / "set", Version.V3_0, with_touch=True)
+    environment = os.environ | {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "cache")}
+    command = [python_with_lerobot(Version.V3_0), "-c", ACT, str(tmp_path / "set")]
+    run = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines()[-1] == "['observation.environment_state']"
+
+
 def python_with_lerobot(version: Version) -> str:
     """Return the Python of `LEROBOT_PYTHON_V3_0` or `LEROBOT_PYTHON_V2_1`, or this one."""
     named = os.environ.get(f"LEROBOT_PYTHON_{version.name}")
