@@ -7,6 +7,7 @@ from vitac.envs.fem.model.mesh import GelBody, RigidBody
 from vitac.envs.geometry.solid import prism_faces, rectangle, solid_from_faces
 from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, Stopwatch, fixed_at_origin
 from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
+from vitac.envs.scene.measured_pose import held_pose_mm_deg
 from vitac.envs.tactile.gel import highest_mm
 from vitac.envs.tactile.markers import MarkerSettings
 
@@ -79,3 +80,5 @@ def test_forces_are_right_with_a_gel_between_the_held_part_and_the_table() -> No
     assert scene.contact_forces_n()[0] == pytest.approx(push_n, abs=1e-3)
     assert scene.peak_part_force_n() == pytest.approx(np.linalg.norm(push_n), rel=1e-3)
     assert (scene.force_on_held_n(5) == 0.0).all()
+    lowest_mm = 1e3 * scene.held_vertices_m(np.arange(8))[:, 2].min()
+    assert held_pose_mm_deg(scene)[2] == pytest.approx(lowest_mm - HELD_AT_MM, abs=0.05), "of the held part alone"
