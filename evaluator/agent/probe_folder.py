@@ -12,12 +12,16 @@ _PREFIX = "vitac-doctor-"
 
 @contextmanager
 def probe_folder() -> Iterator[Path]:
-    """Return a folder that everybody may enter, and remove it, with those that killed processes have left."""
+    """Return a folder in which everybody may read what is made, and remove it, with those that killed processes have left."""
     _remove_leftovers()
     with tempfile.TemporaryDirectory(prefix=f"{_PREFIX}{os.getpid()}-") as name:
         folder = Path(name)
         folder.chmod(0o755)  # Under root the sandbox has its own user, which must be able to read the policy.
-        yield folder
+        before = os.umask(0o022)
+        try:
+            yield folder
+        finally:
+            os.umask(before)
 
 
 def _remove_leftovers() -> None:

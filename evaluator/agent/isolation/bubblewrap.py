@@ -4,7 +4,7 @@ import math
 import os
 import secrets
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
@@ -192,6 +192,7 @@ def tool_command(
         passwd: descriptor of the sandbox's /etc/passwd.
     """
     code = [part for folder in (INSIDE_CODE, f"{INSIDE_CODE}/vitac") for part in ("--perms", "0755", "--dir", folder)]
+    _require_readable(tool.code)
     for folder in tool.code:
         code += ["--ro-bind", str(folder), f"{INSIDE_CODE}/vitac/{folder.name}"]
     python_path = ":".join([INSIDE_CODE, *map(str, interpreter.packages)])
@@ -274,6 +275,7 @@ def _python_files(interpreter: Interpreter) -> list[str]:
     arguments = []
     for folder in _folders_above(interpreter):
         arguments += ["--perms", "0755", "--dir", str(folder)]
+    _require_readable([*(outside for outside, _ in interpreter.read_only_binds), *(file for file, _ in OWN_FILES)])
     for outside, inside in interpreter.read_only_binds:
         arguments += ["--ro-bind", str(outside), str(inside)]
     for folder in interpreter.masked:
@@ -281,6 +283,25 @@ def _python_files(interpreter: Interpreter) -> list[str]:
     for file, path in OWN_FILES:
         arguments += ["--ro-bind", str(file), path]
     return arguments
+
+
+def _require_readable(paths: Iterable[Path]) -> None:
+    """Refuse what was installed under a umask such as 077, since root's sandboxes have users of their own.
+
+    Raises:
+        SandboxFailed: others cannot read a file or folder.
+    """
+    for path in paths if current_user_isolation() is UserIsolation.ROOT else ():
+        mode, needed = path.stat().st_mode, 0o005 if path.is_dir() else 0o004
+        if mode & needed != needed:
+            raise SandboxFailed(
+                f"Policies run as another user, who cannot read {path} (mode {mode & 0o777:o}, as under umask 077). "
+                f"Run `chmod -R go+rX {_INSTALLED if path.is_relative_to(_INSTALLED) else path}`."
+            )
+
+
+_INSTALLED: Final = Path(__file__).resolve().parents[3]
+"""Folder of the checkout, or of the installed package."""
 
 
 def _folders_above(interpreter: Interpreter) -> list[Path]:

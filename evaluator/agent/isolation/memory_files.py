@@ -44,7 +44,7 @@ _DATA: Final = ("/usr/share/zoneinfo", "/usr/lib/locale/C.utf8", "/etc/ld.so.cac
 _LEFT_OUT_OF_PYTHON: Final = frozenset(
     {"site-packages", "dist-packages", "test", "tests", "idlelib", "ensurepip", "turtledemo", "include", "share"}
 )
-_FORMAT: Final = 1
+_FORMAT: Final = 2
 """Changes with what is put into the folder."""
 
 
@@ -174,6 +174,7 @@ def _fill(folder: Path, interpreter: Interpreter, own: tuple[tuple[Path, str], .
             if data.exists():
                 _copy(data, root / data.relative_to("/"))
         _copy_libraries(root)
+        _open_to_all(root)
         (folder / "submission").mkdir(mode=0o755, exist_ok=True)
         (folder / "complete").touch()
     except OSError as error:
@@ -191,6 +192,14 @@ def _copy(source: Path, target: Path, is_ignored: Callable[[str, list[str]], Ite
         shutil.copytree(source, target, symlinks=True, ignore=is_ignored, dirs_exist_ok=True)
     else:
         shutil.copy2(source, target)
+
+
+def _open_to_all(root: Path) -> None:
+    """Let every user read what was installed under a umask such as 077: a sandbox has a user of its own."""
+    for path in (root, *root.rglob("*")):
+        if not path.is_symlink():
+            mode = path.stat().st_mode
+            path.chmod(mode | (0o555 if path.is_dir() or mode & 0o100 else 0o444))
 
 
 def _left_out_of_python(_: str, names: list[str]) -> set[str]:
