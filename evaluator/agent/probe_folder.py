@@ -12,7 +12,7 @@ _PREFIX = "vitac-doctor-"
 
 @contextmanager
 def probe_folder() -> Iterator[Path]:
-    """Return a folder in which everybody may read what is made, and remove it, with those that killed processes have left."""
+    """Return a folder in which all is readable for everybody, and remove it, with what killed processes have left."""
     _remove_leftovers()
     with tempfile.TemporaryDirectory(prefix=f"{_PREFIX}{os.getpid()}-") as name:
         folder = Path(name)

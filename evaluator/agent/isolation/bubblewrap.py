@@ -291,7 +291,7 @@ def _require_readable(paths: Iterable[Path]) -> None:
     Raises:
         SandboxFailed: others cannot read a file or folder.
     """
-    for path in paths if current_user_isolation() is UserIsolation.ROOT else ():
+    for path in filter(Path.exists, paths) if current_user_isolation() is UserIsolation.ROOT else ():
         mode, needed = path.stat().st_mode, 0o005 if path.is_dir() else 0o004
         if mode & needed != needed:
             raise SandboxFailed(

@@ -111,6 +111,7 @@ def test_limits_of_each_process_are_set(as_user: UserIsolation, tmp_path: Path) 
 
 
 def test_evaluator_code_is_hidden_where_it_is_installed(tmp_path: Path) -> None:
+    tmp_path.chmod(0o755)
     interpreter = Interpreter(
         executable=Path("/usr/bin/python3"),
         packages=(Path("/opt/vitac/packages/0"),),
