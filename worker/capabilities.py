@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from vitac.envs.maniskill.abilities import abilities
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.description import SandboxDescription, describe_sandbox
+from vitac.evaluator.agent.isolation.memory_files import FILES_VARIABLE, FileIsolation, default_file_isolation
 from vitac.evaluator.agent.isolation.packages import installed_packages
 from vitac.evaluator.agent.self_test import PROBES, Outcome, Probe, ProbeState
 from vitac.evaluator.agent.self_test import run as run_probes
@@ -40,8 +41,10 @@ def list_abilities(families: Collection[Family] | None = None) -> list[str]:
     """Return the requirements that the worker meets; of given families in place of those that it can run."""
     able = families_here() if families is None else families
     unfit = {name for track in tracks_with_other_packages(able) for name in _list_requirements(load_track(track))}
-    names = (name_requirement(version, family) for version in sorted(current_versions()) for family in able)
-    return [name for name in names if name not in unfit]
+    pairs = [(version, family) for version in sorted(current_versions()) for family in able]
+    fit = [pair for pair in pairs if name_requirement(*pair) not in unfit]
+    lists = (False,) if explain_no_sealed_lists() else (False, True)
+    return [name_requirement(version, family, sealed=sealed) for version, family in fit for sealed in lists]
 
 
 def fit_families(families: Collection[Family] | None = None) -> tuple[Family, ...]:
@@ -58,8 +61,20 @@ def explain_unfit(declared: Mapping[str, str], families: Collection[Family] | No
         declared: versions by track, as the service says.
         families: that it takes shards of.
     """
-    reasons = explain_other_tracks(declared) | tracks_with_other_packages(families)
-    return f"Takes no shards of {' '.join(reasons.values())}" if reasons else ""
+    reasons = [*explain_other_tracks(declared).values(), *tracks_with_other_packages(families).values()]
+    unfit = f"Takes no shards of {' '.join(reasons)}" if reasons else ""
+    return " ".join(filter(None, (unfit, explain_no_sealed_lists())))
+
+
+def explain_no_sealed_lists() -> str:
+    """Return why the worker plays no sealed lists; empty where it does."""
+    files = default_file_isolation()
+    if files is FileIsolation.MEMORY:
+        return ""
+    return (
+        f"Takes no shards of sealed lists: expected {FILES_VARIABLE} to be {FileIsolation.MEMORY}, got {files}, with "
+        "which a policy finds in the machine's caches what an earlier one has read, and learns the list."
+    )
 
 
 def tracks_with_other_packages(families: Collection[Family] | None = None) -> dict[str, str]:

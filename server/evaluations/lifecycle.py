@@ -121,7 +121,8 @@ def _add_shards(session: Session, evaluation: Evaluation) -> bool:
     for key, task in product(keys[:1], submission.tasks):
         family = find_family(submission.track, task)
         kind = WorkKind.TRIAL if family is Family.STATION else WorkKind.SHARD
-        requires = name_requirement(evaluation.evaluator_version, family)
+        is_sealed = key.commitment != "" and kind is WorkKind.SHARD
+        requires = name_requirement(evaluation.evaluator_version, family, sealed=is_sealed)
         columns = waiting(session, kind, owner=owner, requires=requires, turn=evaluation.turn)
         for piece in cut(track.task(task)):
             shard = Trial if kind is WorkKind.TRIAL else Shard

@@ -104,9 +104,15 @@ GiveUp = Callable[[Session, Claim, str], None]
 """Ends work that was tried in all its attempts; the text says what became of them."""
 
 
-def name_requirement(evaluator_version: str, family: Family = Family.TACTILE) -> str:
-    """Return what a worker must have for work on a task: its evaluator version, and what its family of tasks needs."""
-    return f"{evaluator_version} {family}"
+def name_requirement(evaluator_version: str, family: Family = Family.TACTILE, *, sealed: bool = False) -> str:
+    """Return what a worker must have for work on a task.
+
+    Args:
+        evaluator_version: that it must have.
+        family: of the task, whose needs it must meet.
+        sealed: whether a policy plays a sealed list, so that its sandbox must leave no traces in the machine's caches.
+    """
+    return f"{evaluator_version} {family}{' sealed' if sealed else ''}"
 
 
 def waiting(session: Session, kind: WorkKind, *, owner: str, requires: str, turn: int | None = None) -> dict[str, Any]:

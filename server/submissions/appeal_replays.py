@@ -85,7 +85,9 @@ def ask(
         _require_plays(corrected, submission.track, task)
         policy = hashlib.sha256(corrected.read_bytes()).hexdigest()
         stored_files.store(session, blobs, corrected, policy)
-    requires = name_requirement(appeal.evaluation.evaluator_version, find_family(submission.track, task))
+    evaluation = appeal.evaluation
+    family, is_sealed = find_family(submission.track, task), evaluation.commitment is not None
+    requires = name_requirement(evaluation.evaluator_version, family, sealed=is_sealed)
     replay = AppealReplay(
         appeal_id=appeal.id,
         task=task,

@@ -29,6 +29,7 @@ def install(monkeypatch: pytest.MonkeyPatch, **other: str) -> None:
         return PolicyPackages(versions={name: versions[0] for name, versions in locked.items()} | other, binds=())
 
     monkeypatch.setattr(capabilities, "installed_packages", found)
+    monkeypatch.setenv("VITAC_SANDBOX_FILES", "memory")
 
 
 def test_a_worker_with_the_declared_packages_takes_shards_of_all_tracks(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -98,3 +99,15 @@ def test_a_worker_can_run_what_its_machine_has_the_packages_and_drivers_for(
 ) -> None:
     monkeypatch.setattr(capabilities, "abilities", lambda: found)
     assert capabilities.families_here() == expected
+
+
+def test_a_worker_whose_sandboxes_read_the_disk_takes_no_shards_of_sealed_lists_and_says_which_setting_it_needs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    install(monkeypatch)
+    sealed = name_requirement(evaluator_version(), sealed=True)
+    assert sealed in capabilities.list_abilities()
+    monkeypatch.setenv("VITAC_SANDBOX_FILES", "disk")
+    assert sealed not in capabilities.list_abilities()
+    assert name_requirement(evaluator_version()) in capabilities.list_abilities()
+    assert "sealed lists: expected VITAC_SANDBOX_FILES to be memory, got disk" in capabilities.explain_unfit({})
