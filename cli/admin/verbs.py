@@ -607,7 +607,16 @@ NOUNS: Mapping[str, Noun] = {
         ],
     ),
     "audit": Noun(
-        title="The audit log, which nobody can change", verbs=[Verb("list", "GET /audit", show=views.print_audit)]
+        title="The audit log, which nobody can change",
+        verbs=[
+            Verb("list", "GET /audit", show=views.print_audit),
+            Verb(
+                "digests",
+                "GET /audit/digests",
+                columns=("entry", "issued_at", "first", "last", "lines", "agrees"),
+                none="The public log has no digest of the audit log yet.",
+            ),
+        ],
     ),
     "announcement": Noun(
         title="Announcements to everybody",

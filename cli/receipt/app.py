@@ -210,7 +210,7 @@ def _audit_export(
     if as_json:
         print_json(asdict(found) | {"seed": seed})
     else:
-        _print(found, key, seed)
+        _print(found, seed)
     if not found.is_believed:
         raise typer.Exit(1)
 
@@ -263,7 +263,7 @@ def _shown(content: Content) -> dict[str, object]:
     if isinstance(content, End):
         shown["competition"] = content.competition
         for winner in content.winners:
-            shown[f"{winner.track}, {winner.place}"] = f"submission {winner.submission}"
+            shown[f"{winner.track}, {winner.place}"] = f"{winner.team}, submission {winner.submission}"
     return shown
 
 
@@ -316,7 +316,11 @@ def _read_signed(model: type[ReceiptT], answer: Answer) -> ReceiptT:
     return validate(model, {name: answer[name] for name in model.model_fields}, "The receipt that the service shows")
 
 
-def _print(found: Audit, key: str | None, seed: int) -> None:
+def _print(found: Audit, seed: int) -> None:
+    if found.unknowable:
+        print("What this file alone cannot show:")
+    for unknowable in found.unknowable:
+        print(f"  - {unknowable}")
     print_pairs(
         {
             "signed by": found.public_key,
@@ -327,7 +331,7 @@ def _print(found: Audit, key: str | None, seed: int) -> None:
             "seed of their choice": seed,
             "findings": len(found.findings),
             "unusual": len(found.unusual),
-            "not checked": len(found.unchecked) + (key is None),
+            "not checked": len(found.unchecked),
         }
     )
     for finding in found.findings:
@@ -340,8 +344,6 @@ def _print(found: Audit, key: str | None, seed: int) -> None:
         print(f"Not verified: the records of {', '.join(found.unverified)}, so the order of the board is not either.")
     for unchecked in found.unchecked:
         print(f"not checked: {unchecked}")
-    if key is None:
-        print("not checked: who owns the key. Compare it with the one that you noted, or give it as --key.")
 
 
 def _print_log(found: LogAudit) -> None:
@@ -360,6 +362,8 @@ def _print_log(found: LogAudit) -> None:
         print(f"WRONG: {finding}")
     for unusual in found.unusual:
         print(f"unusual: {unusual}")
+    for winner in found.winners:
+        print(f"winner: {winner}")
     print("Do not trust this log." if found.findings else "Nothing in the log was changed, removed or moved.")
     if found.doubts:
         print("What you may still doubt:")

@@ -11,10 +11,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from ..accounts import outbox, stations
 from ..audit import entry_view, newest_entries
 from ..database.states import WorkerOrder
+from ..decisions.audit_digests import list_audit_digests
 from ..queue import workers
 from ..views.correspondence import NoticeView
 from ..views.operations import WorkerView
-from ..views.teams import AuditEntryView
+from ..views.teams import AuditDigestView, AuditEntryView
 from .access import ChangingServicesOf, OrganizerOf, ServicesOf
 from .problems import RESPONSES
 from .teams import ONE_LINE
@@ -133,3 +134,10 @@ def list_audit(
     """List the changes that people made, newest first: who, when, what, before and after."""
     with services.database.transaction() as session:
         return [entry_view(entry) for entry in newest_entries(session, limit, action=action, subject=subject)]
+
+
+@router.get("/audit/digests")
+def list_digests(services: ServicesOf, principal: OrganizerOf) -> list[AuditDigestView]:  # noqa: ARG001
+    """List the digests of the audit log in the public log, and whether the audit log still agrees with each."""
+    with services.database.transaction() as session:
+        return list_audit_digests(session)

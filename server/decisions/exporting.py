@@ -37,6 +37,7 @@ from ..receipts.export import (
 )
 from ..receipts.issuing import list_entries, receipts_of_board, receipts_of_ends
 from ..receipts.receipt import Receipt, SubmissionReceipt
+from ..receipts.witnesses import list_witnessed_checkpoints
 from ..storage.blobs import BlobStore
 from ..storage.scratch import new_file
 from ..submissions.files import find_file
@@ -139,6 +140,8 @@ def export_receipts(
         board=board,
         kind=kind,
         checkpoint=state.checkpoint,
+        witnesses=competition.definition.witnesses if competition.is_held else (),
+        witnessed=tuple(map(str, list_witnessed_checkpoints(session))),
         teams=read_teams(session, results),
         set_aside=set_aside(session, results),
         copies=_copies(session, results),

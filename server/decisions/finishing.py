@@ -21,13 +21,13 @@ from ..evaluations.history import require_current, require_scored
 from ..leaderboards.standings import leaderboard
 from ..principals import CONSOLE, Principal
 from ..receipts.export import make_final_board
-from ..receipts.issuing import new_salt
 from ..receipts.receipt import End, JudgedEntry, WinningEntry
 from ..receipts.witnesses import require_witnessed
 from ..submissions.appeals import end_with_competition
 from ..tracks import known_track
 from ..transparency.log import append
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
+from .audit_digests import append_audit_digest
 from .judging import judged, ranked_by_total
 from .unsettled import unsettled
 
@@ -191,6 +191,7 @@ def judged_entries(session: Session, competition: Competition) -> tuple[JudgedEn
     return tuple(
         JudgedEntry(
             track=stage.track,
+            team=team.team,
             submission=team.submission,
             criteria={each.criterion: each.mean for each in team.criteria},
             total=team.total,
@@ -230,7 +231,6 @@ def _issue_receipt(session: Session, competition: Competition, *, reason: str | 
 
     def make(issued_at: datetime) -> End:
         return End(
-            salt=new_salt(),
             issued_at=issued_at,
             competition=competition.definition.name,
             finalized_at=finalized_at and finalized_at.astimezone(UTC),
@@ -239,6 +239,7 @@ def _issue_receipt(session: Session, competition: Competition, *, reason: str | 
             judged=judged_now,
         )
 
+    append_audit_digest(session)
     append(session, make)
 
 

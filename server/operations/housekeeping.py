@@ -12,6 +12,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from ..accounts.merging import forget_contacts
 from ..database.metrics import RetryReason, TotalsWriter
+from ..decisions.audit_digests import EVERY, append_audit_digest
 from ..decisions.final_list import play_due
 from ..evaluations.lifecycle import give_up
 from ..evaluations.superseding import supersede_outdated
@@ -109,6 +110,8 @@ class Housekeeping:
                 supersede_outdated(session, self._services.settings)
             with self._services.database.transaction() as session:
                 play_due(session)
+            with self._services.database.transaction() as session:
+                append_audit_digest(session, every=EVERY)
             with self._services.database.transaction() as session:
                 ask_for_missing_stills(session, self._services.settings, self._have_stills)
         with self._services.database.transaction() as session:

@@ -30,7 +30,7 @@ from vitac.evaluator.tracks.registry import TRACKS_FOLDER_VARIABLE, find_version
 from vitac.evaluator.tracks.sealed import load_played_track, make_commitment
 
 from ..transparency.entries import LogEntry
-from ..transparency.merkle import make_tree
+from ..transparency.merkle import Tree, make_tree
 from ..views.leaderboards import LeaderboardEntryView
 from .completeness import (
     check_arrivals,
@@ -46,6 +46,9 @@ from .completeness import (
     check_submissions,
     check_teams,
     check_winners,
+    check_witnessed,
+    find_signed_sizes,
+    list_late,
     place,
     reached,
 )
@@ -86,6 +89,7 @@ class Audit:
         findings: what is wrong; nothing in a board that can be believed.
         unusual: what is not wrong, but should be explained.
         unchecked: what could not be checked, and why.
+        unknowable: what nobody can see in the export alone, and what shows it.
     """
 
     public_key: str
@@ -97,6 +101,7 @@ class Audit:
     findings: list[str] = field(default_factory=list)
     unusual: list[str] = field(default_factory=list)
     unchecked: list[str] = field(default_factory=list)
+    unknowable: list[str] = field(default_factory=list)
 
     @property
     def is_believed(self) -> bool:
@@ -152,6 +157,9 @@ def audit(
         for size, root in noted.items():
             found.findings += check_noted(tree, size, root)
         found.findings += check_order(listed)
+        found.findings += check_witnessed(described, tree, listed)
+        found.unusual += list_late(listed)
+        found.unknowable += _list_unknowable(described, tree, key=public_key, is_noted=bool(held or noted))
         arrivals = {one.submission.submission: one for one in _signed(reader.submissions(), logged, found)}
         receipts = {receipt.result.evaluation: receipt for receipt in _signed(reader.receipts(), logged, found)}
         all_ends = _signed(reader.ends(), logged, found)
@@ -168,6 +176,17 @@ def audit(
             logs = list(_check_logs(reader, receipts, found))
             _resimulate(reader, logs, count=episodes, seed=seed, found=found, on_episode=on_episode)
         return found
+
+
+def _list_unknowable(described: ExportDescription, tree: Tree, *, key: str | None, is_noted: bool) -> Iterator[str]:
+    if key is None:
+        yield "Whose key signed this log: compare it with the one that you noted, or give that as --key."
+    if not is_noted and not find_signed_sizes(described, tree, described.witnesses):
+        yield (
+            "Whether others were shown this log: whoever has the database could have made all of it anew, with other "
+            "results and winners, and signed it. A checkpoint that you noted (--noted), a receipt that you stored "
+            "(--receipt) or a witness would show it."
+        )
 
 
 def _read_entries(entries: Iterator[LogEntry], found: Audit) -> list[LogEntry]:

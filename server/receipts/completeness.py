@@ -1,7 +1,7 @@
 """Checks that nothing was left out of an export or added to it later, and that its results are of the teams shown."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from typing import Any, Final
 from uuid import UUID
@@ -12,7 +12,7 @@ from vitac.evaluator.tracks.sealed import make_commitment
 from ..competitions.definition import FINAL_SUFFIX
 from ..transparency.entries import EntryKind, LogEntry
 from ..transparency.merkle import Tree
-from ..transparency.notes import Checkpoint, NoteRejected, make_log_key
+from ..transparency.notes import Checkpoint, NoteRejected, VerifierKey, make_log_key
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
 from .export import ExportDescription, ExportedTeam
 from .receipt import (
@@ -72,6 +72,81 @@ def check_opened(
     for number, entry in entries.items():
         if (entry.board == stage or entry.content is EntryKind.END) and number not in opened:
             yield f"Receipt {number} is of this board, but the export does not hold it."
+
+
+def check_witnessed(described: ExportDescription, tree: Tree, entries: Sequence[LogEntry]) -> Iterator[str]:
+    """Yield a finding where fewer witnesses than the stage demands have signed a log with all that it has of the stage.
+
+    What is demanded, and of whom, says the competition's file in the log.
+    """
+    definition = _find_definition(described.competition, entries)
+    keys = tuple(definition.get("witnesses", ()))
+    if keys != described.witnesses:
+        yield "The witnesses that the export names are not those of the competition's file in the log."
+    board = described.board
+    stages = definition.get("tracks", {}).get(board.track, {}).get("stages", ())
+    name = (board.stage or "").removesuffix(FINAL_SUFFIX)
+    demanded = next((stage.get("witnesses", 0) for stage in stages if stage["name"] == name), 0)
+    place = f"{described.competition}/{board.track}/{board.stage or ''}/"
+    last = max((entry.number for entry in entries if entry.board.startswith(place)), default=0)
+    signed = [key for key, size in find_signed_sizes(described, tree, keys).items() if size >= last]
+    if len(signed) < demanded:
+        yield (
+            f"Expected {demanded} witnesses that have signed entry {last} of the log, the last one of this stage, got "
+            f"{len(signed)}: whoever has the database could have made this log anew."
+        )
+
+
+def find_signed_sizes(described: ExportDescription, tree: Tree, keys: Iterable[str]) -> Mapping[str, int]:
+    """Return how many entries of the export's log each witness has signed, by its key."""
+    sizes: dict[str, int] = {}
+    witnesses = [VerifierKey.parse(key) for key in keys]
+    for text in (described.checkpoint, *described.witnessed):
+        checkpoint = Checkpoint.parse(text)
+        if checkpoint.size > tree.size or tree.root(checkpoint.size) != checkpoint.root:
+            continue
+        for key, _ in checkpoint.find_witnesses(witnesses):
+            sizes[str(key)] = max(checkpoint.size, sizes.get(str(key), 0))
+    return sizes
+
+
+def _find_definition(competition: str, entries: Iterable[LogEntry]) -> Mapping[str, Any]:
+    """Return the last file of a competition in the log; empty where there is none."""
+    files = [entry for entry in entries if entry.content is EntryKind.COMPETITION and entry.board == f"{competition}/"]
+    return (files[-1].statement or {}).get("definition", {}) if files else {}
+
+
+def list_late(entries: Iterable[LogEntry]) -> Iterator[str]:
+    """Yield each arrival after its stage had closed, and what follows the end of its competition."""
+    closes: dict[str, datetime] = {}
+    ended: dict[str, LogEntry] = {}
+    for entry in entries:
+        statement, competition = entry.statement or {}, entry.board.partition("/")[0]
+        if entry.content is EntryKind.COMPETITION:
+            for track, rules in statement["definition"]["tracks"].items():
+                for stage in rules["stages"]:
+                    closes[f"{competition}/{track}/{stage['name']}"] = datetime.fromisoformat(stage["closes"])
+        if entry.content is EntryKind.END:
+            if statement.get("finalized_at"):
+                ended[statement["competition"]] = entry
+            else:
+                ended.pop(statement["competition"], None)
+        elif competition in ended and statement.get("change") != "published":
+            end = ended[competition].number
+            yield f"{name_entry(entry)} follows the end of {competition}, entry {end}; ask why."
+        closed_at = closes.get(entry.board.rpartition("/")[0])
+        if entry.content is EntryKind.SUBMISSION and closed_at is not None and entry.issued_at >= closed_at:
+            late = entry.issued_at - closed_at
+            yield (
+                f"{name_entry(entry)}: a submission arrived {late.total_seconds():.0f} s after its stage had closed "
+                f"({_moment(closed_at)}); ask why."
+            )
+
+
+def name_entry(entry: LogEntry) -> str:
+    """Return how sentences name an entry."""
+    at = datetime.astimezone(entry.issued_at, UTC)
+    return f"Entry {entry.number} ({entry.board.strip('/') or 'practice'}, {at:%F %T} UTC)"
 
 
 def check_order(entries: Iterable[LogEntry]) -> Iterator[str]:

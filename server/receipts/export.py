@@ -84,6 +84,10 @@ class ExportDescription(StrictModel):
     """Kind of the submissions on the board."""
     checkpoint: str
     """Checkpoint of the whole log, as the service and its witnesses signed it."""
+    witnesses: tuple[str, ...] = ()
+    """Keys of those who sign the log, as the competition's file names them."""
+    witnessed: tuple[str, ...] = ()
+    """The newest checkpoint that each of them has signed."""
     teams: tuple[ExportedTeam, ...]
     """Teams with results in the stage."""
     set_aside: tuple[UUID, ...]

@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from types import MappingProxyType
 from typing import Any
 
@@ -14,7 +13,7 @@ from ..transparency.entries import EntryKind, LogEntry
 from ..transparency.merkle import TILE_HEIGHT, TILE_WIDTH, ProofRejected, Tree, check_consistency, make_tree
 from ..transparency.notes import Checkpoint, NoteRejected, VerifierKey
 from ..transparency.tiles import PublishedLog, TileMissing
-from .completeness import check_held, check_noted, check_order
+from .completeness import check_held, check_noted, check_order, list_late, name_entry
 from .receipt import AnyReceipt, ReceiptRejected
 
 
@@ -30,6 +29,7 @@ class LogAudit:
         witnesses: number of entries that each witness has signed, by its name; 0 for none.
         findings: what is wrong; nothing in a log that can be believed.
         unusual: what is not wrong, but should be explained.
+        winners: who won what by the last end of each competition, a sentence for each.
         doubts: what these files cannot show.
     """
 
@@ -40,6 +40,7 @@ class LogAudit:
     witnesses: dict[str, int] = field(default_factory=dict)
     findings: list[str] = field(default_factory=list)
     unusual: list[str] = field(default_factory=list)
+    winners: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
 
 
@@ -76,7 +77,8 @@ def audit_log(
         found.findings += _check_receipt(log.key, tree, by_number, receipt)
     found.findings += check_order(entries)
     found.findings += _check_secrets(entries)
-    found.unusual += list_unusual(entries)
+    found.unusual += [*list_unusual(entries), *list_late(entries)]
+    found.winners = list(_list_winners(entries))
     demanded = _find_witnesses(log, tree, entries, found)
     found.doubts += _list_doubts(found, entries, held, demanded)
     return found
@@ -138,15 +140,26 @@ def list_unusual(entries: Sequence[LogEntry]) -> Iterator[str]:
                 else f"the sealed list was {statement.get('change')}"
             )
             if statement.get("change") != "published":
-                yield f"{_name(entry)}: {what} after submission {first[entry.board].number} had arrived; ask why."
+                yield f"{name_entry(entry)}: {what} after submission {first[entry.board].number} had arrived; ask why."
         elif entry.content is EntryKind.REJUDGEMENT:
             statement = entry.statement or {}
             replaced, withdrawn = statement.get("replaced"), statement.get("withdrawn")
-            yield f"{_name(entry)}: {replaced} results were replaced, {withdrawn} withdrawn; ask why."
+            yield f"{name_entry(entry)}: {replaced} results were replaced, {withdrawn} withdrawn; ask why."
         elif entry.content is EntryKind.END:
             if entry.board in ended:
-                yield f"{_name(entry)} was signed again, so winners changed or it was reopened; ask why."
+                yield f"{name_entry(entry)} was signed again, so winners changed or it was reopened; ask why."
             ended.add(entry.board)
+
+
+def _list_winners(entries: Sequence[LogEntry]) -> Iterator[str]:
+    ends = {entry.board: entry for entry in entries if entry.content is EntryKind.END}
+    for entry in ends.values():
+        statement = entry.statement or {}
+        for winner in statement.get("winners", ()):
+            yield (
+                f"{statement['competition']}, {winner['track']}: {winner['team']} wins {winner['place']}, "
+                f"{winner['amount']} {winner['currency']}."
+            )
 
 
 def _read_entries(log: PublishedLog, found: LogAudit) -> list[LogEntry] | None:
@@ -213,9 +226,9 @@ def _check_secrets(entries: Sequence[LogEntry]) -> Iterator[str]:
         statement = entry.statement or {}
         commitment, secret = str(statement.get("commitment")), statement.get("secret")
         if secret is not None and make_commitment(bytes.fromhex(secret)) != commitment:
-            yield f"{_name(entry)}: the published secret is not the one behind the commitment {commitment}."
+            yield f"{name_entry(entry)}: the published secret is not the one behind the commitment {commitment}."
         if secret is not None and (entry.board, commitment) not in sealed:
-            yield f"{_name(entry)}: its commitment {commitment} was not in the log before."
+            yield f"{name_entry(entry)}: its commitment {commitment} was not in the log before."
         sealed.add((entry.board, commitment))
 
 
@@ -283,8 +296,3 @@ def _list_doubts(
     yield "Whether an upload that got no receipt was refused rightly: only what arrived is in the log."
     if EntryKind.END in found.entries:
         yield "Whether judges marked fairly, and whether two teams are the same people: no log shows that."
-
-
-def _name(entry: LogEntry) -> str:
-    at = datetime.astimezone(entry.issued_at, UTC)
-    return f"Entry {entry.number} ({entry.board.strip('/') or 'practice'}, {at:%F %T} UTC)"

@@ -119,6 +119,7 @@ class WinningEntry(StrictModel):
     track: Word
     place: str
     rank: PositiveInt
+    team: str
     amount: NonNegativeInt
     currency: str
     submission: UUID
@@ -130,13 +131,14 @@ class JudgedEntry(StrictModel):
     """What the judges think of a submission: the mean of their marks by criterion, and its total."""
 
     track: Word
+    team: str
     submission: UUID
     criteria: dict[str, float]
     total: float | None
 
 
-class End(SaltedContent):
-    """The end of a competition; signed again where its winners are decided again, or it is reopened."""
+class End(Content):
+    """The end of a competition, with names; signed again where its winners are decided again, or it is reopened."""
 
     stands_for = EntryKind.END
 

@@ -1,7 +1,7 @@
 """What an entry of the log says, in public, and the contents that entries stand for.
 
-Of submissions, results and ends an entry shows a salted hash only, so that the log is public while results of sealed
-lists and frozen boards are not. Everything else is a statement that everybody may read in the entry itself.
+Of submissions and results an entry shows a salted hash only, so that the log is public while results of sealed lists
+and frozen boards are not. Everything else is a statement that everybody may read in the entry itself.
 """
 
 import hashlib
@@ -38,6 +38,8 @@ class EntryKind(StrEnum):
     """Results that were replaced by those of another evaluation."""
     FINAL_LIST = "final_list"
     """Which submissions play the final list of a stage."""
+    AUDIT_LOG = "audit_log"
+    """Lines of the audit log, as a digest: what organizers did."""
     BOARD = "board"
     """A board as it was at the end of a competition."""
 
@@ -93,6 +95,23 @@ class Content(StrictModel):
             issued_at=self.issued_at,
             statement=self.model_dump(mode="json") if self.is_public else None,
         )
+
+
+class AuditLogGrown(Content):
+    """Further lines of the audit log, of which nobody but organizers reads more than this."""
+
+    stands_for = EntryKind.AUDIT_LOG
+
+    first: PositiveInt
+    last: PositiveInt
+    lines: PositiveInt
+    lines_sha256: Sha256
+    """Over the lines, each as canonical JSON, in the order of their numbers."""
+
+    @property
+    def board(self) -> str:
+        """No board: it is of the whole service."""
+        return "audit log"
 
 
 class OfCompetition(Content):

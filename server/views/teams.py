@@ -186,3 +186,15 @@ class AuditEntryView(View):
     subject: str = Field(description="To which thing, `noun:id`.")
     before: dict[str, Any] | None = Field(description="Null where there was nothing before.")
     after: dict[str, Any]
+
+
+class AuditDigestView(View):
+    """The digest of some lines of the audit log in the public log."""
+
+    entry: int = Field(description="Number of the entry in the public log.")
+    issued_at: datetime
+    first: int = Field(description="Number of the first line.")
+    last: int = Field(description="Number of the last line.")
+    lines: int
+    lines_sha256: str = Field(description="Over the lines as canonical JSON.")
+    agrees: bool = Field(description="Whether the audit log still has these lines, and no others between them.")

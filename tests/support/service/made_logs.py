@@ -27,9 +27,9 @@ def at(number: int) -> Any:
     return WHEN + timedelta(seconds=number)
 
 
-def apply_file(number: int, *witnesses: str, demanded: int = 0) -> CompetitionApplied:
-    """A competition file with witnesses."""
-    stage = {"name": "only", "witnesses": demanded}
+def apply_file(number: int, *witnesses: str, demanded: int = 0, closes: int = 10_000) -> CompetitionApplied:
+    """A competition file with witnesses, whose stage closes when an entry of some number is issued."""
+    stage = {"name": "only", "witnesses": demanded, "closes": at(closes).isoformat()}
     definition = {"witnesses": list(witnesses), "tracks": {"track_1": {"stages": [stage]}}}
     return CompetitionApplied(issued_at=at(number), competition="cup", definition=definition)
 

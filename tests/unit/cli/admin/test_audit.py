@@ -50,6 +50,7 @@ READS = {
     "appeal list",
     "appeal show",
     "advance propose",
+    "audit digests",
     "audit list",
     "competition check",
     "competition lists",

@@ -94,7 +94,8 @@ def test_boards_are_exported_and_audited(
     wrong = service.run("receipt", "audit", files[TASK], "--episodes", "0")
     assert wrong.exit_code == 1
     assert "WRONG: Team A, peg-insertion: the records are not those of such an evaluation" in wrong.stdout
-    assert "not checked: who owns the key" in wrong.stdout
+    assert wrong.stdout.startswith("What this file alone cannot show:\n  - Whose key signed this log")
+    assert "Whether others were shown this log" in wrong.stdout
     told = json.loads(service.run("receipt", "audit", files[TASK], "--episodes", "0", "--json").stdout)
     assert (told["log_entries"], told["entries"], len(told["findings"])) == (2, 1, 1)
     other = json.loads(service.run("receipt", "audit", files[TASK], "--episodes", "0", "--json").stdout)

@@ -5,6 +5,7 @@ from typing import Any
 from uuid import UUID
 
 import pytest
+from made_logs import apply_file
 from made_receipts import KEY, PUBLIC_KEY, WHEN, a_result, arrival_of, prove, receipt_for
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
@@ -22,6 +23,7 @@ from vitac.server.receipts.completeness import (
     check_submissions,
     check_teams,
     check_winners,
+    check_witnessed,
 )
 from vitac.server.receipts.export import ExportDescription, ExportedTeam
 from vitac.server.receipts.receipt import (
@@ -35,7 +37,7 @@ from vitac.server.receipts.receipt import (
     team_commitment,
 )
 from vitac.server.transparency.merkle import Tree, make_tree
-from vitac.server.transparency.notes import Checkpoint, sign_checkpoint
+from vitac.server.transparency.notes import OF_WITNESS, Checkpoint, VerifierKey, cosign, sign_checkpoint
 from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
 
 TASK = "peg-insertion"
@@ -370,7 +372,6 @@ def test_results_of_another_list_than_the_published_one_are_found() -> None:
 
 def an_end(winners: list[Result], marks: dict[UUID, float] | None = None) -> EndReceipt:
     end = End(
-        salt="0" * 32,
         issued_at=WHEN,
         competition="vitac",
         finalized_at=WHEN,
@@ -380,6 +381,7 @@ def an_end(winners: list[Result], marks: dict[UUID, float] | None = None) -> End
                 track="track_1",
                 place=f"place {rank}",
                 rank=rank,
+                team="Ants",
                 amount=100 // rank,
                 currency="EUR",
                 submission=result.submission,
@@ -389,7 +391,7 @@ def an_end(winners: list[Result], marks: dict[UUID, float] | None = None) -> End
             for rank, result in enumerate(winners, start=1)
         ),
         judged=tuple(
-            JudgedEntry(track="track_1", submission=submission, criteria={"idea": total}, total=total)
+            JudgedEntry(track="track_1", team="Ants", submission=submission, criteria={"idea": total}, total=total)
             for submission, total in (marks or {}).items()
         ),
     )
@@ -472,3 +474,24 @@ def test_an_end_that_the_holder_of_the_key_signs_again_is_unusual_and_other_winn
     ((is_wrong, sentence),) = of_board(first, second, left_out="disqualified, two accounts")
     assert not is_wrong
     assert sentence == "Ants: wins place 1; the service leaves the team out: disqualified, two accounts."
+
+
+def test_a_log_that_the_demanded_witnesses_have_not_signed_is_found_although_it_fits() -> None:
+    witness = VerifierKey(name="ants.example/v", kind=OF_WITNESS, public_key=bytes.fromhex(PUBLIC_KEY))
+    results = chained(a_named_result(1, competition="cup", stage="only"))
+    entries = [apply_file(1, str(witness), demanded=1).entry(1), results[0].result.entry(2)]
+    tree = make_tree([entry.leaf_hash for entry in entries])
+    checkpoint = sign_checkpoint(KEY, size=2, root=tree.root())
+
+    def found(*witnessed: Checkpoint, **changes: Any) -> list[str]:
+        described = exported(results, competition="cup", witnesses=(str(witness),), checkpoint=str(checkpoint))
+        board = described.board.model_copy(update={"stage": "only"})
+        of_export = {"board": board, "witnessed": tuple(map(str, witnessed))} | changes
+        return list(check_witnessed(described.model_copy(update=of_export), tree, entries))
+
+    early = sign_checkpoint(KEY, size=1, root=tree.root(1))
+    assert found(checkpoint.with_signatures([cosign(KEY, "ants.example/v", checkpoint, 1)])) == []
+    too_few = "Expected 1 witnesses that have signed entry 2 of the log, the last one of this stage, got 0"
+    assert [sentence.partition(":")[0] for sentence in found()] == [too_few]
+    assert len(found(early.with_signatures([cosign(KEY, "ants.example/v", early, 1)]))) == 1
+    assert "not those of the competition's file" in found(witnesses=())[0]

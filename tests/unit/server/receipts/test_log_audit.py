@@ -1,14 +1,15 @@
 """Somebody who has the database, the key and the address rewrites a log; an outsider has public files and one note."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import pytest
 from made_logs import LOG_KEY, Files, apply_file, at, change_list, final_board, make_entries, opened, publish
-from made_receipts import KEY, a_result, receipt_for
+from made_receipts import KEY, a_result, arrival_of, receipt_for
 from vitac.envs.errors import VitacError
 from vitac.evaluator.tracks.sealed import make_commitment
 from vitac.server.receipts.log_audit import audit_log, compare
-from vitac.server.receipts.receipt import End, Receipt
+from vitac.server.receipts.receipt import End, Receipt, WinningEntry
 from vitac.server.transparency.entries import Content, LogEntry, RejudgementApplied
 from vitac.server.transparency.merkle import make_tree
 from vitac.server.transparency.notes import (
@@ -164,8 +165,7 @@ def test_secrets_have_to_fit_and_what_needs_a_reason_is_said() -> None:
     secret = "1" * 64
     commitment = make_commitment(bytes.fromhex(secret))
     late = a_result(3, issued_at=at(3), competition="cup", stage="only")
-    arrival = late.model_dump(include=set(type(late).model_fields) & {"salt", "issued_at"})
-    end = End(**arrival, competition="cup", finalized_at=None, reason=None, winners=(), judged=())
+    end = an_end(3)
     contents = [
         apply_file(1),
         change_list(2, "sealed", commitment),
@@ -189,3 +189,40 @@ def test_secrets_have_to_fit_and_what_needs_a_reason_is_said() -> None:
     findings = audit_log(opened(publish([content.entry(1) for content in wrong]))).findings
     assert "is not the one behind the commitment" in findings[0]
     assert "was not in the log before" in findings[1]
+
+
+def an_end(number: int, *, reopened: bool = False) -> End:
+    """The end of the cup, which the Ants won; reopened it has no winners."""
+    result = a_result(1)
+    winner = WinningEntry(
+        track="track_1", place="first", rank=1, team="Ants", amount=5, currency="USD", submission=result.submission,
+        result_hash=result.result_hash, total=None,
+    )  # fmt: skip
+    return End(
+        issued_at=at(number),
+        competition="cup",
+        finalized_at=None if reopened else at(number),
+        reason="an appeal" if reopened else None,
+        winners=() if reopened else (winner,),
+        judged=(),
+    )
+
+
+def test_arrivals_after_a_deadline_and_what_follows_the_end_are_reported_and_winners_told_by_name() -> None:
+    result = partial(a_result, competition="cup", stage="only")
+    contents: list[Content] = [
+        apply_file(1, closes=4),
+        arrival_of(result(2, submitted_at=at(2)), number=2).submission,
+        arrival_of(result(3, submitted_at=at(3)), number=3, issued_at=at(5)).submission,  # dated before the close
+        an_end(6),
+        result(2, issued_at=at(7)),
+        an_end(8, reopened=True),
+        result(2, issued_at=at(9)),
+        an_end(10),
+    ]
+    found = audit_log(opened(publish([content.entry(number) for number, content in enumerate(contents, start=1)])))
+    late = [sentence for sentence in found.unusual if "follows the end" in sentence or "had closed" in sentence]
+    assert [sentence.split()[1] for sentence in late] == ["3", "5"]
+    assert "a submission arrived" in late[0]
+    assert "follows the end of cup, entry 4" in late[1]
+    assert found.winners == ["cup, track_1: Ants wins first, 5 USD."]

@@ -88,6 +88,7 @@ OTHER_MARKS = "The judges' marks of the export are not those of receipt 8."
     ("statement", "expected"),
     [
         ("UPDATE competition SET winners = jsonb_set(winners, '{0,amount}', '9000')", OTHER_WINNERS),
+        ("UPDATE competition SET winners = jsonb_set(winners, '{0,team}', '\"Dogs\"')", OTHER_WINNERS),
         ("UPDATE competition SET winners = jsonb_set(winners, '{1,place}', '\"first\"')", OTHER_WINNERS),
         (
             "UPDATE competition SET winners = jsonb_build_array(winners -> 1, winners -> 0, winners -> 2)",
