@@ -1,5 +1,6 @@
 """The closed list of ways in which a policy or its evaluation can fail, each with one sentence for the team."""
 
+import re
 from enum import StrEnum
 
 from vitac.envs.errors import VitacError
@@ -32,6 +33,18 @@ class VerdictCode(StrEnum):
         """What happened and what to do about it."""
         return _SENTENCES[self]
 
+    def explain(self, message: str) -> str:
+        """Return the sentence, and how a package comes with the submission where the message misses one."""
+        missing = _MISSING_MODULE.search(message)
+        return f"{self.sentence} {_BRING_PACKAGE.format(missing[1])}" if missing else self.sentence
+
+
+_MISSING_MODULE = re.compile(r"No module named '(?!torch\b)(\w+)")  # of torch a worker has its own
+_BRING_PACKAGE = (
+    "Policies see only the packages that the page Sandbox lists. If {0} is of another one, install that into the "
+    "submission's folder: `pip install --target FOLDER --only-binary :all: --no-deps PACKAGE`, with the options that "
+    "docs/sandbox.md gives for the Python and the CPU of the service."
+)
 
 _SENTENCES = {
     VerdictCode.ARCHIVE_REJECTED: "The archive breaks a rule of the upload; pack the folder again as the message says.",

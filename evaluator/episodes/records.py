@@ -125,7 +125,7 @@ class PolicyFailure(StrictModel):
     def sentence(self) -> str:
         """What was said, and what to do about it, as sentences."""
         message = self.message.rstrip()
-        return f"{message}{'' if message.endswith(('.', '!', '?', '.)')) else '.'} {self.code.sentence}"
+        return f"{message}{'' if message.endswith(('.', '!', '?', '.)')) else '.'} {self.code.explain(message)}"
 
 
 class Timings(StrictModel):

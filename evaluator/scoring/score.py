@@ -4,7 +4,8 @@ from collections import Counter
 from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from math import hypot, isfinite, sqrt
+from functools import cache
+from math import cos, hypot, isfinite, pi, sqrt, tan
 from statistics import NormalDist, fmean, median, stdev
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
@@ -174,17 +175,35 @@ def interval_of_seeds(rates: Sequence[Rate]) -> Interval:
 
     It is Student's with the spread between the seeds, and at least as wide as the starts alone make it.
     """
-    from scipy.special import stdtrit
-
     of_starts = interval_of_mean(rates, of=len(rates))
     if len(rates) == 1:
         return of_starts
     each = [rate.success_rate for rate in rates]
-    half_width = float(stdtrit(len(each) - 1, 0.975)) * stdev(each) / sqrt(len(each))
+    half_width = compute_student_quantile(len(each) - 1) * stdev(each) / sqrt(len(each))
     return Interval(
         low=max(0.0, min(of_starts.low, fmean(each) - half_width)),
         high=min(1.0, max(of_starts.high, fmean(each) + half_width)),
     )
+
+
+@cache
+def compute_student_quantile(freedom: int) -> float:
+    """Return the quantile of Student's distribution for the two ends of a 95 % interval.
+
+    With n degrees of freedom its density is proportional to (1 + t^2 / n)^(-(n + 1) / 2), the integral of which becomes
+    that of cos^(n - 1) from 0 to arctan(t / sqrt(n)). Student, The probable error of a mean, Biometrika 6 (1908) 1-25.
+    """
+    parts = 2000  # of Simpson's rule
+
+    def integrate(end: float) -> float:
+        values = [cos(end * part / parts) ** (freedom - 1) for part in range(parts + 1)]
+        return end / (3 * parts) * (values[0] + 4 * sum(values[1::2]) + 2 * sum(values[2:-1:2]) + values[-1])
+
+    low, high, wanted = 0.0, pi / 2, 0.95 * integrate(pi / 2)
+    while high - low > 1e-12:
+        middle = (low + high) / 2
+        low, high = (middle, high) if integrate(middle) < wanted else (low, middle)
+    return sqrt(freedom) * tan(low)
 
 
 def rate(successes: int, episodes: int) -> Rate:

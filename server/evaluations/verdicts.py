@@ -59,8 +59,8 @@ REFUTING_RESULTS = frozenset(
 """Verdicts that the same content gets again with the same evaluator."""
 
 
-def find_sentence(code: str) -> str:
-    """Return the sentence of a stored verdict."""
+def find_sentence(code: str, message: str) -> str:
+    """Return the sentence of a stored verdict, given what was said."""
     if code in {verdict.value for verdict in ServiceVerdict}:
         return ServiceVerdict(code).sentence
-    return VerdictCode(code).sentence
+    return VerdictCode(code).explain(message)

@@ -207,7 +207,7 @@ def verdict_view(evaluation: Evaluation) -> VerdictView | None:
         return None
     return VerdictView(
         code=evaluation.verdict_code,
-        title=find_sentence(evaluation.verdict_code),
+        title=find_sentence(evaluation.verdict_code, evaluation.verdict_message or ""),
         message=evaluation.verdict_message or "",
         task=evaluation.verdict_task,
         episode=evaluation.verdict_episode,

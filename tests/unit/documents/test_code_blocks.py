@@ -98,6 +98,17 @@ def test_every_language_is_known_and_what_can_be_parsed_can(repository: Path) ->
         assert parsed.returncode == 0, f"{name}: {parsed.stderr}"
 
 
+def test_examples_that_draw_actions_seed_them_so_that_they_repeat(repository: Path) -> None:
+    drawing = [
+        block
+        for _, markdown in documents(repository)
+        for block in blocks(markdown, "python")
+        if "space.sample()" in block
+    ]
+    assert drawing
+    assert all("action_space.seed(" in block for block in drawing)
+
+
 def commands(repository: Path) -> Iterator[str]:
     for _, markdown in documents(repository):
         for block in blocks(markdown, "sh"):

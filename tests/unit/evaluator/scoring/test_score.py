@@ -13,6 +13,7 @@ from vitac.evaluator.scoring.score import (
     Rate,
     Score,
     combine,
+    compute_student_quantile,
     interval_of_difference,
     interval_of_mean,
     interval_of_seeds,
@@ -86,6 +87,13 @@ def test_seeds_of_a_training_are_what_an_interval_over_them_counts(
     else:
         assert (interval.low, interval.high) == pytest.approx((0.7 - half_width, 0.7 + half_width), abs=1e-4)
     assert interval_of_seeds(seeds[:1]) == interval_of_mean(seeds[:1], of=1)
+
+
+@pytest.mark.parametrize("freedom", [1, 2, 3, 10, 100])
+def test_quantile_is_students(freedom: int) -> None:
+    from scipy.special import stdtrit
+
+    assert compute_student_quantile(freedom) == pytest.approx(stdtrit(freedom, 0.975), rel=1e-8)
 
 
 def test_interval_of_a_difference_is_that_of_newcombe() -> None:

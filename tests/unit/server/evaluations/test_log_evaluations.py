@@ -168,7 +168,7 @@ def test_other_pictures_fail_the_evaluation_with_a_sentence_that_says_what_to_do
     assert (verdict["code"], verdict["episode"], verdict["message"]) == ("other_picture", 3, finding.reason)
     assert (found["log"]["verdict"], found["log"]["divergence"]) == ("other_picture", None)
     assert f"expected the pictures {sha256('ours')[:12]}… of env step 4, got no pictures" in found["log"]["reason"]
-    assert find_sentence("other_picture").endswith("unchanged version of vitac and upload the new log.")
+    assert find_sentence("other_picture", "").endswith("unchanged version of vitac and upload the new log.")
     assert service.get("/leaderboards/track_1/logs").json()["boards"][0]["entries"] == []
 
 

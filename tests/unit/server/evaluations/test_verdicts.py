@@ -8,7 +8,7 @@ from vitac.server.evaluations.verdicts import ServiceVerdict, find_sentence
 
 @pytest.mark.parametrize("code", [*VerdictCode, *ServiceVerdict])
 def test_every_verdict_has_a_sentence(code: VerdictCode | ServiceVerdict) -> None:
-    assert find_sentence(code.value).endswith(".")
+    assert find_sentence(code.value, "").endswith(".")
 
 
 def test_codes_of_service_and_policy_are_different() -> None:
