@@ -145,4 +145,8 @@ def _lines(findings: Findings) -> Iterator[str]:
     if findings.output_tail:
         yield "Last lines of the policy's output:"
         yield from (f"  | {line}" for line in findings.output_tail.splitlines()[-20:])
-    yield "This submission would be refused." if findings.refused else f"All checks passed. Digest {findings.digest}"
+    yield (
+        "This submission would be refused."
+        if findings.refused
+        else f"All checks passed. Content digest {findings.digest}"
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import secrets
 import sys
@@ -18,16 +19,18 @@ from ..compare import PAGES
 from ..terminal.output import AsJson, Server, TokenFile, moment, percent, print_json, print_pairs
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+    from datetime import datetime
     from typing import TypeVar
 
     from vitac.server.receipts.audit import Audit, SampledEpisode
     from vitac.server.receipts.log_audit import LogAudit
     from vitac.server.receipts.receipt import AnyReceipt
     from vitac.server.transparency.entries import Content
-    from vitac.server.transparency.notes import Checkpoint
+    from vitac.server.transparency.notes import Checkpoint, VerifierKey
 
     from ..client.answers import Answer
+    from ..client.http import Client
 
     ReceiptT = TypeVar("ReceiptT", bound=AnyReceipt)
 
@@ -58,22 +61,37 @@ def verify(
     A file is checked without any service. For a submission at a service it also checks that the receipt is in the log
     that the service shows, and signed by the key that it shows.
     """
-    from vitac.server.receipts.export import read_receipt
+    from vitac.server.receipts.export import read_receipts
     from vitac.server.transparency.notes import VerifierKey
 
     key = _read_key(key)
     if Path(receipt).is_file() or Path(receipt).suffix == ".json":
-        found, witnesses = read_receipt(Path(receipt)), witness or []
+        receipts, witnesses = read_receipts(Path(receipt)), witness or []
     else:
         found, shown_key, named = _read_from_service(receipt, server, token_file)
-        key, witnesses = key or shown_key, witness or named
-    found.require_valid(key)
-    witnessed = found.find_witnesses(map(VerifierKey.parse, witnesses))
+        receipts, key, witnesses = [found], key or shown_key, witness or named
+    for each in receipts:
+        each.require_valid(key)
+    witnessed = [each.find_witnesses(map(VerifierKey.parse, witnesses)) for each in receipts]
     if as_json:
-        signed_at = {each.name: at for each, at in witnessed.items()}
-        shown = {"verified": True, "key_given": key is not None, "witnessed": signed_at}
-        print_json(shown | {"receipt": found.model_dump(mode="json")})
+        rows = [
+            {
+                "verified": True,
+                "key_given": key is not None,
+                "witnessed": {one.name: at for one, at in by.items()},
+                "receipt": each.model_dump(mode="json"),
+            }
+            for each, by in zip(receipts, witnessed, strict=True)
+        ]
+        print_json(rows[0] if len(rows) == 1 else rows)
         return
+    for each, by in zip(receipts, witnessed, strict=True):
+        _print_verified(each, by, n_witnesses=len(witnesses))
+    if key is None:
+        print("Compare the key with the one that the service shows on its page /receipts, or give it as --key.")
+
+
+def _print_verified(found: AnyReceipt, witnessed: Mapping[VerifierKey, datetime], *, n_witnesses: int) -> None:
     print_pairs(
         {
             "receipt": found.entry.number,
@@ -82,12 +100,33 @@ def verify(
             "issued": moment(found.entry.issued_at),
             "signed by": found.public_key,
             **{f"witness {each.name}": moment(at) for each, at in witnessed.items()},
-            **({"witnessed by": f"{len(witnessed)} of {len(witnesses)}"} if witnesses else {}),
+            **({"witnessed by": f"{len(witnessed)} of {n_witnesses}"} if n_witnesses else {}),
         }
     )
     print("The receipt is complete, and in the log that this key signed.")
-    if key is None:
-        print("Compare the key with the one that the service shows on its page /receipts, or give it as --key.")
+
+
+@app.command()
+def fetch(
+    submission: Annotated[str, typer.Argument(help="Id or address of a submission.")],
+    to: Annotated[Path, typer.Option(help="Folder for the files.")] = Path(),
+    server: Server = None,
+    token_file: TokenFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Store the receipts of a submission, of its arrival and of each final result, as receipt-NUMBER.json."""
+    client, submission_id = _find_service(submission, server, token_file)
+    listed = decode(client.send("GET", f"/api/v1/submissions/{submission_id}/receipts"))
+    arrival = decode_object(client.send("GET", f"/api/v1/submissions/{submission_id}/arrival"))
+    to.mkdir(parents=True, exist_ok=True)
+    files = []
+    for receipt in (arrival, *listed):
+        files.append(to / f"receipt-{int(receipt['entry']['number'])}.json")
+        files[-1].write_text(json.dumps(receipt, indent=1) + "\n", encoding="utf-8")
+    if as_json:
+        print_json({"files": list(map(str, files))})
+    else:
+        print("\n".join(map(str, files)))
 
 
 @app.command()
@@ -125,9 +164,9 @@ def audit(
     For an export it checks log, signature, scores against receipts, and a sample of its episodes. The exit code is 0
     only if nothing is wrong, and for an export only if the records of every rank agree with their receipts.
     """
-    from vitac.server.receipts.export import read_receipt
+    from vitac.server.receipts.export import read_receipts
 
-    held = [read_receipt(path) for path in receipt or ()]
+    held = [each for path in receipt or () for each in read_receipts(path)]
     if Path(named).is_file():
         _audit_export(Path(named), key, held, dict(map(_noted, noted or ())), episodes, seed, as_json=as_json)
     else:
@@ -278,6 +317,12 @@ def _noted(text: str) -> tuple[int, str]:
     return int(number), root
 
 
+def _find_service(named: str, server: str | None, token_file: Path | None) -> tuple[Client, str]:
+    """Return a client of the service of a submission, and its id."""
+    address, _, submission_id = named.rpartition(PAGES)
+    return make_client(address.removesuffix("/api/v1") or server, token_file), submission_id
+
+
 def _read_from_service(named: str, server: str | None, token_file: Path | None) -> tuple[AnyReceipt, str, list[str]]:
     """Return the receipt of a submission's newest result, else of its arrival, and the key that the service shows.
 
@@ -286,8 +331,7 @@ def _read_from_service(named: str, server: str | None, token_file: Path | None) 
     """
     from vitac.server.receipts.receipt import Receipt, ReceiptRejected, SubmissionReceipt
 
-    address, _, submission_id = named.rpartition(PAGES)
-    client = make_client(address.removesuffix("/api/v1") or server, token_file)
+    client, submission_id = _find_service(named, server, token_file)
     listed = decode(client.send("GET", f"/api/v1/submissions/{submission_id}/receipts"))
     found: AnyReceipt
     if listed:

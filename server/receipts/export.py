@@ -8,6 +8,7 @@ a team's own, and `tracks/TRACK.yaml` the file of a track that does not come wit
 """
 
 import hashlib
+import json
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -215,8 +216,8 @@ class ExportReader:
             yield cast(BinaryIO, stream)
 
 
-def read_receipt(path: Path) -> AnyReceipt:
-    """Return the receipt in a file, of whatever it is.
+def read_receipts(path: Path) -> list[AnyReceipt]:
+    """Return the receipt in a file, of whatever it is, or all of a list of them, as the API gives one.
 
     Raises:
         ExportRejected: there is none in it.
@@ -226,10 +227,22 @@ def read_receipt(path: Path) -> AnyReceipt:
             content = file.read(1 << 20)
     except OSError as error:
         raise ExportRejected(f"{path} cannot be read: {error.strerror}.") from error
-    named = _parsed(_ReceiptFile, content, str(path)).entry.content
+    if not content.lstrip().startswith(b"["):
+        return [_read_receipt(content, str(path))]
+    try:
+        listed = json.loads(content)
+    except ValueError as error:
+        raise ExportRejected(f"{path} is no JSON: {error}.") from error
+    if not listed:
+        raise ExportRejected(f"{path} is an empty list: there is no receipt yet. Fetch it when the result is there.")
+    return [_read_receipt(json.dumps(one).encode(), f"{path}, number {n}") for n, one in enumerate(listed, start=1)]
+
+
+def _read_receipt(content: bytes, origin: str) -> AnyReceipt:
+    named = _parsed(_ReceiptFile, content, origin).entry.content
     if named not in MODELS:
-        raise ExportRejected(f"{path}: expected a receipt of one of {', '.join(MODELS)}, got {named}.")
-    return _parsed(MODELS[named], content, str(path))
+        raise ExportRejected(f"{origin}: expected a receipt of one of {', '.join(MODELS)}, got {named}.")
+    return _parsed(MODELS[named], content, origin)
 
 
 def _parsed(model: type[ModelT], content: bytes, origin: str) -> ModelT:

@@ -22,6 +22,16 @@ _PREFIX = re.compile(
 )
 
 
+NO_TRAINING = (
+    "The log of a training is none: give the one that the evaluation script of 2025 writes (`evaluate_policy`), or "
+    "upload the policy itself."
+)
+_OF_TRAINING = re.compile(
+    r"^\W*-{10,}\W*$|rollout/|train/|eval/|ep_(len|rew)_mean|timesteps|device|[Ll]ogging to|[Ww]rapping|wandb|[Ll]earning",
+)
+"""What Stable-Baselines3 and those around it print while they learn."""
+
+
 class TextLogRejected(VitacError):
     """The file is not a 2025 text log; the message names the line and the reason.
 
@@ -65,7 +75,9 @@ def messages(stream: BinaryIO) -> Iterator[LoggedMessage]:
             first, text, length = (number, match), [match[6]], len(line)
         elif first is None:
             raise TextLogRejected(
-                f"Line {number}: expected `<date> <time> | INFO | ...`, got {line!r:.60}.", line=number
+                f"Line {number}: expected `<date> <time> | INFO | ...`, got {line!r:.60}."
+                f"{f' {NO_TRAINING}' if _OF_TRAINING.search(line) else ''}",
+                line=number,
             )
         else:
             text.append(line)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any, BinaryIO
 
-from .messages import LoggedMessage, TextLogRejected, messages, number, printed_dict, vector, whole_number
+from .messages import NO_TRAINING, LoggedMessage, TextLogRejected, messages, number, printed_dict, vector, whole_number
 
 MAX_PROBLEMS = 200
 """A file with more misplaced lines is refused as not a 2025 text log."""
@@ -71,7 +71,8 @@ def read_text_log(stream: BinaryIO) -> TextLog:
         reader.take(message)
     if reader.log.team is None or not reader.log.environment:
         raise TextLogRejected(
-            "Line 1: expected a 2025 text log with `#KEY` and its environment; one of them is missing.", line=1
+            f"Line 1: expected a 2025 text log with `#KEY` and its environment; one of them is missing. {NO_TRAINING}",
+            line=1,
         )
     return reader.log
 

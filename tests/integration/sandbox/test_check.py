@@ -21,7 +21,7 @@ def with_files(folder: Path, **files: str) -> Path:
 def test_a_good_submission_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, text = check(submission_folder(tmp_path), capsys)
     assert code == 0
-    assert "All checks passed. Digest" in text
+    assert "All checks passed. Content digest" in text
     assert text.count(", outcome ") == 2
     assert "outcome steps. All env steps were used up." in text
 

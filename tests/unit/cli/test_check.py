@@ -48,7 +48,7 @@ def test_what_is_in_order_is_listed_with_the_digest(tmp_path: Path) -> None:
         f"ok       peg-insertion, episode 1: 1 env step, outcome success. {EpisodeOutcome.SUCCESS.sentence}",
         f"ok       peg-insertion, episode {LAST}: 8 env steps, outcome steps. {EpisodeOutcome.STEPS.sentence}",
     ]
-    assert lines[4].startswith("All checks passed. Digest ")
+    assert lines[4].startswith("All checks passed. Content digest ")
 
 
 def test_no_advice_is_to_run_the_command_that_gives_it(tmp_path: Path, played: list[EpisodeRecord]) -> None:

@@ -58,6 +58,21 @@ def test_a_receipt_is_verified_at_the_service_and_as_a_file(played: tuple[CliSer
     assert "was changed" in refusal(service.run("receipt", "verify", str(file)))
 
 
+def test_receipts_are_fetched_and_verified_also_as_the_list_that_the_api_gives(
+    played: tuple[CliService, str], tmp_path: Path
+) -> None:
+    service, submission_id = played
+    files = json.loads(service.run("receipt", "fetch", submission_id, "--to", str(tmp_path), "--json").stdout)["files"]
+    assert len(files) == len({Path(file).name for file in files}) == 2
+    for file in files:
+        assert "that this key signed" in service.run("receipt", "verify", file).stdout
+    listed = tmp_path / "receipts.json"
+    listed.write_text(f"[{','.join(Path(file).read_text() for file in files)}]")
+    assert service.run("receipt", "verify", str(listed)).stdout.count("that this key signed") == 2
+    listed.write_text("[]")
+    assert "there is no receipt yet" in refusal(service.run("receipt", "verify", str(listed)))
+
+
 def test_of_a_submission_without_a_result_the_receipt_of_its_arrival_is_verified(service: CliService) -> None:
     with service.database.transaction() as session:
         team = teams.find(session, "Team A")

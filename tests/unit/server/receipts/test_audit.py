@@ -32,7 +32,7 @@ from vitac.server.operations import team_data
 from vitac.server.principals import CONSOLE
 from vitac.server.receipts import issuing
 from vitac.server.receipts.audit import Audit, audit
-from vitac.server.receipts.export import DESCRIPTION_NAME, LOG_NAME, ExportRejected, read_receipt
+from vitac.server.receipts.export import DESCRIPTION_NAME, LOG_NAME, ExportRejected, read_receipts
 from vitac.server.storage.blobs import BlobStore
 from vitac.server.transparency import log
 from vitac.server.transparency.entries import Content
@@ -309,7 +309,7 @@ def test_a_whole_new_log_is_found_by_its_key_and_by_a_receipt_that_was_stored(
     ]
     assert audited(database, tmp_path, *statements).findings == [], "in itself the new log is right"
     assert "Expected the key" in audit(tmp_path / "board.zip", episodes=0, public_key=key).findings[0]
-    told = audit(tmp_path / "board.zip", episodes=0, held=[read_receipt(stored)]).findings
+    told = audit(tmp_path / "board.zip", episodes=0, held=read_receipts(stored)).findings
     assert told[0] == "Receipt 2, which was stored elsewhere, is not in the log."
     assert "the log was rewritten" in told[1]
 

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from made_receipts import PUBLIC_KEY, a_receipt, a_result, arrival_of, prove, receipt_for
-from vitac.server.receipts.export import ExportRejected, read_receipt
+from vitac.server.receipts.export import ExportRejected, read_receipts
 from vitac.server.receipts.receipt import AnyReceipt, Receipt, ReceiptRejected
 from vitac.server.transparency.notes import InclusionProof, sign_checkpoint
 
@@ -24,7 +24,7 @@ def changed(receipt: Receipt, *path: str, value: object) -> Receipt:
 def test_a_receipt_is_valid_after_a_way_through_a_file(tmp_path: Path, receipt: AnyReceipt) -> None:
     file = tmp_path / "receipt.json"
     file.write_text(receipt.model_dump_json(indent=1))
-    read = read_receipt(file)
+    [read] = read_receipts(file)
     assert read == receipt
     read.require_valid(receipt.public_key)
 
@@ -82,6 +82,6 @@ def test_what_is_no_receipt_is_refused_by_name(tmp_path: Path, content: str) -> 
     file = tmp_path / "receipt.json"
     file.write_text(content)
     with pytest.raises(ExportRejected, match=r"receipt\.json"):
-        read_receipt(file)
+        read_receipts(file)
     with pytest.raises(ExportRejected, match="cannot be read"):
-        read_receipt(tmp_path / "missing.json")
+        read_receipts(tmp_path / "missing.json")

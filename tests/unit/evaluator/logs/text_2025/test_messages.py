@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from vitac.evaluator.logs.text_2025.messages import (
     MAX_LINE_BYTES,
     MAX_LOG_BYTES,
+    NO_TRAINING,
     LoggedMessage,
     TextLogRejected,
     is_text_log,
@@ -113,6 +114,10 @@ def test_a_message_may_be_as_long_as_the_limit() -> None:
             "Line 1: expected a date and time, got 2025-13-41 10:00:00.123.",
         ),
         (b"hello\n", "Line 1: expected `<date> <time> | INFO | ...`, got 'hello'."),
+        *(
+            (start, f"Line 1: expected `<date> <time> | INFO | ...`, got {start.decode().strip()!r}. {NO_TRAINING}")
+            for start in (b"-----------------------\n", b"Using cuda device\n", b"| rollout/ | |\n")
+        ),
     ],
 )
 def test_a_refusal_names_its_line_once_for_readers_and_once_for_programs(content: bytes, sentence: str) -> None:
