@@ -27,7 +27,7 @@ NO_TRAINING = (
     "upload the policy itself."
 )
 _OF_TRAINING = re.compile(
-    r"^\W*-{10,}\W*$|rollout/|train/|eval/|ep_(len|rew)_mean|timesteps|device|[Ll]ogging to|[Ww]rapping|wandb|[Ll]earning",
+    r"^\W*-{10,}\W*$|rollout/|train/|eval/|ep_(len|rew)_mean|timesteps|device|[Ll]ogging to|[Ww]rapping|[Ll]earning",
 )
 """What Stable-Baselines3 and those around it print while they learn."""
 
