@@ -156,6 +156,7 @@ def _is_held(lock: int) -> bool:
 # How often a waiting process looks, and after how long it says that it waits.
 _POLL_S = 0.1
 _SILENT_S = 1.0
+_LONGEST_S = 900.0
 
 
 class CompilingTurn:
@@ -220,8 +221,11 @@ def _wait_for(lock: int, folder: Path) -> None:
     while True:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            if time.monotonic() - started > _SILENT_S:
+        except BlockingIOError as error:
+            waited_s = time.monotonic() - started
+            if waited_s > _LONGEST_S:
+                raise TimeoutError(f"another process has held it for {waited_s / 60:.0f} minutes; end that") from error
+            if waited_s > _SILENT_S:
                 _say_waiting(folder)
             time.sleep(_POLL_S)
         else:
@@ -231,4 +235,8 @@ def _wait_for(lock: int, folder: Path) -> None:
 @cache
 def _say_waiting(folder: Path) -> None:
     """Say it once in a process, not for every kernel."""
-    _LOG.warning("Another process is compiling the physics into %s; waiting for it.", folder)
+    _LOG.warning(
+        "Another process is compiling the physics into %s; waiting for it, at most %.0f minutes.",
+        folder,
+        _LONGEST_S / 60,
+    )

@@ -28,6 +28,7 @@ class EvaluationProgress:
         self._indent = " " * indent
         self._tenths_printed = 0
         self._check: str | None = None
+        self._wait = ""
         self._bar: Progress | None = None
         self._tasks: dict[str, TaskID] = {}
 
@@ -60,6 +61,7 @@ class EvaluationProgress:
         progress = evaluation["progress"]
         if self._bar is None:
             self._print_check(evaluation.get("sensor_check"))
+            self._print_wait(nobody(found))
             self._print_line(progress)
             return
         tasks = progress["tasks"]
@@ -81,6 +83,12 @@ class EvaluationProgress:
             self._check = state
             line = f"sensor check: {state}" if state else "sensor check: over"
             self._console.print(self._indent + line, highlight=False)
+
+    def _print_wait(self, reason: str) -> None:
+        """Say once why nothing goes on: without a bar, a wait for a worker would be silent and without end."""
+        if reason and reason != self._wait:
+            self._console.print(f"{self._indent}waiting: {reason}", highlight=False, soft_wrap=True)
+        self._wait = reason
 
     def _print_line(self, progress: Json) -> None:
         done, total = progress["episodes_done"], progress["episodes_total"]

@@ -8,7 +8,7 @@ from types import FrameType
 
 
 class Terminated(SystemExit):
-    """SIGTERM came; the exit status is that of a process which it has ended."""
+    """SIGTERM has arrived; the exit status is that of a process which it has ended."""
 
 
 @contextmanager

@@ -54,7 +54,20 @@ def test_a_process_waits_and_says_so(
     with holder(tmp_path) as first, CompilingTurn().taken(tmp_path, START):
         pass
     assert looks == [None, None]
-    assert caplog.messages == [f"Another process is compiling the physics into {tmp_path}; waiting for it."]
+    said = f"Another process is compiling the physics into {tmp_path}; waiting for it, at most 15 minutes."
+    assert caplog.messages == [said]
+
+
+def test_one_that_never_ends_is_waited_for_no_longer_than_a_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(kernel_cache, "_LONGEST_S", 0.0)
+    with holder(tmp_path) as first:
+        with CompilingTurn().taken(tmp_path, START):
+            pass
+        assert first.poll() is None
+    assert "another process has held it for 0 minutes; end that" in caplog.text
+    assert "compiling without it" in caplog.text
 
 
 def test_a_turn_is_taken_again_within_itself_and_given_back_after_an_error(tmp_path: Path) -> None:

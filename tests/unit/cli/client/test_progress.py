@@ -46,6 +46,11 @@ def test_a_pipe_gets_one_line_for_many_tenths_at_once() -> None:
     ]
 
 
+def test_a_pipe_is_told_once_why_nothing_goes_on() -> None:
+    alone = state(0) | {"workers": {"alive": 0}}
+    assert shown(alone, alone, state(0), alone).splitlines() == 2 * ["waiting: no worker is running"]
+
+
 def test_a_state_that_is_shown_again_prints_nothing() -> None:
     assert shown(state(25), state(25), state(25)).splitlines() == ["25/50 episodes, 0 successes"]
 
