@@ -123,7 +123,7 @@ install_python() { # profile
   for part in $(echo "$1" | tr + ' '); do
     lock=$root/requirements/$part.lock
     heading="installing Python packages"
-    logged "$heading" "$(grep -c '==' "$lock")" 'Collecting ' \
+    logged "$heading, once, one or two minutes" "$(grep -c '==' "$lock")" 'Collecting ' \
       pip install --require-hashes --only-binary :all: --no-deps -r "$lock" || fail_packages "$heading"
   done
   logged "installing ViTac Arena" '' '' \

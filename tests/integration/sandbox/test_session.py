@@ -114,7 +114,7 @@ def test_what_a_belief_costs_is_counted_for_no_limit(make: Make, ends_with: str)
         with suppress(PolicyFailed):
             policy.belief(3)
         policy.act(OBSERVATION)
-        assert policy.cpu_s - before_s < 0.2
+        assert policy.cpu_s - before_s < 0.4, "what the belief takes"
 
 
 def test_observation_belongs_to_the_policy(make: Make) -> None:
@@ -182,13 +182,22 @@ def test_time_of_all_episodes_together_is_limited(make: Make, top: str, act: str
 
 def test_each_shard_has_that_time_for_itself(make: Make) -> None:
     folder = make(f"{BUSY}return [0, 0, 0]", "import os, time")
-    with PolicySession(folder, limits=Limits(shard_cpu_s=0.35)) as session:
+    with PolicySession(folder) as session:
+        episode_s = max(measure_episode_s(session) for _ in range(3))
+    with PolicySession(folder, limits=Limits(shard_cpu_s=4 * episode_s)) as session:
         for _ in range(3):
             session.begin_shard()
             act_in_episodes(session, 2)
         assert session.starts == 1
         with pytest.raises(PolicyFailed, match="of the shard together used more"):
-            act_in_episodes(session, 10)
+            act_in_episodes(session, 40)
+
+
+def measure_episode_s(session: PolicySession) -> float:
+    """Return what an episode takes on this machine [s of CPU time], which busy cores make longer."""
+    with session.episode(task="t", action_shape=(3,)) as policy:
+        policy.act(OBSERVATION)
+        return policy.cpu_s
 
 
 def act_in_episodes(session: PolicySession, count: int) -> None:
