@@ -122,9 +122,9 @@ install_python() { # profile
   fi
   for part in $(echo "$1" | tr + ' '); do
     lock=$root/requirements/$part.lock
-    heading="installing Python packages"
-    logged "$heading, once, one or two minutes" "$(grep -c '==' "$lock")" 'Collecting ' \
-      pip install --require-hashes --only-binary :all: --no-deps -r "$lock" || fail_packages "$heading"
+    what="installing Python packages"
+    logged "$what, once, one or two minutes" "$(grep -c '==' "$lock")" 'Collecting ' \
+      pip install --require-hashes --only-binary :all: --no-deps -r "$lock" || fail_packages "$what"
   done
   logged "installing ViTac Arena" '' '' \
     pip install --no-index --no-deps --no-build-isolation -e "$root" || fail_packages "installing ViTac Arena"
