@@ -3,7 +3,6 @@
 Called by `vitac evaluate --station`. Of all attempts of a trial at most the last one counts.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -16,7 +15,7 @@ from vitac.envs.errors import VitacError
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.episodes.reading import make_reading
 from vitac.evaluator.episodes.records import ActionSequence
-from vitac.evaluator.scoring.score import Rate, rate
+from vitac.evaluator.scoring.score import Rate, rate_by_start
 from vitac.evaluator.shards.policy import load_in_sandbox
 from vitac.evaluator.strict_model import StrictModel, Word, validate
 from vitac.evaluator.submission.manifest import load_manifest
@@ -120,11 +119,14 @@ class RehearsalReport(StrictModel):
     @classmethod
     def from_trials(cls, trials: Sequence[TrialRecord], **names: str) -> Self:
         """Return the result of trials."""
-        found = Counter(trial.outcome for trial in trials)
-        counted = sum(count for outcome, count in found.items() if outcome.counts)
+        ends = [
+            ((trial.shape, trial.offset), trial.outcome is TrialOutcome.SUCCESS)
+            for trial in trials
+            if trial.outcome.counts
+        ]
         return cls(
-            rate=rate(found[TrialOutcome.SUCCESS], counted) if counted else None,
-            without_result=len(trials) - counted,
+            rate=rate_by_start(ends) if ends else None,
+            without_result=len(trials) - len(ends),
             trials=tuple(trials),
             **names,
         )

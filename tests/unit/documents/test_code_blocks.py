@@ -37,6 +37,7 @@ NOT_RUN = {
     r"vitac sensor evaluate\b": "plays many episodes; tests/unit/cli/test_sensor.py does",
     r"first/|first$|check first\b|submit first\b": "needs the challenge's STL file; a dome is checked in its place",
     r"--out (episode.webp|frames)": "draws many pictures; tests/unit/cli/show does",
+    r"compare A\.json": "needs three evaluations; tests/unit/cli/test_compare.py compares some",
     r"\blerobot-train\b": "needs lerobot; tests/unit/training/demonstrations trains a step where it is",
     r"\bdocker\b": "tests/containers does, where there is an engine",
     r"\b(pip|pipx|uvx)\b": "installs from an index; .ci/run installs the wheel",
