@@ -1,3 +1,5 @@
+import re
+
 import page_service
 import pytest
 from asgi_browser import AsgiBrowser
@@ -14,6 +16,16 @@ def test_a_complete_submission_has_plots_with_tables(data: FixedData, browser: A
         assert f'aria-labelledby="{key}"' in html
     assert html.count("<figure") == html.count("<summary>Table") == 3 + 4 + 2 + 2
     assert "style=" not in html
+
+
+def test_each_plot_is_saved_by_a_link_of_the_page(data: FixedData, browser: AsgiBrowser) -> None:
+    links = re.findall(r'href="(\?[^"]*plot=[^"]+)" download', page_of(data, browser, BOTH))
+    assert len(links) == 2 * (3 + 4 + 2 + 2)
+    begins = {"svg": b"<svg", "pdf": b"%PDF-1.4"}
+    for link in links:
+        saved = browser.get(f"/submissions/{BOTH.id}{link}")
+        assert saved.content.startswith(begins[link.rpartition(".")[2]]), link
+    assert browser.get(f"/submissions/{BOTH.id}?plot=none.svg").text.startswith("<!doctype html>")
 
 
 def test_others_have_none(data: FixedData, browser: AsgiBrowser) -> None:
