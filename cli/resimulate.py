@@ -27,7 +27,7 @@ def command(
     ] = None,
     contact_model: Annotated[
         str | None,
-        typer.Option(help="Play under this contact model (challenge-2025, arena-1), beside what was recorded."),
+        typer.Option(help="Play under this contact model (challenge-2025, arena-2), beside what was recorded."),
     ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the report to this file.")] = None,
 ) -> None:

@@ -68,7 +68,7 @@ def compare_cost(name: str, every: int) -> None:
     means = [float(cost[:, 0].sum() / cost[:, 1].sum()) for cost in (old, new)]
     each = (new[:, 0] / new[:, 1]) / (old[:, 0] / old[:, 1])
     print(
-        f"{task_name}: {means[0]:.2f} ms per IPC step under challenge-2025, {means[1]:.2f} ms under arena-1: "
+        f"{task_name}: {means[0]:.2f} ms per IPC step under challenge-2025, {means[1]:.2f} ms under arena-2: "
         f"{means[1] / means[0]:.2f} times, median of {len(each)} episodes {np.median(each):.2f}"
     )
 

@@ -149,7 +149,7 @@ def partial_slip(pressed: Pressed, rubber: Rubber, *, friction: float, part: flo
     while -scene.force_n()[0] < part * limit_n:
         scene.move(np.array([0.1 * limit_n / stiffness_n_m, 0.0, 0.0]))
     place, _, normal_n = scene.pressed_nodes()
-    rubbed_n = friction * normal_n * scene.friction_parts()
+    rubbed_n = scene.friction_n()
     a2 = 2.5 * ((place[:, 0] ** 2 + place[:, 1] ** 2) * normal_n).sum() / normal_n.sum()
     second = ((place[:, 0] ** 2 + place[:, 1] ** 2) * rubbed_n).sum() / rubbed_n.sum()
     ratio = np.linspace(1e-3, 1 - 1e-6, 100_000)

@@ -7,8 +7,6 @@ from block_meshes import box_gel, box_surface
 from engine_probe import Probe
 from numpy.typing import NDArray
 from small_scenes import IDENTITY, UPSIDE_DOWN, driven_positions_m
-from vitac.envs.fem.contact.barrier import barrier, slip_factor
-from vitac.envs.fem.contact.distance import closest_points
 from vitac.envs.fem.contact.forces import empty_memory
 from vitac.envs.fem.model.mesh import GelBody, GelMesh, RigidBody
 from vitac.envs.fem.model.settings import ArenaContactSettings, PairFriction
@@ -68,29 +66,13 @@ class OnPlate:
         return np.array(self._report.gel_forces_n[0])
 
     def pressed_nodes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return places [m], gaps [m] and normal forces [N] of the pairs of a gel's node and the plate that touch."""
-        probe, d_hat = Probe(self.scene), self.contact.d_hat_m
-        points, near = probe.points_m(self.scene._x), probe.candidates(self.scene._x, d_hat)
-        place, gap, force = [], [], []
-        for pair_type, corners in zip(near.pair_type, near.points, strict=True):
-            d = float(np.linalg.norm(closest_points(pair_type, *map(tuple, points[corners]))[2]))
-            if d < d_hat:
-                place.append(points[corners[0]])
-                gap.append(d)
-                force.append(-self.contact.barrier_stiffness_n_m * barrier(d, d_hat)[1])
-        return np.array(place), np.array(gap), np.array(force)
+        """Return places [m], gaps [m] and normal forces [N] where the gel's nodes touch the plate."""
+        contacts = self.scene.contact_forces()
+        return contacts.points_m, contacts.gaps_m, contacts.forces_n[:, 2]
 
-    def friction_parts(self) -> FloatArray:
-        """Return by how much of mu N each of the `pressed_nodes` rubs."""
-        slips_m = np.sqrt((self.scene._memory.slip_m**2).sum(axis=1))
-        s = self.contact.elastic_slip_m
-        names = (tuple(name) for name in self.scene._memory.pairs[:, :5].tolist())
-        parts = {name: y * slip_factor(y, s)[0] for name, y in zip(names, slips_m.tolist(), strict=True)}
-        near = Probe(self.scene).candidates(self.scene._x, self.contact.d_hat_m)
-        listed = (
-            (int(pair_type), *corners.tolist()) for pair_type, corners in zip(near.pair_type, near.points, strict=True)
-        )
-        return np.array([parts[name] for name in listed if name in parts])
+    def friction_n(self) -> FloatArray:
+        """Return how much each of the `pressed_nodes` rubs [N]."""
+        return np.asarray(np.sqrt((self.scene.contact_forces().forces_n[:, :2] ** 2).sum(axis=1)))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,11 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from block_meshes import box_gel, box_surface
-from engine_probe import Probe
 from numpy.typing import NDArray
 from small_scenes import IDENTITY, driven_positions_m
 from vitac.envs.fem.contact.barrier import barrier
-from vitac.envs.fem.contact.distance import closest_points
 from vitac.envs.fem.model.mesh import GelBody, RigidBody, SurfaceMesh
 from vitac.envs.fem.model.settings import ArenaContactSettings, PairFriction
 from vitac.envs.fem.scene.scene import Scene, StepStatus
@@ -89,11 +87,10 @@ class FreeBody:
         model = self.scene._model
         mass, velocity = model.affine.mass_kg[0], self.scene._velocity[self._rows]
         moving = 0.5 * float((velocity * (mass[:, :, None] * velocity[None]).sum(axis=1)).sum())
-        d_hat, points = self.contact.d_hat_m, Probe(self.scene).points_m(self.scene._x)
-        near, stored = Probe(self.scene).candidates(self.scene._x, d_hat), 0.0
-        for pair_type, corners in zip(near.pair_type, near.points, strict=True):
-            if (distance := float(np.linalg.norm(closest_points(pair_type, *map(tuple, points[corners]))[2]))) < d_hat:
-                stored += self.contact.barrier_stiffness_n_m * barrier(distance, d_hat)[0]
+        contacts, stored = self.scene.contact_forces(), 0.0
+        for force_n, normal, gap_m in zip(contacts.forces_n, contacts.normals, contacts.gaps_m, strict=True):
+            energy, slope, _ = barrier(float(gap_m), self.contact.d_hat_m)
+            stored += float(force_n @ normal) * energy / -slope
         return moving + stored + float(mass.sum()) * gravity_m_s2 * float(self.place_m[2])
 
 

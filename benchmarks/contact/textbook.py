@@ -1,4 +1,4 @@
-"""The contact model arena-1 against textbooks, on materials and shapes that no task has: target, measured, verdict.
+"""The contact model arena-2 against textbooks, on materials and shapes that no task has: target, measured, verdict.
 
 Usage: python benchmarks/contact/textbook.py [--only GROUP ...] [--fine] [--json FILE]
        [--modulus PA] [--poisson RATIO] [--friction MU] [--radius M] [--size FACTOR]

@@ -19,6 +19,12 @@ def load(rows: NDArray[np.float64], i: int) -> Vec3:
 
 
 @kernel
+def set_row(rows: NDArray[np.float64], i: int, v: Vec3) -> None:
+    """Set row i of an array of shape [n, 3]."""
+    rows[i, 0], rows[i, 1], rows[i, 2] = v
+
+
+@kernel
 def add_to_row(rows: NDArray[np.float64], i: int, v: Vec3) -> None:
     """Add a vector to row i of an array of shape [n, 3]."""
     rows[i, 0] += v[0]

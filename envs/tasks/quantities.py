@@ -65,7 +65,7 @@ def pair_friction(first: str, second: str) -> Callable[[Any, float], Any]:
         if not hasattr(contact, "pair_frictions"):
             raise SettingsError(
                 f"The friction of {first} on {second} cannot be drawn under the contact model {contact.model}; "
-                "set contact_model: arena-1."
+                "set contact_model: arena-2."
             )
         drawn = tuple(
             replace(pair, coefficient=value) if {pair.first, pair.second} == {first, second} else pair

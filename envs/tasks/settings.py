@@ -227,7 +227,7 @@ def with_contact_model(settings: SettingsT, name: str | None) -> SettingsT:
     physics: Any = settings.physics  # type: ignore[attr-defined]
     if physics.contact.model == name:
         return settings
-    if name != ContactModel.ARENA_1:
+    if name != ContactModel.ARENA_2:
         given = physics.contact.model
         raise SettingsError(
             f"Argument 'contact_model' is {name!r}, but 'physics' was given with {given}; leave one out."

@@ -112,7 +112,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
             generator and after its start; "none" draws nothing.
         draws: ranges of the task's quantities (`TaskDefinition.quantities`), from which every episode has values of its
             own; they are in the info as `draws`, and in no observation.
-        contact_model: "challenge-2025" or "arena-1", with its own constants; by default that of the task's settings.
+        contact_model: "challenge-2025" or "arena-2", with its own constants; by default that of the task's settings.
         fidelity: "full", as episodes are ranked, or "training": faster, on coarser gels, never ranked.
         force_limit_n: largest force on the held part [N] that an env step may reach; beyond it the episode has failed.
             None for no limit.

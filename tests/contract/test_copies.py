@@ -22,7 +22,7 @@ BEFORE, AFTER = 3, 3
 LOOKS: dict[str, dict[str, Any]] = {
     "as ranked": {},
     "everything seen": {"privileged": True, "optional_observables": ("rgb_images",), "render_mode": "rgb_array"},
-    "drawn": {"randomization": "challenge", "contact_model": "arena-1"},
+    "drawn": {"randomization": "challenge", "contact_model": "arena-2"},
 }
 
 

@@ -2,6 +2,8 @@
 
     E = (kappa / h^2) e(c) b(d)  and the friction force of `contact`, for each pair closer than d_hat      [J, N]
 
+Where each place of a surface counts once, a pair stands for the distances that `features` writes, each with a factor.
+
 Another contact term adds to the forces and blocks of the modes in `_write_modes` (see `stencil` for what modes are).
 """
 
@@ -11,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel, large_kernel
-from ..algebra import add, add_matrices, dot, load, outer, scale, scale_matrix, subtract, transpose
+from ..algebra import Vec3, add, add_matrices, dot, load, outer, scale, scale_matrix, subtract, transpose
 from ..model.model import EXACT_MATRIX, NO_MATRIX, PROJECTED_MATRIX, Model, NewtonSystem, Parameters
 from .barrier import (
     barrier,
+    drag,
     mollifier,
     squared_cross_norm,
     squared_cross_norm_blocks,
@@ -23,8 +26,9 @@ from .barrier import (
 )
 from .broad_phase import Candidates
 from .contact import Contact, ContactGeometry, Friction, NormalForce, contact_geometry, contact_terms, weighted_sum
-from .distance import EDGE_EDGE, NO_SLIDING, closest_points
-from .forces import ContactMemory, recall_slip
+from .distance import EDGE_EDGE, NO_SLIDING, POINT_TRIANGLE, closest_points
+from .features import separation, write_terms
+from .forces import NO_SLIP, ContactMemory, recall_slip
 from .stencil import (
     ALL_MODES,
     FIRST,
@@ -44,6 +48,8 @@ from .stencil import (
 
 FloatArray = NDArray[np.float64]
 
+_NO_DUAL = -1
+
 
 class PointState(NamedTuple):
     """Surface points at a state."""
@@ -57,8 +63,10 @@ class PointState(NamedTuple):
 class PairProperties(NamedTuple):
     """What a candidate carries beside its points."""
 
-    friction: Friction
+    factor: float  # how often it counts
+    friction_coefficient: float
     mollifier_eps_m4: float  # threshold of the mollifier; 0 for pairs without
+    dual_row: int  # of its dual variable of friction, or _NO_DUAL
 
 
 class MollifierRates(NamedTuple):
@@ -74,7 +82,7 @@ def add_contacts(
     model: Model, candidates: Candidates, points: PointState, stencil: Stencil, system: NewtonSystem, matrix: int
 ) -> tuple[float, int]:
     """Add all pairs closer than d_hat; return the smallest distance [m] and their number."""
-    y, y_start, d_hat = points.y, points.y_start, model.parameters.d_hat_m
+    y, y_start, d_hat, terms = points.y, points.y_start, model.parameters.d_hat_m, stencil.terms
     smallest, active = np.inf, 0
     for k in range(len(candidates.pair_type)):
         if candidates.distance_m[k] - points.motion[candidates.bodies[k]] >= d_hat:
@@ -85,47 +93,65 @@ def add_contacts(
         c, sliding, r = closest_points(pair_type, x[0], x[1], x[2], x[3])
         if dot(r, r) >= d_hat * d_hat:
             continue
-        if matrix == NO_MATRIX:
-            sliding = NO_SLIDING
         moves = (
             subtract(x[0], load(y_start, p0)),
             subtract(x[1], load(y_start, p1)),
             subtract(x[2], load(y_start, p2)),
             subtract(x[3], load(y_start, p3)),
         )
-        geometry = contact_geometry(x, moves, c, sliding, r)
-        smallest = min(smallest, geometry.d)
-        active += 1
-        remembered = recall_slip(points.memory, pair_type, corners, k, x, geometry.n)
-        w = add(weighted_sum(c, moves), remembered)
-        u = subtract(w, scale(dot(w, geometry.n), geometry.n))
-        dual = u
-        if matrix == EXACT_MATRIX and model.parameters.remembers_slip:
-            dual = update_dual(candidates.dual, k, u, model.parameters.slip_scale_m)
-        friction = Friction(candidates.friction[k], model.parameters.slip_scale_m, w, u, dual)
-        pair = PairProperties(friction, candidates.mollifier_eps_m4[k])
-        modes = _write_modes(model.parameters, pair, geometry, stencil, matrix)
-        split = 2 if pair_type == EDGE_EDGE else 1
-        count = collect_nodes(model.points, corners, k, split, modes, stencil)
-        add_forces(stencil, count, modes, system.gradient)
-        if matrix != NO_MATRIX:
-            add_blocks(stencil, count, PLAIN_MODES if matrix == PROJECTED_MATRIX else modes, model, system)
+        counted, factor, slip_m = 1, 1.0, NO_SLIP
+        if model.parameters.counts_once:
+            counted = write_terms(model.surfaces, pair_type, candidates.triangle[k], y, x, c, terms)
+        for term in range(counted):
+            if model.parameters.counts_once:
+                c, sliding, r = separation(terms, term, x)
+                factor = terms.factor[term]
+                if dot(r, r) >= d_hat * d_hat:
+                    continue
+            if matrix == NO_MATRIX:
+                sliding = NO_SLIDING
+            geometry = contact_geometry(x, moves, c, sliding, r)
+            smallest = min(smallest, geometry.d)
+            active += 1
+            if pair_type == POINT_TRIANGLE or term == 0:
+                slip_m = recall_slip(points.memory, model.surfaces, pair_type, corners, k, y, x, geometry.n)
+            w = add(weighted_sum(c, moves), slip_m)
+            dual_row = k if term == 0 and factor > 0.0 else _NO_DUAL
+            pair = PairProperties(factor, candidates.friction[k], candidates.mollifier_eps_m4[k], dual_row)
+            modes = _write_modes(model.parameters, pair, geometry, w, candidates.dual, stencil, matrix)
+            split = 2 if pair_type == EDGE_EDGE else 1
+            count = collect_nodes(model.points, corners, k, split, modes, stencil)
+            add_forces(stencil, count, modes, system.gradient)
+            if matrix == EXACT_MATRIX or (matrix == PROJECTED_MATRIX and factor > 0.0):
+                add_blocks(stencil, count, PLAIN_MODES if matrix == PROJECTED_MATRIX else modes, model, system)
     return smallest, active
 
 
 @kernel
 def _write_modes(
-    parameters: Parameters, pair: PairProperties, geometry: ContactGeometry, stencil: Stencil, matrix: int
+    parameters: Parameters,
+    pair: PairProperties,
+    geometry: ContactGeometry,
+    w: Vec3,
+    dual: FloatArray,
+    stencil: Stencil,
+    matrix: int,
 ) -> int:
     """Write weights, forces and, where a matrix is asked for, blocks of a contact's modes; returns their number."""
-    kappa, x, weights = parameters.barrier_stiffness_n_m, geometry.x, stencil.point_weights
+    kappa, x, weights = pair.factor * parameters.barrier_stiffness_n_m, geometry.x, stencil.point_weights
     b, db_dd, d2b_dd2 = barrier(geometry.d, parameters.d_hat_m)
     e, de_dc, d2e_dc2 = 1.0, 0.0, 0.0
     if pair.mollifier_eps_m4 > 0.0:
         c = squared_cross_norm(subtract(x[1], x[0]), subtract(x[3], x[2]))
         e, de_dc, d2e_dc2 = mollifier(c, pair.mollifier_eps_m4)
     normal = NormalForce(-kappa * e * db_dd, kappa * e * d2b_dd2)
-    contact = contact_terms(geometry, normal, pair.friction, matrix)
+    u = subtract(w, scale(dot(w, geometry.n), geometry.n))
+    mu, stiffness_n_m = pair.friction_coefficient, parameters.tangential_stiffness_n_m
+    law = drag(np.sqrt(dot(u, u)), normal.force_n, mu, parameters.slip_scale_m, stiffness_n_m)
+    dual_m, coulomb_n = u, mu * normal.force_n
+    if matrix == EXACT_MATRIX and parameters.remembers_slip and pair.dual_row != _NO_DUAL and coulomb_n > 0.0:
+        dual_m = update_dual(dual, pair.dual_row, u, coulomb_n / stiffness_n_m)
+    contact = contact_terms(geometry, normal, Friction(law, w, u, dual_m), matrix)
     set_point_weights(weights, C, geometry.c)
     set_point_weights(weights, FIRST, geometry.first.dc)
     set_point_weights(weights, SECOND, geometry.second.dc)

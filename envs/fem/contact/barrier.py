@@ -1,4 +1,6 @@
-"""Barrier, friction and mollifier of one contact."""
+"""Barrier, laws of friction and mollifier of one contact."""
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,12 +36,15 @@ _FIRST_DUAL = 0.75
 
 @kernel
 def update_dual(dual: NDArray[np.float64], k: int, u: Vec3, s: float) -> Vec3:
-    """Take the dual variable of contact k to the slip u [m]; return phi / a [m], which is u where u has not moved."""
+    """Take the dual variable of contact k to the slip u [m]; return phi / a [m], which is u where u has not moved.
+
+    The fraction of the Coulomb force is that of `yield_factor`, with the slip s [m].
+    """
     u_0, phi_0 = (dual[k, 0], dual[k, 1], dual[k, 2]), (dual[k, 3], dual[k, 4], dual[k, 5])
-    a, _ = slip_factor(np.sqrt(dot(u, u)), s)
+    a, _ = yield_factor(np.sqrt(dot(u, u)), s)
     phi = scale(_FIRST_DUAL * a, u)
     if not np.isnan(u_0[0]):
-        a_0, slope_0 = slip_factor(np.sqrt(dot(u_0, u_0)), s)
+        a_0, slope_0 = yield_factor(np.sqrt(dot(u_0, u_0)), s)
         turn = slope_0 / a_0 * dot(u_0, subtract(u, u_0))
         phi = add(scale(a_0, u), scale(turn, phi_0))
         size = np.sqrt(dot(phi, phi))
@@ -61,6 +66,54 @@ def slip_factor(y: float, s: float) -> tuple[float, float]:
         return 1.0 / y, -1.0 / (y * y * y)
     second = 0.0 if y == 0.0 else -1.0 / (s * s * y)
     return 2.0 / s - y / (s * s), second
+
+
+# Part of the Coulomb force by which the corner between sticking and sliding is rounded off.
+_ROUNDED = 0.02
+
+
+@kernel
+def yield_factor(y: float, s: float) -> tuple[float, float]:
+    """Return the same as `slip_factor` for a spring that yields at the slip s: f1 = y/s below it, and 1 above.
+
+    In z = y/s the corner is rounded off by a parabola from 1 - _ROUNDED to 1 + _ROUNDED.
+    """
+    z = y / s
+    if z <= 1.0 - _ROUNDED:
+        return 1.0 / s, 0.0
+    if z >= 1.0 + _ROUNDED:
+        return 1.0 / y, -1.0 / (y * y * y)
+    past = z - 1.0 + _ROUNDED
+    fraction, slope = z - past * past / (4.0 * _ROUNDED), 1.0 - past / (2.0 * _ROUNDED)
+    return fraction / y, (slope / s - fraction / y) / (y * y)
+
+
+class Drag(NamedTuple):
+    """Friction phi = A u of a slip u [m], and how it changes."""
+
+    a_n_m: float  # A [N/m]
+    slope_n_m3: float  # (d(A y)/dy - A) / y^2 at y = |u|
+    by_normal_force_1_m: float  # dA/dN
+
+
+@kernel
+def drag(y: float, force_n: float, coefficient: float, s: float, stiffness_n_m: float) -> Drag:
+    """Return the friction of a slip of length y [m] under a normal force [N], which is negative where it is taken away.
+
+    Without a stiffness it develops over the slip s [m], whatever the force. With one [N/m] it is a spring that yields
+    at the Coulomb force, mu N: what is loaded at one normal force is not more at another one, so that no closed cycle
+    yields energy (Elata & Berryman, Mechanics of Materials 24, 1996).
+    """
+    coulomb = coefficient * force_n
+    if stiffness_n_m == 0.0:
+        a, slope = slip_factor(y, s)
+        return Drag(coulomb * a, coulomb * slope, coefficient * a)
+    s = abs(coulomb) / stiffness_n_m
+    if s == 0.0:
+        return Drag(0.0, 0.0, 0.0)
+    a, slope = yield_factor(y, s)
+    # f1 depends on y/s, and s is proportional to N: N df1/dN = -y df1/dy.
+    return Drag(coulomb * a, coulomb * slope, -coefficient * y * y * slope)
 
 
 @kernel

@@ -27,6 +27,7 @@ class Candidates(NamedTuple):
 
     pair_type: IndexArray  # [k] POINT_TRIANGLE or EDGE_EDGE
     points: IndexArray  # [k, 4]
+    triangle: IndexArray  # [k] that of a point-triangle pair
     friction: FloatArray  # [k]
     mollifier_eps_m4: FloatArray  # [k] 0 for point-triangle pairs
     distance_m: FloatArray  # [k] when the list was made
@@ -73,6 +74,7 @@ def find_candidates(surfaces: Surfaces, y: FloatArray, reach_m: FloatArray) -> C
         found = Candidates(
             np.empty(capacity, np.int64),
             np.empty((capacity, 4), np.int64),
+            np.empty(capacity, np.int64),
             np.empty(capacity),
             np.zeros(capacity),
             np.empty(capacity),
@@ -87,6 +89,7 @@ def find_candidates(surfaces: Surfaces, y: FloatArray, reach_m: FloatArray) -> C
             return Candidates(
                 found.pair_type[:count],
                 found.points[:count],
+                found.triangle[:count],
                 found.friction[:count],
                 found.mollifier_eps_m4[:count],
                 found.distance_m[:count],
@@ -126,6 +129,8 @@ def _point_triangle_pairs(search: Search, a: int, b: int, room: Room, found: Can
             if _boxes_meet(x, x, _low(boxes, i), _high(boxes, i)):
                 t = near[i]
                 corners = (p, triangles[t, 0], triangles[t, 1], triangles[t, 2])
+                if count < len(found.triangle):
+                    found.triangle[count] = t
                 count = _append(search, found, count, POINT_TRIANGLE, corners, 0.0)
     return count
 
@@ -218,13 +223,14 @@ def _body_box(search: Search, body: int) -> tuple[Vec3, Vec3]:
 
 @kernel
 def _write_near_points(search: Search, a: int, b: int, found: IndexArray) -> int:
-    """Write the points of body a within reach of the box of body b; return their number."""
+    """Write the vertices of body a within reach of the box of body b; return their number."""
     low, high = _body_box(search, b)
     count = 0
-    for p in range(search.surfaces.point_start[a], search.surfaces.point_start[a + 1]):
-        x = load(search.y, p)
+    vertices, starts = search.surfaces.vertices, search.surfaces.vertex_start
+    for k in range(starts[a], starts[a + 1]):
+        x = load(search.y, vertices[k])
         if _boxes_meet(x, x, low, high):
-            found[count] = p
+            found[count] = vertices[k]
             count += 1
     return count
 

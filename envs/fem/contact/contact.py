@@ -4,7 +4,7 @@ With separation r = sum_i c_i x_i, distance d, direction n and slip w = sum_i c_
 
     normal force         N = -(kappa / h^2) e(c) b'(d)
     tangential slip      u = w - (w . n) n,  where w also counts what the contact remembers (see `memory`)
-    friction             phi = mu N a u,   a = f1(|u|) / |u|
+    friction             phi = A u,   A = mu N f1(|u|) / |u|
     force on point i     c_i f,   f = phi - N n
 
 Friction is taken at the current state, not lagged, so the solution of the step carries a self-consistent friction force
@@ -42,7 +42,7 @@ from ..algebra import (
     subtract,
 )
 from ..model.model import NO_MATRIX, PROJECTED_MATRIX
-from .barrier import slip_factor
+from .barrier import Drag
 from .distance import Coefficients, Sliding
 
 Vec4 = Coefficients
@@ -81,8 +81,7 @@ class NormalForce(NamedTuple):
 class Friction(NamedTuple):
     """Coulomb's law, smoothed."""
 
-    coefficient: float  # mu
-    slip_scale_m: float  # slip at which friction is fully developed
+    drag: Drag
     whole_slip_m: Vec3  # w
     slip_m: Vec3  # u, its tangential part
     dual_m: Vec3  # what stands for one u in the Jacobian's u u^T: u, or from the dual variable of `friction`
@@ -167,14 +166,12 @@ def contact_terms(geometry: ContactGeometry, normal: NormalForce, friction: Fric
     d, n, force_n = geometry.d, geometry.n, normal.force_n
     w, u = friction.whole_slip_m, friction.slip_m
     w_n = dot(w, n)
-    a, slope = slip_factor(np.sqrt(dot(u, u)), friction.slip_scale_m)
-    coulomb = friction.coefficient * force_n
-    phi = scale(coulomb * a, u)
+    phi = scale(friction.drag.a_n_m, u)
     f = subtract(phi, scale(force_n, n))
     if matrix == NO_MATRIX:
         zero = (0.0, 0.0, 0.0)
         return Contact(f, (zero, zero, zero), (zero, zero), zero, zero)
-    dphi_du = identity_and_outers(coulomb * a, coulomb * slope, friction.dual_m, u, 0.0)
+    dphi_du = identity_and_outers(friction.drag.a_n_m, friction.drag.slope_n_m3, friction.dual_m, u, 0.0)
     T0, T1 = geometry.first.tangent, geometry.second.tangent
     if matrix == PROJECTED_MATRIX:
         P = identity_and_outer(1.0, -1.0, n)
@@ -182,8 +179,8 @@ def contact_terms(geometry: ContactGeometry, normal: NormalForce, friction: Fric
         df_dr = add_matrices(barrier, multiply_rows(P, multiply_rows(dphi_du, P)))
         df_ds = (scale(force_n, T0), scale(force_n, T1))
         return Contact(f, df_dr, df_ds, scale(force_n * d, n), (0.0, 0.0, 0.0))
-    dphi_dN = scale(friction.coefficient * a, u)
-    dphi_dd = scale(-friction.coefficient * a * normal.stiffness_n_m, u)
+    dphi_dN = scale(friction.drag.by_normal_force_1_m, u)
+    dphi_dd = scale(-friction.drag.by_normal_force_1_m * normal.stiffness_n_m, u)
     du_dr = _slip_by_separation(u, n, w_n, d)
     # -d(N n)/dr
     barrier = identity_and_outer(-force_n / d, normal.stiffness_n_m + force_n / d, n)

@@ -19,6 +19,7 @@ from ..algebra import Mat3, Vec3, add_sum_of_two, write_sum_of_three
 from ..linear.system import GEL_STRIDE, NO_PLACE, block_place, gel_block_place
 from ..model.model import PRESCRIBED, Model, NewtonSystem, Points
 from .distance import Coefficients
+from .features import Terms, new_terms
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -37,6 +38,7 @@ class Stencil(NamedTuple):
     nodes: IndexArray  # [8]
     weights: FloatArray  # [5, 8] weights of the nodes in the modes
     flat_weights: FloatArray  # the same numbers
+    terms: Terms  # that a pair stands for
     force: FloatArray  # [5, 3] on the modes [N]
     jacobian: FloatArray  # [15, 15] of the modes [N/m]
     rows: FloatArray  # of the modes by the nodes [N/m]: component r by k of node j at 8 (3 r + k) + j
@@ -51,6 +53,7 @@ def new_stencil() -> Stencil:
         nodes=np.empty(_NODES, dtype=np.int64),
         weights=flat_weights.reshape(ALL_MODES, _NODES),
         flat_weights=flat_weights,
+        terms=new_terms(),
         force=np.empty((ALL_MODES, 3)),
         jacobian=np.zeros((3 * ALL_MODES, 3 * ALL_MODES)),
         rows=np.empty(3 * ALL_MODES * 3 * _NODES),

@@ -21,6 +21,8 @@ SMALLEST_TETRAHEDRON_QUALITY = 1e-4
 # Boundary faces of a tetrahedron, outward for a positively oriented one.
 _FACES = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+# Bend of a surface at an edge up to which its two triangles are of one plane: a part of 0.5 m moves by less than 1 um.
+_FLAT_RAD = 1e-6
 
 
 class MeshError(VitacError):
@@ -115,6 +117,11 @@ class GelMesh:
         return unique_edges(self.surface[1])
 
     @cached_property
+    def surface_neighbours(self) -> IndexArray:
+        """Triangle beyond each edge of `surface`, shape [f, 3]."""
+        return find_neighbours(self.surface[1])
+
+    @cached_property
     def volumes_m3(self) -> FloatArray:
         """Rest volumes of the tetrahedra [m^3], shape [t]."""
         return signed_volumes_m3(self.rest_position_m[self.tetrahedra])
@@ -196,6 +203,24 @@ class SurfaceMesh:
         return unique_edges(self.triangles)
 
     @cached_property
+    def neighbours(self) -> IndexArray:
+        """Triangle beyond each edge, shape [f, 3]."""
+        return find_neighbours(self.triangles)
+
+    @cached_property
+    def convex_edges(self) -> IndexArray:
+        """Edges that stand out, shape [e, 2]: nothing touches inside of a flat or a hollow one alone."""
+        corners = self.vertices_m[self.triangles]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.sqrt((normals**2).sum(axis=1, keepdims=True))
+        along = np.roll(corners, -1, axis=1) - corners
+        along /= np.sqrt((along**2).sum(axis=2, keepdims=True))
+        # Sine of the angle by which the surface bends away at each edge of each triangle.
+        bend = (np.cross(normals[:, None, :], normals[self.neighbours]) * along).sum(axis=2)
+        edges = np.stack([self.triangles, np.roll(self.triangles, -1, axis=1)], axis=2)[bend > _FLAT_RAD]
+        return np.unique(np.sort(edges, axis=1), axis=0)
+
+    @cached_property
     def moments(self) -> tuple[float, FloatArray, FloatArray]:
         """Volume [m^3], first moment [m^4] of shape [3] and second moment integral of X X^T [m^5] of shape [3, 3].
 
@@ -233,6 +258,15 @@ def unique_edges(triangles: IndexArray) -> IndexArray:
     """Return the undirected edges of a triangle list, each once, smaller index first, ascending, shape [e, 2]."""
     directed = np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)])
     return np.unique(np.sort(directed, axis=1), axis=0)
+
+
+def find_neighbours(triangles: IndexArray) -> IndexArray:
+    """Return the triangle beyond each edge of a closed surface, shape [f, 3]: edge i goes from corner i to i + 1."""
+    first, second = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    points = int(triangles.max()) + 1
+    there, back = points * first + second, points * second + first
+    order = np.argsort(there)
+    return np.asarray(order[np.searchsorted(there[order], back)] // 3).reshape(-1, 3)
 
 
 def signed_volumes_m3(corners_m: FloatArray) -> FloatArray:

@@ -60,6 +60,12 @@ class Surfaces(NamedTuple):
     edge_squared_length_m2: FloatArray  # [e] at rest
     triangles: IndexArray  # [f, 3]
     triangle_start: IndexArray  # [b + 1]
+    vertices: IndexArray  # [v] points that are paired with triangles
+    vertex_start: IndexArray  # [b + 1]
+    neighbours: IndexArray  # [f, 3] triangle beyond the edge from corner i to corner i + 1
+    around: IndexArray  # triangles around each point, ascending
+    around_start: IndexArray  # [p + 1]
+    point_body: IndexArray  # [p] body that a point belongs to
     pairs: IndexArray  # [k, 2] bodies that can touch, smaller index first
     pair_friction: FloatArray  # [k] friction coefficient
 
@@ -78,8 +84,10 @@ class Parameters(NamedTuple):
     time_step_s: float
     d_hat_m: float
     barrier_stiffness_n_m: float
-    slip_scale_m: float  # slip at which friction is fully developed
-    remembers_slip: bool  # whether contacts carry their slip over to the next step, see `contact.memory`
+    counts_once: bool  # whether a place of a surface counts once, see `contact.features`, or with each pair
+    remembers_slip: bool  # whether contacts carry their elastic slip over to the next step, see `contact.forces`
+    slip_scale_m: float  # slip at which friction is fully developed, where contacts remember nothing
+    tangential_stiffness_n_m: float  # of a contact that sticks, where contacts remember
     ccd_gap_fraction: float  # part of a gap that one move may close
     candidate_margin_m: float
 

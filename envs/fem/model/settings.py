@@ -17,8 +17,9 @@ class ContactModel(StrEnum):
 
     CHALLENGE_2025 = "challenge-2025"
     """The 2025 challenge's: friction by the slip of one IPC step, stiffness that depends on the time step."""
-    ARENA_1 = "arena-1"
-    """Ours: friction that remembers where it sticks, no constant that depends on the time step."""
+    ARENA_2 = "arena-2"
+    """Ours: each place of a surface counts once, friction remembers where it sticks, no constant depends on the time
+    step."""
 
 
 class ContactConstants(NamedTuple):
@@ -27,8 +28,9 @@ class ContactConstants(NamedTuple):
     d_hat_m: float
     barrier_stiffness_n_m: float
     affine_stiffness_pa: float
-    slip_scale_m: float  # elastic slip at which friction is fully developed
-    remembers_slip: bool  # whether the elastic slip of a contact is carried over IPC steps
+    slip_scale_m: float  # slip of an IPC step at which friction is fully developed, where contacts remember nothing
+    tangential_stiffness_n_m: float  # of a contact that sticks, where contacts remember their elastic slip
+    is_arena: bool  # whether places of surfaces count once, and contacts remember
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +61,8 @@ class ContactSettings:
             barrier_stiffness_n_m=self.kappa / h2,
             affine_stiffness_pa=self.kappa_affine / h2,
             slip_scale_m=self.friction_velocity_m_s * time_step_s,
-            remembers_slip=False,
+            tangential_stiffness_n_m=0.0,
+            is_arena=False,
         )
 
     def pair_friction(self, first: GelBody | RigidBody, second: GelBody | RigidBody) -> float:
@@ -78,23 +81,23 @@ class PairFriction:
 
 @dataclass(frozen=True, kw_only=True)
 class ArenaContactSettings:
-    """Contact as `arena-1` models it: no constant depends on the time step.
+    """Contact as `arena-2` models it: no constant depends on the time step.
 
     Attributes:
         d_hat_m: distance at which the barrier sets in [m].
         barrier_stiffness_n_m: factor of the barrier [N/m].
         affine_stiffness_pa: factor of the orthogonality energy of rigid parts [Pa].
-        elastic_slip_m: slip that a sticking contact gives way by before it slides [m].
+        tangential_stiffness_n_m: of a contact that sticks, whatever its normal force [N/m].
         ccd_gap_fraction: part of a gap that one Newton iteration may close.
         pair_frictions: friction coefficients by pair of materials.
     """
 
-    model: ClassVar = ContactModel.ARENA_1
+    model: ClassVar = ContactModel.ARENA_2
 
     d_hat_m: float = 1e-4
     barrier_stiffness_n_m: float = 1e4
     affine_stiffness_pa: float = 1e9
-    elastic_slip_m: float = 1e-5
+    tangential_stiffness_n_m: float = 2e5
     ccd_gap_fraction: float = 0.7
     pair_frictions: tuple[PairFriction, ...] = (
         PairFriction(first=GEL_MATERIAL, second=PART_MATERIAL, coefficient=1.0),
@@ -108,8 +111,9 @@ class ArenaContactSettings:
             d_hat_m=self.d_hat_m,
             barrier_stiffness_n_m=self.barrier_stiffness_n_m,
             affine_stiffness_pa=self.affine_stiffness_pa,
-            slip_scale_m=self.elastic_slip_m,
-            remembers_slip=True,
+            slip_scale_m=0.0,
+            tangential_stiffness_n_m=self.tangential_stiffness_n_m,
+            is_arena=True,
         )
 
     def pair_friction(self, first: GelBody | RigidBody, second: GelBody | RigidBody) -> float:

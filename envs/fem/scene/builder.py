@@ -56,15 +56,17 @@ def build_model(
         elastic=_build_elastic(gels, of_gels),
         affine=_build_affine(bodies, layout, unknowns, constants.affine_stiffness_pa),
         points=_build_points(gels, bodies, layout),
-        surfaces=_build_surfaces(gels, bodies, contact),
+        surfaces=_build_surfaces(gels, bodies, contact, counts_once=constants.is_arena),
         unknowns=unknowns,
         system=of_gels.system,
         parameters=Parameters(
             time_step_s=time_step_s,
             d_hat_m=constants.d_hat_m,
             barrier_stiffness_n_m=constants.barrier_stiffness_n_m,
+            counts_once=constants.is_arena,
+            remembers_slip=constants.is_arena,
             slip_scale_m=constants.slip_scale_m,
-            remembers_slip=constants.remembers_slip,
+            tangential_stiffness_n_m=constants.tangential_stiffness_n_m,
             ccd_gap_fraction=contact.ccd_gap_fraction,
             candidate_margin_m=solver.candidate_margin_m,
         ),
@@ -156,27 +158,42 @@ def _build_points(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...], layo
     return Points(np.concatenate(nodes), np.concatenate(weights), np.concatenate(counts))
 
 
-def _build_surfaces(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...], contact: AnyContactSettings) -> Surfaces:
-    point_start, edge_start, triangle_start = [0], [0], [0]
-    edges, lengths, triangles = [], [], []
-    members = [(*gel.mesh.surface, gel.mesh.surface_edges) for gel in gels]
-    members += [(body.mesh.vertices_m, body.mesh.triangles, body.mesh.edges) for body in bodies]
-    for rest, body_triangles, body_edges in members:
+def _build_surfaces(
+    gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...], contact: AnyContactSettings, *, counts_once: bool
+) -> Surfaces:
+    point_start, edge_start, triangle_start, vertex_start = [0], [0], [0], [0]
+    edges, lengths, triangles, vertices, neighbours = [], [], [], [], []
+    members = [(*gel.mesh.surface, gel.mesh.surface_neighbours, gel.mesh.surface_edges) for gel in gels]
+    for mesh in (body.mesh for body in bodies):
+        touching = mesh.convex_edges if counts_once else mesh.edges
+        members.append((mesh.vertices_m, mesh.triangles, mesh.neighbours, touching))
+    for rest, body_triangles, body_neighbours, body_edges in members:
         vectors = rest[body_edges[:, 1]] - rest[body_edges[:, 0]]
+        ends = np.unique(body_edges) if counts_once else np.arange(len(rest))
         edges.append(body_edges + point_start[-1])
         lengths.append((vectors**2).sum(axis=1))
         triangles.append(body_triangles + point_start[-1])
+        vertices.append(ends + point_start[-1])
+        neighbours.append(body_neighbours + triangle_start[-1])
         point_start.append(point_start[-1] + len(rest))
         edge_start.append(edge_start[-1] + len(body_edges))
         triangle_start.append(triangle_start[-1] + len(body_triangles))
+        vertex_start.append(vertex_start[-1] + len(ends))
+    corners = np.concatenate(triangles)
     pairs, friction = _touching_pairs(gels, bodies, contact)
     return Surfaces(
         point_start=np.array(point_start, dtype=np.int64),
         edges=np.concatenate(edges),
         edge_start=np.array(edge_start, dtype=np.int64),
         edge_squared_length_m2=np.concatenate(lengths),
-        triangles=np.concatenate(triangles),
+        triangles=corners,
         triangle_start=np.array(triangle_start, dtype=np.int64),
+        vertices=np.concatenate(vertices),
+        vertex_start=np.array(vertex_start, dtype=np.int64),
+        neighbours=np.concatenate(neighbours),
+        around=np.argsort(corners.ravel(), kind="stable") // 3,
+        around_start=np.searchsorted(np.sort(corners.ravel()), np.arange(point_start[-1] + 1)),
+        point_body=np.repeat(np.arange(len(members)), np.diff(point_start)),
         pairs=pairs,
         pair_friction=friction,
     )

@@ -239,7 +239,7 @@ class Scene:
 
     def state_bytes(self) -> bytes:
         """Return the state as little-endian float64 and int64, for hashing; without memory as if there were none."""
-        numbers = (self._x, self._velocity, self._memory.slip_m)
+        numbers = (self._x, self._velocity, self._memory.slip_m, self._memory.direction)
         return b"".join(array.astype("<f8").tobytes() for array in numbers) + self._memory.pairs.astype("<i8").tobytes()
 
     def _refuse_overlap(self) -> None:

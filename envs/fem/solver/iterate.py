@@ -96,12 +96,12 @@ def list_candidates(model: Model, s: Solve) -> Candidates:
 @allocating_kernel
 def remember_step(model: Model, x: FloatArray, x_start: FloatArray, before: ContactMemory) -> ContactMemory:
     """Return what contacts remember after a step from x_start to x [m] of shape [n, 3], in no order."""
-    parameters, points = model.parameters, len(model.points.node_count)
+    points, reach_m = len(model.points.node_count), np.full(len(model.surfaces.pairs), model.parameters.d_hat_m)
     y, y_start = np.empty((points, 3)), np.empty((points, 3))
     point_positions(model.points, x, y)
     point_positions(model.points, x_start, y_start)
-    near = find_candidates(model.surfaces, y, np.full(len(model.surfaces.pairs), parameters.d_hat_m))
-    return remember_slips(near, y, y_start, before, parameters.d_hat_m, parameters.slip_scale_m)
+    near = find_candidates(model.surfaces, y, reach_m)
+    return remember_slips(model, near, y, y_start, before)
 
 
 @large_kernel

@@ -31,6 +31,7 @@ def listed(pair_types: list[int], points: list[list[int]], x: FloatArray) -> Can
     return Candidates(
         np.array(pair_types),
         np.array(points),
+        np.zeros(pairs, dtype=np.int64),
         np.ones(pairs),
         np.zeros(pairs),
         np.array(distances),

@@ -1,4 +1,4 @@
-"""Friction that remembers where it sticks (`arena-1`), on small scenes and against formulas."""
+"""Friction that remembers where it sticks (`arena-2`), on small scenes and against formulas."""
 
 import pickle
 from dataclasses import replace
@@ -15,7 +15,7 @@ from vitac.envs.fem.scene.scene import StepStatus
 
 FloatArray = NDArray[np.float64]
 SLOPE_RAD = float(np.arctan(0.5))
-ELASTIC_SLIP_M = ArenaContactSettings().elastic_slip_m
+STIFFNESS_N_M = ArenaContactSettings().tangential_stiffness_n_m
 
 
 def held_load_n(grip: Grip, shear_m: float, ipc_steps: int) -> tuple[FloatArray, FloatArray]:
@@ -88,11 +88,18 @@ def sheared() -> tuple[Grip, FloatArray, ContactMemory]:
     return grip, start, memory
 
 
-def test_remembered_slip_is_never_longer_than_the_elastic_slip() -> None:
-    lengths = np.sqrt((sheared()[0].scene._memory.slip_m ** 2).sum(axis=1))
-    assert lengths.max() <= ELASTIC_SLIP_M * (1 + 1e-12)
-    assert (lengths > 0.99 * ELASTIC_SLIP_M).any()
-    assert (lengths < 0.9 * ELASTIC_SLIP_M).any()
+def test_what_contacts_remember_is_the_spring_that_holds_their_friction() -> None:
+    grip, _, _ = sheared()
+    held_n = STIFFNESS_N_M * np.sqrt((grip.scene._memory.slip_m**2).sum(axis=1))
+    contacts = grip.scene.contact_forces()
+    normal_n = (contacts.forces_n * contacts.normals).sum(axis=1)
+    rubbing_n = contacts.forces_n - normal_n[:, None] * contacts.normals
+    tangential_n = np.sqrt((rubbing_n**2).sum(axis=1))
+    np.testing.assert_allclose(np.sort(held_n), np.sort(tangential_n), atol=1e-6)
+    part = tangential_n / (0.5 * normal_n)
+    assert part.max() <= 1 + 1e-9
+    assert (part > 0.99).any()
+    assert (part < 0.9).any()
 
 
 def test_matrix_is_the_change_of_forces_where_contacts_remember() -> None:
@@ -112,7 +119,7 @@ def test_matrix_is_the_change_of_forces_where_contacts_remember() -> None:
 def test_state_covers_what_contacts_remember() -> None:
     grip, _, _ = sheared()
     state, before = grip.scene.state(), grip.scene.state_bytes()
-    forgotten = state._replace(memory=ContactMemory(state.memory.pairs, np.zeros_like(state.memory.slip_m)))
+    forgotten = state._replace(memory=state.memory._replace(slip_m=np.zeros_like(state.memory.slip_m)))
     nothing, held = np.zeros(3), []
     for start in (state, state, forgotten):
         grip.scene.restore(start)
@@ -145,7 +152,7 @@ def test_the_challenge_model_remembers_nothing() -> None:
 
 def test_sorted_memory_is_in_ascending_order_of_the_pairs() -> None:
     pairs = np.random.default_rng(0).integers(0, 3, (50, 6))
-    ordered = sorted_memory(ContactMemory(pairs, pairs[:, :2].astype(float))).pairs
+    ordered = sorted_memory(ContactMemory(pairs, pairs[:, :3].astype(float), pairs[:, :3].astype(float))).pairs
     names = [tuple(row[:5]) for row in ordered.tolist()]
     assert names == sorted(names)
 

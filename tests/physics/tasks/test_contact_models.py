@@ -31,7 +31,7 @@ def _named(model: ContactModel) -> dict[str, str]:
 
 
 def test_unknown_model_is_refused_by_name() -> None:
-    with pytest.raises(SettingsError, match="'contact_model' is 'coulomb', expected one of challenge-2025, arena-1"):
+    with pytest.raises(SettingsError, match="'contact_model' is 'coulomb', expected one of challenge-2025, arena-2"):
         made("ViTac/PegInsertion-v1", contact_model="coulomb")
 
 
@@ -45,10 +45,10 @@ def test_track_files_name_the_contact_model_that_their_environments_have() -> No
 
 
 def test_model_that_contradicts_the_physics_is_refused() -> None:
-    ours = made("ViTac/PegInsertion-v1", contact_model="arena-1").settings.physics
-    with pytest.raises(SettingsError, match="'physics' was given with arena-1"):
+    ours = made("ViTac/PegInsertion-v1", contact_model="arena-2").settings.physics
+    with pytest.raises(SettingsError, match="'physics' was given with arena-2"):
         made("ViTac/PegInsertion-v1", contact_model="challenge-2025", physics=ours)
-    assert made("ViTac/PegInsertion-v1", contact_model="arena-1", physics=ours).settings.physics is ours
+    assert made("ViTac/PegInsertion-v1", contact_model="arena-2", physics=ours).settings.physics is ours
     assert PhysicsSettings().contact.model == "challenge-2025"
 
 
@@ -64,7 +64,7 @@ def states_after(env: Any, actions: np.ndarray) -> list[str]:
 @pytest.mark.parametrize("env_id", ENV_IDS)
 def test_episode_under_our_model_resumed_in_the_middle_has_the_bits_of_an_uninterrupted_one(env_id: str) -> None:
     """A copy that forgets what friction remembers has not, though its nodes stand and move the same."""
-    uninterrupted, resumed = made(env_id, contact_model="arena-1"), made(env_id, contact_model="arena-1")
+    uninterrupted, resumed = made(env_id, contact_model="arena-2"), made(env_id, contact_model="arena-2")
     actions = np.random.default_rng(1).uniform(-0.5, 0.5, (4, *resumed.action_space.shape)).astype(np.float32)
     for env in (uninterrupted, resumed):
         env.reset(seed=3)
@@ -83,7 +83,7 @@ def test_actions_played_again_in_another_environment_reach_the_same_states() -> 
     """As playbacks and re-simulated logs do: what contacts remember follows from the actions alone."""
     hashes = []
     for _ in range(2):
-        env = made("ViTac/LockOpening-v1", contact_model="arena-1")
+        env = made("ViTac/LockOpening-v1", contact_model="arena-2")
         env.reset(seed=3)
         states = []
         for sign in (1.0, -1.0, 0.5):

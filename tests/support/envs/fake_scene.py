@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vitac.envs.fem.contact.forces import PairForces
+from vitac.envs.fem.contact.forces import PairForces, no_forces
 from vitac.envs.fem.model.mesh import GelBody, RigidBody
 from vitac.envs.fem.scene.scene import StepReport, StepStatus
 
@@ -46,7 +46,8 @@ class FakeScene:
     def contact_forces(self) -> PairForces:
         """The forces of the gels, as contacts with the held part (body 2)."""
         forces_n = np.array(report(part_force_n=self.part_force_n).gel_forces_n)
-        return PairForces(np.array([[0, 2], [1, 2]]), np.array([centre for _, centre in self.placed]), forces_n)
+        centres_m = np.array([centre for _, centre in self.placed])
+        return no_forces()._replace(bodies=np.array([[0, 2], [1, 2]]), points_m=centres_m, forces_n=forces_n)
 
     def gel_positions_m(self, index: int) -> np.ndarray:
         mesh, (rotation, centre) = self.gels[index].mesh, self.placed[index]

@@ -19,7 +19,7 @@ def driven_positions_m(gel: GelBody) -> FloatArray:
 
 
 def arena_contact(friction: float) -> ArenaContactSettings:
-    """The contact model arena-1 with one friction coefficient for all pairs of materials."""
+    """The contact model arena-2 with one friction coefficient for all pairs of materials."""
     pairs = (("gel", "part"), ("part", "part"), ("gel", "gel"))
     frictions = tuple(PairFriction(first=first, second=second, coefficient=friction) for first, second in pairs)
     return ArenaContactSettings(pair_frictions=frictions)

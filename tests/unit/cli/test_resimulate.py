@@ -165,8 +165,8 @@ def test_text_log_of_2025_is_taken_as_it_is(
 def test_contact_model_replaces_that_of_the_task(
     recording: Path, asked_settings: list[dict[str, object]], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(capsys, recording, "--task", "peg-insertion", "--contact-model", "arena-1")[0] == 0
-    assert asked_settings == [{"contact_model": "arena-1"}]
+    assert run(capsys, recording, "--task", "peg-insertion", "--contact-model", "arena-2")[0] == 0
+    assert asked_settings == [{"contact_model": "arena-2"}]
 
 
 def test_without_a_profile_the_settings_are_those_that_rank(

@@ -47,7 +47,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 def test_plays_a_variant_with_what_is_drawn_for_the_episode(run: Run) -> None:
     assert run("peg-insertion-robust", "--episode", 5, "--width", 640)[0] == 0
     scene = FakeScene.built[-1]
-    assert (scene.gels[0].youngs_modulus_pa != 3e5, scene.contact.model) == (True, "arena-1")
+    assert (scene.gels[0].youngs_modulus_pa != 3e5, scene.contact.model) == (True, "arena-2")
 
 
 def test_draws_the_end_of_an_episode(run: Run, tmp_path: Path) -> None:

@@ -151,10 +151,10 @@ LEFT, HELD, FIXED = 0, 2, 3
 
 
 def found(*pairs: tuple[int, int, tuple[float, float, float], tuple[float, float, float]]) -> PairForces:
-    return PairForces(
-        np.array([pair[:2] for pair in pairs]),
-        np.array([pair[2] for pair in pairs]) * 1e-3,
-        np.array([pair[3] for pair in pairs]),
+    return no_forces()._replace(
+        bodies=np.array([pair[:2] for pair in pairs]),
+        points_m=np.array([pair[2] for pair in pairs]) * 1e-3,
+        forces_n=np.array([pair[3] for pair in pairs]),
     )
 
 

@@ -5,7 +5,7 @@ import pytest
 from fake_scene import FakeScene
 from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
-from vitac.envs.fem.contact.forces import PairForces
+from vitac.envs.fem.contact.forces import no_forces
 from vitac.envs.fem.model.mesh import RigidBody
 from vitac.envs.fem.scene.scene import StepStatus
 from vitac.envs.geometry.pegs import PegShape
@@ -56,7 +56,8 @@ def test_force_of_one_body_on_the_held_part_counts_contacts_either_way(
     mesh = peg_mesh(Meshes(), PegShape.CUBOID)
     made = scene(RigidBody(mesh=mesh, rotation=np.eye(3), translation_m=np.array([0.1, 0.0, 0.0])))
     bodies, forces_n = np.array([[2, 3], [3, 2], [0, 2], [2, 4]]), np.arange(1.0, 5.0)[:, None] * np.eye(1, 3, 2)
-    monkeypatch.setattr(fake_scenes[0], "contact_forces", lambda: PairForces(bodies, np.zeros((4, 3)), forces_n))
+    contacts = no_forces()._replace(bodies=bodies, points_m=np.zeros((4, 3)), forces_n=forces_n)
+    monkeypatch.setattr(fake_scenes[0], "contact_forces", lambda: contacts)
     assert [made.force_on_held_n(body).tolist() for body in (3, 4)] == [[0.0, 0.0, 1.0 - 2.0], [0.0, 0.0, 4.0]]
 
 

@@ -93,7 +93,7 @@ def test_refuses_unknown_quantities_and_bad_ranges(draws: Any, message: str) -> 
 
 def test_friction_by_materials_is_refused_under_a_model_without_materials() -> None:
     env = PegInsertionEnv(draws={"part_friction": (0.2, 0.4)})
-    with pytest.raises(SettingsError, match=r"contact model challenge-2025; set contact_model: arena-1"):
+    with pytest.raises(SettingsError, match=r"contact model challenge-2025; set contact_model: arena-2"):
         env.reset(seed=1)
 
 
@@ -104,7 +104,7 @@ def test_mesh_hash_covers_the_ranges() -> None:
 
 @pytest.mark.parametrize("env_type", ENV_TYPES)
 def test_every_quantity_changes_the_settings_at_both_ends_of_its_range(env_type: Any) -> None:
-    settings = env_type(contact_model="arena-1").settings
+    settings = env_type(contact_model="arena-2").settings
     quantities: tuple[Quantity, ...] = env_type.task.quantities
     for quantity in quantities:
         ends = [with_quantities(settings, quantities, {quantity.name: value}) for value in quantity.range]

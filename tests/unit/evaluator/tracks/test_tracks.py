@@ -422,7 +422,7 @@ def test_robust_tasks_draw_what_makes_them_hard_under_the_contact_model_that_sti
         task.draws
     )
     assert set(NEW[name]) <= set(task.draws)
-    assert task.settings["contact_model"] == "arena-1"
+    assert task.settings["contact_model"] == "arena-2"
 
 
 @pytest.mark.parametrize(

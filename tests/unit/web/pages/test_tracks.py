@@ -222,7 +222,7 @@ def test_rules_of_a_variant_show_what_is_drawn_from_which_range(browser: AsgiBro
 
 @pytest.mark.parametrize(
     ("track", "name"),
-    [("track_1", "challenge-2025"), ("track_2", "challenge-2025"), ("track_1_peg_robust", "arena-1")],
+    [("track_1", "challenge-2025"), ("track_2", "challenge-2025"), ("track_1_peg_robust", "arena-2")],
 )
 def test_rules_name_the_contact_model(browser: AsgiBrowser, track: str, name: str) -> None:
     html = browser.get(f"/tracks/{track}/rules").text

@@ -1,0 +1,214 @@
+"""Which distances a pair of primitives stands for, so that every place of a surface counts once.
+
+Plain IPC (Li et al. 2020) sums the barrier over all pairs: a point above the edge that two coplanar triangles share
+counts twice, and beside it is pushed sideways. Here the sum over a surface is that of Li et al., *Convergent
+Incremental Potential Contact* (2023), section 4: by inclusion and exclusion, triangles less edges plus vertices,
+
+    b(x) = sum_t b(d(x, t)) - sum_e b(d(x, e)) + sum_v b(d(x, v)),
+
+of which on a flat face the distance to the face is left, whatever its triangulation. Most terms cancel, so the factor
+of each distance is counted beforehand from where the closest points are: 1 inside of a triangle; for an edge the
+number of its two triangles whose closest point is on it, less 1; for a vertex that number of triangles, less that of
+edges, plus 1. In the same way a pair of edges counts only where both closest points are inside of them, less what the
+edges' ends already count against the other edge.
+
+All are continuous with their first derivative, as distances are: where a closest point leaves a primitive, what the
+next one counts has the same distance and direction.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...compilation import allocating_kernel, kernel, large_kernel
+from ..algebra import Vec3, add, cross, dot, load, scale, subtract
+from ..model.model import Surfaces
+from .contact import Quad
+from .distance import NO_SLIDING, POINT_TRIANGLE, Coefficients, Sliding
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+# An edge pair, its ends against the edges, and against each other; a triangle with its edges and corners has 7.
+MOST_TERMS = 9
+
+
+class Terms(NamedTuple):
+    """Scratch for the distances that one pair stands for, in terms of the pair's four points."""
+
+    factor: FloatArray  # [9] how often a distance counts; negative where others have counted it too often
+    coefficients: FloatArray  # [9, 4] of the closest points, see `distance`
+    sliding: IndexArray  # [9, 4] see `distance`
+
+
+@allocating_kernel
+def new_terms() -> Terms:
+    """Return uninitialised scratch."""
+    return Terms(np.empty(MOST_TERMS), np.empty((MOST_TERMS, 4)), np.empty((MOST_TERMS, 4), np.int64))
+
+
+@kernel
+def separation(terms: Terms, term: int, x: Quad) -> tuple[Coefficients, Sliding, Vec3]:
+    """Return the coefficients, sliding directions and separation r [m] of a term, like `closest_points`."""
+    w, s = terms.coefficients, terms.sliding
+    c = (w[term, 0], w[term, 1], w[term, 2], w[term, 3])
+    r = add(add(scale(c[0], x[0]), scale(c[1], x[1])), add(scale(c[2], x[2]), scale(c[3], x[3])))
+    return c, (s[term, 0], s[term, 1], s[term, 2], s[term, 3]), r
+
+
+@large_kernel
+def write_terms(
+    surfaces: Surfaces, pair_type: int, triangle: int, y: FloatArray, x: Quad, c: Coefficients, terms: Terms
+) -> int:
+    """Write the distances that a pair at points x [m] stands for; return their number.
+
+    Args:
+        surfaces: of the scene.
+        pair_type: of the pair.
+        triangle: of a point-triangle pair.
+        y: all points [m], shape [p, 3].
+        x: those of the pair [m].
+        c: coefficients of its closest points.
+        terms: what to write to.
+    """
+    if pair_type == POINT_TRIANGLE:
+        return _write_surface_terms(surfaces, triangle, y, x, terms)
+    return _write_edge_terms(x, c, terms)
+
+
+@kernel
+def _write_surface_terms(surfaces: Surfaces, t: int, y: FloatArray, x: Quad, terms: Terms) -> int:
+    """Write what a point counts of a triangle, and of those of its edges and corners that no lower triangle has."""
+    point, a, b, c = x
+    s = _sides(point, a, b, c)
+    count = 0
+    if s[0] > 0.0 and s[1] > 0.0 and s[2] > 0.0:
+        total = s[0] + s[1] + s[2]
+        v, w = s[2] / total, s[0] / total
+        count = _append(terms, count, 1.0, (1.0, v + w - 1.0, -v, -w), (1, 2, 1, 3))
+    count = _append_edge(surfaces, t, 0, y, (point, a, b), s[0], terms, count)
+    count = _append_edge(surfaces, t, 1, y, (point, b, c), s[1], terms, count)
+    count = _append_edge(surfaces, t, 2, y, (point, c, a), s[2], terms, count)
+    for corner in range(3):
+        count = _append_corner(surfaces, t, corner, y, point, terms, count)
+    return count
+
+
+@kernel
+def _sides(point: Vec3, a: Vec3, b: Vec3, c: Vec3) -> tuple[float, float, float]:
+    """Return on which side of the edges (a, b), (b, c) and (c, a) a point is above a triangle: positive inside.
+
+    They are areas of the triangles below the point, times the normal's length.
+    """
+    ab, bc, ca = subtract(b, a), subtract(c, b), subtract(a, c)
+    n = cross(ab, bc)
+    return (
+        dot(cross(n, ab), subtract(point, a)),
+        dot(cross(n, bc), subtract(point, b)),
+        dot(cross(n, ca), subtract(point, c)),
+    )
+
+
+@kernel
+def _append_edge(
+    surfaces: Surfaces,
+    t: int,
+    edge: int,
+    y: FloatArray,
+    ends: tuple[Vec3, Vec3, Vec3],
+    side: float,
+    terms: Terms,
+    count: int,
+) -> int:
+    """Append a triangle's edge, by the point and the edge's ends, where the closest point is inside of the edge."""
+    neighbour = surfaces.neighbours[t, edge]
+    if neighbour < t:
+        return count
+    point, a, b = ends
+    from_a, from_b = dot(subtract(point, a), subtract(b, a)), dot(subtract(point, b), subtract(a, b))
+    if from_a <= 0.0 or from_b <= 0.0:
+        return count
+    factor = (0.0 if side > 0.0 else 1.0) + (0.0 if _side_of_neighbour(surfaces, t, neighbour, y, point) > 0.0 else 1.0)
+    if factor == 1.0:
+        return count
+    v = from_a / (from_a + from_b)
+    if edge == 0:
+        return _append(terms, count, factor - 1.0, (1.0, v - 1.0, -v, 0.0), (1, 2, -1, -1))
+    if edge == 1:
+        return _append(terms, count, factor - 1.0, (1.0, 0.0, v - 1.0, -v), (2, 3, -1, -1))
+    return _append(terms, count, factor - 1.0, (1.0, -v, 0.0, v - 1.0), (3, 1, -1, -1))
+
+
+@kernel
+def _side_of_neighbour(surfaces: Surfaces, t: int, neighbour: int, y: FloatArray, point: Vec3) -> float:
+    """Return on which side of the edge shared with triangle t a point is above its neighbour."""
+    corners = surfaces.triangles
+    s = _sides(point, load(y, corners[neighbour, 0]), load(y, corners[neighbour, 1]), load(y, corners[neighbour, 2]))
+    if surfaces.neighbours[neighbour, 0] == t:
+        return s[0]
+    return s[1] if surfaces.neighbours[neighbour, 1] == t else s[2]
+
+
+@kernel
+def _append_corner(
+    surfaces: Surfaces, t: int, corner: int, y: FloatArray, point: Vec3, terms: Terms, count: int
+) -> int:
+    """Append a triangle's corner with the triangles and edges around it."""
+    corners, around = surfaces.triangles, surfaces.around
+    vertex = corners[t, corner]
+    first, last = surfaces.around_start[vertex], surfaces.around_start[vertex + 1]
+    if around[first] != t:
+        return count
+    place = load(y, vertex)
+    away, factor = subtract(point, place), 1.0
+    for k in range(first, last):
+        other = around[k]
+        at = 0 if corners[other, 0] == vertex else (1 if corners[other, 1] == vertex else 2)
+        following = load(y, corners[other, (at + 1) % 3])
+        if dot(away, subtract(following, place)) <= 0.0:
+            factor -= 1.0
+            before = load(y, corners[other, (at + 2) % 3])
+            if dot(away, subtract(before, place)) <= 0.0:
+                factor += 1.0
+    if factor == 0.0:
+        return count
+    c = (1.0, -1.0 if corner == 0 else 0.0, -1.0 if corner == 1 else 0.0, -1.0 if corner == 2 else 0.0)
+    return _append(terms, count, factor, c, NO_SLIDING)
+
+
+@kernel
+def _write_edge_terms(x: Quad, c: Coefficients, terms: Terms) -> int:
+    """Write an edge pair whose closest points are inside of both, less its ends against the edges, plus both ends."""
+    if not (0.0 < c[1] < 1.0 and 0.0 < -c[3] < 1.0):
+        return 0
+    u, v = subtract(x[1], x[0]), subtract(x[3], x[2])
+    count = _append(terms, 0, 1.0, c, (1, 0, 2, 3))
+    for i in range(2):
+        t = _place_on_edge(subtract(x[i], x[2]), v)
+        end = (1.0 - i, 1.0 * i)
+        count = _append(
+            terms, count, -1.0, (end[0], end[1], t - 1.0, -t), (2, 3, -1, -1) if 0.0 < t < 1.0 else NO_SLIDING
+        )
+        s = _place_on_edge(subtract(x[2 + i], x[0]), u)
+        count = _append(
+            terms, count, -1.0, (1.0 - s, s, -end[0], -end[1]), (1, 0, -1, -1) if 0.0 < s < 1.0 else NO_SLIDING
+        )
+        for j in range(2):
+            count = _append(terms, count, 1.0, (end[0], end[1], j - 1.0, -1.0 * j), NO_SLIDING)
+    return count
+
+
+@kernel
+def _place_on_edge(point: Vec3, edge: Vec3) -> float:
+    """Return where on an edge the point closest to another one is, both from the edge's start: 0 to 1."""
+    return min(max(dot(point, edge) / dot(edge, edge), 0.0), 1.0)
+
+
+@kernel
+def _append(terms: Terms, count: int, factor: float, c: Coefficients, sliding: Sliding) -> int:
+    coefficients, directions = terms.coefficients, terms.sliding
+    terms.factor[count] = factor
+    coefficients[count, 0], coefficients[count, 1], coefficients[count, 2], coefficients[count, 3] = c
+    directions[count, 0], directions[count, 1], directions[count, 2], directions[count, 3] = sliding
+    return count + 1
