@@ -19,7 +19,8 @@ from vitac.envs.fem.model.settings import ArenaContactSettings
 
 # Between both walls together and the peg [m]: little more than the reach of the barrier, so that the peg hardly tilts.
 CLEARANCE_M = 2.3 * ArenaContactSettings().d_hat_m
-_PULL_M_S2, _TIME_STEP_S, _IPC_STEPS = 0.1, 0.01, 200
+# Loads of a tenth of a newton and more: far above what the solver leaves unbalanced.
+_PULL_M_S2, _TIME_STEP_S, _IPC_STEPS = 1.0, 0.003, 200
 # By how much a peg slides to rub [m]; ten times as far is a slide.
 _SLIP_M = 1e-5
 

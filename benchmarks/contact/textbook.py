@@ -1,12 +1,13 @@
 """The contact model arena-2 against textbooks, on materials and shapes that no task has: target, measured, verdict.
 
 Usage: python benchmarks/contact/textbook.py [--only GROUP ...] [--fine] [--json FILE]
-       [--modulus PA] [--poisson RATIO] [--friction MU] [--radius M] [--size FACTOR]
+       [--seed N] [--modulus PA] [--poisson RATIO] [--friction MU] [--radius M] [--size FACTOR]
 
 Prints a line for each check as soon as it is known. `--fine` takes the finer mesh of each, in some minutes. What is
 given replaces the benchmark's own: modulus and Poisson's ratio of gels, the friction coefficient where it is not what
-is sought, the radius of balls, and a factor of the sizes of blocks, pads, grips, pegs and walls. Exit code 1 where a
-measured value is beyond its bound.
+is sought, the radius of balls, and a factor of the sizes of blocks, pads, grips, pegs and walls. A seed draws those
+that are not given, and triangulations, angles, places and loads on flat faces, so that no value can be tuned to. Exit
+code 1 where a measured value is beyond its bound.
 """
 
 import argparse
@@ -23,6 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from contact.domes import Dome, partial_slip, press_dome
 from contact.elastic import Rubber, sheared_grip, slide_pad
+from contact.faces import change_of_velocity, press_corner, work_of_cycle_j
 from contact.jamming import PegInHole
 from contact.rigid import (
     Block,
@@ -65,6 +67,25 @@ class Choice:
     radius_m: float | None = None
     size: float = 1.0
     fine: bool = False
+    seed: int | None = None
+
+    def drawn(self) -> "Choice":
+        """Return what a seed draws where nothing is given."""
+        if self.seed is None:
+            return self
+        rng = self.rng()
+        drawn = {
+            "youngs_modulus_pa": float(np.exp(rng.uniform(np.log(3e4), np.log(1e6)))),
+            "poisson_ratio": float(rng.uniform(0.2, 0.42)),
+            "friction": float(rng.uniform(0.2, 0.8)),
+            "radius_m": float(rng.uniform(0.4, 1.0)),
+        }
+        given = {name: value for name, value in asdict(self).items() if name in drawn and value is not None}
+        return replace(self, **drawn | given, size=self.size * float(rng.uniform(0.8, 1.6)))
+
+    def rng(self) -> np.random.Generator:
+        """Return what draws; without a seed always the same."""
+        return np.random.default_rng(self.seed or 0)
 
     def rubber(self, own: Rubber) -> Rubber:
         """Return a gel's material."""
@@ -124,7 +145,8 @@ def strains(choice: Choice) -> Iterator[Check]:
 
 def wedges(choice: Choice) -> Iterator[Check]:
     """Yield from which friction a peg wedges: the line between its touches lies within both cones (Whitney 1982)."""
-    for steepness in (0.25, 0.5, 1.0):
+    steeps = (0.25, 0.5, 1.0) if choice.seed is None else choice.rng().uniform(0.2, 1.0, 5).round(3).tolist()
+    for steepness in steeps:
         name = f"friction from which a peg wedges, touching {steepness} of the gap apart in height"
         measured = wedging_friction(steepness, 0.02 * choice.size)
         yield Check(name=name, target=steepness, measured=measured, bound=0.03 * steepness, unit="")
@@ -157,6 +179,36 @@ def energies(choice: Choice) -> Iterator[Check]:
         rise = 100 * largest_rise_of_energy(block, choice.rubs(friction), time_step_s)
         name = f"largest rise of energy in a step: {block.material}, steps of {time_step_s} s"
         yield Check(name=name, target=0.0, measured=max(0.0, rise), bound=0.01, unit="%")
+
+
+def corners(choice: Choice) -> Iterator[Check]:
+    """Yield what a flat face does to the corner of a turned box that is pressed on it, however it is triangulated."""
+    rng = choice.rng()
+    for low_n, high_n in ((0.3, 1.0), (1.0, 5.0), (5.0, 20.0)):
+        pressed = [press_corner(rng, float(rng.uniform(low_n, high_n))) for _ in range(20)]
+        name = f"20 corners on drawn triangulations, {low_n:g} to {high_n:g} N"
+        yield Check(name=f"{name}: largest lateral over normal force", target=0.0,
+                    measured=100 * max(each.lateral for each in pressed), bound=0.5, unit="%")  # fmt: skip
+        yield Check(name=f"{name}: largest error of the normal force", target=0.0,
+                    measured=100 * max(abs(each.excess) for each in pressed), bound=0.5, unit="%")  # fmt: skip
+
+
+def throws(choice: Choice) -> Iterator[Check]:
+    """Yield how far the velocity of blocks changes that are thrown over a plate without friction."""
+    rng = choice.rng()
+    for speed_m_s in (0.003, 0.01, float(rng.uniform(0.02, 0.2))):
+        change = 100 * change_of_velocity(rng, speed_m_s)
+        name = f"change of the velocity of a frictionless block at {1e3 * speed_m_s:.3g} mm/s"
+        yield Check(name=name, target=0.0, measured=change, bound=0.1, unit="%")
+
+
+def cycles(choice: Choice) -> Iterator[Check]:
+    """Yield the work that friction does in closed cycles of shear and pressure, as a part of what it stores at most."""
+    rng = choice.rng()
+    for friction in (choice.rubs(0.3), 1.0):
+        work_j, stored_j = work_of_cycle_j(rng, friction)
+        name = f"energy that friction gives in two closed cycles of shear and pressure, mu {friction:.3g}"
+        yield Check(name=name, target=0.0, measured=100 * max(0.0, work_j / stored_j), bound=0.01, unit="%")
 
 
 def pads(choice: Choice) -> Iterator[Check]:
@@ -208,8 +260,11 @@ def domes(choice: Choice) -> Iterator[Check]:
 
 
 GROUPS = {
-    group.__name__: group for group in (drifts, accelerations, strains, wedges, jams, energies, pads, grips, domes)
-}
+    group.__name__: group
+    for group in (
+        drifts, accelerations, strains, wedges, jams, energies, corners, throws, cycles, pads, grips, domes,
+    )
+}  # fmt: skip
 
 
 def main() -> None:
@@ -218,6 +273,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=GROUPS)
     parser.add_argument("--fine", action="store_true")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--seed", type=int)
     parser.add_argument("--modulus", type=float, help="[Pa]")
     parser.add_argument("--poisson", type=float)
     parser.add_argument("--friction", type=float)
@@ -226,8 +282,8 @@ def main() -> None:
     arguments = parser.parse_args()
     choice = Choice(
         youngs_modulus_pa=arguments.modulus, poisson_ratio=arguments.poisson, friction=arguments.friction,
-        radius_m=arguments.radius, size=arguments.size, fine=arguments.fine,
-    )  # fmt: skip
+        radius_m=arguments.radius, size=arguments.size, fine=arguments.fine, seed=arguments.seed,
+    ).drawn()  # fmt: skip
     checks: list[Check] = []
     for name in arguments.only or GROUPS:
         for check in GROUPS[name](choice):

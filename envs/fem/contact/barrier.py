@@ -69,7 +69,8 @@ def slip_factor(y: float, s: float) -> tuple[float, float]:
 
 
 # Part of the Coulomb force by which the corner between sticking and sliding is rounded off.
-_ROUNDED = 0.02
+_ROUNDED = 0.002
+YIELDED = 1.0 + _ROUNDED
 
 
 @kernel

@@ -9,8 +9,8 @@ Incremental Potential Contact* (2023), section 4: by inclusion and exclusion, tr
 of which on a flat face the distance to the face is left, whatever its triangulation. Most terms cancel, so the factor
 of each distance is counted beforehand from where the closest points are: 1 inside of a triangle; for an edge the
 number of its two triangles whose closest point is on it, less 1; for a vertex that number of triangles, less that of
-edges, plus 1. In the same way a pair of edges counts only where both closest points are inside of them, less what the
-edges' ends already count against the other edge.
+edges, plus 1. In the same way a pair of edges counts less its four ends against the other edge, which their points
+count already, plus these ends against each other: where a closest point is an end, next to nothing is left.
 
 All are continuous with their first derivative, as distances are: where a closest point leaves a primitive, what the
 next one counts has the same distance and direction.
@@ -55,6 +55,12 @@ def separation(terms: Terms, term: int, x: Quad) -> tuple[Coefficients, Sliding,
     c = (w[term, 0], w[term, 1], w[term, 2], w[term, 3])
     r = add(add(scale(c[0], x[0]), scale(c[1], x[1])), add(scale(c[2], x[2]), scale(c[3], x[3])))
     return c, (s[term, 0], s[term, 1], s[term, 2], s[term, 3]), r
+
+
+@kernel
+def is_inside(terms: Terms, term: int) -> bool:
+    """Return whether the closest point of a term is inside of the triangle, or of both edges."""
+    return bool(terms.sliding[term, 2] >= 0)
 
 
 @large_kernel
@@ -179,23 +185,27 @@ def _append_corner(
 
 @kernel
 def _write_edge_terms(x: Quad, c: Coefficients, terms: Terms) -> int:
-    """Write an edge pair whose closest points are inside of both, less its ends against the edges, plus both ends."""
-    if not (0.0 < c[1] < 1.0 and 0.0 < -c[3] < 1.0):
-        return 0
-    u, v = subtract(x[1], x[0]), subtract(x[3], x[2])
-    count = _append(terms, 0, 1.0, c, (1, 0, 2, 3))
+    """Write an edge pair less its ends against the edges, plus the ends against each other, as far as they differ."""
+    u, v, s, t = subtract(x[1], x[0]), subtract(x[3], x[2]), c[1], -c[3]
+    s_inside, t_inside, count = 0.0 < s < 1.0, 0.0 < t < 1.0, 0
+    if s_inside and t_inside:
+        count = _append(terms, count, 1.0, c, (1, 0, 2, 3))
+    # Places of the ends of the second edge on the first one.
+    s_0, s_1 = _place_on_edge(subtract(x[2], x[0]), u), _place_on_edge(subtract(x[3], x[0]), u)
     for i in range(2):
-        t = _place_on_edge(subtract(x[i], x[2]), v)
-        end = (1.0 - i, 1.0 * i)
-        count = _append(
-            terms, count, -1.0, (end[0], end[1], t - 1.0, -t), (2, 3, -1, -1) if 0.0 < t < 1.0 else NO_SLIDING
-        )
-        s = _place_on_edge(subtract(x[2 + i], x[0]), u)
-        count = _append(
-            terms, count, -1.0, (1.0 - s, s, -end[0], -end[1]), (1, 0, -1, -1) if 0.0 < s < 1.0 else NO_SLIDING
-        )
+        end = 1.0 * i
+        t_i = _place_on_edge(subtract(x[i], x[2]), v)
+        if 0.0 < t_i < 1.0 and not (s == end and t_inside):
+            count = _append(terms, count, -1.0, (1.0 - end, end, t_i - 1.0, -t_i), (2, 3, -1, -1))
+        s_i = s_1 if i else s_0
+        if 0.0 < s_i < 1.0 and not (t == end and s_inside):
+            count = _append(terms, count, -1.0, (1.0 - s_i, s_i, end - 1.0, -end), (1, 0, -1, -1))
         for j in range(2):
-            count = _append(terms, count, 1.0, (end[0], end[1], j - 1.0, -1.0 * j), NO_SLIDING)
+            other = 1.0 * j
+            factor = 1.0 + (1.0 if s == end and t == other else 0.0)
+            factor -= (1.0 if t_i == other else 0.0) + (1.0 if (s_1 if j else s_0) == end else 0.0)
+            if factor != 0.0:
+                count = _append(terms, count, factor, (1.0 - end, end, other - 1.0, -other), NO_SLIDING)
     return count
 
 

@@ -20,11 +20,11 @@ from ..algebra import (
     subtract,
 )
 from ..model.model import Model, Surfaces, point_positions
-from .barrier import barrier, drag, mollifier, squared_cross_norm
+from .barrier import YIELDED, barrier, drag, mollifier, squared_cross_norm
 from .broad_phase import Candidates, find_candidates
 from .contact import Quad, weighted_sum
 from .distance import EDGE_EDGE, POINT_TRIANGLE, closest_points
-from .features import MOST_TERMS, new_terms, separation, write_terms
+from .features import MOST_TERMS, is_inside, new_terms, separation, write_terms
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -119,15 +119,18 @@ def remember_slips(
         counted = write_terms(model.surfaces, pair_type, candidates.triangle[k], y, x, c, terms)
         for term in range(counted):
             c, _, r = separation(terms, term, x)
-            if dot(r, r) >= d_hat * d_hat or terms.factor[term] < 0.0 or (pair_type == EDGE_EDGE and term > 0):
+            if dot(r, r) >= d_hat * d_hat or terms.factor[term] < 0.0:
+                continue
+            if pair_type == EDGE_EDGE and not is_inside(terms, term):
                 continue
             d = np.sqrt(dot(r, r))
             n = scale(1.0 / d, r)
             w = add(weighted_sum(c, moves), recall_slip(before, model.surfaces, pair_type, points, k, y, x, n))
             u = subtract(w, scale(dot(w, n), n))
             normal_n = terms.factor[term] * _normal_force(model, candidates, k, d, x)
-            law = drag(np.sqrt(dot(u, u)), normal_n, candidates.friction[k], 0.0, stiffness_n_m)
-            u = scale(law.a_n_m / stiffness_n_m, u)
+            size, longest = np.sqrt(dot(u, u)), YIELDED * candidates.friction[k] * normal_n / stiffness_n_m
+            if size > longest:
+                u = scale(longest / size, u)
             memory.pairs[count, 0], memory.pairs[count, _NAMES] = pair_type, 0
             for i in range(4):
                 memory.pairs[count, 1 + i] = points[k, i]

@@ -97,7 +97,7 @@ class ArenaContactSettings:
     d_hat_m: float = 1e-4
     barrier_stiffness_n_m: float = 1e4
     affine_stiffness_pa: float = 1e9
-    tangential_stiffness_n_m: float = 2e5
+    tangential_stiffness_n_m: float = 1e5
     ccd_gap_fraction: float = 0.7
     pair_frictions: tuple[PairFriction, ...] = (
         PairFriction(first=GEL_MATERIAL, second=PART_MATERIAL, coefficient=1.0),

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from contact.domes import Dome, partial_slip, press_dome
 from contact.elastic import Rubber, sheared_grip, slide_pad
+from contact.faces import change_of_velocity, press_corner, work_of_cycle_j
 from contact.jamming import PegInHole
 from contact.rigid import Block, incline_acceleration_error, incline_drift_m, is_wedged, largest_rise_of_energy
 
@@ -56,3 +57,21 @@ def test_grip_is_balanced_symmetric_and_independent_of_the_step() -> None:
     assert whole.unbalanced < 0.01
     assert whole.asymmetry < 0.01
     np.testing.assert_allclose(halved.force_n, whole.force_n, atol=0.03 * float(np.linalg.norm(whole.force_n)))
+
+
+def test_a_corner_on_a_flat_face_is_pressed_straight_away_from_it_however_it_is_triangulated() -> None:
+    rng = np.random.default_rng(11)
+    pressed = [press_corner(rng, force_n) for force_n in (0.3, 1.5, 6.0, 20.0) for _ in range(5)]
+    assert max(each.lateral for each in pressed) < 1e-9
+    assert max(abs(each.excess) for each in pressed) < 1e-9
+
+
+def test_a_block_thrown_over_the_edges_of_a_flat_face_keeps_its_velocity() -> None:
+    assert change_of_velocity(np.random.default_rng(5), 0.01) < 1e-5
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_no_closed_cycle_of_shear_and_pressure_yields_energy(seed: int) -> None:
+    work_j, stored_j = work_of_cycle_j(np.random.default_rng(seed), 0.6)
+    assert stored_j > 0.0
+    assert work_j < 1e-6 * stored_j
