@@ -57,7 +57,7 @@ def empty_memory() -> ContactMemory:
 def sorted_memory(memory: ContactMemory) -> ContactMemory:
     """Return a memory in ascending order of the names, in which `recall_slip` finds them."""
     order = np.lexsort(memory.pairs[:, _NAMES - 1 :: -1].T)
-    return ContactMemory(*(np.ascontiguousarray(array[order]) for array in memory))
+    return ContactMemory(memory.pairs[order], memory.slip_m[order], memory.direction[order])
 
 
 @kernel
@@ -245,8 +245,8 @@ def pair_forces(model: Model, x: FloatArray, x_start: FloatArray, memory: Contac
 
     What the mollifier adds turns nearly parallel edges without pushing either body, and is left out.
     """
-    points = len(model.points.node_count)
-    y, y_start = np.empty((points, 3)), np.empty((points, 3))
+    total = len(model.points.node_count)
+    y, y_start = np.empty((total, 3)), np.empty((total, 3))
     point_positions(model.points, x, y)
     point_positions(model.points, x_start, y_start)
     d_hat, surfaces, terms = model.parameters.d_hat_m, model.surfaces, new_terms()

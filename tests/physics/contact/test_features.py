@@ -5,6 +5,7 @@ import pytest
 from block_meshes import box_surface
 from numpy.typing import NDArray
 from small_scenes import Grip, arena_contact
+from vitac.envs.fem.contact.contact import Quad
 from vitac.envs.fem.contact.distance import EDGE_EDGE, POINT_TRIANGLE, closest_points
 from vitac.envs.fem.contact.features import new_terms, separation, write_terms
 from vitac.envs.fem.model.mesh import SurfaceMesh, unique_edges
@@ -33,6 +34,12 @@ def distance(point: FloatArray, *corners: FloatArray) -> float:
     return min(distance(point, *pair) for pair in ((a, b), (b, c), (c, a)))
 
 
+def vectors(x: FloatArray) -> Quad:
+    """Four points as kernels take them."""
+    p, q, r, s = ((float(row[0]), float(row[1]), float(row[2])) for row in x)
+    return p, q, r, s
+
+
 class Bumps:
     """A box whose vertices are moved at random, with hollows and bumps about as wide as the barrier reaches."""
 
@@ -55,7 +62,7 @@ class Bumps:
         """Sum of the barriers of all terms, times their factors."""
         points, total = np.concatenate([self.vertices, [point]]), 0.0
         for triangle, corners in enumerate(self.triangles):
-            x = (tuple(point), *map(tuple, self.vertices[corners]))
+            x = vectors(np.array([point, *self.vertices[corners]]))
             c = closest_points(POINT_TRIANGLE, *x)[0]
             for term in range(write_terms(self._surfaces, POINT_TRIANGLE, triangle, points, x, c, self._terms)):
                 total += self._terms.factor[term] * barrier(float(np.linalg.norm(separation(self._terms, term, x)[2])))
@@ -99,8 +106,8 @@ def test_an_edge_pair_counts_inside_of_both_less_the_ends_that_count_already() -
     surfaces = Grip(contact=arena_contact(0.5)).scene._model.surfaces
     for _ in range(400):
         x = rng.normal(size=(4, 3))
-        c = closest_points(EDGE_EDGE, *map(tuple, x))[0]
-        corners, measured = tuple(map(tuple, x)), 0.0
+        corners, measured = vectors(x), 0.0
+        c = closest_points(EDGE_EDGE, *corners)[0]
         for term in range(write_terms(surfaces, EDGE_EDGE, 0, x, corners, c, terms)):
             measured += terms.factor[term] * barrier(float(np.linalg.norm(separation(terms, term, corners)[2])))
         pair = barrier(float(np.linalg.norm(np.array(c) @ x)))

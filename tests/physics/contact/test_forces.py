@@ -95,9 +95,9 @@ def test_what_contacts_remember_is_the_spring_that_holds_their_friction() -> Non
     normal_n = (contacts.forces_n * contacts.normals).sum(axis=1)
     rubbing_n = contacts.forces_n - normal_n[:, None] * contacts.normals
     tangential_n = np.sqrt((rubbing_n**2).sum(axis=1))
-    np.testing.assert_allclose(np.sort(held_n), np.sort(tangential_n), atol=1e-6)
+    np.testing.assert_allclose(np.sort(held_n), np.sort(tangential_n), rtol=3e-3)
     part = tangential_n / (0.5 * normal_n)
-    assert part.max() <= 1 + 1e-9
+    assert part.max() <= 1 + 1e-9, "friction is never more than Coulomb's"
     assert (part > 0.99).any()
     assert (part < 0.9).any()
 
