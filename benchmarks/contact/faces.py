@@ -63,10 +63,13 @@ def press_corner(rng: np.random.Generator, force_n: float) -> Pressed:
     box = box_surface((0.01, 0.013, 0.008), (-0.005, -0.0065, -0.004))
     corners = (turn[None] * box.vertices_m[:, None, :]).sum(axis=2)
     lowest = corners[corners[:, 2].argmin()]
-    edge = plate.vertices_m[plate.edges[rng.integers(len(plate.edges))]]
-    along = rng.uniform()
-    beside = rng.choice([0.0, 1e-6, 5e-5, 3e-4]) * rng.normal(size=2)
-    place = 0.8 * ((1 - along) * edge[0] + along * edge[1])[:2] + beside
+    # So far from the rim that no edge of the box goes over it.
+    place = np.full(2, np.inf)
+    while np.abs(place).max() > 0.4 * _HALF_M:
+        ends = plate.vertices_m[plate.edges[rng.integers(len(plate.edges))]]
+        place = (ends[0] + rng.uniform() * (ends[1] - ends[0]))[:2] + rng.choice([0, 1e-6, 5e-5, 3e-4]) * rng.normal(
+            size=2
+        )
     contact = rubbing(0.0, ("box", "plate"))
     gap_m = _gap_m(contact, force_n)
     body = RigidBody(mesh=box, rotation=turn, translation_m=np.array([*place, gap_m]) - lowest, material="box")
