@@ -31,7 +31,7 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 # An edge pair, its ends against the edges, and against each other; a triangle with its edges and corners has 7.
-MOST_TERMS = 9
+TERM_COUNT = 9
 
 
 class Terms(NamedTuple):
@@ -45,7 +45,7 @@ class Terms(NamedTuple):
 @allocating_kernel
 def new_terms() -> Terms:
     """Return uninitialised scratch."""
-    return Terms(np.empty(MOST_TERMS), np.empty((MOST_TERMS, 4)), np.empty((MOST_TERMS, 4), np.int64))
+    return Terms(np.empty(TERM_COUNT), np.empty((TERM_COUNT, 4)), np.empty((TERM_COUNT, 4), np.int64))
 
 
 @kernel

@@ -24,7 +24,7 @@ from .barrier import YIELDED, barrier, drag, mollifier, squared_cross_norm
 from .broad_phase import Candidates, find_candidates
 from .contact import Quad, weighted_sum
 from .distance import EDGE_EDGE, POINT_TRIANGLE, closest_points
-from .features import MOST_TERMS, is_inside, new_terms, separation, write_terms
+from .features import TERM_COUNT, is_inside, new_terms, separation, write_terms
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -106,7 +106,7 @@ def remember_slips(
     It is what a spring of the tangential stiffness has in it at the friction force: the rest has slid.
     """
     d_hat, stiffness_n_m, terms = model.parameters.d_hat_m, model.parameters.tangential_stiffness_n_m, new_terms()
-    capacity = MOST_TERMS * len(candidates.pair_type)
+    capacity = TERM_COUNT * len(candidates.pair_type)
     memory = ContactMemory(np.empty((capacity, _NAMES + 1), np.int64), np.empty((capacity, 3)), np.zeros((capacity, 3)))
     count = 0
     for k in range(len(candidates.pair_type)):
@@ -251,7 +251,7 @@ def pair_forces(model: Model, x: FloatArray, x_start: FloatArray, memory: Contac
     point_positions(model.points, x_start, y_start)
     d_hat, surfaces, terms = model.parameters.d_hat_m, model.surfaces, new_terms()
     candidates = find_candidates(surfaces, y, np.full(len(surfaces.pairs), d_hat))
-    capacity, count = MOST_TERMS * len(candidates.pair_type), 0
+    capacity, count = TERM_COUNT * len(candidates.pair_type), 0
     found = PairForces(
         np.empty((capacity, 2), np.int64),
         np.empty((capacity, 3)),
