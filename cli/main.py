@@ -71,6 +71,12 @@ NOUNS = (
         app="describe",
         summary="Say what a public result is; link code and paper.",
     ),
+    Noun(
+        name="withdraw",
+        module="client.publish",
+        app="withdraw",
+        summary="Take a submission off all boards, or delete it.",
+    ),
     Noun(name="compare", module="compare", summary="Compare two submissions episode by episode."),
     Noun(name="receipt", module="receipt.app", summary="Verify receipts; audit the public log and boards."),
     Noun(

@@ -48,7 +48,20 @@ export class Forces {
       found.userData.head.scale.setScalar(Math.min(1, length / HEAD_MM[1]));
     });
   }
+
+  /** Makes arrows thin that point at the eye or away from it. */
+  face(eye) {
+    for (const found of this.arrows) {
+      const along = ALONG.clone().applyQuaternion(found.quaternion);
+      const slant = found.position.clone().sub(eye).normalize().cross(along).length(); // the sine of the angle between
+      const thickness = Math.max(END_ON, Math.min(1, 2 * slant));
+      found.scale.set(thickness, 1, thickness);
+    }
+  }
 }
+
+/** How thick an arrow is that is seen from its end, where it would be a blob that hides what it points at. */
+const END_ON = 0.3;
 
 /** An arrow along y whose tip is at its origin; seen through everything, as contacts lie inside. */
 function arrow(shaft, head, color) {

@@ -5,10 +5,10 @@ import { CanvasTexture, Sprite, SpriteMaterial, SRGBColorSpace } from "three";
 import { LINES } from "./colours.js";
 import { element } from "./elements.js";
 
-const HEIGHT = 0.02; // of the picture, at a field of view of 53 degrees
+const HEIGHT = 0.016; // of the picture, at a field of view of 53 degrees
 const PIXELS = 64;
 
-/** The number after `at`, seen through everything, just below a place of the part that it is added to [mm]. */
+/** The number after `at`, seen through everything, at a place of the part that it is added to [mm]. */
 export function label(at, place) {
   const canvas = element("canvas", { width: PIXELS, height: PIXELS });
   drawNumber(canvas.getContext("2d"), at, 0.5 * PIXELS, 0.5 * PIXELS, 0.46 * PIXELS);
@@ -16,7 +16,6 @@ export function label(at, place) {
   map.colorSpace = SRGBColorSpace;
   const sprite = new Sprite(new SpriteMaterial({ map, depthTest: false, sizeAttenuation: false, toneMapped: false }));
   sprite.scale.setScalar(HEIGHT);
-  sprite.center.set(0.5, 1.7); // so that it hides no contact at the place
   sprite.position.fromArray(place);
   sprite.renderOrder = 4;
   return sprite;
@@ -31,7 +30,7 @@ export function drawNumber(context, at, x, y, radius) {
   context.fillStyle = "#ffffff";
   context.font = `600 ${1.5 * radius}px system-ui, sans-serif`;
   context.textAlign = "center";
-  context.textBaseline = "central";
+  context.textBaseline = "middle";
   context.fillText(`${at + 1}`, x, y);
   context.textAlign = "start";
   context.textBaseline = "alphabetic";

@@ -57,7 +57,7 @@ class Player {
   show(time, { quantity, isCutOpen, isXray, hasForces, hasNames, hasPictures, view }, largest) {
     const step = this.episode.stepAt(time);
     const ended = Math.min(time, this.episode.lastStep);
-    if (isCutOpen !== (this.shown.isCutOpen ?? true)) this.stage?.cutOpen(isCutOpen);
+    if (isCutOpen !== (this.shown.isCutOpen ?? false)) this.stage?.cutOpen(isCutOpen);
     if (isXray !== (this.shown.isXray ?? false)) this.stage?.xray(isXray);
     if (hasForces !== (this.shown.hasForces ?? true)) this.stage?.showForces(hasForces);
     if (hasNames !== (this.shown.hasNames ?? true)) this.stage?.showNames(hasNames);

@@ -6,7 +6,6 @@ import {
   CatmullRomCurve3,
   EdgesGeometry,
   LineBasicMaterial,
-  Line3,
   LineSegments,
   Matrix4,
   Mesh,
@@ -45,7 +44,7 @@ export class Stage extends View {
     this.episode = episode;
     this.renderer.localClippingEnabled = true;
     this.pose = new Float32Array(12);
-    this.isXray = this.looksAtGel = false;
+    this.isXray = this.looksAtGel = this.isCutOpen = this.isSection = false;
     this.gels = [0, 1].map((side) => new GelSurface(episode, side));
     const along = this.#palmSide();
     this.bodies = this.gels.map(() => sensorBody(episode.arrays.gel_nodes_mm.values, along));
@@ -56,7 +55,6 @@ export class Stage extends View {
     this.held = this.#held();
     this.forces = new Forces(this.scene, episode, force);
     this.fixed = this.#fixed();
-    this.fixed.cut(this.planes);
     this.pressure = new PartPressure(episode);
     for (const { outside } of [this.held, this.fixed]) this.pressure.colour(outside);
     this.path = this.#path();
@@ -86,6 +84,12 @@ export class Stage extends View {
     this.draw();
   }
 
+  /** Draws, with arrows that point at the eye small. */
+  draw() {
+    this.forces?.face(this.camera.position);
+    super.draw();
+  }
+
   showForces(areShown) {
     this.forces.group.visible = areShown;
     this.draw();
@@ -97,8 +101,15 @@ export class Stage extends View {
   }
 
   cutOpen(isOpen) {
-    this.fixed.cut(isOpen ? this.planes : []);
+    this.isCutOpen = isOpen;
+    this.#cut();
     this.draw();
+  }
+
+  /** The fixed part is cut where that is asked for, and both parts in the section. */
+  #cut() {
+    this.fixed.cut(this.isCutOpen || this.isSection ? this.planes : []);
+    this.held.cut(this.isSection ? this.planes : []);
   }
 
   /** Shows the held part like glass, so that what is behind and below it is seen. */
@@ -125,7 +136,8 @@ export class Stage extends View {
       this.bodies[at].visible = at !== other && !isAbove;
     });
     this.palm.mesh.visible = side === undefined && !isAbove;
-    this.held.cut(name === "section" ? this.planes : []);
+    this.isSection = name === "section";
+    this.#cut();
     this.looksAtGel = side !== undefined;
     this.#showGlass();
     this.flyTo(...this.#view(name, side));
@@ -212,11 +224,9 @@ export class Stage extends View {
     return pointsOf(this.episode.arrays.held_vertices_mm.values).map((point) => point.applyMatrix4(matrix));
   }
 
-  /** What is left of the fixed part, and the held part at both ends. */
+  /** The fixed part, and the held part at both ends. */
   #pointsOfParts() {
-    const { fixed_vertices_mm: fixed, fixed_triangles: triangles } = this.episode.arrays;
-    const left = this.planes.reduce((points, plane) => cutPoints(points, triangles.values, plane), pointsOf(fixed.values));
-    return [...left, ...this.#ends().flatMap((moment) => this.#pointsOfHeld(moment))];
+    return [...pointsOf(this.episode.arrays.fixed_vertices_mm.values), ...this.#ends().flatMap((moment) => this.#pointsOfHeld(moment))];
   }
 
   /** The gripper at both ends; its parts must not be in the scene yet. */
@@ -261,15 +271,6 @@ function solid(geometry, look, section) {
 function matrixOf(pose, made = new Matrix4()) {
   const [a, b, c, d, e, f, g, h, i, x, y, z] = pose;
   return made.set(a, b, c, x, d, e, f, y, g, h, i, z, 0, 0, 0, 1);
-}
-
-/** Those of a surface's corners that a plane leaves, and where it cuts the edges. */
-function cutPoints(points, triangles, plane) {
-  const cuts = Array.from(triangles, (from, at) => {
-    const to = triangles[at % 3 === 2 ? at - 2 : at + 1];
-    return plane.intersectLine(new Line3(points[from], points[to]), new Vector3());
-  });
-  return [...points.filter((point) => plane.distanceToPoint(point) >= 0), ...cuts.filter(Boolean)];
 }
 
 function pointsOf(values) {

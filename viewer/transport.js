@@ -99,9 +99,14 @@ export class Transport {
   }
 }
 
-/** Shows all of a menu that opens, and closes it by Escape and by a press elsewhere. */
+const ROOM = 16; // [px] above a menu
+
+/** Opens a menu upwards beside the scene where it has room, and closes it by Escape and by a press elsewhere. */
 function operate(menu) {
-  menu.addEventListener("toggle", () => menu.open && menu.lastElementChild.scrollIntoView({ block: "nearest" }));
+  menu.addEventListener("toggle", () => {
+    const [top, height] = [menu.getBoundingClientRect().top, menu.lastElementChild.offsetHeight];
+    menu.classList.toggle("up", menu.open && top > height + ROOM);
+  });
   document.addEventListener("pointerdown", ({ target }) => (menu.open &&= menu.contains(target)));
   menu.addEventListener("keydown", ({ key }) => {
     if (key !== "Escape") return;

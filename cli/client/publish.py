@@ -8,6 +8,7 @@ import typer
 
 from ..terminal.output import AsJson, Server, TokenFile, print_json, print_record
 from .http import make_client
+from .verbs import Yes, require_consent
 
 
 def publish(
@@ -48,6 +49,37 @@ def choose(
         print_json(found)
     else:
         print(f"{found['name']}: {'chosen for the final list' if found['chosen'] else 'not chosen'}")
+
+
+def withdraw(
+    submission: Annotated[str, typer.Argument(help="Id of a submission of your team.")],
+    undo: Annotated[bool, typer.Option("--undo", help="Put it back on the boards.")] = False,
+    delete: Annotated[
+        bool, typer.Option("--delete", help="Remove upload, description and output permanently, too; scores stay.")
+    ] = False,
+    yes: Yes = False,
+    server: Server = None,
+    token_file: TokenFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Take a submission off all boards, and cancel what waits or runs of it; what it used of quotas stays used.
+
+    Nobody but your team, judges and organizers sees it then. --undo, or uploading the same content, puts it back.
+    """
+    if undo and delete:
+        raise typer.BadParameter("give one of --undo and --delete")
+    client, address = make_client(server, token_file), f"/api/v1/submissions/{submission}"
+    if delete:
+        require_consent(f"Remove what you uploaded as {submission} permanently?", yes=yes)
+        found = client.call("DELETE", address)
+    else:
+        found = client.call("DELETE" if undo else "PUT", f"{address}/withdrawal")
+    if as_json:
+        print_json(found)
+    elif delete:
+        print("deleted: the upload is removed within a day")
+    else:
+        print("it is on the boards again" if undo else "withdrawn: it is on no board")
 
 
 FIELDS = ("text", "code", "paper", "discussion")

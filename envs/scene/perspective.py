@@ -87,6 +87,7 @@ class Perspective:
         section: the plane view beside it.
         progress: what the time line shows.
         position: the held part's place, in words, from the info of an env step.
+        arrival: what the held part has done when the task is solved, in words.
     """
 
     held_name: str
@@ -98,6 +99,7 @@ class Perspective:
     section: SectionView
     progress: Progress
     position: Callable[[InfoView], str]
+    arrival: str = "reached its goal"
 
 
 def signed(value: float) -> str:

@@ -20,7 +20,7 @@ from ..database.clock import read_clock
 from ..database.models import ApiToken, Evaluation, PartialUpload, Submission, SubmissionFile, Team, TeamQuota
 from ..database.states import ACTIVE_EVALUATION_STATES, EvaluationState, Quota
 from ..database.stored_episodes import OF_EVALUATION
-from ..database.stored_uploads import WAS_CANCELLED
+from ..database.stored_uploads import HAS_NO_UPLOAD
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
 from ..settings import Quotas
@@ -205,7 +205,7 @@ def _used(session: Session, team_id: UUID, quota: Quota) -> int | None:
 
 def _stored_bytes(session: Session, team_id: UUID) -> int:
     """Return the size of a team's stored files, each once, and of its uploads that are not complete."""
-    own = Submission.team_id == team_id, ~WAS_CANCELLED
+    own = Submission.team_id == team_id, ~HAS_NO_UPLOAD
     uploads = select(Submission.archive_sha256, Submission.archive_bytes).where(*own)
     others = select(SubmissionFile.sha256, SubmissionFile.n_bytes).join(
         Submission, Submission.id == SubmissionFile.submission_id

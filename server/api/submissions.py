@@ -26,7 +26,7 @@ from ..limiter import UPLOADS
 from ..names import TEXT_LENGTH
 from ..principals import Principal
 from ..services import Services
-from ..submissions import disqualification, files, listing, runs, sensors, upload
+from ..submissions import disqualification, files, listing, runs, sensors, upload, withdrawal
 from ..submissions.comparison import MAX_COMPARED, compare_results
 from ..submissions.listing import model_card
 from ..submissions.watch import Changes, watch
@@ -245,7 +245,7 @@ def get_output(
 def get_sensor(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> SensorView:
     """Return the sensor of a submission: its mesh, its document, and what sensing adds once both runs are complete."""
     with services.database.transaction() as session:
-        return sensors.sensor(session, principal, submission_id)
+        return sensors.sensor(session, principal, visible(session, principal, submission_id))
 
 
 @router.get(
@@ -349,6 +349,24 @@ def get_model_card(services: ServicesOf, principal: PublicReaderOf, submission_i
 def cancel_submission(services: ChangingServicesOf, principal: OwnerOf, submission_id: UUID) -> SubmissionView:
     """End a queued or running evaluation. Finished episodes stay stored: uploading again takes it up."""
     return _show_changed(services, principal, submission_id, runs.cancel)
+
+
+@router.put("/{submission_id}/withdrawal")
+def put_withdrawal(services: ChangingServicesOf, principal: OwnerOf, submission_id: UUID) -> SubmissionView:
+    """Take an own submission off all boards, and cancel what waits or runs of it. Quotas stay used."""
+    return _show_changed(services, principal, submission_id, withdrawal.withdraw)
+
+
+@router.delete("/{submission_id}/withdrawal")
+def delete_withdrawal(services: ChangingServicesOf, principal: OwnerOf, submission_id: UUID) -> SubmissionView:
+    """Put a withdrawn submission back on the boards."""
+    return _show_changed(services, principal, submission_id, withdrawal.restore)
+
+
+@router.delete("/{submission_id}")
+def delete_submission(services: ChangingServicesOf, principal: OwnerOf, submission_id: UUID) -> SubmissionView:
+    """Withdraw an own submission and remove its upload, description and output permanently; its scores stay."""
+    return _show_changed(services, principal, submission_id, withdrawal.erase)
 
 
 @router.put("/{submission_id}/disqualification")

@@ -11,7 +11,8 @@ CANCELLED_KEPT = timedelta(days=1)
 """How long the upload of a submission is stored all of whose evaluations were cancelled; it may be sent again."""
 
 _OTHERS = or_(Evaluation.state != EvaluationState.CANCELLED, Evaluation.finished_at > func.now() - CANCELLED_KEPT)
-WAS_CANCELLED = exists().where(Evaluation.submission_id == Submission.id).correlate(Submission) & ~exists().where(
+_WAS_CANCELLED = exists().where(Evaluation.submission_id == Submission.id).correlate(Submission) & ~exists().where(
     Evaluation.submission_id == Submission.id, _OTHERS
 ).correlate(Submission)
-"""Condition on submissions: there were evaluations, and all of them were cancelled a day ago or earlier."""
+HAS_NO_UPLOAD = _WAS_CANCELLED | Submission.erased_at.is_not(None)
+"""Condition on submissions: their team deleted them, or all their evaluations were cancelled a day ago or earlier."""

@@ -53,7 +53,7 @@ from .rejudging import set_aside
 def read_teams(session: Session, evaluations: Collection[UUID]) -> tuple[ExportedTeam, ...]:
     """Return the teams of some evaluations, by name."""
     rows = session.execute(
-        select(Team, Evaluation.id, Submission.disqualified_at)
+        select(Team, Evaluation.id, Submission.is_off_boards)
         .join(Submission, Submission.team_id == Team.id)
         .join(Evaluation, Evaluation.submission_id == Submission.id)
         .where(Evaluation.id.in_(evaluations))
@@ -61,9 +61,9 @@ def read_teams(session: Session, evaluations: Collection[UUID]) -> tuple[Exporte
     )
     found: dict[Team, list[UUID]] = {}
     disqualified: set[UUID] = set()
-    for team, evaluation, disqualified_at in rows:
+    for team, evaluation, is_off_boards in rows:
         found.setdefault(team, []).append(evaluation)
-        if disqualified_at is not None:
+        if is_off_boards:
             disqualified.add(evaluation)
     return tuple(_exported(session, team, ids, disqualified.intersection(ids)) for team, ids in found.items())
 

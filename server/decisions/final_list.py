@@ -174,7 +174,7 @@ def _list_chosen(session: Session, stage: Stage) -> list[Submission]:
             BoardResult.kind == SubmissionKind.MODEL,
             BoardResult.evaluator_version == find_version(stage.track),
             ~BoardResult.is_copy,
-            ~BoardResult.is_disqualified,
+            ~BoardResult.is_off_boards,
             takes_part(),
         )
         .order_by(Submission.team_id, Submission.chosen_at.desc().nulls_last(), BoardResult.sort_key, Submission.id)

@@ -201,6 +201,6 @@ def require_current(session: Session, stage: Stage) -> None:
 
 
 def _teams(stage: Stage) -> Select[str]:
-    """Return the names of the teams with a submission to a stage; what is disqualified holds nobody up."""
-    taking_part = Team.disqualified_at.is_(None), Submission.disqualified_at.is_(None)
+    """Return the names of the teams with a submission to a stage; what is disqualified or withdrawn holds nobody up."""
+    taking_part = Team.disqualified_at.is_(None), ~Submission.is_off_boards
     return select(Team.name).join(Submission).where(stage.submissions, *taking_part).distinct().order_by(Team.name)

@@ -196,7 +196,7 @@ def _board_result(
         sort_key=list(ranking.sort_key(values)),
         submitted_at=submission.submitted_at,
         finished_at=finished_at,
-        is_disqualified=submission.disqualified_at is not None,
+        is_off_boards=submission.is_off_boards,
     )
 
 

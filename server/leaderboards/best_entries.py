@@ -179,7 +179,7 @@ def _board_conditions(result: type[BoardResult]) -> tuple[ColumnElement[bool], .
         result.kind == bindparam("kind"),
         result.board == bindparam("board"),
         result.finished_at <= bindparam("until"),
-        ~result.is_disqualified,
+        ~result.is_off_boards,
     )
 
 

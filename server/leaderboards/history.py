@@ -54,7 +54,7 @@ def _read(session: Session, board: Board) -> Sequence[BoardResult]:
             BoardResult.board == (board.task or ALL_TASKS),
             BoardResult.evaluator_version == board.evaluator_version,
             BoardResult.finished_at <= board.until,
-            ~BoardResult.is_disqualified,
+            ~BoardResult.is_off_boards,
             ~BoardResult.is_copy,
             takes_part(),
         )

@@ -171,7 +171,7 @@ def _newest_text_logs() -> Select[UUID]:
             BoardResult.stage == bindparam("stage"),
             BoardResult.kind == SubmissionKind.TEXT_LOG,
             BoardResult.finished_at <= bindparam("until"),
-            ~BoardResult.is_disqualified,
+            ~BoardResult.is_off_boards,
         )
         .ext(distinct_on(BoardResult.submission_id))
         .order_by(BoardResult.submission_id, BoardResult.finished_at.desc(), BoardResult.evaluation_id)

@@ -37,8 +37,8 @@ def readable(session: Session, by: Principal, submission_id: UUID) -> Submission
 def public_among(session: Session, submissions: Collection[UUID]) -> frozenset[UUID]:
     """Return those of some submissions that everybody may see.
 
-    Left out are disqualified ones, those of disqualified teams, and, while boards are frozen, results that these do not
-    show.
+    Left out are disqualified and withdrawn ones, those of disqualified teams, and, while boards are frozen, results
+    that these do not show.
     """
     query = (
         select(Submission.id)
@@ -47,7 +47,7 @@ def public_among(session: Session, submissions: Collection[UUID]) -> frozenset[U
             among(Submission.id, submissions),
             Submission.is_public,
             Team.disqualified_at.is_(None),
-            Submission.disqualified_at.is_(None),
+            ~Submission.is_off_boards,
             newest_state() == EvaluationState.COMPLETED,
         )
     )

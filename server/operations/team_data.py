@@ -4,9 +4,8 @@ import secrets
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from sqlalchemy import delete, exists, func, or_, select, update
-from sqlalchemy.orm import Session, aliased
-from vitac.evaluator.episodes.records import EpisodeRecord
+from sqlalchemy import delete, func, or_, select, update
+from sqlalchemy.orm import Session
 
 from ..accounts import members, teams, tokens, webhooks
 from ..accounts.messages import make_announcement_view, make_question_view
@@ -20,7 +19,6 @@ from ..database.models import (
     Appeal,
     AuditEntry,
     CompetitionRow,
-    EpisodeResult,
     Evaluation,
     Invitation,
     Member,
@@ -37,10 +35,10 @@ from ..principals import Principal
 from ..settings import Settings
 from ..submissions.appeals import appeal_view
 from ..submissions.view import submission_views
+from ..submissions.withdrawal import REMOVED, erase_output
 from ..views.team_data import TeamDataView
 from ..views.teams import AuditEntryView
 
-REMOVED = "(removed with its team)"
 _ACTIONS = ("team.", "member.")
 """Actions whose audit lines members get; conflicts of interest of judges, for example, are not for the team."""
 _CAPTAINS_ACTIONS = ("webhook.",)
@@ -103,7 +101,7 @@ def erase(session: Session, by: Principal, team: Team) -> None:
     team.name = f"Deleted team {secrets.token_hex(16)}"  # nobody can have taken this name before
     team.name_key, team.contact, team.note = teams.name_key(team.name), None, ""
     team.named_at = team.erased_at = now
-    _erase_output(session, team)
+    erase_output(session, Submission.team_id == team.id)
     session.execute(update(Submission).where(Submission.team_id == team.id).values(description=None))
     _rename_in_final_results(session, team)
     session.execute(delete(Question).where(Question.team_id == team.id, ~Question.public))
@@ -149,37 +147,3 @@ def _audit_log(session: Session, by: Principal, team: Team) -> list[AuditEntryVi
         else one
         for one in found
     ]
-
-
-def _erase_output(session: Session, team: Team) -> None:
-    """Remove what the policies of a team printed; where another team has the same content, it stays theirs.
-
-    A record that the result hash of a scored evaluation covers stays whole, or nobody could check that score again.
-    """
-    theirs, ours = aliased(Submission), aliased(Submission)
-    mine = exists().where(ours.team_id == team.id, ours.digest == EpisodeResult.submission_digest)
-    shared = exists().where(theirs.team_id != team.id, theirs.digest == EpisodeResult.submission_digest)
-    session.execute(
-        update(EpisodeResult).where(mine, ~shared).values(output="").execution_options(synchronize_session=False)
-    )
-    scored = exists().where(
-        ours.digest == EpisodeResult.submission_digest,
-        Evaluation.submission_id == ours.id,
-        Evaluation.run == EpisodeResult.run,
-        Evaluation.evaluator_version == EpisodeResult.evaluator_version,
-        Evaluation.result_hash.is_not(None),
-    )
-    failed = EpisodeResult.record["failure"].astext.is_not(None)
-    for row in session.scalars(select(EpisodeResult).where(mine, ~shared, ~scored, failed)):
-        stored = EpisodeRecord.model_validate(row.record)
-        failure = stored.failure and stored.failure.model_copy(update={"message": REMOVED, "output_tail": ""})
-        kept = stored.model_copy(update={"failure": failure})
-        row.record, row.record_digest = kept.model_dump(mode="json", exclude={"output"}), kept.record_digest()
-    of_team = Evaluation.submission_id.in_(select(Submission.id).where(Submission.team_id == team.id))
-    session.execute(
-        update(Evaluation)
-        .where(of_team, Evaluation.verdict_message.is_not(None))
-        .values(verdict_message=REMOVED)
-        .execution_options(synchronize_session=False)
-    )
-    session.execute(update(Evaluation).where(of_team).values(log_tail="").execution_options(synchronize_session=False))

@@ -13,7 +13,7 @@ import numpy as np
 from vitac.envs.drawing.drawable import NotDrawable, find_perspective
 from vitac.envs.scene.perspective import Perspective
 from vitac.envs.tasks.definition import LARGEST_SURFACE_DIFF_M
-from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, counted_env_steps
+from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 
 from ..views.comparisons import StoryMomentView
 
@@ -24,6 +24,7 @@ STILL_MM: Final = 0.05
 LEAST_FORCE_N: Final = 0.05
 """A smaller force on the held part is not worth words: it touched nothing."""
 _SIDES = ("left", "right")
+_NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
 _ENDS = {
     EpisodeOutcome.FORCE: "too much force",
     EpisodeOutcome.TACTILE: "a gel has moved too far",
@@ -109,34 +110,47 @@ class _Course:
 
 
 def _sentence(record: EpisodeRecord, course: _Course) -> str:
+    """Return what happened, and then its numbers."""
     outcome, peak_n = record.outcome, record.forces.part.peak_n if record.forces else None
-    held, last = course.perspective.held_name, len(course.infos)
-    steps = counted_env_steps(last)
+    held, after = course.perspective.held_name, f"after {_count_moves(len(course.infos))}"
     side = int(course.motions_mm[-1].argmax())
     if outcome is EpisodeOutcome.SUCCESS:
-        largest = course.motions_mm.max()
-        touch = f"touched at env step {course.touched} ({course.position(course.touched)}), " if course.touched else ""
-        force = "" if not peak_n or peak_n < LEAST_FORCE_N else f"; the largest force on the {held} was {peak_n:.1f} N"
-        return (
-            f"Solved in {steps}: the {held} {touch}reached its goal at env step {last} "
-            f"({course.position(last)}); no gel’s surface moved by more than {largest:.2f} mm{force}."
-        )
+        return f"The {held} {course.perspective.arrival} {after}. {_describe_success(course, peak_n)}"
     if outcome is EpisodeOutcome.FORCE and record.forces:
         return (
-            f"Failed at env step {last}: the force on the {held} reached {peak_n:.1f} N "
+            f"The {held} was pressed too hard {after}: the force on it reached {peak_n:.1f} N "
             f"(limit {record.forces.over_force_n:g} N), {_describe_position(course)}."
         )
     if outcome is EpisodeOutcome.TACTILE:
         return (
-            f"Failed at env step {last}: the {_SIDES[side]} gel’s surface had moved by "
+            f"The {_SIDES[side]} gel was pushed too far {after}: its surface had moved by "
             f"{course.motions_mm[-1, side]:.2f} mm (limit {1e3 * LARGEST_SURFACE_DIFF_M:g} mm), "
             f"{_describe_position(course)}."
         )
     if outcome is EpisodeOutcome.ERROR:
-        return f"Failed at env step {last}: gripper or {held} left its range, {_describe_position(course)}."
+        return f"The gripper or the {held} left its range {after}, {_describe_position(course)}."
     if outcome is EpisodeOutcome.STEPS:
-        return f"Failed: all {steps} were used up, {_describe_position(course)}."
+        moves = _count_moves(len(course.infos))
+        return f"The {held} did not get there: all {moves} were used up, {_describe_position(course)}."
     return outcome.sentence
+
+
+def _describe_success(course: _Course, peak_n: float | None) -> str:
+    """Return the numbers of a solved episode as a sentence."""
+    touch = (
+        f"It touched at env step {course.touched} ({course.position(course.touched)}) and" if course.touched else "It"
+    )
+    force = f"; the largest force on it was {peak_n:.1f} N" if peak_n and peak_n >= LEAST_FORCE_N else ""
+    return (
+        f"{touch} ended at {course.position(len(course.infos))}; no gel’s surface moved by more than "
+        f"{course.motions_mm.max():.2f} mm{force}."
+    )
+
+
+def _count_moves(number: int) -> str:
+    """Return a number of env steps as people say it: "one move", "six moves", "27 moves"."""
+    words = _NUMBERS[number] if number < len(_NUMBERS) else str(number)
+    return f"{words} {'move' if number == 1 else 'moves'}"
 
 
 def _describe_position(course: _Course) -> str:

@@ -325,7 +325,7 @@ def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]
             yield False, f"{subject}; the service leaves the team out: {team.off_boards}."
             continue
         if receipt.result.evaluation in team.disqualified:
-            yield False, f"{subject}; the service leaves the result out: its submission was disqualified."
+            yield False, f"{subject}; the service leaves the result out: its submission was disqualified or withdrawn."
             continue
         if receipt.result.evaluation in copies:
             if _copies_another_teams(described, receipts, receipt.result):

@@ -15,7 +15,7 @@ from ..competitions.stages import Stage
 from ..database.clock import read_clock
 from ..database.models import Submission, Team
 from ..database.states import NoticeKind, Quota
-from ..database.stored_uploads import WAS_CANCELLED
+from ..database.stored_uploads import HAS_NO_UPLOAD
 from ..errors import ProblemCode, ServiceError
 from ..evaluations import lifecycle
 from ..principals import Principal
@@ -25,6 +25,7 @@ from .disqualification import require_qualified
 from .files import add_files
 from .intake import CheckedUpload, check_file_name
 from .runs import next_run, require_machines_hold
+from .withdrawal import take_back
 
 EVALUATION_QUOTAS = (Quota.QUEUED_AT_ONCE, Quota.ATTEMPTS_PER_DAY, Quota.SCORED_RUNS_PER_DAY, Quota.STORED_MIB)
 DEFAULT_QUOTAS = Quotas()
@@ -72,12 +73,16 @@ def create(
     check_file_name(upload.file_name, team=team_row.name, stage=stage)
     submission, is_new = _find_or_add(session, team_row, upload, stage)
     require_qualified(submission)
-    run = next_run(session, submission, again=again)
-    if run is None:
-        return submission, False
-    if session.scalar(select(WAS_CANCELLED).where(Submission.id == submission.id)):
+    was_deleted = submission.erased_at is not None
+    if session.scalar(select(HAS_NO_UPLOAD).where(Submission.id == submission.id)):
         # Its archive is gone or goes soon; this one holds the same content, however it is packed.
         submission.archive_sha256, submission.archive_bytes = upload.archive_sha256, upload.archive_bytes
+    take_back(session, by, submission)
+    run = next_run(session, submission, again=again)
+    if run is None:
+        if was_deleted:
+            add_files(session, submission.id, upload.files)
+        return submission, False
     add_files(session, submission.id, upload.files)
     require_machines_hold(session, by, submission)
     charged_at = charge(session, quotas, by, team_row, *EVALUATION_QUOTAS)

@@ -2,18 +2,19 @@
 
 from uuid import UUID
 
-from sqlalchemy import select, update
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from .. import names
 from ..accounts.teams import REASON_LENGTH
 from ..audit import record
 from ..database.clock import read_clock
-from ..database.models import BoardResult, Submission
+from ..database.models import Submission
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.copies import list_completed, mark_copy
 from ..principals import Principal
 from ..visibility import visible
+from .withdrawal import mark_results
 
 
 def disqualify(session: Session, by: Principal, submission_id: UUID, reason: str) -> None:
@@ -27,7 +28,7 @@ def disqualify(session: Session, by: Principal, submission_id: UUID, reason: str
     shown = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH)
     require_qualified(submission)
     submission.disqualified_at, submission.disqualified_for = read_clock(session), shown
-    _mark_results(session, submission)
+    mark_results(session, submission)
     subject = f"submission:{submission.id}"
     record(session, by, "submission.disqualify", subject, {"reason": shown}, before={"reason": None})
 
@@ -42,7 +43,7 @@ def reinstate(session: Session, by: Principal, submission_id: UUID) -> None:
     if submission.disqualified_at is not None:
         before = {"reason": submission.disqualified_for}
         submission.disqualified_at = submission.disqualified_for = None
-        _mark_results(session, submission)
+        mark_results(session, submission)
         record(session, by, "submission.reinstate", f"submission:{submission.id}", {"reason": None}, before=before)
 
 
@@ -65,12 +66,6 @@ def _lock(session: Session, by: Principal, submission_id: UUID) -> Submission:
     session.execute(select(Submission.id).where(Submission.id == submission.id).with_for_update(key_share=True))
     session.refresh(submission, ["disqualified_at", "disqualified_for"])
     return submission
-
-
-def _mark_results(session: Session, submission: Submission) -> None:
-    of_submission = BoardResult.submission_id == submission.id
-    is_disqualified = submission.disqualified_at is not None
-    session.execute(update(BoardResult).where(of_submission).values(is_disqualified=is_disqualified))
 
 
 def clear(session: Session, by: Principal, submission_id: UUID, reason: str) -> None:

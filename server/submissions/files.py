@@ -14,7 +14,7 @@ from vitac.evaluator.episodes.records import EpisodeOutcome, PolicyFailure
 from ..competitions.competition import Competition
 from ..database.models import EpisodeResult, Evaluation, Submission, SubmissionFile, Team
 from ..database.states import FileRole
-from ..database.stored_uploads import WAS_CANCELLED
+from ..database.stored_uploads import HAS_NO_UPLOAD
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation
@@ -70,7 +70,7 @@ def stored_digests(connection: Connection | Session) -> list[str]:
 
     Not those of removed teams, and not those whose evaluations were all cancelled a day ago.
     """
-    is_kept = Team.erased_at.is_(None) & ~WAS_CANCELLED
+    is_kept = Team.erased_at.is_(None) & ~HAS_NO_UPLOAD
     uploads = select(Submission.archive_sha256).join(Submission.team).where(is_kept)
     others = (
         select(SubmissionFile.sha256)

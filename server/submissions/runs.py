@@ -10,7 +10,7 @@ from ..audit import record
 from ..database.locks import lock_evaluation
 from ..database.models import Evaluation, Submission
 from ..database.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
-from ..database.stored_uploads import WAS_CANCELLED
+from ..database.stored_uploads import HAS_NO_UPLOAD
 from ..errors import ProblemCode, ServiceError
 from ..evaluations import lifecycle
 from ..evaluations.history import all_runs, newest_evaluation
@@ -62,11 +62,11 @@ def run_again(session: Session, by: Principal, submission_id: UUID) -> Submissio
         raise ServiceError(
             ProblemCode.NOT_REQUEUABLE, f"The upload of submission {submission.id} was removed with its team."
         )
-    if session.scalar(select(WAS_CANCELLED).where(Submission.id == submission.id)):
+    if session.scalar(select(HAS_NO_UPLOAD).where(Submission.id == submission.id)):
         raise ServiceError(
             ProblemCode.NOT_REQUEUABLE,
-            f"The upload of submission {submission.id} was removed a day after its evaluation was cancelled; its team "
-            "may send it again.",
+            f"The upload of submission {submission.id} was removed by its team, or a day after its evaluation was "
+            "cancelled; its team may send it again.",
         )
     run = next_run(session, submission, again=True)
     if run is None:

@@ -166,13 +166,15 @@ def _measured_alike(evaluator_version: str, commitment: str | None) -> tuple[Col
     )
 
 
-def sensor(session: Session, by: Principal, submission_id: UUID) -> SensorView:
-    """Return the sensor of a submission; of its figures only those without starts where episodes are not shown.
+def sensor(session: Session, by: Principal, submission: Submission) -> SensorView:
+    """Return the sensor of a submission that somebody may read.
+
+    Of its figures only those without starts are shown where episodes are not.
 
     Raises:
-        ServiceError: there is no such submission, or it has no sensor.
+        ServiceError: it has no sensor.
     """
-    submission = visible(session, by, submission_id)
+    submission_id = submission.id
     made, described = (_file(session, submission_id, role) for role in (FileRole.SENSOR, FileRole.DOCUMENT))
     evaluation = newest_evaluation(session, submission)
     return SensorView(

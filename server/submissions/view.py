@@ -134,6 +134,8 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
         chosen=_is_chosen(submission, shown),
         final_of=submission.final_of,
         disqualified_for=submission.disqualified_for,
+        withdrawn_at=submission.withdrawn_at,
+        deleted_at=submission.erased_at,
         copy_of=shown.copies.get(newest.id),
         description=show_description(submission, shown.by, shown.names),
         evaluation=evaluation_view(newest, shown.fleet.alive, shown.evaluations),

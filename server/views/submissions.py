@@ -84,6 +84,12 @@ class SubmissionView(View):
         default=None, description="The submission that was chosen, where this one plays a final list; null elsewhere."
     )
     disqualified_for: str | None = Field(default=None, description="Why it is on no board; null: it may be.")
+    withdrawn_at: datetime | None = Field(
+        default=None, description="When its team took it off all boards; null: it did not."
+    )
+    deleted_at: datetime | None = Field(
+        default=None, description="When its team deleted the upload; null: it is stored."
+    )
     copy_of: CopyView | None = Field(default=None, description="Null where it is alike to no earlier one.")
     description: DescriptionView | None = Field(default=None, description="What its team wrote about it, where shown.")
     evaluation: EvaluationView

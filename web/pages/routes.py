@@ -110,6 +110,9 @@ def pages() -> APIRouter:
         ("/submissions/{submission_id}/cancel", sharing.cancel, "POST"),
         ("/submissions/{submission_id}/public", sharing.set_public, "POST"),
         ("/submissions/{submission_id}/chosen", sharing.set_chosen, "POST"),
+        ("/submissions/{submission_id}/withdraw", sharing.set_withdrawn, "POST"),
+        ("/submissions/{submission_id}/restore", sharing.set_withdrawn, "POST"),
+        ("/submissions/{submission_id}/delete", sharing.delete, "POST"),
         ("/submissions/{submission_id}/description", sharing.describe, "POST"),
         ("/submissions/{submission_id}/description/removal", sharing.set_removal, "POST"),
         ("/submissions/{submission_id}/clearance", sharing.set_clearance, "POST"),
@@ -118,6 +121,7 @@ def pages() -> APIRouter:
         ("/receipts", service.receipts, "GET"),
         ("/competition/archive", competition.archive, "GET"),
         ("/sandbox", service.sandbox, "GET"),
+        ("/status", service.status, "GET"),
         (f"{ADDRESS}search", service.search, "GET"),
         (f"{ADDRESS}{{name:path}}", service.documentation, "GET"),
         *(

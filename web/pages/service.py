@@ -6,6 +6,7 @@ from typing import Any, cast
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
+from vitac.server.api.health import get_ready
 from vitac.server.database.metrics import totals
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.operations import state
@@ -32,6 +33,20 @@ async def operations(request: Request) -> Response:
     found = await site.ask(lambda session: state.operations(session, settings, totals(session)))
     disk = measure_disk(settings.state_dir)
     return page(request, "operations.html", viewer=viewer, section="/operations", found=found, disk=disk)
+
+
+async def status(request: Request) -> Response:
+    """Show whether the service can do its work, part by part."""
+    answer = Response()
+    found = await get_ready(get_site(request).services, answer)
+    return page(
+        request,
+        "status.html",
+        viewer=await get_viewer(request),
+        section="/status",
+        status=answer.status_code,
+        found=found,
+    )
 
 
 async def sandbox(request: Request) -> Response:

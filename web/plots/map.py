@@ -26,6 +26,7 @@ def describe_start(task: Task, offset: Sequence[float]) -> str:
     return ", ".join(label.format(signed(value)) for label, value in pairs)
 
 
+NOT_RUN, NOT_RUN_YET = "not run", "not run yet"
 CellState = Literal["success", "other", "waiting"]
 
 
@@ -124,24 +125,33 @@ class Place:
 
 
 def episode_map(
-    track: str, task: str, ends: Mapping[int, EpisodeView], *, folder: str, known: bool = True
+    track: str,
+    task: str,
+    ends: Mapping[int, EpisodeView],
+    *,
+    folder: str,
+    known: bool = True,
+    has_ended: bool = False,
 ) -> EpisodeMap:
     """Arrange the episodes of a task; there are no maps of one that the track has no longer.
 
     Args:
         track: name of its track.
         task: its name.
-        ends: finished episodes by number; the others are waiting.
+        ends: finished episodes by number.
         folder: address below which each finished episode has a page.
         known: the starts are those of the track's file.
+        has_ended: the evaluation has, so that no other episode will be run.
     """
-    found = load_track(track)
+    found, otherwise = load_track(track), NOT_RUN if has_ended else NOT_RUN_YET
     layout = _layout(track, task, known=known) if task in found.tasks else {}
     return EpisodeMap(
         task=task,
         title=title_of_task(found, task),
         shapes=tuple(
-            ShapeMap(name=shape, cells=tuple(_cell(place, ends.get(place.number), folder) for place in places))
+            ShapeMap(
+                name=shape, cells=tuple(_cell(place, ends.get(place.number), folder, otherwise) for place in places)
+            )
             for shape, places in layout.items()
         ),
         outcomes=_count_outcomes(ends, folder if layout else None),
@@ -188,9 +198,9 @@ def _places(shape: str, task: Task, *, known: bool) -> tuple[Place, ...]:
     return tuple(places)
 
 
-def _cell(place: Place, end: EpisodeView | None, folder: str) -> MapCell:
+def _cell(place: Place, end: EpisodeView | None, folder: str, otherwise: str) -> MapCell:
     if end is None:
-        return MapCell(column=place.column, row=place.row, state="waiting", label=f"{place.label}not run yet")
+        return MapCell(column=place.column, row=place.row, state="waiting", label=place.label + otherwise)
     state: CellState = "success" if end.success else "other"
     how = f"{words(end.outcome)} at env step {end.env_steps}. {EpisodeOutcome(end.outcome).sentence}"
     address = f"{folder}/{place.number}"

@@ -10,12 +10,38 @@
   const button = form.querySelector("button");
   const mebibytes = (count) => (count / 1048576).toFixed(1);
 
+  const codeOf = (text) => Object.assign(document.createElement("code"), { textContent: text });
+
   const refuse = (sentence) => {
-    wrong.textContent = sentence;
+    wrong.replaceChildren(...sentence.split("`").map((part, at) => (at % 2 ? codeOf(part) : part)));
     wrong.hidden = false;
     progress.hidden = true;
     button.disabled = false;
   };
+
+  // A file may be dropped anywhere on the form.
+  const input = form.elements.file;
+  const zone = document.getElementById("drop");
+  for (const kind of ["dragenter", "dragover"]) {
+    form.addEventListener(kind, (event) => {
+      if (![...event.dataTransfer.types].includes("Files")) return;
+      event.preventDefault();
+      zone.classList.add("over");
+    });
+  }
+  form.addEventListener("dragleave", (event) => form.contains(event.relatedTarget) || zone.classList.remove("over"));
+  form.addEventListener("drop", (event) => {
+    event.preventDefault();
+    zone.classList.remove("over");
+    const { files, items } = event.dataTransfer;
+    const isFolder = [...items].some((item) => item.webkitGetAsEntry?.()?.isDirectory);
+    if (isFolder) refuse("This is a folder; pack it as a zip first, or use `vitac submit FOLDER`.");
+    else if (files.length !== 1) refuse(`Drop one file, got ${files.length}.`);
+    else {
+      wrong.hidden = true;
+      input.files = files;
+    }
+  });
 
   form.addEventListener("submit", (event) => {
     event.preventDefault();

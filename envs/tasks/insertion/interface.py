@@ -186,6 +186,7 @@ def insertion_perspective(*, fixed_name: str, section: SectionView, title: str, 
         section=section,
         progress=Progress(title=title, heights_mm=_heights_mm, goal_mm=-depth_mm, goal_is_below=True),
         position=_position,
+        arrival="went in",
     )
 
 

@@ -285,4 +285,5 @@ PERSPECTIVE = Perspective(
         goal_is_below=False,
     ),
     position=_position,
+    arrival="opened the lock",
 )

@@ -125,7 +125,7 @@ class BoardResult(Base):
     `ranked_by` has its values by name, `sort_key` those of the board's ranking, low first (`evaluator.ranking`).
     `is_copy` is one that is not ranked because another team had its states (`LogCopy`) or nearly its actions before
     (`NearCopy`), unless its submission was cleared; one that
-    `is_disqualified`, with its submission, is on no board. The rest repeats what the rows of its evaluation, submission
+    `is_off_boards`, with its submission, is on no board. The rest repeats what the rows of its evaluation, submission
     and team say, so that one index finds the best of each team.
     """
 
@@ -148,7 +148,7 @@ class BoardResult(Base):
     submitted_at: Mapped[datetime]
     finished_at: Mapped[datetime]
     is_copy: Mapped[bool] = mapped_column(default=False, server_default=false())
-    is_disqualified: Mapped[bool] = mapped_column(default=False, server_default=false())
+    is_off_boards: Mapped[bool] = mapped_column(default=False, server_default=false())
     evaluation: Mapped[Evaluation] = relationship(back_populates="board_results")
 
 

@@ -4,8 +4,9 @@ from datetime import datetime
 from typing import Any
 from uuid import UUID, uuid4
 
-from sqlalchemy import BigInteger, CheckConstraint, ForeignKey, Index, String, false, func, text
+from sqlalchemy import BigInteger, CheckConstraint, ColumnElement, ForeignKey, Index, String, false, func, text
 from sqlalchemy.dialects.postgresql import JSONB
+from sqlalchemy.ext.hybrid import hybrid_property
 from sqlalchemy.orm import Mapped, mapped_column, relationship
 from vitac.evaluator.submission_kinds import SubmissionKind
 
@@ -19,9 +20,11 @@ class Submission(Base):
 
     `competition` and `stage` are empty outside a competition. `merged_from` is the team that made it, where its
     present team had the same content already. `is_public` says whether everybody may see its result.
-    Results of a disqualified one are on no board; `disqualified_for` says why. `copy_cleared_for` says why one that was
-    found to be a copy is ranked. `archive_sketch` is what a model's archive is compared by, `contents` says what is in
-    it. `description` is what the team wrote about its result; `description_removed_for` says why others do not see it.
+    Results of a disqualified one and of one that its team has withdrawn are on no board (`is_off_boards`);
+    `disqualified_for` says why. Of a deleted one (`erased_at`) only name, scores and records are left.
+    `copy_cleared_for` says why one that was found to be a copy is ranked. `archive_sketch` is what a model's archive is
+    compared by, `contents` says what is in it. `description` is what the team wrote about its result;
+    `description_removed_for` says why others do not see it.
     `chosen_at` says since when its team wants it to play the final list of its stage; `final_of` is the one that was
     chosen, of the submission that plays that list.
     """
@@ -43,6 +46,7 @@ class Submission(Base):
         sha256_check("archive_sha256"),
         CheckConstraint("archive_bytes > 0", name="archive_is_not_empty"),
         CheckConstraint("(disqualified_at IS NULL) = (disqualified_for IS NULL)", name="disqualified_for_a_reason"),
+        CheckConstraint("erased_at IS NULL OR withdrawn_at IS NOT NULL", name="erased_is_withdrawn"),
         CheckConstraint("(copy_cleared_at IS NULL) = (copy_cleared_for IS NULL)", name="copy_cleared_for_a_reason"),
         Index("ix_submissions_submitted_at_id", text("submitted_at DESC"), text("id DESC")),
         Index("ix_submissions_of_team", "team_id", text("submitted_at DESC"), text("id DESC")),
@@ -64,6 +68,8 @@ class Submission(Base):
     is_public: Mapped[bool] = mapped_column(default=False, server_default=false())
     disqualified_at: Mapped[datetime | None]
     disqualified_for: Mapped[str | None]
+    withdrawn_at: Mapped[datetime | None]
+    erased_at: Mapped[datetime | None]
     copy_cleared_at: Mapped[datetime | None]
     copy_cleared_for: Mapped[str | None]
     archive_sketch: Mapped[bytes | None] = mapped_column(deferred=True)
@@ -73,6 +79,16 @@ class Submission(Base):
     chosen_at: Mapped[datetime | None]
     final_of: Mapped[UUID | None] = mapped_column(ForeignKey("submissions.id", ondelete="RESTRICT"), unique=True)
     team: Mapped[Team] = relationship()
+
+    @hybrid_property
+    def is_off_boards(self) -> bool:
+        """Whether its results count nowhere: it is disqualified, or its team has withdrawn it."""
+        return self.disqualified_at is not None or self.withdrawn_at is not None
+
+    @is_off_boards.inplace.expression
+    @classmethod
+    def _is_off_boards_expression(cls) -> ColumnElement[bool]:
+        return cls.disqualified_at.is_not(None) | cls.withdrawn_at.is_not(None)
 
 
 class SubmissionFile(Base):

@@ -13,15 +13,16 @@ from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.figures.table import make_rows, reference_figures, reference_looks
 from vitac.evaluator.sensors.appearance import Appearance, appearance
 from vitac.evaluator.sensors.made import read_made_sensor
+from vitac.server.accounts.shown_names import ShownNames
+from vitac.server.leaderboards.public_pages import readable
 from vitac.server.principals import Principal
 from vitac.server.submissions import sensors
 from vitac.server.views.submissions import SensorView
-from vitac.server.visibility import visible
 
 from ...plots.axis import Figure
 from ...plots.files import find_plot_file
 from ...plots.sensors import HEIGHT_SCALE, find_largest, marker_picture, quality_histogram, sensitivity_maps, still
-from ...site import Site, get_site, open_to_all, page, require_viewer
+from ...site import Site, get_principal, get_site, get_viewer, open_to_all, page, require_viewer
 from ..addresses import as_id
 from ..episodes.page import player_script
 
@@ -36,6 +37,7 @@ class ShownSensor:
         team: of the submission.
         view: mesh, document, gain and figures.
         looks: gel, quality and markers.
+        has_document: whether the visitor may have the design document, which is never public.
     """
 
     submission_id: UUID
@@ -43,6 +45,7 @@ class ShownSensor:
     team: str
     view: SensorView
     looks: Appearance
+    has_document: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,13 +71,13 @@ class ReferenceOnPage:
     figure: Figure
 
 
+@open_to_all
 async def sensor(request: Request) -> Response:
-    """Show the sensor of a submission, beside that of another one if the address names it."""
-    viewer = await require_viewer(request)
-    site = get_site(request)
+    """Show the sensor of a submission, of a public one to everybody, beside that of another one if the address says."""
+    viewer, site = await get_viewer(request), get_site(request)
     beside = request.query_params.get("beside", "").strip()
     ids = [as_id(text) for text in (request.path_params["submission_id"], *([beside] if beside else ()))]
-    shown = [await _shown_sensor(site, viewer.principal, submission_id) for submission_id in ids]
+    shown = [await _shown_sensor(site, get_principal(viewer), submission_id) for submission_id in ids]
     largest = _largest([found.view.figures for found in shown])
     parts = [_part(number, found, largest) for number, found in enumerate(shown, start=1)]
     reference = None if beside else _reference()
@@ -85,7 +88,7 @@ async def sensor(request: Request) -> Response:
         request,
         "sensor.html",
         viewer=viewer,
-        section="/submissions",
+        section="/submissions" if viewer else "",
         parts=parts,
         reference=reference,
         height_scale=HEIGHT_SCALE,
@@ -95,11 +98,12 @@ async def sensor(request: Request) -> Response:
     )
 
 
+@open_to_all
 async def shape(request: Request) -> Response:
     """Answer with the gel of a submission's sensor, for the page's script; it never changes."""
-    viewer = await require_viewer(request)
+    viewer = await get_viewer(request)
     submission_id = as_id(request.path_params["submission_id"])
-    shown = await _shown_sensor(get_site(request), viewer.principal, submission_id)
+    shown = await _shown_sensor(get_site(request), get_principal(viewer), submission_id)
     return JSONResponse(_shape(shown.looks), headers={"Cache-Control": "private, max-age=3600", "Vary": "Cookie"})
 
 
@@ -127,14 +131,18 @@ async def document(request: Request) -> Response:
 async def _shown_sensor(site: Site, by: Principal, submission_id: UUID) -> ShownSensor:
     """Return the sensor of a submission; its file is read outside the transaction."""
 
-    def read(session: Session) -> tuple[SensorView, str, str]:
-        submission = visible(session, by, submission_id)
-        return sensors.sensor(session, by, submission_id), submission.name, submission.team.name
+    def read(session: Session) -> tuple[SensorView, str, str, bool]:
+        submission = readable(session, by, submission_id)
+        team = ShownNames.read(session, by).show_name(submission.team)
+        has_document = by.may_see(submission.team_id, submission.competition)
+        return sensors.sensor(session, by, submission), submission.name, team, has_document
 
-    view, name, team = await site.ask(read)
+    view, name, team, has_document = await site.ask(read)
     content = await asyncio.to_thread(site.services.blobs.read, view.digest)
     looks = await asyncio.to_thread(lambda: appearance(read_made_sensor(content)))
-    return ShownSensor(submission_id=submission_id, name=name, team=team, view=view, looks=looks)
+    return ShownSensor(
+        submission_id=submission_id, name=name, team=team, view=view, looks=looks, has_document=has_document
+    )
 
 
 def _part(number: int, shown: ShownSensor, largest: tuple[float, float]) -> SensorOnPage:

@@ -91,6 +91,17 @@ async def set_clearance(request: Request) -> Response:
     return await _submit(request, routes.put_clearance, takes_back=routes.delete_clearance)
 
 
+async def set_withdrawn(request: Request) -> Response:
+    """Take a submission off all boards, or put it back, as the last part of the address says."""
+    is_withdrawn = request.url.path.endswith("/withdraw")
+    return await _submit(request, routes.put_withdrawal if is_withdrawn else routes.delete_withdrawal)
+
+
+async def delete(request: Request) -> Response:
+    """Remove what the team uploaded."""
+    return await _submit(request, routes.delete_submission)
+
+
 async def cancel(request: Request) -> Response:
     """Cancel the evaluation of a submission."""
     return await _submit(request, routes.cancel_submission)

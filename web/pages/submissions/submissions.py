@@ -193,7 +193,13 @@ def task_part(site: Site, detail: SubmissionDetail, task: str) -> TaskPart:
     def make_map(ends: Sequence[EpisodeView], folder: str, *, known: bool) -> EpisodeMap:
         of_task = {end.episode: end for end in ends if end.task == task}
         make = partial(
-            episode_map, found.track, task, of_task, folder=f"/submissions/{found.id}/{folder}/{task}", known=known
+            episode_map,
+            found.track,
+            task,
+            of_task,
+            folder=f"/submissions/{found.id}/{folder}/{task}",
+            known=known,
+            has_ended=evaluation.state in TERMINAL_EVALUATION_STATES,
         )
         is_final = evaluation.state is EvaluationState.COMPLETED
         return site.maps.get((evaluation.id, folder, task, len(of_task)), make) if is_final else make()

@@ -16,7 +16,7 @@ from every_table import rows_of_every_table
 from httpx import Response
 from sensor_checks import check_sensors
 from service_client import POLICY, Service, bearer, copied_service, make_archive, running_service
-from service_factories import TASK, TRACK, make_principal, make_score, make_settings, play_all, submit_scored
+from service_factories import TASK, TRACK, make_principal, make_score, make_settings, play_all, submit, submit_scored
 from sqlalchemy import delete
 from vitac.server.accounts import members, messages, stations, tokens
 from vitac.server.api.app import create_app
@@ -152,6 +152,8 @@ class Setting:
             "name": "lab" if path == STATION else "000.p/1",
             "quota": "tokens",
         }
+        if path == f"{SUBMISSION}/withdrawal" or (method, path) == ("delete", SUBMISSION):
+            ids["submission_id"] = self.new_submission()
         if "{announcement_id}" in path:
             ids["announcement_id"] = self.new_announcement()
         if "{question_id}" in path:
@@ -230,6 +232,10 @@ class Setting:
         """An invitation to the team OWNER, and its code."""
         with self.service.database.transaction() as session:
             return members.invite(session, CONSOLE, session.get_one(Team, self.service.principal.team_id))
+
+    def new_submission(self) -> str:
+        with self.service.database.transaction() as session:
+            return str(submit(session, self.service.principal, uuid4().hex).id)
 
     def new_announcement(self) -> str:
         """Number of an announcement."""

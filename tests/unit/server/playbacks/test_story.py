@@ -43,8 +43,8 @@ def test_a_solved_episode_says_when_the_peg_touched_and_how_far_gels_moved() -> 
     record = a_record(EpisodeOutcome.SUCCESS, (0.1, 0.1, 2.0), (0.3, 0.9, 1.0), (0.1, 0.1, -0.4))
     record.infos[-1]["gt_offset_mm_deg"] = [0.5, 0.0, 0.0]
     assert tell_story(record, PEG).sentence == (
-        "Solved in 3 env steps: the peg touched at env step 2 (offset x +1.00 mm, y −2.00 mm, θ +3.00°), reached its "
-        "goal at env step 3 (offset x +0.50 mm, y +0.00 mm, θ +0.00°); no gel’s surface moved by more than 0.90 mm."
+        "The peg went in after three moves. It touched at env step 2 (offset x +1.00 mm, y −2.00 mm, θ +3.00°) and "
+        "ended at offset x +0.50 mm, y +0.00 mm, θ +0.00°; no gel’s surface moved by more than 0.90 mm."
     )
     assert moments(record) == [(2, Mark.TOUCH), (3, Mark.SLIP), (3, Mark.SOLVED)]
 
@@ -52,8 +52,8 @@ def test_a_solved_episode_says_when_the_peg_touched_and_how_far_gels_moved() -> 
 def test_an_episode_that_moved_a_gel_too_far_says_which_and_where_the_peg_was() -> None:
     record = a_record(EpisodeOutcome.TACTILE, (1.7, 0.4, 1.2))
     assert tell_story(record, PEG).sentence == (
-        "Failed at env step 1: the left gel’s surface had moved by 1.70 mm (limit 1.5 mm), with the peg 1.5 mm short "
-        "of its goal (offset x +1.00 mm, y −2.00 mm, θ +3.00°)."
+        "The left gel was pushed too far after one move: its surface had moved by 1.70 mm (limit 1.5 mm), with the peg "
+        "1.5 mm short of its goal (offset x +1.00 mm, y −2.00 mm, θ +3.00°)."
     )
     assert moments(record) == [(1, Mark.TOUCH), (1, Mark.LIMIT)]
     assert tell_story(record, PEG).moments[-1].text == "a gel has moved too far"
@@ -63,7 +63,9 @@ def test_an_episode_that_moved_a_gel_too_far_says_which_and_where_the_peg_was() 
 def test_an_episode_is_stuck_from_where_the_peg_comes_no_nearer(heights: tuple[float, ...], stuck: int | None) -> None:
     record = a_record(EpisodeOutcome.STEPS, *((0.1, 0.1, height) for height in heights))
     assert [step for step, mark in moments(record) if mark == Mark.STUCK] == ([] if stuck is None else [stuck])
-    assert tell_story(record, PEG).sentence.startswith("Failed: all 4 env steps were used up, with the peg ")
+    assert tell_story(record, PEG).sentence.startswith(
+        "The peg did not get there: all four moves were used up, with the peg "
+    )
 
 
 def test_a_task_that_cannot_be_drawn_says_how_the_episode_ended() -> None:
@@ -75,8 +77,8 @@ def test_a_task_that_cannot_be_drawn_says_how_the_episode_ended() -> None:
 def test_a_record_with_forces_says_the_largest_and_what_the_limit_was() -> None:
     steps = (0.1, 0.1, 2.0), (0.1, 0.1, -0.4)
     solved = a_record(EpisodeOutcome.SUCCESS, *steps).model_copy(update={"forces": some_forces(12.34)})
-    assert tell_story(solved, PEG).sentence.endswith("0.10 mm; the largest force on the peg was 12.3 N.")
+    assert tell_story(solved, PEG).sentence.endswith("0.10 mm; the largest force on it was 12.3 N.")
     failed = a_record(EpisodeOutcome.FORCE, *steps[:1]).model_copy(update={"forces": some_forces(55.0)})
     assert tell_story(failed, PEG).sentence.startswith(
-        "Failed at env step 1: the force on the peg reached 55.0 N (limit 40 N), with the peg 2.3 mm short"
+        "The peg was pressed too hard after one move: the force on it reached 55.0 N (limit 40 N), with the peg 2.3 mm"
     )

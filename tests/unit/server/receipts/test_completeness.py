@@ -166,7 +166,7 @@ def test_a_result_of_a_disqualified_submission_is_told_and_is_no_finding() -> No
     teams = (ExportedTeam(name="Ants", evaluations=(UUID(int=1), UUID(int=2)), disqualified=(UUID(int=1),)),)
     described = exported(receipts, an_entry(results[1])).model_copy(update={"teams": teams})
     assert list(check_entries(described, by_evaluation(receipts))) == [
-        (False, "Ants: receipt 1; the service leaves the result out: its submission was disqualified.")
+        (False, "Ants: receipt 1; the service leaves the result out: its submission was disqualified or withdrawn.")
     ]
 
 

@@ -19,7 +19,7 @@ from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.names import TEXT_LENGTH
 from vitac.server.operations import team_data
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.submissions import appeals
+from vitac.server.submissions import appeals, withdrawal
 
 from competitions import make_competition, put_in_place
 
@@ -210,7 +210,7 @@ def test_an_appeal_of_a_removed_team_is_still_decided_and_says_nothing_of_it(
             team_data.erase(session, CONSOLE, teams.own(session, team))
     with database.transaction() as session:
         (view,) = appeals.visible(session, CONSOLE)
-        assert (view.text, view.state) == (team_data.REMOVED, AppealState.OPEN)
+        assert (view.text, view.state) == (withdrawal.REMOVED, AppealState.OPEN)
         assert "Ants" not in view.model_dump_json()
         appeals.rule(session, CONSOLE, number, "Nobody is left to tell.", upheld=False)
         assert appeals.visible(session, CONSOLE, open_only=True) == []

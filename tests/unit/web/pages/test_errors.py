@@ -161,3 +161,13 @@ def test_wrong_method_is_a_page(browser: AsgiBrowser) -> None:
     answer = browser.post("/tracks/track_1")
     assert answer.status_code == 405
     assert "GET" in answer.headers["allow"]
+
+
+def test_words_between_backticks_of_a_message_are_code(
+    data: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> SubmissionDetail:
+        raise ServiceError(ProblemCode.TOO_MANY_REQUESTS, "Use `vitac <status>`.")
+
+    monkeypatch.setattr(data, "submission", refused)
+    assert "Use <code>vitac &lt;status&gt;</code>." in browser.get(f"/submissions/{COMPLETED.id}").text

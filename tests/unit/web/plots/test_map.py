@@ -93,3 +93,9 @@ def test_a_finished_episode_is_a_link_and_a_waiting_one_is_not() -> None:
 def test_an_address_cannot_bring_markup_into_the_drawing() -> None:
     hostile = MapCell(column=0, row=0, state="other", label="x", address='"><script>')
     assert "<script>" not in hostile.drawing
+
+
+def test_episodes_of_an_evaluation_that_has_ended_are_not_run_yet_for_ever() -> None:
+    for has_ended, said in ((True, ": not run</title>"), (False, ": not run yet</title>")):
+        shape = episode_map("track_1", "peg-insertion", {}, folder=FOLDER, has_ended=has_ended).shapes[0]
+        assert said in shape.drawing

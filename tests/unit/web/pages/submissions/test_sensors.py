@@ -1,4 +1,5 @@
 import re
+from dataclasses import replace
 
 import pytest
 from asgi_browser import AsgiBrowser
@@ -78,6 +79,19 @@ def test_sensor_of_others_is_as_if_missing(shown: AsgiBrowser, beside: str) -> N
     assert shown.get(f"/submissions/{beside}/sensor").status_code == 404
     assert shown.get(f"/submissions/{beside}/sensor/shape").status_code == 404
     assert shown.get(f"/submissions/{beside}/document").status_code == 404
+
+
+def test_the_sensor_of_a_public_result_is_shown_to_everybody_without_its_document(
+    data: FixedData, browser: AsgiBrowser
+) -> None:
+    data.sensors[COMPLETED.id] = replace(a_shown_sensor(COMPLETED.id), has_document=False)
+    data.found = [found.model_copy(update={"public": found.id == COMPLETED.id}) for found in data.found]
+    html = browser.get(ADDRESS).text
+    for part in ("Reference gel", "<dt>Markers</dt>", "<dt>Sensing gain</dt>", 'data-shape="/sensors/reference/shape"'):
+        assert part in html
+    assert "Design document" not in html
+    assert browser.get(f"{ADDRESS}/shape").status_code == 200
+    assert browser.get(f"/submissions/{COMPLETED.id}/document").status_code == 303
 
 
 def test_who_is_not_signed_in_is_sent_to_the_sign_in(browser: AsgiBrowser) -> None:
