@@ -5,6 +5,7 @@ import json
 import re
 import zipfile
 from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -144,13 +145,13 @@ def contest(service: CliService) -> str:
     with service.database.transaction() as session:
         content = make_competition(prizes=[{"place": "first", "amount": 5}])
         first = content["tracks"][TRACK]["stages"][0]
-        first |= {"list": "sealed", "accepts": ["model"]}
-        put_in_place(session, open_now(content))
+        first |= {"list": "sealed", "sealed": "at_once", "accepts": ["model"]}
+        put_in_place(session, open_now(content, stage=1))
         seal(session, CONSOLE, stored_stage(session, TRACK, FIRST))
         for name, successes in (("Ants", 80), ("Elks", 60)):
-            made = submit(session, make_principal(session, name), name)
+            in_time = datetime.now(UTC) - timedelta(days=10)
+            made = submit(session, make_principal(session, name), name, at=in_time)
             complete_scored(session, made, {TASK: make_score(successes)})
-        put_in_place(session, open_now(content, stage=1))
     return f"/desk/competitions/cup/tracks/{TRACK}/stages"
 
 
@@ -195,7 +196,8 @@ def test_a_competition_is_ended_published_and_reopened_on_its_page(
         content = make_competition(prizes=[{"place": "first", "amount": 5}])
         content["tracks"][TRACK]["stages"] = content["tracks"][TRACK]["stages"][:1]
         content["tracks"][TRACK]["stages"][0] |= {
-            "opens": "2024-01-01T00:00:00Z", "closes": "2024-02-01T00:00:00Z", "list": "sealed", "accepts": ["model"]
+            "opens": "2024-01-01T00:00:00Z", "closes": "2024-02-01T00:00:00Z", "list": "sealed", "sealed": "at_once",
+            "accepts": ["model"],
         }  # fmt: skip
         put_in_place(session, content)
     shown = organizer.get(page).text
