@@ -266,6 +266,27 @@ def test_a_submission_is_uploaded_in_the_browser(browser: Browser, site: SiteUnd
     context.close()
 
 
+DROP = """
+    (names) => {
+        const files = new DataTransfer();
+        for (const name of names) files.items.add(new File(["content"], name));
+        const event = (kind) => new DragEvent(kind, { dataTransfer: files, bubbles: true, cancelable: true });
+        const form = document.getElementById("upload");
+        return [form.dispatchEvent(event("dragover")), form.dispatchEvent(event("drop"))];
+    }
+"""
+
+
+def test_a_file_is_dropped_on_the_form(page: Page, site: SiteUnderTest) -> None:
+    site.enter(page)
+    site.open(page, "/submissions/upload")
+    page.evaluate(DROP, ["a.zip", "b.zip"])
+    expect(page.get_by_text("Drop one file, got 2.")).to_be_visible()
+    assert page.evaluate(DROP, ["mine.zip"]) == [False, False], "the browser does not open it"
+    expect(page.get_by_text("Drop one file")).to_be_hidden()
+    assert page.get_by_label("File").input_value().endswith("mine.zip")
+
+
 def test_the_script_shows_how_far_an_upload_is_and_when_it_was_cut(page: Page, site: SiteUnderTest) -> None:
     site.enter(page)
     site.open(page, "/submissions/upload")

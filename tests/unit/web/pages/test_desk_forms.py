@@ -213,3 +213,14 @@ def test_a_competition_is_ended_published_and_reopened_on_its_page(
         assert "certificates.html" in archive.namelist()
     assert organizer.send(page, f"{page}/reopen", reason="A mistake.").status_code == 303
     assert "A mistake." in visitor(service).get("/competition").text
+
+
+def test_the_status_of_the_service_is_a_page(service: CliService) -> None:
+    shown = visitor(service).get("/status")
+    assert shown.status_code == 200
+    for part in ("The service can do its work.", "Database", "File store", "wait until a worker starts"):
+        assert part in shown.text
+    footer = shown.text.partition("<footer")[2]
+    assert '<a href="/status">Status</a>' in footer
+    assert '<a href="/docs/reference/rest">API</a>' in footer
+    assert visitor(service).get("/docs/reference/rest").status_code == 200
