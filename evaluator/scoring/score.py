@@ -158,7 +158,7 @@ def interval_of_mean(rates: Sequence[Rate], *, of: int) -> Interval:
     return Interval(low=max(0.0, mean - below), high=min(1.0, mean + above))
 
 
-def interval_of_difference(first: Rate, second: Rate) -> tuple[float, float]:
+def interval_of_difference(first: Rate | CombinedScore, second: Rate | CombinedScore) -> tuple[float, float]:
     """Return the 95 % interval of a rate minus another one of other starts.
 
     With rates p, q and their intervals [l, u], [k, v]: p - q - sqrt((p - l)^2 + (v - q)^2) to

@@ -407,6 +407,8 @@ CREATE TABLE evaluations (
     list_kind VARCHAR(16) NOT NULL,
     counted_tasks TEXT[],
     practice_scores JSONB,
+    fresh_commitment VARCHAR(64),
+    fresh_scores JSONB,
     result_hash VARCHAR(64),
     packages JSONB DEFAULT '[]' NOT NULL,
     traceparent TEXT,
@@ -585,6 +587,15 @@ CREATE TABLE episode_results (
 CREATE INDEX ix_episode_results_evaluation_id ON episode_results (evaluation_id);
 CREATE INDEX ix_episode_results_half_way_state ON episode_results (half_way_state);
 CREATE INDEX ix_episode_results_task_created_at ON episode_results (task, created_at DESC);
+CREATE TABLE fresh_lists (
+    commitment VARCHAR(64) NOT NULL,
+    evaluation_id UUID NOT NULL,
+    secret VARCHAR(64) NOT NULL,
+    CONSTRAINT pk_fresh_lists PRIMARY KEY (commitment),
+    CONSTRAINT ck_fresh_lists_commitment_is_sha256 CHECK (commitment ~ '^[0-9a-f]{64}$'),
+    CONSTRAINT fk_fresh_lists_evaluation_id FOREIGN KEY(evaluation_id) REFERENCES evaluations (id) ON DELETE CASCADE
+);
+CREATE INDEX ix_fresh_lists_evaluation_id ON fresh_lists (evaluation_id);
 CREATE TABLE log_copies (
     evaluation_id UUID NOT NULL,
     earlier_submission_id UUID NOT NULL,

@@ -7,14 +7,14 @@ import secrets
 from datetime import datetime
 from typing import Literal
 
-from sqlalchemy import exists, func, select
+from sqlalchemy import delete, exists, func, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import Track
 from vitac.evaluator.tracks.sealed import SECRET_BYTES, load_played_track, make_commitment
 
 from ..audit import record
 from ..database.clock import read_clock
-from ..database.models import Evaluation, SealedList
+from ..database.models import Evaluation, FreshList, SealedList
 from ..database.states import ACTIVE_EVALUATION_STATES
 from ..errors import ProblemCode, ServiceError, not_found
 from ..principals import Principal
@@ -186,7 +186,21 @@ def sealed_lists(session: Session, competition: Competition) -> list[SealedList]
 
 def find_secret(session: Session, commitment: str) -> bytes:
     """Return the secret that belongs to a commitment, for the worker that plays the list."""
-    return bytes.fromhex(session.get_one(SealedList, commitment).secret)
+    fresh = session.get(FreshList, commitment)
+    return bytes.fromhex((fresh or session.get_one(SealedList, commitment)).secret)
+
+
+def make_fresh_list(session: Session, evaluation: Evaluation) -> None:
+    """Give an evaluation a list of its own, by the same law as the sealed one, which nobody plays again."""
+    secret = secrets.token_bytes(SECRET_BYTES)
+    evaluation.fresh_commitment = make_commitment(secret)
+    session.add(FreshList(commitment=evaluation.fresh_commitment, evaluation_id=evaluation.id, secret=secret.hex()))
+    session.flush()
+
+
+def throw_away_fresh_list(session: Session, evaluation: Evaluation) -> None:
+    """Forget the list of an evaluation that has ended."""
+    session.execute(delete(FreshList).where(FreshList.evaluation_id == evaluation.id))
 
 
 def played_track(session: Session, track: str, commitment: str | None) -> Track:

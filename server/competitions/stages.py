@@ -135,6 +135,11 @@ class Stage:
         return self.live is None and self.sealing is Sealing.LIVE_AND_FINAL
 
     @property
+    def plays_fresh_lists(self) -> bool:
+        """Whether each evaluation plays a list of its own, too, as the one that decides is played at once."""
+        return self.live is None and self.decides and self.sealing is Sealing.AT_ONCE
+
+    @property
     def quotas(self) -> StageQuotas:
         """Most evaluations of a team; few scored ones where the list that decides is played at once."""
         quotas = self.rules.quotas

@@ -15,5 +15,6 @@ _RANKED_LIST = func.coalesce(Evaluation.commitment, "")
 OF_EVALUATION = and_(_OF_RUN, EpisodeResult.commitment == _RANKED_LIST)
 """Whether an evaluation's result is made of a stored episode, in a query on both and the submission."""
 
-ON_EITHER_LIST = and_(_OF_RUN, EpisodeResult.commitment.in_((_RANKED_LIST, "")))
-"""The same with the episodes on the public list, which is played beside a sealed one."""
+_LISTS = (_RANKED_LIST, func.coalesce(Evaluation.fresh_commitment, ""), "")
+ON_ANY_LIST = and_(_OF_RUN, EpisodeResult.commitment.in_(_LISTS))
+"""The same with the episodes on the public list and on a fresh one, which are played beside a sealed one."""

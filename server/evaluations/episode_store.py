@@ -89,13 +89,16 @@ class EpisodeKey:
 def played_keys(evaluation: Evaluation, submission: Submission) -> tuple[EpisodeKey, ...]:
     """Return the keys of the episodes on each list that an evaluation plays; first that of its result.
 
-    Beside the sealed list of a stage, the public one is played for comparison, but not beside its final list.
+    Beside the sealed list of a stage, the public one is played for comparison, but not beside its final list. Beside
+    one that decides at once, a fresh list is, too.
     """
     key = EpisodeKey.from_evaluation(evaluation, submission)
     track = known_track(submission.track)
     is_public = track is not None and all(task.episode_list.kind is ListKind.PUBLIC for task in track.tasks.values())
     plays_both = key.commitment and is_public and submission.final_of is None
-    return (key, key.select_public_list()) if plays_both else (key,)
+    practice = (key.select_public_list(),) if plays_both else ()
+    fresh = (replace(key, commitment=evaluation.fresh_commitment),) if evaluation.fresh_commitment else ()
+    return key, *fresh, *practice
 
 
 def find_shown_key(
@@ -113,7 +116,7 @@ def find_shown_key(
     """
     sight, keys = decide_sight(by, evaluation), played_keys(evaluation, evaluation.submission)
     if practice:
-        return keys[1] if sight.practice and len(keys) > 1 else None
+        return keys[-1] if sight.practice and len(keys) > 1 and not keys[-1].commitment else None
     return keys[0] if sight.episodes and not _is_closed_to(session, by, evaluation.submission) else None
 
 

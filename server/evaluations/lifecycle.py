@@ -20,6 +20,7 @@ from vitac.evaluator.tracks.registry import compute_hash, find_version
 
 from ..accounts.outbox import announce_evaluation
 from ..competitions.competition import find_stage
+from ..competitions.sealing import make_fresh_list, throw_away_fresh_list
 from ..database.clock import read_clock
 from ..database.locks import lock_evaluation
 from ..database.models import Evaluation, SensorCheck, Shard, Submission, SubmissionFile, Trial, Work
@@ -34,7 +35,7 @@ from .copies import flag_copies
 from .episode_store import count_stored, missing_episodes, played_keys, read_stored_records
 from .near_copies import note_archive_copies, note_near_copies
 from .provenance import read_provenance
-from .scores import Records, combine_hashes, combined_result, store_practice_scores, store_scores
+from .scores import Records, combine_hashes, combined_result, store_fresh_scores, store_practice_scores, store_scores
 from .verdicts import ServiceVerdict
 
 EVALUATING = (WorkKind.SHARD, WorkKind.TRIAL)
@@ -96,6 +97,8 @@ def start(
     )
     session.add(evaluation)
     session.flush()
+    if commitment is not None and find_stage(session, submission).plays_fresh_lists:
+        make_fresh_list(session, evaluation)
     if _was_evaluated(session, evaluation, submission):
         evaluation.episodes_reused = sum(count_stored(session, key) for key in played_keys(evaluation, submission))
     if _needs_sensor(session, submission) or (makes_sensor and _brings_sensor(submission)):
@@ -261,6 +264,7 @@ def count_machine_failures(session: Session, *conditions: ColumnElement[bool]) -
 def cancel(session: Session, evaluation: Evaluation) -> None:
     """End a queued or running evaluation; its workers find out at their next renewal."""
     _cancel_work(session, evaluation)
+    throw_away_fresh_list(session, evaluation)
     evaluation.state = EvaluationState.CANCELLED
     evaluation.finished_at = read_clock(session)
 
@@ -292,18 +296,21 @@ def _conclude(session: Session, evaluation: Evaluation) -> None:
         if failure is not None:
             _fail_by_policy(session, evaluation, task, failure, records[task])
             return
-    if len(played) > 1:
+    by_list = {key.commitment: records for key, records in zip(keys, played, strict=True)}
+    if evaluation.commitment and "" in by_list:
         public = {task: read_provenance(session, evaluation, task, "") for task in submission.tasks}
-        store_practice_scores(evaluation, track, sealed=played[0], public=played[1], manifests=public)
+        store_practice_scores(evaluation, track, sealed=played[0], public=by_list[""], manifests=public)
+    if evaluation.fresh_commitment:
+        store_fresh_scores(evaluation, track, by_list.pop(evaluation.fresh_commitment))
     _complete(session, evaluation, played[0])
     if not evaluation.is_proposed:
-        by_list = {key.commitment: records for key, records in zip(keys, played, strict=True)}
         note_near_copies(session, evaluation, by_list)
         if submission.final_of is None:  # whose archive was compared when it was chosen from
             note_archive_copies(session, submission)
 
 
 def _complete(session: Session, evaluation: Evaluation, records: Records) -> None:
+    throw_away_fresh_list(session, evaluation)
     manifests = {task: read_provenance(session, evaluation, task, evaluation.commitment or "") for task in records}
     hashes = {task: result_hash(manifests[task], records[task]) for task in records}
     finished_at = read_clock(session)
@@ -339,6 +346,7 @@ def _fail_by_log(session: Session, evaluation: Evaluation, shard: Shard) -> None
 
 
 def _fail(session: Session, evaluation: Evaluation, code: str, message: str) -> None:
+    throw_away_fresh_list(session, evaluation)
     evaluation.verdict_code = code
     evaluation.verdict_message = message
     evaluation.state = EvaluationState.FAILED

@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 
 from ..database.models import EpisodeResult, Evaluation, SensorCheck, Shard, Submission
 from ..database.states import ACTIVE_EVALUATION_STATES, OPEN_WORK_STATES, EvaluationState, WorkState
-from ..database.stored_episodes import ON_EITHER_LIST
+from ..database.stored_episodes import ON_ANY_LIST
 from ..tracks import known_task
 from ..views.evaluations import ProgressView, TaskProgressView
 from .episode_store import played_keys
@@ -86,7 +86,7 @@ def episode_counts(session: Session, evaluations: Collection[Evaluation]) -> dic
     rows = session.execute(
         select(Evaluation.id, EpisodeResult.task, func.count(), func.count().filter(EpisodeResult.success))
         .join(Evaluation.submission)
-        .join(EpisodeResult, ON_EITHER_LIST)
+        .join(EpisodeResult, ON_ANY_LIST)
         .where(Evaluation.id.in_(counts))
         .group_by(Evaluation.id, EpisodeResult.task)
     )

@@ -65,6 +65,19 @@ def store_practice_scores(
     ]
 
 
+def store_fresh_scores(evaluation: Evaluation, track: Track, records: Records) -> None:
+    """Write what an evaluation reached on its fresh list."""
+    evaluation.fresh_scores = [
+        {"task": task, **score(of_task, track.task(task).definition.measures).model_dump(mode="json")}
+        for task, of_task in records.items()
+    ]
+
+
+def read_fresh_scores(evaluation: Evaluation) -> dict[str, Score]:
+    """Return the score of each task on the fresh list; empty without one."""
+    return {row["task"]: Score.model_validate(_select_score(row)) for row in evaluation.fresh_scores or []}
+
+
 def add_to_boards(session: Session, evaluation: Evaluation, finished_at: datetime) -> None:
     """Write what a scored evaluation is ranked by on each board, from a moment on."""
     stage = find_stage(session, evaluation.submission)

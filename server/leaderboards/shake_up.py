@@ -1,12 +1,11 @@
 """How the board of a final list differs from what the same submissions had reached on the live list."""
 
 from collections.abc import Mapping, Sequence
-from math import hypot
 from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session, aliased, defer
-from vitac.evaluator.scoring.score import CombinedScore, Score
+from vitac.evaluator.scoring.score import CombinedScore, Interval, Score, interval_of_difference
 
 from ..database.models import Evaluation, Submission
 from ..database.states import EvaluationState
@@ -34,7 +33,7 @@ def list_shake_up(
             submission_id=entry.submission_id,
             live_rate=rate.success_rate,
             final_rate=entry.success_rate,
-            interval=_difference_interval(rate, entry),
+            interval=interval_of_difference(_read_final(entry), rate),
             live_rank=1 + by_live.index(rate.success_rate),
             final_rank=entry.rank or 0,
         )
@@ -62,15 +61,6 @@ def _read_live(session: Session, submissions: Sequence[UUID], task: str | None) 
     return found
 
 
-def _difference_interval(live: Score | CombinedScore, final: LeaderboardEntryView) -> tuple[float, float]:
-    """Return the 95 % interval of the final rate minus the live one, which are of different episodes.
-
-    R. G. Newcombe, Interval estimation for the difference between independent proportions, Statistics in Medicine 17
-    (1998) 873-890, method 10, of the intervals of both rates.
-    """
-    difference = final.success_rate - live.success_rate
-    low, high = final.success_rate_interval
-    return (
-        difference - hypot(final.success_rate - low, live.interval.high - live.success_rate),
-        difference + hypot(high - final.success_rate, live.success_rate - live.interval.low),
-    )
+def _read_final(entry: LeaderboardEntryView) -> CombinedScore:
+    low, high = entry.success_rate_interval
+    return CombinedScore(success_rate=entry.success_rate, interval=Interval(low=low, high=high), mean_steps=None)

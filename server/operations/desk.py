@@ -15,6 +15,7 @@ from ..competitions.definition import StageRules
 from ..competitions.stages import Stage
 from ..database.clock import read_clock
 from ..database.models import ArchiveCopy, EpisodeDifference, Evaluation, LogCopy, NearCopy, Qualification, Submission
+from ..decisions.drift import Drift, list_drifts
 from ..evaluations.history import count_running
 from ..evaluations.verdicts import ServiceVerdict
 from ..principals import Principal
@@ -174,6 +175,7 @@ class Desk:
         asked: questions without an answer.
         appealed: appeals without a ruling.
         stages: of the competition, with who may take part.
+        drifts: of the teams in stages that one sealed list decides at once.
         said: announcements and messages that they may withdraw.
         entries: the last lines of the audit log.
     """
@@ -181,6 +183,7 @@ class Desk:
     troubles: Sequence[Trouble]
     appealed: Sequence[AppealView]
     stages: Sequence[StageState]
+    drifts: Sequence[Drift] = ()
     waiting: Sequence[OrganizerTeamView] = ()
     asked: Sequence[QuestionView] = ()
     said: Sequence[AnnouncementView] = ()
@@ -198,6 +201,14 @@ def read_desk(session: Session, by: Principal) -> Desk:
         troubles=troubles(session, by),
         appealed=appeals.visible(session, by, open_only=True),
         stages=stages(session, by),
+        drifts=[
+            drift
+            for competition in Competition.read_all(session)
+            if by.organizes(competition.name)
+            for stage in competition.stages_held_here
+            if stage.plays_fresh_lists
+            for drift in list_drifts(session, stage)
+        ],
         said=[
             one
             for one in messages.list_announcements(session, by)

@@ -42,7 +42,8 @@ class Evaluation(Base):
 
     One that `is_proposed` belongs to a rejudgement that was not applied: it is no result of its submission.
     `commitment` names the sealed list whose result ranks; NULL: the public one. Beside a sealed list the public one is
-    played too, whose scores are `practice_scores`; NULL: it was not. `turn` orders those that wait, see
+    played too, whose scores are `practice_scores`; NULL: it was not. `fresh_commitment` names the fresh list that is
+    played beside a sealed one that decides at once, `fresh_scores` are those on it. `turn` orders those that wait, see
     `server.queue.work`. `charged_at` says when the team's quotas counted it; NULL
     where it costs nothing. `asked_by_team`: organizers did not start it. `packages`: lists of the packages that the
     policy saw, versions by name, each list once (`Shard.packages_digest` names one); nothing of episodes stored before.
@@ -109,6 +110,8 @@ class Evaluation(Base):
     list_kind: Mapped[ListKind] = mapped_column(closed_set(ListKind, "list_kind"))
     counted_tasks: Mapped[list[str] | None] = mapped_column(ARRAY(Text))
     practice_scores: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
+    fresh_commitment: Mapped[str | None] = mapped_column(String(64))
+    fresh_scores: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
     result_hash: Mapped[str | None] = mapped_column(String(64))
     packages: Mapped[list[dict[str, str]]] = mapped_column(JSONB, default=list, server_default="[]", deferred=True)
     traceparent: Mapped[str | None] = mapped_column(deferred=True)
@@ -117,6 +120,16 @@ class Evaluation(Base):
     shards: Mapped[list["Shard"]] = relationship(back_populates="evaluation", order_by="Shard.id")
     sensor_check: Mapped["SensorCheck | None"] = relationship(back_populates="evaluation")
     board_results: Mapped[list["BoardResult"]] = relationship(back_populates="evaluation")
+
+
+class FreshList(Base):
+    """The secret of a list that one evaluation plays, and nobody again: it is thrown away with the evaluation's end."""
+
+    __tablename__ = "fresh_lists"
+    __table_args__ = (sha256_check("commitment"),)
+    commitment: Mapped[str] = mapped_column(String(64), primary_key=True)
+    evaluation_id: Mapped[UUID] = mapped_column(ForeignKey("evaluations.id", ondelete="CASCADE"), index=True)
+    secret: Mapped[str] = mapped_column(String(64))
 
 
 class BoardResult(Base):

@@ -22,7 +22,7 @@ from service_factories import (
     make_principal,
     make_settings,
     make_upload,
-    play,
+    play_public_list,
     store,
 )
 from sqlalchemy import select
@@ -37,7 +37,6 @@ from vitac.server.competitions.sealing import seal
 from vitac.server.database.models import Appeal, BoardResult, EpisodeResult, Evaluation
 from vitac.server.database.states import Role
 from vitac.server.evaluations import lifecycle
-from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.queue import work
 from vitac.server.services import Services
@@ -73,16 +72,14 @@ def appealed(service: CliService, tmp_path: Path) -> int:
         seal(session, CONSOLE, stored_stage(session, TRACK, "stage1"), secret)
         team = make_principal(session, "Ants")
         submission, _ = creation.create(session, team, make_upload(archive_sha256=stored.stem))
-        shards = newest_evaluation(session, submission).shards
-        sealed, public = (shard.id for shard in sorted(shards, key=lambda shard: shard.commitment == ""))
     track = sealed_track(load_track(TRACK), secret)
     with staged(stored) as folder:
         played = evaluate(submission_dir=folder, track=track, task=track.tasks[TASK], episodes=(1,), secret=secret_file)
     secret_file.unlink()
+    (sealed,) = play_public_list(service.database, submission)
     lease = claim(service.database, sealed)
     store(service.database, lease, played.records)
     finish(service.database, lease)
-    play(service.database, public)
     with service.database.transaction() as session:
         return appeals.open_appeal(session, team, submission.id, "Look again.", task=TASK, episode=1).id
 
@@ -132,6 +129,7 @@ def test_an_episode_of_a_sealed_list_is_played_again_beside_its_result(
     monkeypatch.setattr(lifecycle, "cut", one_episode)
     monkeypatch.setattr(lifecycle, "store_practice_scores", lambda *_, **__: None)  # which compares whole lists
     monkeypatch.setattr(work, "RETRY_DELAY_S", 0.01)
+    monkeypatch.setenv("VITAC_SANDBOX_FILES", "memory")  # without which no worker plays a sealed list
     with cli_service(tmp_path / "state") as service, ExitStack() as exits:
         number = appealed(service, tmp_path)
         exits.enter_context(working(service, tmp_path / "state"))

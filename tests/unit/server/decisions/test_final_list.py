@@ -4,21 +4,33 @@ from datetime import UTC, datetime
 from typing import Any
 
 import pytest
-from service_factories import TASK, TRACK, complete_scored, make_principal, make_score, shard_ids, submit, submit_scored
+from service_factories import (
+    TASK,
+    TRACK,
+    complete_scored,
+    make_principal,
+    make_score,
+    shard_ids,
+    submit,
+    submit_scored,
+    successes_below,
+)
+from service_factories import play as play_shard
 from sqlalchemy import select
 from submission_steps import SETTINGS, refused
 from vitac.server.competitions.applying import apply
 from vitac.server.competitions.competition import Competition
 from vitac.server.competitions.definition import AT_ONCE_RUNS, CompetitionDefinition
-from vitac.server.competitions.sealing import reveal, sealed_lists
+from vitac.server.competitions.sealing import find_secret, reveal, sealed_lists
 from vitac.server.database.engine import Database
-from vitac.server.database.models import ReceiptRow, Shard, Submission
+from vitac.server.database.models import FreshList, ReceiptRow, Shard, Submission
 from vitac.server.decisions.final_list import choose, play, play_due
 from vitac.server.decisions.finishing import finalize
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.shake_up import list_shake_up
 from vitac.server.leaderboards.standings import leaderboard
+from vitac.server.operations.desk import read_desk
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import listing
 
@@ -189,3 +201,42 @@ def test_at_once_has_one_list_that_decides_and_few_runs(database: Database) -> N
             submit_scored(session, by, str(number), {TASK: make_score(number)}, at=datetime.now(UTC))
         with refused(ProblemCode.QUOTA_EXCEEDED):
             submit_scored(session, by, "one more", {TASK: make_score(9)})
+
+
+def test_a_list_that_decides_at_once_is_compared_with_fresh_ones_that_are_thrown_away(database: Database) -> None:
+    with database.transaction() as session:
+        apply(session, CONSOLE, CompetitionDefinition.model_validate(cup(sealed="at_once")))
+        by = make_principal(session, "Ants")
+    for run, learnt in enumerate((0, 200)):
+        with database.transaction() as session:
+            submission = submit(session, by, f"run {run}")
+            evaluation = newest_evaluation(session, submission)
+            sealed, fresh = evaluation.commitment, evaluation.fresh_commitment
+            assert len({sealed, fresh, None}) == 3
+            assert find_secret(session, fresh or "") != find_secret(session, sealed or "")
+        order = play_lists(database, submission, {sealed: 40 + learnt, fresh: 50, "": 50})
+        assert order == ["", fresh, sealed], "nothing of the sealed list is known while the others are played"
+    with database.transaction() as session:
+        assert session.scalars(select(FreshList)).all() == []
+        (drift,) = read_desk(session, CONSOLE).drifts
+        assert (drift.team, drift.is_alarm) == ("Ants", True)
+        assert (drift.sealed[1] - drift.sealed[0], drift.fresh[1]) == (pytest.approx(100 / 270), drift.fresh[0])
+        shown = listing.get(session, SETTINGS, by, submission.id).evaluation
+        assert [score.successes for score in shown.practice_scores or ()] == [50]
+        assert sum(end.success for end in listing.episodes(session, by, submission.id, practice=True)) == 50
+
+
+def play_lists(database: Database, submission: Submission, solved: dict[str | None, int]) -> list[str]:
+    """Plays all lists, of each the first episodes with success; returns their commitments in order."""
+    played: list[int] = []
+    order: list[str] = []
+    while True:
+        with database.transaction() as session:
+            waiting = [shard for shard in shard_ids(session, submission) if shard not in played]
+            (commitment,) = {session.get_one(Shard, shard).commitment for shard in waiting} or {None}
+        if commitment is None:
+            return order
+        order.append(commitment)
+        for shard in waiting:
+            play_shard(database, shard, successes_below(solved[commitment] + 1))
+        played += waiting
