@@ -19,6 +19,7 @@ from vitac.server.database.models import (
     EpisodeDifference,
     EpisodeResult,
     Evaluation,
+    FreshList,
     Invitation,
     JudgingConflict,
     JudgingMark,
@@ -69,6 +70,7 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
     session.add_all(
         [
             ActionTrace(evaluation_id=evaluation.id, task="gone", action_size=3, actions=b"\0\x7f\xff\\n"),
+            FreshList(evaluation_id=evaluation.id, commitment="2" * 64, secret="3" * 64),
             Announcement(title="News", text=TEXT),
             Cosignature(witness="ants+0+0", size=1, signature=b"\0\x7f\xff\\n", signed_at=now),
             TreeNode(level=1, number=9, hash=b"\0\x7f\xff\\n"),

@@ -22,6 +22,13 @@ def test_names_are_shown_composed_with_single_spaces(database: Database) -> None
     assert register(database, "  Équipe \t rouge ") == "Équipe rouge"
 
 
+def test_a_raised_digit_is_the_digit_and_a_second_team_with_it_is_refused(database: Database) -> None:
+    assert register(database, "Team A²") == "Team A2"
+    with pytest.raises(ServiceError) as refused:
+        register(database, "Team A2")
+    assert refused.value.code is ProblemCode.TEAM_EXISTS
+
+
 @pytest.mark.parametrize("same", ["team a", "TEAM  A", "Ｔｅａｍ Ａ"])
 def test_names_that_look_alike_are_one_name(database: Database, same: str) -> None:
     register(database, "Team A")
