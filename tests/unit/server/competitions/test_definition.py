@@ -79,6 +79,10 @@ def set_in(place: Callable[[Content], Content], **values: object) -> Callable[[C
         ),
         (lambda content: content["tracks"].clear(), "tracks"),
         (
+            lambda content: content["tracks"][TRACK].update(picture="peg-insertoin"),
+            "tracks.track_1.picture: There is no task 'peg-insertoin'; did you mean peg-insertion?",
+        ),
+        (
             lambda content: content["tracks"][TRACK].update(judging={"criteria": [{"name": "a", "title": "A"}]}),
             "judging.weights.figures: expected 0, got 0.2; teams bring no sensors to this track",
         ),

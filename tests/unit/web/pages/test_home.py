@@ -13,12 +13,14 @@ from PIL import Image
 from played_episodes import KEY, a_playback, a_shown_episode, real_files
 from visits import COMPLETED
 from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.evaluator.tracks import load_track
 from vitac.server.api.conditional import compress
 from vitac.server.playbacks.asking import PlaybackFile
 from vitac.server.views.comparisons import PublicEpisodeView, StillView
 from vitac.server.views.competition import CompetitionTrackView, CompetitionView, StageView
 from vitac.server.views.correspondence import AnnouncementView
 from vitac.web.pages import home
+from vitac.web.pages.tracks import find_scene
 from vitac.web.rendering import STATIC
 
 SCORES = (MADE_UP_SCORES[TASK], MADE_UP_SCORES[LOCK])
@@ -195,3 +197,18 @@ def test_the_newest_announcements_are_shown_and_linked(data: FixedData, browser:
     assert html.index("News 7") < html.index("News 5")
     assert "News 4" not in html
     assert "All of it." not in html
+
+
+def test_a_track_has_the_picture_of_its_first_task_or_of_the_one_that_a_competition_names(
+    data: FixedData, browser: AsgiBrowser
+) -> None:
+    robust = load_track("track_1_peg_robust").tasks
+    assert find_scene(next(iter(robust.values()))) == "peg-insertion.webp", "that of the same environment"
+    assert find_scene(None) == "markers.svg"
+    assert 'src="/static/lock-opening.webp?v=' in browser.get("/").text
+    now = datetime.now(UTC)
+    cup = a_cup(a_stage("main", now - DAY, now + DAY, is_open=True))
+    data.cup = cup.model_copy(
+        update={"tracks": [track.model_copy(update={"picture": "fusion-insertion"}) for track in cup.tracks]}
+    )
+    assert 'src="/static/fusion-insertion.webp?v=' in AsgiBrowser(an_application(data)).get("/").text
