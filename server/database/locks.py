@@ -59,6 +59,7 @@ class AdvisoryLock(IntEnum):
     PLAYBACK_OF_REQUESTER = 0x7669_7461_6304  # two requests at once would exceed the limits
     PLAYBACK_OF_EPISODE = 0x7669_7461_6305  # two requests at once would make the same playback twice
     STORED_FILE = 0x7669_7461_6306  # a file must not be removed while it is uploaded again
+    LISTS_OF_TEAM = 0x7669_7461_6308  # two claims at once would play a public and a sealed list side by side
     RECEIPTS = 0x7669_7461_6307  # two receipts at once would follow the same one
 
 

@@ -22,7 +22,7 @@ from vitac.envs.tasks.definition import Family
 
 from ..database.clock import read_clock
 from ..database.engine import Database
-from ..database.locks import AdvisoryLock, try_lock, unless_held
+from ..database.locks import AdvisoryLock, try_lock, unless_held, wait_for_turn
 from ..database.models import Work
 from ..database.states import OPEN_WORK_STATES, RepeatCause, WorkKind, WorkState
 from ..settings import Settings
@@ -55,11 +55,25 @@ _CLAIM = text("""
                 SELECT FROM work same
                 WHERE same.state = 'running' AND same.kind = waiting.kind AND same.owner = waiting.owner
             ))
+            AND NOT (kind = 'shard' AND EXISTS (
+                SELECT FROM work beside
+                WHERE beside.state = 'running' AND beside.kind = 'shard' AND beside.owner = waiting.owner
+                    AND (beside.requires LIKE '% sealed') <> (waiting.requires LIKE '% sealed')
+            ))
         ORDER BY priority, token = 0, turn, id
         LIMIT 1 FOR UPDATE SKIP LOCKED
     )
-    RETURNING id, kind, token, attempts, CAST(extract(epoch FROM started_at - queued_at) AS double precision)
+    RETURNING id, kind, owner, token, attempts, CAST(extract(epoch FROM started_at - queued_at) AS double precision)
 """)
+
+_HAS_BESIDE = text("""
+    SELECT EXISTS (
+        SELECT FROM work taken JOIN work beside ON beside.kind = 'shard' AND beside.owner = taken.owner
+        WHERE taken.id = :id AND beside.state = 'running'
+            AND (beside.requires LIKE '% sealed') <> (taken.requires LIKE '% sealed')
+    )
+""")
+"""Whether a team's shard was taken at the same moment as one of the other kind of list."""
 
 _OVER_SHARE = text("""
     SELECT shared.kind
@@ -82,6 +96,10 @@ _OVER_SHARE = text("""
 
 class LeaseLost(VitacError):
     """The work belongs to another worker or was ended from outside: stop working on it and report nothing."""
+
+
+class _TakenBeside(VitacError):
+    """The claim is taken back: a team's sealed and public shards do not run at the same time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,6 +180,9 @@ def claim(
 ) -> Claim | None:
     """Take the next piece of work for a worker, in a transaction of its own; None where nothing waits that it can do.
 
+    A team's shards of sealed lists never run beside its public ones, whose episodes it sees: sandboxes that run at the
+    same time could talk.
+
     Args:
         database: of the service.
         settings: of the service.
@@ -180,10 +201,14 @@ def claim(
         try:
             with database.transaction() as session:
                 row = session.execute(_CLAIM, values).one_or_none() if kinds else None
-        except IntegrityError:  # another worker has taken the place of this owner at the same moment
+                if row is not None and row.kind == WorkKind.SHARD:
+                    wait_for_turn(session, AdvisoryLock.LISTS_OF_TEAM, row.owner)
+                    if session.scalar(_HAS_BESIDE, {"id": row.id}):
+                        raise _TakenBeside
+        except (IntegrityError, _TakenBeside):  # another worker has taken the place of this owner at the same moment
             return None
         if row is not None:
-            work_id, kind, token, attempts, waited_s = row
+            work_id, kind, _, token, attempts, waited_s = row
             return Claim(work_id=work_id, kind=WorkKind(kind), token=token, attempt=attempts, waited_s=waited_s)
     return None
 
