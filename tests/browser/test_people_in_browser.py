@@ -101,6 +101,7 @@ def test_each_role_sees_its_pages_without_a_barrier(
         resize(page, ZOOMED)
         assert page.evaluate("document.documentElement.scrollWidth") <= ZOOMED["width"], f"{path} at 200 %"
         resize(page, DESK)
+        page.evaluate("document.querySelectorAll('main details').forEach((fold) => { fold.open = true; })")
         for field in page.locator("main").locator("input:not([type=hidden], [type=checkbox]), textarea, select").all():
             height, letters = field.evaluate("field => [field.offsetHeight, getComputedStyle(field).fontSize]")
             assert height >= FINGER_PX, f"{path}: {field.get_attribute('name')} is drawn by the browser"

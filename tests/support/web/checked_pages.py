@@ -11,13 +11,16 @@ COMPETITION = "/competitions/cup"
 PAGES_OF_ROLES = {
     "visitor": (
         *("/announcements", "/competition", "/join", "/sign-in", BOARD, "PUBLIC", "SUBMISSION"),
-        *("/competitions", COMPETITION),
+        *("/competitions", COMPETITION, "/status"),
         *(f"{COMPETITION}/tracks/track_1", f"{COMPETITION}/tracks/track_1/logs", f"{COMPETITION}/receipts"),
     ),
     "other": ("/appeals", "PUBLIC", "SUBMISSION"),
     "judge": ("/appeals", "/judging", BOARD, "SUBMISSION"),
     "participant": ("/team", "/announcements", "/appeals", f"{COMPETITION}/appeals", BOARD, "SUBMISSION"),
-    "organizer": (COMPETITION, "/desk", "/appeals", "/judging", "/rejudging", "/operations", BOARD, "SUBMISSION"),
+    "organizer": (
+        *(COMPETITION, "/desk", "/appeals", "/judging", "/rejudging", "/operations", BOARD, "SUBMISSION"),
+        *("/desk/teams", f"/desk{COMPETITION}", f"/desk{COMPETITION}/tracks/track_1/stages/stage1"),
+    ),
 }
 """What each role looks at in a service (`test_people_in_browser`).
 
