@@ -104,6 +104,8 @@ def tell(story: Story, folder: Path) -> None:
     assert story.read("compare", first, second)["episodes_of_both"] > 0
     story.read("publish", first)
     story.read("describe", first, "--text", "Ours.")
+    story.read("withdraw", second)
+    story.read("withdraw", second, "--undo")
     appeal = str(json.loads(story.run("appeal open", second, "Look again.", "--json"))["id"])
     story.read("appeal show", appeal)
     story.read("appeal list")

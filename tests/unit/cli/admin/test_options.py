@@ -11,7 +11,7 @@ from vitac.cli.admin.app import app
 ONLY_READ = frozenset(
     {"check", "copies", "data", "key", "list", "lists", "propose", "rubric", "show", "unserved", "winners", "witnesses"}
 )
-WRITE_A_FILE = frozenset({"backup", "receipt export", "results publish"})
+WRITE_A_FILE = frozenset({"backup", "receipt export", "results publish", "submission download"})
 """A new one; in the service nothing changes."""
 
 
