@@ -220,7 +220,8 @@ def test_a_list_that_decides_at_once_is_compared_with_fresh_ones_that_are_thrown
         assert session.scalars(select(FreshList)).all() == []
         (drift,) = read_desk(session, CONSOLE).drifts
         assert (drift.team, drift.is_alarm) == ("Ants", True)
-        assert (drift.sealed[1] - drift.sealed[0], drift.fresh[1]) == (pytest.approx(100 / 270), drift.fresh[0])
+        assert drift.sealed[1] - drift.sealed[0] == pytest.approx(100 / 270)
+        assert drift.fresh[1] == drift.fresh[0]
         shown = listing.get(session, SETTINGS, by, submission.id).evaluation
         assert [score.successes for score in shown.practice_scores or ()] == [50]
         assert sum(end.success for end in listing.episodes(session, by, submission.id, practice=True)) == 50
@@ -233,7 +234,8 @@ def play_lists(database: Database, submission: Submission, solved: dict[str | No
     while True:
         with database.transaction() as session:
             waiting = [shard for shard in shard_ids(session, submission) if shard not in played]
-            (commitment,) = {session.get_one(Shard, shard).commitment for shard in waiting} or {None}
+            commitments: set[str | None] = {session.get_one(Shard, shard).commitment for shard in waiting}
+        (commitment,) = commitments or {None}
         if commitment is None:
             return order
         order.append(commitment)

@@ -30,6 +30,7 @@ from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import runs
 from vitac.server.submissions.files import stored_digests
 from vitac.server.submissions.view import submission_views
+from vitac.server.submissions.withdrawal import REMOVED
 
 from competitions import make_competition, put_in_place, stored_stage, teams_on_board
 
@@ -108,7 +109,7 @@ def test_a_removed_team_leaves_nothing_of_how_its_policies_failed_and_no_name_is
         team_data.erase(session, CONSOLE, teams.own(session, ants))
     with database.transaction() as session:
         evaluation = session.scalars(select(Evaluation)).one()
-        assert (evaluation.verdict_message, evaluation.log_tail) == (team_data.REMOVED, "")
+        assert (evaluation.verdict_message, evaluation.log_tail) == (REMOVED, "")
         kept = session.scalars(select(EpisodeResult)).all()
         assert len(kept) == n_failed
         for row in kept:
