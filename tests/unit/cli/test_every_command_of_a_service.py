@@ -101,7 +101,7 @@ def tell(story: Story, folder: Path) -> None:
     second = str(evaluated_submission(service)[1])
     story.read("status")
     assert story.read("status", first)["evaluation"]["state"] == "completed"
-    assert story.read("compare", first, second)["episodes_of_both"] > 0
+    assert story.read("compare", first, second)["pairs"][0]["episodes"] > 0
     story.read("publish", first)
     story.read("describe", first, "--text", "Ours.")
     story.read("withdraw", second)

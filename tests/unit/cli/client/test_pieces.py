@@ -154,7 +154,7 @@ class LosingService:
         if method == "PATCH":
             return httpx.Response(204)
         if not path.endswith("/submission"):
-            return httpx.Response(201, headers={"Location": "/u", "Upload-Offset": "0"})
+            return httpx.Response(201, headers={"Location": "/api/v1/uploads/u", "Upload-Offset": "0"})
         if self._lost:
             self._lost -= 1
             raise ServiceUnreachable("cut")
@@ -168,15 +168,15 @@ class LosingService:
 def test_a_lost_answer_to_the_last_request_costs_no_second_upload(tmp_path: Path, lost: int) -> None:
     service = LosingService(lost)
     assert sender_of(service.answer, tmp_path).run() == {"id": "made"}
-    assert service.asked == ["POST /api/v1/uploads", "PATCH /u", *["POST /u/submission"] * (lost + 1)]
+    assert service.asked == ["POST /api/v1/uploads", "PATCH /api/v1/uploads/u", *["POST /api/v1/uploads/u/submission"] * (lost + 1)]
 
 
 @pytest.mark.parametrize("code", sorted(MISPLACED))
 def test_an_upload_that_is_gone_meanwhile_is_begun_again(tmp_path: Path, code: str) -> None:
     service = LosingService(1, then=code)
     assert sender_of(service.answer, tmp_path).run() == {"id": "made"}
-    one_upload = ["POST /api/v1/uploads", "PATCH /u", "POST /u/submission"]
-    assert service.asked == [*one_upload, "POST /u/submission", *one_upload]
+    one_upload = ["POST /api/v1/uploads", "PATCH /api/v1/uploads/u", "POST /api/v1/uploads/u/submission"]
+    assert service.asked == [*one_upload, "POST /api/v1/uploads/u/submission", *one_upload]
 
 
 def sender_of(send: Callable[..., httpx.Response], tmp_path: Path) -> PieceSender:
@@ -188,7 +188,7 @@ def sender_of(send: Callable[..., httpx.Response], tmp_path: Path) -> PieceSende
 def test_gives_up_after_so_many_failures_without_progress(tmp_path: Path) -> None:
     def answer(method: str) -> httpx.Response:
         if method == "POST":
-            return httpx.Response(201, headers={"Location": "/u", "Upload-Offset": "0"})
+            return httpx.Response(201, headers={"Location": "/api/v1/uploads/u", "Upload-Offset": "0"})
         raise ServiceUnreachable("cut")
 
     pauses: list[float] = []
@@ -215,7 +215,7 @@ def test_progress_starts_the_count_of_failures_anew(tmp_path: Path) -> None:
 
     def answer(method: str) -> httpx.Response:
         if method == "POST":
-            return httpx.Response(201, headers={"Location": "/u", "Upload-Offset": str(next(offsets))})
+            return httpx.Response(201, headers={"Location": "/api/v1/uploads/u", "Upload-Offset": str(next(offsets))})
         raise ServiceUnreachable("cut")
 
     pauses: list[float] = []
@@ -242,7 +242,7 @@ def test_what_a_proxy_answers_for_a_service_that_restarts_is_tried_again(tmp_pat
     def answer(method: str) -> httpx.Response:
         for error in answers:
             raise error
-        headers = {"Location": "/u", "Upload-Offset": "5"}
+        headers = {"Location": "/api/v1/uploads/u", "Upload-Offset": "5"}
         return httpx.Response(201, headers=headers, json={"id": "1"})
 
     pauses: list[float] = []
