@@ -38,6 +38,12 @@ class Story:
         self.told.add(command)
         return done.stdout
 
+    def be_refused(self, command: str, *arguments: str) -> str:
+        done = self.service.run_with_input("", *command.split(), *arguments)
+        assert done.exit_code == 1, (command, done.output, done.exception)
+        self.told.add(command)
+        return str(done.exception)
+
     def read(self, command: str, *arguments: str, token: str | None = "") -> Any:
         self.run(command, *arguments, token=token)
         return json.loads(self.run(command, *arguments, "--json", token=token))
@@ -104,6 +110,7 @@ def tell(story: Story, folder: Path) -> None:
     assert story.read("compare", first, second)["pairs"][0]["episodes"] > 0
     story.read("publish", first)
     story.read("describe", first, "--text", "Ours.")
+    assert "plays none" in story.be_refused("choose", first), "its stage has no final list"
     story.read("withdraw", second)
     story.read("withdraw", second, "--undo")
     appeal = str(json.loads(story.run("appeal open", second, "Look again.", "--json"))["id"])
@@ -125,6 +132,7 @@ def tell_of_receipts(story: Story, submission: str, folder: Path) -> None:
         put_in_place(session, open_now(make_competition(witnesses=[key])))
     story.run("witness run", story.service.address, "--once", *witness)
     assert list(story.read("receipt verify", submission)["witnessed"]) == ["ants.example/v"]
+    story.read("receipt fetch", submission, "--to", str(folder))
     story.read("receipt audit", story.service.address)
 
 
