@@ -102,6 +102,17 @@ class Competition:
         return found
 
     @classmethod
+    def find_organized(cls, session: Session, by: Principal, name: str) -> Self:
+        """Return the competition of that name to its organizer.
+
+        Raises:
+            ServiceError: there is none of that name, or it is somebody else's.
+        """
+        found = cls.find(session, name)
+        by.require_organizer(found.name)
+        return found
+
+    @classmethod
     def read_by_track(cls, session: Session, track: str) -> Sequence[Self]:
         """Return the competitions that hold a track, in the order of `read_all`; without any, practice."""
         competitions = cls.read_all(session)

@@ -34,8 +34,7 @@ async def competition(request: Request) -> Response:
     by = viewer.principal
 
     def read(session: Session) -> CompetitionView:
-        by.require_organizer(Competition.find(session, name).name)
-        return competition_view(session, name)
+        return competition_view(session, Competition.find_organized(session, by, name).name)
 
     found = await site.read(read)
     end, refusal = await _try_end(request, by, found)
@@ -100,9 +99,7 @@ async def stage(request: Request) -> Response:
 
 def _find_stage(session: Session, by: Principal, request: Request) -> Stage:
     place = request.path_params
-    competition = Competition.find(session, place["competition"])
-    by.require_organizer(competition.name)
-    return competition.stage(place["track"], place["stage"])
+    return Competition.find_organized(session, by, place["competition"]).stage(place["track"], place["stage"])
 
 
 async def advance(request: Request) -> Response:

@@ -67,6 +67,7 @@ class PairProperties(NamedTuple):
     friction_coefficient: float
     mollifier_eps_m4: float  # threshold of the mollifier; 0 for pairs without
     dual_row: int  # of its dual variable of friction, or _NO_DUAL
+    slip_m: Vec3  # w of `contact`
 
 
 class MollifierRates(NamedTuple):
@@ -101,7 +102,7 @@ def add_contacts(
         )
         counted, factor, slip_m = 1, 1.0, NO_SLIP
         if model.parameters.counts_once:
-            counted = write_terms(model.surfaces, pair_type, candidates.triangle[k], y, x, c, terms)
+            counted = write_terms(model.surfaces, candidates.triangle[k], y, x, c, terms)
         for term in range(counted):
             if model.parameters.counts_once:
                 c, sliding, r = separation(terms, term, x)
@@ -114,11 +115,11 @@ def add_contacts(
             smallest = min(smallest, geometry.d)
             active += 1
             if pair_type == POINT_TRIANGLE or term == 0:
-                slip_m = recall_slip(points.memory, model.surfaces, pair_type, corners, k, y, x, geometry.n)
+                slip_m = recall_slip(points.memory, model.surfaces, candidates, k, y, geometry.n)
             w = add(weighted_sum(c, moves), slip_m)
             dual_row = k if term == 0 and factor > 0.0 else _NO_DUAL
-            pair = PairProperties(factor, candidates.friction[k], candidates.mollifier_eps_m4[k], dual_row)
-            modes = _write_modes(model.parameters, pair, geometry, w, candidates.dual, stencil, matrix)
+            pair = PairProperties(factor, candidates.friction[k], candidates.mollifier_eps_m4[k], dual_row, w)
+            modes = _write_modes(model.parameters, pair, geometry, candidates.dual, stencil, matrix)
             split = 2 if pair_type == EDGE_EDGE else 1
             count = collect_nodes(model.points, corners, k, split, modes, stencil)
             add_forces(stencil, count, modes, system.gradient)
@@ -132,7 +133,6 @@ def _write_modes(
     parameters: Parameters,
     pair: PairProperties,
     geometry: ContactGeometry,
-    w: Vec3,
     dual: FloatArray,
     stencil: Stencil,
     matrix: int,
@@ -145,6 +145,7 @@ def _write_modes(
         c = squared_cross_norm(subtract(x[1], x[0]), subtract(x[3], x[2]))
         e, de_dc, d2e_dc2 = mollifier(c, pair.mollifier_eps_m4)
     normal = NormalForce(-kappa * e * db_dd, kappa * e * d2b_dd2)
+    w = pair.slip_m
     u = subtract(w, scale(dot(w, geometry.n), geometry.n))
     mu, stiffness_n_m = pair.friction_coefficient, parameters.tangential_stiffness_n_m
     law = drag(np.sqrt(dot(u, u)), normal.force_n, mu, parameters.slip_scale_m, stiffness_n_m)

@@ -20,6 +20,7 @@ IndexArray = NDArray[np.int64]
 Corners = tuple[int, int, int, int]
 
 _MOLLIFIER_THRESHOLD = 1e-3
+NO_TRIANGLE = -1
 
 
 class Candidates(NamedTuple):
@@ -27,7 +28,7 @@ class Candidates(NamedTuple):
 
     pair_type: IndexArray  # [k] POINT_TRIANGLE or EDGE_EDGE
     points: IndexArray  # [k, 4]
-    triangle: IndexArray  # [k] that of a point-triangle pair
+    triangle: IndexArray  # [k] that of a point-triangle pair, or NO_TRIANGLE
     friction: FloatArray  # [k]
     mollifier_eps_m4: FloatArray  # [k] 0 for point-triangle pairs
     distance_m: FloatArray  # [k] when the list was made
@@ -129,9 +130,7 @@ def _point_triangle_pairs(search: Search, a: int, b: int, room: Room, found: Can
             if _boxes_meet(x, x, _low(boxes, i), _high(boxes, i)):
                 t = near[i]
                 corners = (p, triangles[t, 0], triangles[t, 1], triangles[t, 2])
-                if count < len(found.triangle):
-                    found.triangle[count] = t
-                count = _append(search, found, count, POINT_TRIANGLE, corners, 0.0)
+                count = _append(search, found, count, t, corners, 0.0)
     return count
 
 
@@ -151,14 +150,14 @@ def _edge_edge_pairs(search: Search, a: int, b: int, room: Room, found: Candidat
                 e, f = of_a[i], of_b[j]
                 corners = (edges[e, 0], edges[e, 1], edges[f, 0], edges[f, 1])
                 eps = _MOLLIFIER_THRESHOLD * lengths[e] * lengths[f]
-                count = _append(search, found, count, EDGE_EDGE, corners, eps)
+                count = _append(search, found, count, NO_TRIANGLE, corners, eps)
     return count
 
 
 @kernel
-def _append(search: Search, found: Candidates, count: int, pair_type: int, corners: Corners, eps: float) -> int:
+def _append(search: Search, found: Candidates, count: int, triangle: int, corners: Corners, eps: float) -> int:
     """Append a pair if it is within reach; beyond the capacity pairs are only counted."""
-    y = search.y
+    y, pair_type = search.y, EDGE_EDGE if triangle == NO_TRIANGLE else POINT_TRIANGLE
     _, _, r = closest_points(
         pair_type, load(y, corners[0]), load(y, corners[1]), load(y, corners[2]), load(y, corners[3])
     )
@@ -167,7 +166,7 @@ def _append(search: Search, found: Candidates, count: int, pair_type: int, corne
         return count
     if count < len(found.pair_type):
         points = found.points
-        found.pair_type[count] = pair_type
+        found.pair_type[count], found.triangle[count] = pair_type, triangle
         points[count, 0], points[count, 1], points[count, 2], points[count, 3] = corners
         found.mollifier_eps_m4[count] = eps
         found.distance_m[count] = distance

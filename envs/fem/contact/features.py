@@ -24,14 +24,24 @@ from numpy.typing import NDArray
 from ...compilation import allocating_kernel, kernel, large_kernel
 from ..algebra import Vec3, add, cross, dot, load, scale, subtract
 from ..model.model import Surfaces
+from .broad_phase import NO_TRIANGLE
 from .contact import Quad
-from .distance import NO_SLIDING, POINT_TRIANGLE, Coefficients, Sliding
+from .distance import NO_SLIDING, Coefficients, Sliding
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 # An edge pair, its ends against the edges, and against each other; a triangle with its edges and corners has 7.
 TERM_COUNT = 9
+
+
+class Above(NamedTuple):
+    """A point above a triangle."""
+
+    surfaces: Surfaces
+    triangle: int
+    y: FloatArray  # [p, 3] all points [m]
+    point: Vec3  # [m]
 
 
 class Terms(NamedTuple):
@@ -64,27 +74,24 @@ def is_inside(terms: Terms, term: int) -> bool:
 
 
 @large_kernel
-def write_terms(
-    surfaces: Surfaces, pair_type: int, triangle: int, y: FloatArray, x: Quad, c: Coefficients, terms: Terms
-) -> int:
+def write_terms(surfaces: Surfaces, triangle: int, y: FloatArray, x: Quad, c: Coefficients, terms: Terms) -> int:
     """Write the distances that a pair at points x [m] stands for; return their number.
 
     Args:
         surfaces: of the scene.
-        pair_type: of the pair.
-        triangle: of a point-triangle pair.
+        triangle: of a point-triangle pair, or NO_TRIANGLE.
         y: all points [m], shape [p, 3].
         x: those of the pair [m].
         c: coefficients of its closest points.
         terms: what to write to.
     """
-    if pair_type == POINT_TRIANGLE:
-        return _write_surface_terms(surfaces, triangle, y, x, terms)
-    return _write_edge_terms(x, c, terms)
+    if triangle == NO_TRIANGLE:
+        return _write_edge_terms(x, c, terms)
+    return _write_surface_terms(Above(surfaces, triangle, y, x[0]), x, terms)
 
 
 @kernel
-def _write_surface_terms(surfaces: Surfaces, t: int, y: FloatArray, x: Quad, terms: Terms) -> int:
+def _write_surface_terms(above: Above, x: Quad, terms: Terms) -> int:
     """Write what a point counts of a triangle, and of those of its edges and corners that no lower triangle has."""
     point, a, b, c = x
     s = _sides(point, a, b, c)
@@ -93,11 +100,11 @@ def _write_surface_terms(surfaces: Surfaces, t: int, y: FloatArray, x: Quad, ter
         total = s[0] + s[1] + s[2]
         v, w = s[2] / total, s[0] / total
         count = _append(terms, count, 1.0, (1.0, v + w - 1.0, -v, -w), (1, 2, 1, 3))
-    count = _append_edge(surfaces, t, 0, y, (point, a, b), s[0], terms, count)
-    count = _append_edge(surfaces, t, 1, y, (point, b, c), s[1], terms, count)
-    count = _append_edge(surfaces, t, 2, y, (point, c, a), s[2], terms, count)
+    count = _append_edge(above, 0, (a, b), s[0], terms, count)
+    count = _append_edge(above, 1, (b, c), s[1], terms, count)
+    count = _append_edge(above, 2, (c, a), s[2], terms, count)
     for corner in range(3):
-        count = _append_corner(surfaces, t, corner, y, point, terms, count)
+        count = _append_corner(above, corner, terms, count)
     return count
 
 
@@ -117,25 +124,16 @@ def _sides(point: Vec3, a: Vec3, b: Vec3, c: Vec3) -> tuple[float, float, float]
 
 
 @kernel
-def _append_edge(
-    surfaces: Surfaces,
-    t: int,
-    edge: int,
-    y: FloatArray,
-    ends: tuple[Vec3, Vec3, Vec3],
-    side: float,
-    terms: Terms,
-    count: int,
-) -> int:
-    """Append a triangle's edge, by the point and the edge's ends, where the closest point is inside of the edge."""
-    neighbour = surfaces.neighbours[t, edge]
-    if neighbour < t:
+def _append_edge(above: Above, edge: int, ends: tuple[Vec3, Vec3], side: float, terms: Terms, count: int) -> int:
+    """Append a triangle's edge, by its ends and the side that the point is on, where the closest point is inside."""
+    neighbour, point = above.surfaces.neighbours[above.triangle, edge], above.point
+    if neighbour < above.triangle:
         return count
-    point, a, b = ends
+    a, b = ends
     from_a, from_b = dot(subtract(point, a), subtract(b, a)), dot(subtract(point, b), subtract(a, b))
     if from_a <= 0.0 or from_b <= 0.0:
         return count
-    factor = (0.0 if side > 0.0 else 1.0) + (0.0 if _side_of_neighbour(surfaces, t, neighbour, y, point) > 0.0 else 1.0)
+    factor = (0.0 if side > 0.0 else 1.0) + (0.0 if _side_of_neighbour(above, neighbour) > 0.0 else 1.0)
     if factor == 1.0:
         return count
     v = from_a / (from_a + from_b)
@@ -147,27 +145,27 @@ def _append_edge(
 
 
 @kernel
-def _side_of_neighbour(surfaces: Surfaces, t: int, neighbour: int, y: FloatArray, point: Vec3) -> float:
-    """Return on which side of the edge shared with triangle t a point is above its neighbour."""
+def _side_of_neighbour(above: Above, neighbour: int) -> float:
+    """Return on which side of the edge that the triangle shares with its neighbour the point is, above the latter."""
+    surfaces, y, point = above.surfaces, above.y, above.point
     corners = surfaces.triangles
     s = _sides(point, load(y, corners[neighbour, 0]), load(y, corners[neighbour, 1]), load(y, corners[neighbour, 2]))
-    if surfaces.neighbours[neighbour, 0] == t:
+    if surfaces.neighbours[neighbour, 0] == above.triangle:
         return s[0]
-    return s[1] if surfaces.neighbours[neighbour, 1] == t else s[2]
+    return s[1] if surfaces.neighbours[neighbour, 1] == above.triangle else s[2]
 
 
 @kernel
-def _append_corner(
-    surfaces: Surfaces, t: int, corner: int, y: FloatArray, point: Vec3, terms: Terms, count: int
-) -> int:
+def _append_corner(above: Above, corner: int, terms: Terms, count: int) -> int:
     """Append a triangle's corner with the triangles and edges around it."""
+    surfaces, y = above.surfaces, above.y
     corners, around = surfaces.triangles, surfaces.around
-    vertex = corners[t, corner]
+    vertex = corners[above.triangle, corner]
     first, last = surfaces.around_start[vertex], surfaces.around_start[vertex + 1]
-    if around[first] != t:
+    if around[first] != above.triangle:
         return count
     place = load(y, vertex)
-    away, factor = subtract(point, place), 1.0
+    away, factor = subtract(above.point, place), 1.0
     for k in range(first, last):
         other = around[k]
         at = 0 if corners[other, 0] == vertex else (1 if corners[other, 1] == vertex else 2)

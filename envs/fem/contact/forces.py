@@ -19,7 +19,7 @@ from ..algebra import (
     set_row,
     subtract,
 )
-from ..model.model import Model, Surfaces, point_positions
+from ..model.model import Model, Parameters, Surfaces, point_positions
 from .barrier import YIELDED, barrier, drag, mollifier, squared_cross_norm
 from .broad_phase import Candidates, find_candidates
 from .contact import Quad, weighted_sum
@@ -62,16 +62,10 @@ def sorted_memory(memory: ContactMemory) -> ContactMemory:
 
 @kernel
 def recall_slip(
-    memory: ContactMemory,
-    surfaces: Surfaces,
-    pair_type: int,
-    points: IndexArray,
-    k: int,
-    y: FloatArray,
-    x: Quad,
-    n: Vec3,
+    memory: ContactMemory, surfaces: Surfaces, candidates: Candidates, k: int, y: FloatArray, n: Vec3
 ) -> Vec3:
-    """Return the elastic slip [m] of the candidate k; zero if its sides were not in contact. Points y, those of k x."""
+    """Return the elastic slip [m] of the candidate k, at points y [m], shape [p, 3]; zero if it was not in contact."""
+    pair_type, points = candidates.pair_type[k], candidates.points
     named = _NAMES if pair_type == EDGE_EDGE else 2
     low, high = 0, len(memory.slip_m)
     while low < high:
@@ -84,7 +78,7 @@ def recall_slip(
     while low < len(memory.slip_m) and _is_named(memory.pairs, low, pair_type, points, k, named):
         kept = load(memory.slip_m, low)
         if pair_type == EDGE_EDGE:
-            along, across = _edge_frame(x, n, memory.pairs[low, _NAMES])
+            along, across = _edge_frame(_corners(points, k, y), n, memory.pairs[low, _NAMES])
             return add(scale(kept[0], along), scale(kept[1], across))
         corner = memory.pairs[low, 2]
         if surfaces.point_body[corner] == surfaces.point_body[points[k, 1]]:
@@ -116,7 +110,7 @@ def remember_slips(
         if dot(r, r) >= d_hat * d_hat:
             continue
         moves = _moves(points, k, x, y_start)
-        counted = write_terms(model.surfaces, pair_type, candidates.triangle[k], y, x, c, terms)
+        counted = write_terms(model.surfaces, candidates.triangle[k], y, x, c, terms)
         for term in range(counted):
             c, _, r = separation(terms, term, x)
             if dot(r, r) >= d_hat * d_hat or terms.factor[term] < 0.0:
@@ -125,7 +119,7 @@ def remember_slips(
                 continue
             d = np.sqrt(dot(r, r))
             n = scale(1.0 / d, r)
-            w = add(weighted_sum(c, moves), recall_slip(before, model.surfaces, pair_type, points, k, y, x, n))
+            w = add(weighted_sum(c, moves), recall_slip(before, model.surfaces, candidates, k, y, n))
             u = subtract(w, scale(dot(w, n), n))
             normal_n = terms.factor[term] * _normal_force(model, candidates, k, d, x)
             size, longest = np.sqrt(dot(u, u)), YIELDED * candidates.friction[k] * normal_n / stiffness_n_m
@@ -268,7 +262,7 @@ def pair_forces(model: Model, x: FloatArray, x_start: FloatArray, memory: Contac
         moves = _moves(points, k, corners, y_start)
         counted, factor, recalled = 1, 1.0, NO_SLIP
         if model.parameters.counts_once:
-            counted = write_terms(surfaces, pair_type, candidates.triangle[k], y, corners, c, terms)
+            counted = write_terms(surfaces, candidates.triangle[k], y, corners, c, terms)
         for term in range(counted):
             if model.parameters.counts_once:
                 c, _, r = separation(terms, term, corners)
@@ -277,8 +271,10 @@ def pair_forces(model: Model, x: FloatArray, x_start: FloatArray, memory: Contac
                     continue
             n = scale(1.0 / np.sqrt(dot(r, r)), r)
             if pair_type == POINT_TRIANGLE or term == 0:
-                recalled = recall_slip(memory, surfaces, pair_type, points, k, y, corners, n)
-            force = _force(model, candidates, k, factor, r, add(weighted_sum(c, moves), recalled), corners)
+                recalled = recall_slip(memory, surfaces, candidates, k, y, n)
+            slip = add(weighted_sum(c, moves), recalled)
+            normal_n = factor * _normal_force(model, candidates, k, np.sqrt(dot(r, r)), corners)
+            force = _force(model.parameters, normal_n, candidates.friction[k], n, slip)
             at = corners[0]
             if pair_type == EDGE_EDGE:
                 at = add(scale(c[0], corners[0]), scale(c[1], corners[1]))
@@ -299,17 +295,9 @@ def pair_forces(model: Model, x: FloatArray, x_start: FloatArray, memory: Contac
 
 
 @kernel
-def _force(model: Model, candidates: Candidates, k: int, factor: float, r: Vec3, slip: Vec3, x: Quad) -> Vec3:
-    """Return the force of candidate k [N] on its first body: N n - A u, see `contact`."""
-    d, parameters = np.sqrt(dot(r, r)), model.parameters
-    n = scale(1.0 / d, r)
-    normal_n = factor * _normal_force(model, candidates, k, d, x)
+def _force(parameters: Parameters, normal_n: float, coefficient: float, n: Vec3, slip: Vec3) -> Vec3:
+    """Return the force of a contact [N] on its first body: N n - A u, see `contact`."""
     u = subtract(slip, scale(dot(slip, n), n))
-    law = drag(
-        np.sqrt(dot(u, u)),
-        normal_n,
-        candidates.friction[k],
-        parameters.slip_scale_m,
-        parameters.tangential_stiffness_n_m,
-    )
+    slip_scale_m, stiffness_n_m = parameters.slip_scale_m, parameters.tangential_stiffness_n_m
+    law = drag(np.sqrt(dot(u, u)), normal_n, coefficient, slip_scale_m, stiffness_n_m)
     return subtract(scale(normal_n, n), scale(law.a_n_m, u))

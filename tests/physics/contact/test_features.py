@@ -5,6 +5,7 @@ import pytest
 from block_meshes import box_surface
 from numpy.typing import NDArray
 from small_scenes import Grip, arena_contact
+from vitac.envs.fem.contact.broad_phase import NO_TRIANGLE
 from vitac.envs.fem.contact.contact import Quad
 from vitac.envs.fem.contact.distance import EDGE_EDGE, POINT_TRIANGLE, closest_points
 from vitac.envs.fem.contact.features import new_terms, separation, write_terms
@@ -64,7 +65,7 @@ class Bumps:
         for triangle, corners in enumerate(self.triangles):
             x = vectors(np.array([point, *self.vertices[corners]]))
             c = closest_points(POINT_TRIANGLE, *x)[0]
-            for term in range(write_terms(self._surfaces, POINT_TRIANGLE, triangle, points, x, c, self._terms)):
+            for term in range(write_terms(self._surfaces, triangle, points, x, c, self._terms)):
                 total += self._terms.factor[term] * barrier(float(np.linalg.norm(separation(self._terms, term, x)[2])))
         return total
 
@@ -108,7 +109,7 @@ def test_an_edge_pair_counts_inside_of_both_less_the_ends_that_count_already() -
         x = rng.normal(size=(4, 3))
         corners, measured = vectors(x), 0.0
         c = closest_points(EDGE_EDGE, *corners)[0]
-        for term in range(write_terms(surfaces, EDGE_EDGE, 0, x, corners, c, terms)):
+        for term in range(write_terms(surfaces, NO_TRIANGLE, x, corners, c, terms)):
             measured += terms.factor[term] * barrier(float(np.linalg.norm(separation(terms, term, corners)[2])))
         pair = barrier(float(np.linalg.norm(np.array(c) @ x)))
         ends = sum(barrier(distance(x[i], x[2], x[3])) + barrier(distance(x[2 + i], x[0], x[1])) for i in range(2))

@@ -66,7 +66,7 @@ def test_prints_score_and_result_hash(submission: Path, tmp_path: Path, capsys: 
     code, out, err = run(capsys, submission, "--episodes", "1:3,31", "--json", report)
     content = EvaluationReport.model_validate_json(report.read_text())
     assert code == 0
-    assert "all               4          4  100.0%  51.0% to 100.0%" in out
+    assert "all               4       4          4  100.0%  51.0% to 100.0%" in out
     assert "mean env steps of the successes: 3.00" in out
     assert re.search(r"success +4 +1 +The task was solved\.", out), "the first of them is named"
     assert "`vitac show peg-insertion --policy SUBMISSION --episode N` draws one of them" in out

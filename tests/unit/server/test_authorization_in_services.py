@@ -11,6 +11,7 @@ import pytest
 WITHOUT_DECISION = {
     "record": "notes in the audit log who did something",
     "issue_to_member": "gives whoever joins, registers or renews a token; `members` and `registration` decide",
+    "take_back": "puts a withdrawn submission back; `restore` and uploading it again decide",
     "end_tokens": "ends tokens of a member who leaves or changes the password; `members` decides",
 }
 """Functions that take who asks and let everybody do it, with the reason."""

@@ -9,7 +9,21 @@ from typer.main import get_command
 from vitac.cli.admin.app import app
 
 ONLY_READ = frozenset(
-    {"check", "copies", "data", "digests", "key", "list", "lists", "propose", "rubric", "show", "unserved", "winners", "witnesses"}
+    {
+        "check",
+        "copies",
+        "data",
+        "digests",
+        "key",
+        "list",
+        "lists",
+        "propose",
+        "rubric",
+        "show",
+        "unserved",
+        "winners",
+        "witnesses",
+    }
 )
 WRITE_A_FILE = frozenset({"backup", "receipt export", "results publish", "submission download"})
 """A new one; in the service nothing changes."""

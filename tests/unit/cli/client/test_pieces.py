@@ -168,7 +168,11 @@ class LosingService:
 def test_a_lost_answer_to_the_last_request_costs_no_second_upload(tmp_path: Path, lost: int) -> None:
     service = LosingService(lost)
     assert sender_of(service.answer, tmp_path).run() == {"id": "made"}
-    assert service.asked == ["POST /api/v1/uploads", "PATCH /api/v1/uploads/u", *["POST /api/v1/uploads/u/submission"] * (lost + 1)]
+    assert service.asked == [
+        "POST /api/v1/uploads",
+        "PATCH /api/v1/uploads/u",
+        *["POST /api/v1/uploads/u/submission"] * (lost + 1),
+    ]
 
 
 @pytest.mark.parametrize("code", sorted(MISPLACED))
