@@ -3,16 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
-from block_meshes import box_gel, box_surface
+from block_meshes import box_surface
 from contact.rigid import GRAVITY_M_S2, TOUCHING_M, FreeBody, rubbing
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
-from small_scenes import IDENTITY, arena_contact
+from small_scenes import IDENTITY
 from vitac.envs.fem.contact.barrier import barrier
 from vitac.envs.fem.contact.forces import pair_forces
-from vitac.envs.fem.model.mesh import GelBody, RigidBody, SurfaceMesh
+from vitac.envs.fem.model.mesh import RigidBody, SurfaceMesh
 from vitac.envs.fem.model.settings import ArenaContactSettings
-from vitac.envs.fem.scene.scene import Scene, SceneState
+from vitac.envs.fem.scene.scene import SceneState
 from vitac.envs.fem.solver.iterate import remember_step
 
 FloatArray = NDArray[np.float64]
@@ -21,7 +21,7 @@ _HALF_M = 0.03
 
 
 def drawn_plate(rng: np.random.Generator, inner: int) -> SurfaceMesh:
-    """Return a plate whose top, at z = 0, and bottom are triangulated through so many points drawn inside of them."""
+    """Return a plate whose top, at z = 0, and bottom are triangulated through a number of points drawn inside."""
     ring = _HALF_M * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     flat = np.concatenate([ring, rng.uniform(-0.95 * _HALF_M, 0.95 * _HALF_M, (inner, 2))])
     faces = Delaunay(flat).simplices.astype(np.int64)
@@ -123,18 +123,18 @@ def work_of_cycle_j(rng: np.random.Generator, friction: float) -> tuple[float, f
     The block is led, without forces of its own, so that shear and pressure are what was drawn: shear under one force,
     another force, back, and so on to where the cycle began, twice.
     """
-    plate, contact = drawn_plate(rng, 3), arena_contact(friction)
+    plate, contact = drawn_plate(rng, 3), rubbing(friction, ("box", "plate"))
     box = box_surface((0.01, 0.012, 0.008), (-0.005, -0.006, 0.0))
-    far = GelBody(mesh=box_gel((0.004, 0.004, 0.004), (1, 1, 2)), rotation=IDENTITY, translation_m=np.full(3, 0.3))
-    body = RigidBody(mesh=box, rotation=IDENTITY, translation_m=np.array([0.0, 0.0, TOUCHING_M]))
-    fixed = RigidBody(mesh=plate, rotation=IDENTITY, translation_m=np.zeros(3), fixed=True)
-    scene = Scene(gels=[far], bodies=[body, fixed], time_step_s=0.1, contact=contact)
-    rows = slice(scene._layout.body_slices[0].start, scene._layout.body_slices[0].stop)
+    start = np.array([0.0, 0.0, TOUCHING_M])
+    body = RigidBody(mesh=box, rotation=IDENTITY, translation_m=start, material="box")
+    fixed = RigidBody(mesh=plate, rotation=IDENTITY, translation_m=np.zeros(3), material="plate", fixed=True)
+    block = FreeBody(body, [fixed], contact=contact, time_step_s=0.1)
+    scene, rows = block.scene, block._rows
     gaps_m = [_gap_m(contact, force_n / 4) for force_n in rng.uniform(0.3, 20.0, 6)]
     places = np.insert(rng.uniform(-2e-5, 2e-5, (6, 2)), 2, gaps_m, axis=1)
     way = np.concatenate([np.linspace(a, b, 9)[1:] for a, b in zip(places, np.roll(places, -1, axis=0), strict=True)])
     here, work_j, stored_j = places[0], 0.0, 0.0
-    home = scene._x[rows] - [0.0, 0.0, TOUCHING_M]
+    home = scene._x[rows] - start
     scene._x[rows] = home + here
     for there in np.concatenate([way, way]):
         x_start, memory = scene._x.copy(), scene._memory

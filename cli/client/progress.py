@@ -85,7 +85,7 @@ class EvaluationProgress:
             self._console.print(self._indent + line, highlight=False)
 
     def _print_wait(self, reason: str) -> None:
-        """Say once why nothing goes on: without a bar, a wait for a worker would be silent and without end."""
+        """Say once why nothing happens: without a bar, a wait for a worker would be silent and without end."""
         if reason and reason != self._wait:
             self._console.print(f"{self._indent}waiting: {reason}", highlight=False, soft_wrap=True)
         self._wait = reason

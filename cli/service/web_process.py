@@ -3,6 +3,7 @@
 `process_tree` starts them. They use the database, which stays with the process that started them.
 """
 
+import signal
 import socket
 import sys
 import time
@@ -10,13 +11,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from http.client import HTTPConnection, HTTPException
 
+from vitac.evaluator.parent_death import end_with_parent
 from vitac.server.services import Services
 
 from .database import load_settings
 from .process_pool import ProcessPool
 from .stop_request import StopRequest
 from .web_server import BACKLOG, START_LIMIT_S, ServerDidNotStart, WebServer, configure_events, no_collections
-from .worker import exit_with_parent
 
 COMMAND = ("-c", "import sys; from vitac.cli.service.web_process import main; main(*map(int, sys.argv[1:]))")
 POLL_S = 0.05
@@ -36,7 +37,7 @@ def main(listener: int, parent: int) -> None:
 
     settings = load_settings()
     configure_events(sys.stderr, settings.log_format)
-    exit_with_parent(parent)
+    end_with_parent(parent, signal.SIGTERM)
     # Until the services are open, which may take as long as the database is away, SIGTERM ends the process at once: it
     # holds the service's port, and whoever started it may be gone.
     with (

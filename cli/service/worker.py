@@ -1,10 +1,12 @@
 """`vitac worker`: evaluates queued submissions."""
 
 import os
+import signal
 import sys
 from typing import Annotated
 
 import typer
+from vitac.evaluator.parent_death import end_with_parent
 
 from .database import load_settings
 from .durations import parse_duration_s
@@ -42,7 +44,7 @@ def command(
     settings = load_settings(worker_slots=1 if once else slots)
     configure_events(sys.stderr, settings.log_format)
     if parent is not None:
-        exit_with_parent(parent)
+        end_with_parent(parent, signal.SIGTERM)
     with no_collections():
         from vitac.server.database.availability import DatabaseUnreachable
         from vitac.worker.main import ONCE_WAITS_S, Stay, WorkerRefused, run
@@ -59,16 +61,3 @@ def command(
 def _exit(code: int, sentence: str) -> None:
     print(f"vitac: {sentence}", file=sys.stderr)
     sys.exit(code)
-
-
-def exit_with_parent(parent: int) -> None:
-    """Have the kernel send SIGTERM when the parent ends for any reason; exit if it has ended already."""
-    import ctypes
-    import os
-    import signal
-
-    set_parent_death_signal = 1
-    if ctypes.CDLL(None, use_errno=True).prctl(set_parent_death_signal, signal.SIGTERM, 0, 0, 0) != 0:
-        raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG) failed")
-    if os.getppid() != parent:
-        sys.exit("the process that started this worker has ended")

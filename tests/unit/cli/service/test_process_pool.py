@@ -88,8 +88,8 @@ def test_one_that_does_not_listen_is_killed(monkeypatch: pytest.MonkeyPatch) -> 
 def test_they_end_with_their_starter_even_when_it_is_killed() -> None:
     child = (
         "import os, sys, time\n"
-        "from vitac.cli.service.worker import exit_with_parent\n"
-        "exit_with_parent(int(sys.argv[1])); time.sleep(600)\n"
+        "from signal import SIGTERM; from vitac.evaluator.parent_death import end_with_parent\n"
+        "end_with_parent(int(sys.argv[1]), SIGTERM); time.sleep(600)\n"
     )
     starter = (
         "import subprocess, time\n"
