@@ -34,12 +34,12 @@ from . import (
     submissions,
     teams,
     tracks,
+    uploads,
 )
 from . import rejudging as rejudgements
 from .middleware.requests import BodyLimit, RelativeRedirects, RequestHead, RequestIds, RequestTimes, Shutdown
 from .middleware.shares import Shares
-from .resumable import routes as uploads
-from .resumable.protocol import ProtocolVersion
+from .uploads import ProtocolVersion
 
 API_PREFIX = "/api/v1"
 DESCRIPTION = """Evaluation of policies for manipulation with vision and touch.

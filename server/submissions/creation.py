@@ -23,7 +23,7 @@ from ..receipts.issuing import issue_for_submission
 from ..settings import Quotas
 from .disqualification import require_qualified
 from .files import add_files
-from .intake import CheckedUpload, check_file_name
+from .intake import AnnouncedUpload, CheckedUpload, check_file_name
 from .runs import next_run, require_machines_hold
 from .withdrawal import take_back
 
@@ -95,40 +95,24 @@ def create(
     return submission, True
 
 
-def expect_upload(
-    session: Session,
-    quotas: Quotas,
-    by: Principal,
-    *,
-    team: str | None,
-    sha256: str | None,
-    track: str | None = None,
-    competition: str | None = None,
-) -> Team:
+def expect_upload(session: Session, quotas: Quotas, by: Principal, announced: AnnouncedUpload) -> Team:
     """Return the team whose submission an upload becomes, before any of it is sent.
 
-    Args:
-        session: of the transaction.
-        quotas: of teams without limits of their own.
-        by: who asks.
-        team: for an organizer: whose submission it becomes.
-        sha256: digest of the body, hex, where the client says it: what the team has submitted before may cost nothing.
-        track: that the body must name; None: whatever it names.
-        competition: name of the competition, where the client says it.
+    What the team has submitted before, by the digest that the client says, may cost nothing.
 
     Raises:
         ServiceError: an organizer named no team, or none that exists, several competitions take submissions to the
             track and none is named, or the team has used one of its quotas.
     """
-    found = owner(session, by, team)
-    if track is not None:
-        choose_competition(session, track, read_clock(session), competition)
-    elif competition is not None:
-        Competition.find(session, competition)
-    known = select(Submission.id).where(Submission.team_id == found.id, Submission.archive_sha256 == sha256).limit(1)
-    if sha256 is None or session.scalar(known) is None:
-        check(session, quotas, by, found, *EVALUATION_QUOTAS)
-    return found
+    team = owner(session, by, announced.team)
+    if announced.track is not None:
+        choose_competition(session, announced.track, read_clock(session), announced.competition)
+    elif announced.competition is not None:
+        Competition.find(session, announced.competition)
+    same = Submission.team_id == team.id, Submission.archive_sha256 == announced.sha256
+    if announced.sha256 is None or session.scalar(select(Submission.id).where(*same).limit(1)) is None:
+        check(session, quotas, by, team, *EVALUATION_QUOTAS)
+    return team
 
 
 def owner(session: Session, by: Principal, team: str | None) -> Team:

@@ -1,10 +1,6 @@
-"""Receives an uploaded body into a folder of its own, and what it is once it passed all checks.
-
-Called by the upload routes, in the event loop; nothing is left behind when anything refuses it.
-"""
+"""What is said of an upload before it arrives, what holds of it whatever it contains, and what it is once checked."""
 
 import asyncio
-import hashlib
 import re
 import unicodedata
 from collections.abc import AsyncIterator, Iterator
@@ -27,6 +23,34 @@ UPLOAD_FOLDER = "upload"
 """First word of the names of folders for uploads, in the scratch folder."""
 
 
+SHA256 = re.compile("[0-9a-f]{64}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnnouncedUpload:
+    """What a client says of an upload before it sends the first byte.
+
+    Attributes:
+        kind: what the body is.
+        track: that the body must name; None: whatever it names.
+        competition: name of the competition; None: the one that takes submissions to the track.
+        team: for an organizer: whose submission it becomes.
+        again: run all episodes again, including stored ones.
+        file_name: as the client names it; None if the client did not send it.
+        total_bytes: length of the body; None if the client did not send it.
+        sha256: digest of the body, hex; None if the client did not send it.
+    """
+
+    kind: SubmissionKind
+    track: str | None = None
+    competition: str | None = None
+    team: str | None = None
+    again: bool = False
+    file_name: str | None = None
+    total_bytes: int | None = None
+    sha256: str | None = None
+
+
 @dataclass(frozen=True, kw_only=True)
 class ReceivedFile:
     """A body on disk."""
@@ -43,39 +67,24 @@ def upload_folder(settings: Settings) -> Iterator[Path]:
         yield folder
 
 
-def check_announced_size(n_bytes: int | None, limit_bytes: int) -> None:
-    """Refuse a body that is too large before the first byte is read.
+def check_announced(announced: AnnouncedUpload, limit_bytes: int) -> None:
+    """Refuse what cannot be an upload before the first byte of it is read.
+
+    Args:
+        announced: what the client says.
+        limit_bytes: largest body of its kind.
 
     Raises:
-        ServiceError: larger than the limit, which the problem names.
+        ServiceError: it is empty or larger than the limit, which the problem names, or its digest is none.
     """
-    if n_bytes is not None and n_bytes > limit_bytes:
-        raise _too_large(limit_bytes, f"{n_bytes} bytes were announced")
-
-
-async def receive(
-    body: AsyncIterator[bytes], folder: Path, *, limit_bytes: int, idle_timeout_s: float, announced_bytes: int | None
-) -> ReceivedFile:
-    """Write a body to disk while counting and hashing it.
-
-    Raises:
-        ServiceError: larger than the limit, shorter than announced, idle for too long, or empty.
-    """
-    path = folder / FILE_NAME
-    digest, n_bytes = hashlib.sha256(), 0
-    with path.open("xb") as file:
-        async for chunk in limit_idle_time(body, idle_timeout_s):
-            n_bytes += len(chunk)
-            if n_bytes > limit_bytes:
-                raise _too_large(limit_bytes, "more were sent")
-            digest.update(chunk)
-            file.write(chunk)
-    if announced_bytes is not None and n_bytes != announced_bytes:
-        raise truncated(f"expected {announced_bytes}, got {n_bytes} bytes")
-    if n_bytes == 0:
-        message = "The upload is empty, expected at least one byte. Check the file, and send it again."
-        raise ServiceError(ProblemCode.UPLOAD_TRUNCATED, message)
-    return ReceivedFile(path=path, sha256=digest.hexdigest(), n_bytes=n_bytes)
+    if announced.total_bytes == 0:
+        raise empty()
+    if announced.total_bytes is not None and announced.total_bytes > limit_bytes:
+        raise too_large(limit_bytes, f"{announced.total_bytes} were announced")
+    if announced.sha256 is not None and not SHA256.fullmatch(announced.sha256):
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST, f"Expected the SHA-256 as 64 hex digits, got {announced.sha256!r:.80}."
+        )
 
 
 def check_digest(received: ReceivedFile, claimed: str | None) -> None:
@@ -84,10 +93,10 @@ def check_digest(received: ReceivedFile, claimed: str | None) -> None:
     Raises:
         ServiceError: they differ, so the body was damaged on its way.
     """
-    if claimed is not None and claimed.lower() != received.sha256:
+    if claimed is not None and claimed != received.sha256:
         raise ServiceError(
             ProblemCode.DIGEST_MISMATCH,
-            f"Expected SHA-256 {claimed[:80]}, got {received.n_bytes} bytes with {received.sha256}. Send again.",
+            f"Expected SHA-256 {claimed}, got {received.n_bytes} bytes with {received.sha256}. Send again.",
             received_sha256=received.sha256,
         )
 
@@ -100,10 +109,17 @@ def truncated(what: str) -> ServiceError:
     )
 
 
-def _too_large(limit_bytes: int, what: str) -> ServiceError:
+def empty() -> ServiceError:
+    """Return the refusal of a body without a byte."""
+    message = "The upload is empty, expected at least one byte. Check the file, and send it again."
+    return ServiceError(ProblemCode.UPLOAD_TRUNCATED, message)
+
+
+def too_large(limit_bytes: int, what: str) -> ServiceError:
+    """Return the refusal of a body that is larger than its kind's limit, or than was announced."""
     return ServiceError(
         ProblemCode.UPLOAD_TOO_LARGE,
-        f"An upload of this kind may have at most {limit_bytes} bytes; {what}. Make it smaller.",
+        f"This upload may have at most {limit_bytes} bytes; {what}. Make it smaller.",
         limit_bytes=limit_bytes,
     )
 

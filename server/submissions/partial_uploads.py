@@ -2,7 +2,7 @@
 
 The received bytes wait as parts in the file store, which all servers reach; rows say which parts count. Of two clients
 that send the same piece the first one wins, the other learns where to continue: nothing is locked while bytes arrive,
-so a connection that died unnoticed holds up nobody. Called by the API, `submissions.completion` and housekeeping.
+so a connection that died unnoticed holds up nobody. Called by the API, `submissions.upload` and housekeeping.
 """
 
 import hashlib
@@ -10,11 +10,11 @@ import secrets
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 from uuid import UUID
 
 from sqlalchemy import case, delete, func, select, update
 from sqlalchemy.orm import Session, joinedload
-from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..accounts import teams
 from ..database.clock import read_clock
@@ -23,35 +23,11 @@ from ..errors import ProblemCode, ServiceError, not_found
 from ..principals import Principal
 from ..services import Services
 from ..settings import Settings
-from ..storage.scratch import require_room
-from .intake import FILE_NAME, ReceivedFile, check_announced_size
+from .intake import FILE_NAME, AnnouncedUpload, ReceivedFile, empty
 from .kinds import SERVED_KINDS
 
 MAX_PARTS = 5000
 """Maximum number of parts of one upload: one of 512 MiB has 128, and one more for each lost connection."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class UploadPlan:
-    """What a client says of an upload before it sends the first byte.
-
-    Attributes:
-        kind: what the body is.
-        track: that the body must name; None: whatever it names.
-        competition: name of the competition; None: the one that takes submissions to the track.
-        again: whether to run all episodes again.
-        file_name: as the client names it; None if the client did not send it.
-        total_bytes: length of the body.
-        sha256: digest of the body, hex; None if the client did not send it.
-    """
-
-    kind: SubmissionKind
-    track: str | None
-    competition: str | None
-    again: bool
-    file_name: str | None
-    total_bytes: int
-    sha256: str | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,35 +39,43 @@ class StoredPart:
     key: str
 
 
-def begin(session: Session, settings: Settings, owner: Team, plan: UploadPlan) -> PartialUpload:
+def begin(session: Session, settings: Settings, owner: Team, announced: AnnouncedUpload) -> PartialUpload:
+    """Make an upload that arrives at once; one of unknown length may be as large as its kind may."""
+    upload = PartialUpload(team=owner, received_bytes=0, expires_at=_expiry(session, settings), **_values(announced))
+    upload.total_bytes = announced.total_bytes or SERVED_KINDS[announced.kind].max_bytes(settings)
+    session.add(upload)
+    session.flush()
+    return upload
+
+
+def begin_resumable(session: Session, settings: Settings, owner: Team, announced: AnnouncedUpload) -> PartialUpload:
     """Make an upload, or return the team's unfinished one of the same content, which a client then continues.
 
     Raises:
-        ServiceError: too large, the disk is almost full, or the team has too many unfinished uploads.
+        ServiceError: the team has too many unfinished uploads.
     """
-    check_announced_size(plan.total_bytes, SERVED_KINDS[plan.kind].max_bytes(settings))
-    require_room(settings, plan.total_bytes)
     teams.lock(session, owner)
     unfinished = select(PartialUpload).where(
         PartialUpload.team_id == owner.id,
         PartialUpload.submission_id.is_(None),
         PartialUpload.expires_at > read_clock(session),
     )
-    if plan.sha256 is not None:
-        same = unfinished.filter_by(**vars(plan)).order_by(PartialUpload.received_bytes.desc()).limit(1)
-        found = session.scalar(same)
-        if found is not None:
-            return found
+    if announced.sha256 is not None:
+        same = unfinished.filter_by(**_values(announced)).order_by(PartialUpload.received_bytes.desc()).limit(1)
+        upload = session.scalar(same)
+        if upload is not None:
+            return upload
     if (session.scalar(select(func.count()).select_from(unfinished.subquery())) or 0) >= settings.unfinished_uploads:
         raise ServiceError(
             ProblemCode.TOO_MANY_UPLOADS,
             f"{owner.name} has {settings.unfinished_uploads} unfinished uploads, the most that are possible; finish or "
             f"delete one. Each is removed {settings.upload_kept_h} h after its last piece.",
         )
-    upload = PartialUpload(team=owner, received_bytes=0, expires_at=_expiry(session, settings), **vars(plan))
-    session.add(upload)
-    session.flush()
-    return upload
+    return begin(session, settings, owner, announced)
+
+
+def _values(announced: AnnouncedUpload) -> dict[str, Any]:
+    return {name: value for name, value in vars(announced).items() if name != "team"}
 
 
 def find(session: Session, by: Principal, upload_id: UUID) -> PartialUpload:
@@ -150,6 +134,18 @@ def add_parts(session: Session, settings: Settings, upload_id: UUID, parts: list
             f"The upload would have more than {MAX_PARTS} pieces; delete it and send larger ones.",
         )
     return expires_at
+
+
+def end(session: Session, upload_id: UUID) -> None:
+    """Let an upload whose length was not announced end where it is.
+
+    Raises:
+        ServiceError: no byte of it has arrived.
+    """
+    upload = lock(session, upload_id)
+    if upload.received_bytes == 0:
+        raise empty()
+    upload.total_bytes, upload.completed_at = upload.received_bytes, read_clock(session)
 
 
 def conflict(session: Session, upload_id: UUID, first_byte: int) -> ServiceError:

@@ -1,15 +1,16 @@
-"""Makes a submission out of a body that arrives at once; called by the API's upload route and the upload page."""
+"""The way of every upload: begun, received in pieces or as one, put together, checked, made a submission.
+
+Called by the API's routes of uploads in pieces and at once, and by the upload page.
+"""
 
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from uuid import UUID
 
 from sqlalchemy.orm import Session
-from starlette.requests import ClientDisconnect
-from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..competitions.competition import Competition
 from ..database.models import PartialUpload
@@ -21,111 +22,79 @@ from ..storage.stored_files import require_stored
 from ..tracks import load_known_track
 from ..views.submissions import SubmissionView
 from . import creation, intake, listing, partial_uploads
-from .intake import CheckedUpload, check_file_name
+from .intake import AnnouncedUpload
 from .kinds import SERVED_KINDS, accept, check_kind, remove_unnamed, removed_if_refused
+from .pieces import PieceReceiver
 
 
-@dataclass(frozen=True, kw_only=True)
-class AnnouncedUpload:
-    """What a client says of a body before it sends it.
-
-    Attributes:
-        kind: what the body is.
-        track: that the body must name; None: whatever it names.
-        competition: name of the competition; None: the one that takes submissions to the track.
-        team: for an organizer: whose submission it becomes.
-        again: run all episodes again, including stored ones.
-        n_bytes: length of the body; None if the client did not send it.
-        sha256: digest of the body, hex; None if the client did not send it.
-        file_name: of the body; None if the client did not send it.
-    """
-
-    kind: SubmissionKind
-    track: str | None = None
-    competition: str | None = None
-    team: str | None = None
-    again: bool = False
-    n_bytes: int | None = None
-    sha256: str | None = None
-    file_name: str | None = None
-
-
-def check(services: Services, upload: AnnouncedUpload) -> None:
-    """Refuse what cannot be accepted whatever the body holds, before any of it is read.
-
-    Raises:
-        ServiceError: it is too large, the disk is almost full, or the track does not exist or does not take its kind.
-    """
-    intake.check_announced_size(upload.n_bytes, SERVED_KINDS[upload.kind].max_bytes(services.settings))
-    require_room(services.settings, upload.n_bytes or 0)
-    if upload.track is not None:
-        check_kind(upload.kind, load_known_track(upload.track))
-
-
-async def receive(
-    services: Services, by: Principal, upload: AnnouncedUpload, body: AsyncIterator[bytes]
-) -> tuple[SubmissionView, bool]:
-    """Receive a body, check it and start its evaluation; return the submission, and whether anything was started.
+def begin(services: Services, by: Principal, announced: AnnouncedUpload, *, is_resumable: bool) -> PartialUpload:
+    """Begin an upload, or continue the team's unfinished one of the same content.
 
     Args:
         services: of this process.
         by: who sends it.
-        upload: what was announced; `check` has accepted it.
-        body: its bytes.
+        announced: what the client says of it.
+        is_resumable: whether it comes in pieces that somebody continues.
 
     Raises:
-        ServiceError: a rule is broken, or, before the body is read, that the team has used one of its quotas.
+        ServiceError: it cannot be accepted whatever the body holds: its size, kind, track or file's name is wrong, the
+            disk is almost full, or the team has used one of its quotas.
     """
-    owner = await asyncio.to_thread(_owner, services, by, upload)
-    with intake.upload_folder(services.settings) as folder:
-        try:
-            received = await intake.receive(
-                body,
-                folder,
-                limit_bytes=SERVED_KINDS[upload.kind].max_bytes(services.settings),
-                idle_timeout_s=services.settings.upload_idle_timeout_s,
-                announced_bytes=upload.n_bytes,
-            )
-        except ClientDisconnect as error:
-            raise intake.truncated("the connection was closed") from error
-        intake.check_digest(received, upload.sha256)
-        checked = await asyncio.to_thread(accept, services, received, kind=upload.kind, track=upload.track, owner=owner)
-    return await asyncio.to_thread(_create, services, by, upload, replace(checked, file_name=upload.file_name))
-
-
-def _owner(services: Services, by: Principal, upload: AnnouncedUpload) -> str:
+    settings = services.settings
+    intake.check_announced(announced, SERVED_KINDS[announced.kind].max_bytes(settings))
+    require_room(settings, announced.total_bytes or 0)
+    if announced.track is not None:
+        check_kind(announced.kind, load_known_track(announced.track))
     with services.database.transaction() as session:
-        owner = creation.expect_upload(
-            session,
-            services.settings.quotas,
-            by,
-            team=upload.team,
-            sha256=upload.sha256,
-            track=upload.track,
-            competition=upload.competition,
-        )
-        check_file_name(upload.file_name, team=owner.name)
-        return owner.name
+        owner = creation.expect_upload(session, settings.quotas, by, announced)
+        intake.check_file_name(announced.file_name, team=owner.name)
+        make = partial_uploads.begin_resumable if is_resumable else partial_uploads.begin
+        return make(session, settings, owner, announced)
 
 
-def _create(
-    services: Services, by: Principal, upload: AnnouncedUpload, checked: CheckedUpload
+async def receive(
+    services: Services, by: Principal, announced: AnnouncedUpload, body: AsyncIterator[bytes]
 ) -> tuple[SubmissionView, bool]:
-    with removed_if_refused(services, checked), services.database.transaction() as session:
-        require_stored(session, services.blobs, checked.digests)
-        submission, is_new = creation.create(
-            session,
-            by,
-            checked,
-            team=upload.team,
-            competition=upload.competition,
-            again=upload.again,
-            quotas=services.settings.quotas,
-        )
-    if not is_new or submission.archive_sha256 != checked.archive_sha256:
-        remove_unnamed(services, checked)
+    """Receive a body that arrives at once, as the one piece of an upload that is removed with the answer.
+
+    Args:
+        services: of this process.
+        by: who sends it.
+        announced: what the client says of it.
+        body: its bytes.
+
+    Returns:
+        the submission, and whether its evaluation was started.
+
+    Raises:
+        ServiceError: a rule is broken; all that needs no body is checked before any of it is read.
+    """
+    partial = await asyncio.to_thread(begin, services, by, announced, is_resumable=False)
+    piece = PieceReceiver(
+        services=services,
+        upload_id=partial.id,
+        offset=0,
+        end=partial.total_bytes,
+        checksum=None,
+        expires_at=partial.expires_at,
+    )
+    try:
+        await piece.receive(body)
+        return await asyncio.to_thread(_end, services, by, partial, announced)
+    finally:
+        with suppress(ServiceError):  # housekeeping removes what could not be removed now
+            await asyncio.to_thread(partial_uploads.remove, services, partial.id)
+
+
+def _end(
+    services: Services, by: Principal, partial: PartialUpload, announced: AnnouncedUpload
+) -> tuple[SubmissionView, bool]:
+    if announced.total_bytes is None:
+        with services.database.transaction() as session:
+            partial_uploads.end(session, partial.id)
+    submission_id, is_new = _make(services, by, partial)
     with services.database.transaction() as session:
-        return listing.get(session, services.settings, by, submission.id), is_new
+        return listing.get(session, services.settings, by, submission_id), is_new
 
 
 _TRANSIENT = frozenset(
@@ -153,7 +122,7 @@ def complete(services: Services, by: Principal, upload_id: UUID) -> tuple[UUID, 
     if upload.submission_id is not None:
         return upload.submission_id, False
     try:
-        return _make(services, by, upload)
+        submission = _make(services, by, upload)
     except ServiceError as error:
         made = _made_meanwhile(services, upload_id)
         if made is not None:
@@ -161,6 +130,9 @@ def complete(services: Services, by: Principal, upload_id: UUID) -> tuple[UUID, 
         if error.code not in _TRANSIENT:
             partial_uploads.remove(services, upload_id)
         raise
+    with suppress(ServiceError):  # The submission is made; housekeeping removes the parts with the upload.
+        services.blobs.delete_parts(str(upload_id))
+    return submission
 
 
 def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUID, bool]:
@@ -187,8 +159,6 @@ def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUI
         partial_uploads.finish(session, locked, submission.id)
     if not is_new or submission.archive_sha256 != checked.archive_sha256:
         remove_unnamed(services, checked)
-    with suppress(ServiceError):  # The submission is made; housekeeping removes the parts with the upload.
-        services.blobs.delete_parts(str(upload.id))
     return submission.id, is_new
 
 

@@ -104,7 +104,7 @@ class Service:
     def assert_nothing_left(self) -> None:
         """A refused upload leaves no file, row or job."""
         assert self.leftovers() == []
-        assert [self.count(table) for table in ("submissions", "evaluations", "work")] == [0, 0, 0]
+        assert [self.count(table) for table in ("submissions", "evaluations", "work", "partial_uploads")] == [0] * 4
 
 
 @dataclass(frozen=True, kw_only=True)

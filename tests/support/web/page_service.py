@@ -41,7 +41,7 @@ from vitac.server.receipts.receipt import Receipt
 from vitac.server.services import Services
 from vitac.server.settings import Registration, load_settings
 from vitac.server.submissions import appeals, comparison, files, listing, runs, sensors, upload
-from vitac.server.submissions.upload import AnnouncedUpload
+from vitac.server.submissions.intake import AnnouncedUpload
 from vitac.server.submissions.watch import Changes
 from vitac.server.transparency.notes import make_log_key
 from vitac.server.views.comparisons import ComparisonView, PlaybackView, PublicEpisodeView, ShownEpisodeView

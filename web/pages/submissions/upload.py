@@ -9,7 +9,8 @@ from vitac.server.competitions.view import list_choices
 from vitac.server.errors import ServiceError
 from vitac.server.limiter import UPLOADS
 from vitac.server.principals import Principal
-from vitac.server.submissions.upload import AnnouncedUpload, check, receive
+from vitac.server.submissions.intake import AnnouncedUpload
+from vitac.server.submissions.upload import receive
 
 from ...headers import size
 from ...session.file_form import read_file_form
@@ -52,7 +53,6 @@ async def upload(request: Request) -> Response:
 async def _receive(request: Request, by: Principal, announced: AnnouncedUpload, body: AsyncIterator[bytes]) -> str:
     """Return the address of the submission, which says so where the team had submitted it before."""
     services = get_site(request).services
-    check(services, announced)
     with request.app.state.upload_limiter.one(by.account, UPLOADS):
         made, is_new = await receive(services, by, announced, body)
     return f"/submissions/{made.id}{'' if is_new else '?known=yes'}"

@@ -18,7 +18,7 @@ from vitac.server.principals import CONSOLE, Principal
 from vitac.server.settings import Quotas, load_settings
 from vitac.server.submissions import partial_uploads, runs
 from vitac.server.submissions.files import stored_digests
-from vitac.server.submissions.partial_uploads import UploadPlan
+from vitac.server.submissions.intake import AnnouncedUpload
 
 pytestmark = pytest.mark.usefixtures("quota_clock")
 
@@ -54,18 +54,14 @@ def test_one_evaluation_more_than_a_quota_is_refused_by_its_name(
 
 
 def test_stored_uploads_count_each_file_once_until_a_day_after_a_cancel(
-    database: Database, principal: Principal, monkeypatch: pytest.MonkeyPatch
+    database: Database, principal: Principal
 ) -> None:
     one = submit(database, principal, "one")
     with database.transaction() as session:
         session.execute(update(Submission).values(archive_bytes=5 << 20))
         team = teams.own(session, principal)
-        plan = UploadPlan(
-            kind=SubmissionKind.MODEL, track=None, competition=None, again=False, file_name=None, total_bytes=3 << 20,
-            sha256=None,
-        )  # fmt: skip
-        monkeypatch.setattr(partial_uploads, "require_room", lambda *_: None)
-        partial_uploads.begin(session, load_settings(), team, plan)
+        announced = AnnouncedUpload(kind=SubmissionKind.MODEL, total_bytes=3 << 20)
+        partial_uploads.begin_resumable(session, load_settings(), team, announced)
     assert used(database, principal)["stored_mib"] == 8
     with pytest.raises(ServiceError, match="quota stored_mib"):
         submit(database, principal, "two", stored_mib=8)

@@ -1,7 +1,6 @@
-"""A body is counted, hashed and bounded while it arrives, and leaves nothing behind when it is refused."""
+"""What is announced of an upload is checked before its body is read."""
 
 import asyncio
-import hashlib
 from collections.abc import AsyncIterator, Coroutine
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,14 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from service_factories import make_settings
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.submissions.intake import (
-    FILE_NAME,
+    AnnouncedUpload,
     ReceivedFile,
-    check_announced_size,
+    check_announced,
     check_digest,
     limit_idle_time,
-    receive,
     upload_folder,
 )
 
@@ -35,78 +34,45 @@ def run(work: Coroutine[Any, Any, ResultT]) -> ResultT:
     return asyncio.run(work)
 
 
-def received(folder: Path, *chunks: bytes, limit_bytes: int = 100, announced_bytes: int | None = None) -> ReceivedFile:
-    return run(
-        receive(body(*chunks), folder, limit_bytes=limit_bytes, idle_timeout_s=5.0, announced_bytes=announced_bytes)
-    )
+def announced(n_bytes: int | None = None, sha256: str | None = None) -> AnnouncedUpload:
+    return AnnouncedUpload(kind=SubmissionKind.MODEL, total_bytes=n_bytes, sha256=sha256)
 
 
-def refused(folder: Path, *chunks: bytes, **options: int) -> ServiceError:
-    with pytest.raises(ServiceError) as found:
-        received(folder, *chunks, **options)
-    return found.value
-
-
-@pytest.mark.parametrize("chunks", [(b"whole",), (b"wh", b"ole"), (b"", b"w", b"", b"hole", b"")])
-def test_a_body_is_on_disk_with_its_size_and_digest(tmp_path: Path, chunks: tuple[bytes, ...]) -> None:
-    found = received(tmp_path, *chunks, announced_bytes=5)
-    assert (found.path, found.n_bytes) == (tmp_path / FILE_NAME, 5)
-    assert found.path.read_bytes() == b"whole"
-    assert found.sha256 == hashlib.sha256(b"whole").hexdigest()
-
-
-def test_a_body_may_be_as_large_as_the_limit_and_no_larger(tmp_path: Path) -> None:
-    (tmp_path / "other").mkdir()
-    assert received(tmp_path, b"x" * 100).n_bytes == 100
-    error = refused(tmp_path / "other", b"x" * 60, b"x" * 41)
-    assert error.code is ProblemCode.UPLOAD_TOO_LARGE
-    assert error.extras == {"limit_bytes": 100}
-    assert error.detail == "An upload of this kind may have at most 100 bytes; more were sent. Make it smaller."
-
-
-def test_what_is_beyond_the_limit_is_not_written(tmp_path: Path) -> None:
-    refused(tmp_path, b"x" * 90, b"y" * 1000, b"never read")
-    assert (tmp_path / FILE_NAME).stat().st_size <= 90
+@pytest.mark.parametrize("n_bytes", [None, 1, 99, 100])
+def test_a_size_up_to_the_limit_may_be_announced(n_bytes: int | None) -> None:
+    check_announced(announced(n_bytes, "0a" * 32), 100)
 
 
 @pytest.mark.parametrize(
-    ("chunks", "announced", "message"),
+    ("upload", "code", "message"),
     [
-        ((), 3, "expected 3, got 0 bytes"),
-        ((b"abc",), 4, "expected 4, got 3 bytes"),
-        ((b"abc",), 2, "expected 2, got 3 bytes"),
+        (
+            announced(101),
+            ProblemCode.UPLOAD_TOO_LARGE,
+            "This upload may have at most 100 bytes; 101 were announced. Make it smaller.",
+        ),
+        (
+            announced(0),
+            ProblemCode.UPLOAD_TRUNCATED,
+            "The upload is empty, expected at least one byte. Check the file, and send it again.",
+        ),
+        *(
+            (announced(5, sha256), ProblemCode.INVALID_REQUEST, f"Expected the SHA-256 as 64 hex digits, got {text}.")
+            for sha256, text in [
+                ("0" * 63, repr("0" * 63)),
+                ("g" * 64, repr("g" * 64)),
+                ("", "''"),
+                ("0A" * 32, repr("0A" * 32)),
+            ]
+        ),
     ],
 )
-def test_a_body_that_is_not_the_announced_one_is_cut(
-    tmp_path: Path, chunks: tuple[bytes, ...], announced: int | None, message: str
+def test_what_cannot_be_an_upload_is_refused_before_anything_is_read(
+    upload: AnnouncedUpload, code: ProblemCode, message: str
 ) -> None:
-    with pytest.raises(ServiceError) as found:
-        received(tmp_path, *chunks, announced_bytes=announced)
-    assert found.value.code is ProblemCode.UPLOAD_TRUNCATED
-    assert found.value.detail == (
-        f"The upload ended early: {message}. Send it again; a resumable upload continues where it ended."
-    )
-
-
-@pytest.mark.parametrize(("chunks", "announced"), [((), None), ((b"",), None), ((), 0)])
-def test_an_empty_body_is_told_as_such(tmp_path: Path, chunks: tuple[bytes, ...], announced: int | None) -> None:
-    with pytest.raises(ServiceError, match=r"The upload is empty, expected at least one byte\.") as found:
-        received(tmp_path, *chunks, announced_bytes=announced)
-    assert found.value.code is ProblemCode.UPLOAD_TRUNCATED
-
-
-@pytest.mark.parametrize("n_bytes", [None, 0, 99, 100])
-def test_a_size_up_to_the_limit_may_be_announced(n_bytes: int | None) -> None:
-    check_announced_size(n_bytes, 100)
-
-
-def test_a_larger_size_is_refused_before_anything_is_read() -> None:
-    with pytest.raises(ServiceError) as found:
-        check_announced_size(101, 100)
-    assert found.value.code is ProblemCode.UPLOAD_TOO_LARGE
-    assert found.value.detail == (
-        "An upload of this kind may have at most 100 bytes; 101 bytes were announced. Make it smaller."
-    )
+    with pytest.raises(ServiceError) as refusal:
+        check_announced(upload, 100)
+    assert (refusal.value.code, refusal.value.detail) == (code, message)
 
 
 @settings(max_examples=25)
@@ -129,21 +95,15 @@ def test_a_body_that_stays_away_is_cut(before: tuple[bytes, ...]) -> None:
     assert found.value.code is ProblemCode.UPLOAD_TRUNCATED
 
 
-def test_a_digest_is_compared_whatever_its_case(tmp_path: Path) -> None:
-    found = received(tmp_path, b"whole")
-    for claimed in (None, found.sha256, found.sha256.upper()):
-        check_digest(found, claimed)
-
-
-@pytest.mark.parametrize("claimed", ["0" * 64, "", "not a digest", "0" * 5000])
-def test_another_digest_is_refused_with_both(tmp_path: Path, claimed: str) -> None:
-    found = received(tmp_path, b"whole")
-    with pytest.raises(ServiceError) as error:
-        check_digest(found, claimed)
-    assert error.value.code is ProblemCode.DIGEST_MISMATCH
-    assert error.value.extras == {"received_sha256": found.sha256}
-    expected = f"Expected SHA-256 {claimed[:80]}, got 5 bytes with {found.sha256}. Send again."
-    assert error.value.detail == expected
+def test_another_digest_is_refused_with_both(tmp_path: Path) -> None:
+    received = ReceivedFile(path=tmp_path, sha256="1" * 64, n_bytes=5)
+    check_digest(received, None)
+    check_digest(received, "1" * 64)
+    with pytest.raises(ServiceError) as refusal:
+        check_digest(received, "0" * 64)
+    assert refusal.value.code is ProblemCode.DIGEST_MISMATCH
+    assert refusal.value.extras == {"received_sha256": "1" * 64}
+    assert refusal.value.detail == f"Expected SHA-256 {'0' * 64}, got 5 bytes with {'1' * 64}. Send again."
 
 
 def test_a_folder_is_private_and_gone_with_what_it_holds(tmp_path: Path) -> None:
@@ -156,9 +116,3 @@ def test_a_folder_is_private_and_gone_with_what_it_holds(tmp_path: Path) -> None
         (first / "inside" / "file").write_text("x")
     assert not first.exists()
     assert settings_.scratch_dir.is_dir()
-
-
-def test_a_folder_is_gone_after_a_refusal_too(tmp_path: Path) -> None:
-    with pytest.raises(ServiceError), upload_folder(make_settings(state_dir=tmp_path)) as folder:
-        received(folder)
-    assert not folder.exists()

@@ -11,17 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse
-from vitac.server.api.resumable.protocol import (
-    CHECKSUMS,
-    SHA256,
-    VERSION,
-    ProtocolVersion,
-    http_date,
-    read_checksum,
-    read_metadata,
-    read_number,
-)
+from vitac.server.api.uploads import VERSION, ProtocolVersion, http_date, read_checksum, read_metadata, read_number
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.submissions.pieces import CHECKSUMS
 
 
 def request(method: str = "PATCH", path: str = "/uploads/1", **headers: str) -> Request:
@@ -141,13 +133,6 @@ def test_a_checksum_of_another_form_is_refused(given_: str) -> None:
 def test_times_are_written_in_gmt_whatever_their_zone(hours: int) -> None:
     when = datetime(2025, 3, 1, 12, 30, 5, tzinfo=UTC).astimezone(timezone(timedelta(hours=hours)))
     assert http_date(when) == "Sat, 01 Mar 2025 12:30:05 GMT"
-
-
-@pytest.mark.parametrize(
-    ("text", "is_digest"), [("a" * 64, True), ("A" * 64, False), ("a" * 63, False), ("g" * 64, False)]
-)
-def test_a_digest_is_64_small_hexadecimal_digits(text: str, is_digest: bool) -> None:
-    assert bool(SHA256.fullmatch(text)) == is_digest
 
 
 def ask(found: Request) -> tuple[int, dict[str, str], bytes]:

@@ -17,11 +17,11 @@ from httpx import Response
 from service_client import API, Service, bearer, make_archive, problem_of, running_service
 from sqlalchemy import text, update
 from sqlalchemy.exc import OperationalError
-from vitac.server.api.resumable.protocol import PART_BYTES
 from vitac.server.database.engine import Database
 from vitac.server.database.models import PartialUpload
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.submissions import partial_uploads
+from vitac.server.submissions.pieces import PART_BYTES
 from worker_fakes import eventually
 
 from competitions import FIRST, SECOND, make_competition, put_in_place
@@ -341,6 +341,14 @@ def test_a_team_has_so_many_unfinished_uploads_also_when_it_begins_many_at_once(
     assert begin(service, 10).status_code == 201
 
 
+def test_a_body_at_once_is_an_upload_that_is_gone_with_the_answer(service: Service) -> None:
+    for _ in range(2):
+        begun(service, 5)  # the most unfinished ones of a team, which hold up no body that arrives at once
+    assert service.upload(make_archive()).status_code == 202
+    problem_of(service.upload(b"no archive"), 422, "archive_rejected")
+    assert service.count("partial_uploads") == 2
+
+
 def test_a_deleted_upload_is_gone_with_its_parts(service: Service) -> None:
     place = begun(service, 10)
     send(service, place, 0, b"x")
@@ -378,7 +386,7 @@ def test_a_head_that_cannot_be_used_is_refused_by_name(service: Service) -> None
         ("-1", "", 400, "length_invalid"),
         ("1_0", "", 400, "length_invalid"),
         ("9" * 30, "", 400, "length_invalid"),
-        ("0", "", 400, "length_invalid"),
+        ("0", "", 400, "upload_truncated"),
         (str(1 << 40), "", 413, "upload_too_large"),
         ("5", "kind bm90aGluZw==", 422, "invalid_request"),
         ("5", "track dHJhY2tfOTk=", 404, "unknown_track"),
