@@ -143,6 +143,7 @@ class Merge(BaseModel):
 def join_team(request: Request, services: ChangingServicesOf, new: NewMember) -> RegisteredTeamView:
     """Join a team with the code of an invitation; the token is shown this once."""
     note_registration(request)
+    leave_place(request)
     password = new.password and passwords.UNKNOWN_DEVICES.run(passwords.hashed, new.password)
     joining = members.JoiningMember(**new.model_dump(exclude={"password"}), password_hash=password)
     with services.database.transaction() as session:
@@ -311,6 +312,7 @@ def change_member(
     """Change the own e-mail address or password; a new password signs out all browsers that used the old one."""
     if "password" in changes.model_fields_set:
         note_password(request, str(team_id), str(member_id), device="token")
+        leave_place(request)
         passwords.KNOWN_DEVICES.run(
             members.set_password,
             services.database,

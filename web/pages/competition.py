@@ -1,6 +1,6 @@
 """The competition's home page: schedule, tracks, rules, prizes, commitments, winners."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from uuid import UUID
@@ -9,7 +9,6 @@ from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
 from vitac.server.accounts import messages
-from vitac.server.api import competitions as routes
 from vitac.server.competitions.view import competition_list_view, competition_view
 from vitac.server.decisions.publishing import archive_view
 from vitac.server.leaderboards.descriptions import descriptions_among
@@ -21,7 +20,6 @@ from vitac.server.views.submissions import DescriptionView
 from ..front import Countdown
 from ..site import get_principal, get_site, get_viewer, page
 from .addresses import board_address, competition_address, read_competition_name
-from .forms import submit
 
 N_SAID = 3
 """Number of the newest announcements on the page; all of them have a page of their own."""
@@ -76,21 +74,6 @@ def list_countdowns(found: CompetitionView, now: datetime) -> list[Countdown]:
         Countdown(tracks=tuple(tracks), stage=stage, closes=closes, moment=moment)
         for (moment, closes, stage), tracks in sorted(following.items())
     ]
-
-
-async def freeze(request: Request) -> Response:
-    """Freeze the boards for everybody but organizers."""
-    return await _change_boards(request, routes.freeze)
-
-
-async def unfreeze(request: Request) -> Response:
-    """Show all results on the boards again."""
-    return await _change_boards(request, routes.unfreeze)
-
-
-async def _change_boards(request: Request, route: Callable[..., object]) -> Response:
-    competition = read_competition_name(request)
-    return await submit(request, route, back=competition_address(competition), ids={"competition": competition})
 
 
 async def archive(request: Request) -> Response:

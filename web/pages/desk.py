@@ -1,22 +1,13 @@
-"""The organizers' desk: what waits for them, each with the form that settles it, and the last lines of the audit log.
+"""The organizers' desk: what waits for them, each with a form that settles it, and the end of the audit log."""
 
-The forms call the routes that `vitac admin` calls.
-"""
-
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from sqlalchemy.orm import Session
-from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.figures.table import FigureRow, make_rows, reference_figures
-from vitac.server.api.appeals import post_appeal, put_ruling, withdraw_appeal
-from vitac.server.api.judging import post_conflict, put_marks
-from vitac.server.api.members import change_team
-from vitac.server.api.messages import hide_question, post_announcement, put_answer, withdraw_announcement
-from vitac.server.api.rejudging import apply_rejudgement, discard_rejudgement, post_rejudgement
 from vitac.server.competitions.competition import Competition
 from vitac.server.database.models import Rejudgement
 from vitac.server.decisions import rejudging
@@ -27,7 +18,6 @@ from vitac.server.submissions import appeals
 
 from ..site import get_site, page, require_viewer
 from .addresses import board_address, competition_address, read_competition_name
-from .forms import submit
 
 ADDRESS = "/desk"
 
@@ -41,27 +31,6 @@ async def desk(request: Request) -> Response:
     viewer = await require_viewer(request)
     found = await get_site(request).ask(lambda session: read_desk(session, viewer.principal))
     return page(request, "desk.html", viewer=viewer, section=ADDRESS, found=found, board_address=board_address)
-
-
-async def change(request: Request) -> Response:
-    """Make one of the changes of the page's forms."""
-    name = request.path_params["action"]
-    if name not in CHANGES:
-        raise HTTPException(404)
-    route, fixed = CHANGES[name]
-    return await submit(request, route, back=ADDRESS, fixed=fixed)
-
-
-CHANGES: Mapping[str, tuple[Callable[..., object], Mapping[str, object]]] = {
-    "accept": (change_team, {"accepted": True}),
-    "refuse": (change_team, {"accepted": False}),
-    "answer": (put_answer, {}),
-    "hide": (hide_question, {}),
-    "rule": (put_ruling, {}),
-    "announce": (post_announcement, {}),
-    "withdraw": (withdraw_announcement, {}),
-}
-"""What the forms of the page do, by the last part of their address."""
 
 
 REJUDGING_ADDRESS = "/rejudging"
@@ -112,21 +81,6 @@ def _place(session: Session, found: Rejudgement) -> str:
     return ", ".join(words)
 
 
-async def start(request: Request) -> Response:
-    """Evaluate the models of a stage again."""
-    return await submit(request, post_rejudgement, back=REJUDGING_ADDRESS)
-
-
-async def apply(request: Request) -> Response:
-    """Make the new results count, if they are those that the page showed."""
-    return await submit(request, apply_rejudgement, back=REJUDGING_ADDRESS)
-
-
-async def discard(request: Request) -> Response:
-    """Leave the present results as they are."""
-    return await submit(request, discard_rejudgement, back=REJUDGING_ADDRESS)
-
-
 JUDGING_ADDRESS = "/judging"
 _MARK = "mark-"
 """What the names of the fields with marks begin with."""
@@ -143,19 +97,9 @@ async def judging(request: Request) -> Response:
     return page(request, "judging.html", viewer=viewer, section=JUDGING_ADDRESS, found=found, rows=_rows)
 
 
-async def give_marks(request: Request) -> Response:
-    """Keep the marks of a form."""
-
-    def read(fields: Mapping[str, str]) -> Mapping[str, object]:
-        marks = {name.removeprefix(_MARK): text for name, text in fields.items() if name.startswith(_MARK)}
-        return {**fields, "marks": marks}
-
-    return await submit(request, put_marks, back=JUDGING_ADDRESS, read=read)
-
-
-async def declare_conflict(request: Request) -> Response:
-    """Note that a judge does not judge a team."""
-    return await submit(request, post_conflict, back=JUDGING_ADDRESS)
+def read_marks(fields: Mapping[str, str]) -> Mapping[str, object]:
+    """Return the marks of a form."""
+    return {"marks": {name.removeprefix(_MARK): text for name, text in fields.items() if name.startswith(_MARK)}}
 
 
 def _rows(figures: SensorFigures) -> list[FigureRow]:
@@ -182,16 +126,6 @@ async def list_appeals(request: Request) -> Response:
         submission=given,
         appeals_address=_address(request),
     )
-
-
-async def open_appeal(request: Request) -> Response:
-    """Appeal against the newest evaluation of a submission."""
-    return await submit(request, post_appeal, back=_address(request))
-
-
-async def withdraw(request: Request) -> Response:
-    """Withdraw an appeal."""
-    return await submit(request, withdraw_appeal, back=_address(request))
 
 
 def _address(request: Request) -> str:

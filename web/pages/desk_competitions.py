@@ -18,7 +18,7 @@ from vitac.server.submissions.stage_files import list_files
 from vitac.server.views.competition import CompetitionView
 
 from ..site import get_site, page, require_viewer
-from .forms import fetch, list_ticked, submit
+from .forms import fetch, list_ticked
 
 _PROPOSED, _TAKEN, _CONCERN = "proposed-", "take-", "confirm-"
 """What the names of fields begin with: teams that advance by the rule, ticked teams, confirmed concerns."""
@@ -54,15 +54,9 @@ async def _try_end(request: Request, by: Principal, found: CompetitionView) -> t
         return None, error.detail
 
 
-async def change(request: Request) -> Response:
-    """End a competition, decide the end again, or reopen it."""
-    route = routes.reopen if request.url.path.endswith("/reopen") else routes.finalize
-
-    def read(fields: Mapping[str, str]) -> Mapping[str, object]:
-        return {**fields, "confirm": list_ticked(fields, _CONCERN)}
-
-    name = request.path_params["competition"]
-    return await submit(request, route, back=f"/desk/competitions/{name}", ids={"competition": name}, read=read)
+def read_confirmed(fields: Mapping[str, str]) -> Mapping[str, object]:
+    """Return the concerns that a form confirms."""
+    return {"confirm": list_ticked(fields, _CONCERN)}
 
 
 async def results(request: Request) -> Response:
@@ -102,29 +96,15 @@ def _find_stage(session: Session, by: Principal, request: Request) -> Stage:
     return Competition.find_organized(session, by, place["competition"]).stage(place["track"], place["stage"])
 
 
-async def advance(request: Request) -> Response:
-    """Let the ticked teams take part in a stage."""
-
-    def read(fields: Mapping[str, str]) -> Mapping[str, object]:
-        proposed, taken = list_ticked(fields, _PROPOSED), list_ticked(fields, _TAKEN)
-        return {
-            "add": [team for team in taken if team not in proposed],
-            "without": [team for team in proposed if team not in taken],
-            "revision": fields.get("revision", ""),
-        }
-
-    return await submit(request, routes.confirm_advancement, back=_back(request), ids=request.path_params, read=read)
-
-
-async def reveal(request: Request) -> Response:
-    """Publish the episodes of a stage."""
-    return await submit(request, routes.reveal_list, back=_back(request), ids=request.path_params)
+def read_advancement(fields: Mapping[str, str]) -> Mapping[str, object]:
+    """Return how the ticked teams differ from those that advance by the rule."""
+    proposed, taken = list_ticked(fields, _PROPOSED), list_ticked(fields, _TAKEN)
+    return {
+        "add": [team for team in taken if team not in proposed],
+        "without": [team for team in proposed if team not in taken],
+    }
 
 
 async def submissions(request: Request) -> Response:
     """Download all submissions of a stage."""
     return await fetch(request, routes.get_stage_submissions)
-
-
-def _back(request: Request) -> str:
-    return request.url.path.rpartition("/")[0]

@@ -7,13 +7,12 @@ from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
 from vitac.server.accounts.team_lists import BulkAction, TeamSearch, list_teams
-from vitac.server.api.members import put_note
-from vitac.server.api.teams import TeamsFile, change_teams, import_teams
+from vitac.server.api.teams import import_teams
 from vitac.server.competitions.view import competition_list_view
 from vitac.server.views.teams import TeamState
 
 from ..site import get_site, page, require_viewer, signed_in_form
-from .forms import checked_form, list_ticked, submit
+from .forms import call, list_ticked
 
 ADDRESS = "/desk/teams"
 _TEAM = "team-"
@@ -52,23 +51,13 @@ async def teams(request: Request) -> Response:
     )
 
 
-async def change_several(request: Request) -> Response:
-    """Do the same with the ticked teams."""
-
-    def read(fields: Mapping[str, str]) -> Mapping[str, object]:
-        return {**fields, "teams": list_ticked(fields, _TEAM)}
-
-    return await submit(request, change_teams, back=ADDRESS, read=read)
-
-
-async def change_note(request: Request) -> Response:
-    """Keep the note about a team; an empty one removes it."""
-    return await submit(request, put_note, back=ADDRESS)
+def read_teams(fields: Mapping[str, str]) -> Mapping[str, object]:
+    """Return the ticked teams."""
+    return {"teams": list_ticked(fields, _TEAM)}
 
 
 async def import_file(request: Request) -> Response:
     """Add the teams of a pasted CSV file, and show the invitations once."""
     viewer, fields = await signed_in_form(request)
-    site, new = get_site(request), checked_form(TeamsFile, {"csv": fields.get("csv", "")})
-    made = await site.run(lambda: import_teams(site.services, viewer.principal, new))
+    made = await call(request, import_teams, viewer.principal, fields)
     return page(request, "desk_imported.html", viewer=viewer, section="/desk", status=201, made=made)

@@ -2,65 +2,90 @@
 
 from collections.abc import Callable, Mapping
 from functools import cache
+from types import MappingProxyType
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
-from uuid import UUID
 
 from fastapi.params import Security
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
-from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.principals import Audience, Principal
+from vitac.server.errors import ProblemCode, ServiceError, not_found
+from vitac.server.principals import VISITOR, Audience, Principal
 
-from ..site import get_site, require_viewer, signed_in_form
+from ..site import Page, get_site, require_viewer, signed_in_form
 
+ResultT = TypeVar("ResultT")
 FormT = TypeVar("FormT", bound=BaseModel)
+Fields = Mapping[str, str]
 ID = "id"
 """Field of a form with the id of what it is about."""
 
 
-async def submit(
-    request: Request,
+def form(
     route: Callable[..., object],
     *,
-    back: str,
-    ids: Mapping[str, object] | None = None,
-    fixed: Mapping[str, object] | None = None,
-    read: Callable[[Mapping[str, str]], Mapping[str, object]] = dict,
+    back: str | None = None,
+    values: Callable[[Fields], Mapping[str, object]] = lambda _: {},
+    ids: Callable[[Session, Principal], Mapping[str, object]] | None = None,
     takes_back: Callable[..., object] | None = None,
-) -> Response:
-    """Call a route of the API with a form, then lead back to the page with the form.
+) -> Page:
+    """Return the page that calls a route of the API with a form, and leads back to the page with the form.
 
-    Who may, ids and input are as the route declares them.
+    Args:
+        route: the function of the API. Who may, ids and input are as it declares them.
+        back: where it leads, with ids of the address in braces; None: the address without its last part.
+        values: of the input, where the fields of that name do not say them.
+        ids: of the route that neither the address says nor the field `id`.
+        takes_back: called in place of the route where the form gives no reason.
+    """
+
+    async def change(request: Request) -> Response:
+        viewer, fields = await signed_in_form(request)
+        given = {} if ids is None else await get_site(request).read(lambda session: ids(session, viewer.principal))
+        called = takes_back if takes_back is not None and "reason" not in fields else route
+        await call(request, called, viewer.principal, fields, values=values(fields), ids=given)
+        here = request.url.path.rpartition("/")[0]
+        return RedirectResponse(here if back is None else back.format(**request.path_params), status_code=303)
+
+    return change
+
+
+async def call(
+    request: Request,
+    route: Callable[..., ResultT],
+    by: Principal | None,
+    fields: Fields,
+    *,
+    values: Mapping[str, object] = MappingProxyType({}),
+    ids: Mapping[str, object] = MappingProxyType({}),
+) -> ResultT:
+    """Call a route of the API with the fields of a form, and return what it answers.
 
     Args:
         request: with the form.
         route: the function of the API.
-        back: address of the page.
-        ids: what the address of the page says of its parameters; another one is the field `id`.
-        fixed: values of its input that the form stands for.
-        read: makes values of the fields, where these are not the input itself.
-        takes_back: called in place of the route where the form gives no reason.
+        by: who sent it; None: somebody who is not signed in.
+        fields: of the form.
+        values: of the input, where the fields of that name do not say them.
+        ids: of the route that the address does not say; a further one is the field `id`.
 
     Raises:
         ServiceError: the service refuses it.
     """
-    viewer, fields = await signed_in_form(request)
-    site, given = get_site(request), ids or {}
-    if takes_back is not None and "reason" not in fields:
-        route = takes_back
+    site, ids = get_site(request), request.path_params | dict(ids)
     arguments: dict[str, object] = {"services": site.services}
     for name, hint in _declared(route).items():
         if name == "principal":
-            _require_audience(hint, viewer.principal, given.get("competition"))
-            arguments[name] = viewer.principal
+            _require_audience(hint, by or VISITOR, ids.get("competition"))
+            arguments[name] = by
+        elif hint is Request:
+            arguments[name] = request
         elif isinstance(hint, type) and issubclass(hint, BaseModel):
-            arguments[name] = checked_form(hint, _filled(hint, read(fields)) | dict(fixed or {}))
+            arguments[name] = checked_form(hint, {**_filled(hint, fields), **values})
         elif name != "services":
-            arguments[name] = given[name] if name in given else _read_id(hint, fields.get(ID, ""))
-    await site.run(lambda: route(**arguments))
-    return RedirectResponse(back, status_code=303)
+            arguments[name] = _read_id(hint, name, ids, fields)
+    return await site.run(lambda: route(**arguments))
 
 
 @cache
@@ -77,22 +102,26 @@ def _require_audience(hint: Any, principal: Principal, competition: object) -> N
                 Audience(scope).require(principal, None if competition is None else str(competition))
 
 
-def _filled(model: type[BaseModel], fields: Mapping[str, object]) -> dict[str, object]:
+def _filled(model: type[BaseModel], fields: Fields) -> dict[str, object]:
     """Return what a form says of an input: a box that is not ticked is left out by browsers, an empty text is none."""
-    found: dict[str, object] = {}
+    filled: dict[str, object] = {}
     for name, field in model.model_fields.items():
         value = fields.get(name)
         if field.annotation is bool:
-            found[name] = value or False
-        elif value is not None and (field.is_required() or not isinstance(value, str) or value.strip()):
-            found[name] = value
-    return found
+            filled[name] = value or False
+        elif value is not None and (field.is_required() or value.strip()):
+            filled[name] = value
+    return filled
 
 
-def _read_id(hint: Any, text: str) -> object:
+def _read_id(hint: Any, name: str, ids: Mapping[str, object], fields: Fields) -> object:
+    """Return what the address names, or the form."""
+    text = ids.get(name, fields.get(ID, ""))
     try:
         return TypeAdapter(hint).validate_python(text)
     except ValidationError as error:
+        if name in ids:
+            raise not_found(name.removesuffix("_id"), str(text)) from error
         raise ServiceError(
             ProblemCode.INVALID_REQUEST, f"Expected an id or a number as {ID}, got {text!r:.40}. Reload the page."
         ) from error
@@ -104,34 +133,15 @@ async def fetch(request: Request, route: Callable[..., Response]) -> Response:
     Raises:
         ServiceError: the route is not for them, or refuses it.
     """
-    viewer, site = await require_viewer(request), get_site(request)
-    ids = {
-        name: _read_id(hint, request.path_params[name])
-        for name, hint in _declared(route).items()
-        if name in request.path_params
-    }
-    _require_audience(_declared(route)["principal"], viewer.principal, ids.get("competition"))
-    answer = await site.run(lambda: route(services=site.services, principal=viewer.principal, **ids))
+    viewer = await require_viewer(request)
+    answer = await call(request, route, viewer.principal, {})
     answer.headers["Cache-Control"] = "no-store"
     return answer
 
 
-def list_ticked(fields: Mapping[str, str], prefix: str) -> list[str]:
+def list_ticked(fields: Fields, prefix: str) -> list[str]:
     """Return the ends of the names of ticked boxes that begin with a prefix."""
     return [name.removeprefix(prefix) for name in fields if name.startswith(prefix)]
-
-
-async def act(
-    request: Request, change: Callable[[Session, Principal, Mapping[str, str]], object], *, back: str
-) -> Response:
-    """Make the change that a form asks for, then lead back to the page with the form.
-
-    Raises:
-        ServiceError: the service refuses it.
-    """
-    viewer, fields = await signed_in_form(request)
-    await get_site(request).ask(lambda session: change(session, viewer.principal, fields))
-    return RedirectResponse(back, status_code=303)
 
 
 def checked_form(form: type[FormT], values: Mapping[str, object]) -> FormT:
@@ -145,17 +155,3 @@ def checked_form(form: type[FormT], values: Mapping[str, object]) -> FormT:
     except ValidationError as error:
         problems = " ".join(f"{problem['loc'][0]}: {problem['msg']}." for problem in error.errors())
         raise ServiceError(ProblemCode.INVALID_REQUEST, problems) from error
-
-
-def read_id(fields: Mapping[str, str], name: str) -> UUID:
-    """Return an id out of a form.
-
-    Raises:
-        ServiceError: there is none.
-    """
-    try:
-        return UUID(fields.get(name, ""))
-    except ValueError:
-        raise ServiceError(
-            ProblemCode.INVALID_REQUEST, f"Expected an id as {name}, got {fields.get(name, '')!r:.40}. Reload the page."
-        ) from None

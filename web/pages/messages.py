@@ -4,12 +4,10 @@ from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
 from vitac.server.accounts.messages import list_announcements, list_questions
-from vitac.server.api.messages import post_question
 from vitac.server.principals import VISITOR
 from vitac.server.views.correspondence import AnnouncementView, QuestionView
 
 from ..site import get_site, get_viewer, page
-from .forms import submit
 
 ADDRESS = "/announcements"
 
@@ -24,8 +22,3 @@ async def messages(request: Request) -> Response:
 
     said, asked = await get_site(request).ask(read)
     return page(request, "messages.html", viewer=viewer, section=ADDRESS, said=said, asked=asked)
-
-
-async def ask(request: Request) -> Response:
-    """Ask the organizers."""
-    return await submit(request, post_question, back=ADDRESS)

@@ -1,25 +1,32 @@
 """Mounts the pages on the server's application. Called by `vitac serve`; the server itself does not know the pages."""
 
 import asyncio
+from collections.abc import Mapping
 from functools import cache
+from types import MappingProxyType
 
 from fastapi import APIRouter, FastAPI
 from starlette.datastructures import Headers
 from starlette.responses import FileResponse, Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import Scope
+from vitac.server.api import appeals, competitions, judging, members, rejudging
+from vitac.server.api import messages as correspondence
+from vitac.server.api import submissions as submission_routes
+from vitac.server.api import teams as team_routes
 from vitac.server.api.conditional import compressed
 
 from ..documentation.library import ADDRESS, Library
 from ..headers import SecurityHeaders
 from ..rendering import STATIC, static_digest
-from ..site import Site, name_competitions
+from ..site import Page, Site, name_competitions
 from . import competition, desk, desk_competitions, desk_teams, errors, home, messages, service, tracks
 from .episodes import embedded
 from .episodes import page as episodes
 from .files import boards
 from .files import submissions as tables
 from .files.formats import TableFormat
+from .forms import form
 from .leaderboards import leaderboard
 from .submissions import comparison, output, sensors, sharing, submissions, upload
 from .teams import sign_in, team
@@ -59,6 +66,70 @@ def install(app: FastAPI, site: Site) -> None:
     errors.install(app)
 
 
+_SUBMISSION = "/submissions/{submission_id}"
+_COMPETITION, _DESK = "/competitions/{competition}", "/desk/competitions/{competition}"
+_STAGE = f"{_DESK}/tracks/{{track}}/stages/{{stage}}"
+FORMS: Mapping[str, Page] = MappingProxyType(
+    {
+        f"{_COMPETITION}/freeze": form(competitions.freeze),
+        f"{_COMPETITION}/unfreeze": form(competitions.unfreeze),
+        f"{_DESK}/finalize": form(competitions.finalize, values=desk_competitions.read_confirmed),
+        f"{_DESK}/reopen": form(competitions.reopen),
+        f"{_STAGE}/advance": form(competitions.confirm_advancement, values=desk_competitions.read_advancement),
+        f"{_STAGE}/reveal": form(competitions.reveal_list),
+        f"{_SUBMISSION}/cancel": form(submission_routes.cancel_submission),
+        f"{_SUBMISSION}/public": form(submission_routes.put_public, back=f"{_SUBMISSION}#sharing"),
+        f"{_SUBMISSION}/chosen": form(submission_routes.put_chosen, back=f"{_SUBMISSION}#final-list"),
+        f"{_SUBMISSION}/withdraw": form(submission_routes.put_withdrawal),
+        f"{_SUBMISSION}/restore": form(submission_routes.delete_withdrawal),
+        f"{_SUBMISSION}/delete": form(submission_routes.delete_submission),
+        f"{_SUBMISSION}/description": form(
+            submission_routes.put_description,
+            back=f"{_SUBMISSION}#about",
+            values=lambda fields: {"base": fields.get("base", "")},  # empty: there was no description
+        ),
+        f"{_SUBMISSION}/description/removal": form(
+            submission_routes.put_removal, back=_SUBMISSION, takes_back=submission_routes.delete_removal
+        ),
+        f"{_SUBMISSION}/clearance": form(
+            submission_routes.put_clearance, takes_back=submission_routes.delete_clearance
+        ),
+        **{
+            f"{address}{desk.APPEALS_ADDRESS}/{action}": form(route)
+            for address in ("", _COMPETITION)
+            for action, route in (("open", appeals.post_appeal), ("withdraw", appeals.withdraw_appeal))
+        },
+        f"{messages.ADDRESS}/ask": form(correspondence.post_question),
+        f"{desk.JUDGING_ADDRESS}/marks": form(judging.put_marks, values=desk.read_marks),
+        f"{desk.JUDGING_ADDRESS}/conflict": form(judging.post_conflict),
+        f"{desk.REJUDGING_ADDRESS}/start": form(rejudging.post_rejudgement),
+        f"{desk.REJUDGING_ADDRESS}/apply": form(rejudging.apply_rejudgement),
+        f"{desk.REJUDGING_ADDRESS}/discard": form(rejudging.discard_rejudgement),
+        f"{desk.ADDRESS}/accept": form(members.change_team, values=lambda _: {"accepted": True}),
+        f"{desk.ADDRESS}/refuse": form(members.change_team, values=lambda _: {"accepted": False}),
+        f"{desk.ADDRESS}/answer": form(correspondence.put_answer),
+        f"{desk.ADDRESS}/hide": form(correspondence.hide_question),
+        f"{desk.ADDRESS}/rule": form(appeals.put_ruling),
+        f"{desk.ADDRESS}/announce": form(correspondence.post_announcement),
+        f"{desk.ADDRESS}/withdraw": form(correspondence.withdraw_announcement),
+        f"{desk_teams.ADDRESS}/bulk": form(team_routes.change_teams, values=desk_teams.read_teams),
+        f"{desk_teams.ADDRESS}/note": form(members.put_note),
+        f"{team.ADDRESS}/me": form(members.change_member, ids=team.own_member, values=team.read_email),
+        f"{team.ADDRESS}/email": form(members.change_member, ids=team.own_member),
+        f"{team.ADDRESS}/notices": form(members.change_member, ids=team.own_member, values=team.read_muted),
+        f"{team.ADDRESS}/password": form(members.change_member, ids=team.own_member, values=team.read_password),
+        f"{team.ADDRESS}/leave": form(members.remove_member, ids=team.own_member),
+        f"{team.ADDRESS}/remove": form(members.remove_member, ids=team.own_team),
+        f"{team.ADDRESS}/captain": form(
+            members.change_captain, ids=team.own_team, values=lambda fields: {"member_id": fields.get("id")}
+        ),
+        f"{team.ADDRESS}/withdraw": form(members.withdraw_invitation, ids=team.own_team),
+        f"{team.ADDRESS}/revoke": form(team_routes.delete_token),
+    }
+)
+"""The route of the API that each form calls, by the form's address."""
+
+
 @cache
 def pages() -> APIRouter:
     """Return the pages, which have no state: put together once for all applications of this process."""
@@ -75,12 +146,8 @@ def pages() -> APIRouter:
         ("/competitions", competition.competitions, "GET"),
         ("/competitions/{competition}", competition.competition, "GET"),
         ("/competitions/{competition}/archive", competition.archive, "GET"),
-        ("/competitions/{competition}/freeze", competition.freeze, "POST"),
-        ("/competitions/{competition}/unfreeze", competition.unfreeze, "POST"),
         ("/competitions/{competition}/receipts", service.receipts, "GET"),
         ("/competitions/{competition}/appeals", desk.list_appeals, "GET"),
-        ("/competitions/{competition}/appeals/open", desk.open_appeal, "POST"),
-        ("/competitions/{competition}/appeals/withdraw", desk.withdraw, "POST"),
         ("/competitions/{competition}/tracks/{track}", leaderboard.leaderboard, "GET"),
         ("/competitions/{competition}/tracks/{track}/leaderboard.csv", boards.leaderboard, "GET"),
         ("/competitions/{competition}/tracks/{track}/logs", leaderboard.logs, "GET"),
@@ -92,9 +159,9 @@ def pages() -> APIRouter:
         (upload.ADDRESS, upload.upload, "POST"),
         ("/submissions/{submission_id}", submissions.submission, "GET"),
         *(
-            (f"/submissions/{{submission_id}}/{table.name}.{form}", tables.make_table_page(table, form), "GET")
+            (f"/submissions/{{submission_id}}/{table.name}.{ending}", tables.make_table_page(table, ending), "GET")
             for table in tables.TABLES
-            for form in TableFormat
+            for ending in TableFormat
         ),
         ("/submissions/{submission_id}/receipt.json", service.receipt_file, "GET"),
         ("/submissions/{submission_id}/compare", comparison.compare_with, "GET"),
@@ -107,15 +174,6 @@ def pages() -> APIRouter:
         ("/sensors/reference/shape", sensors.reference_shape, "GET"),
         ("/submissions/{submission_id}/document", sensors.document, "GET"),
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
-        ("/submissions/{submission_id}/cancel", sharing.cancel, "POST"),
-        ("/submissions/{submission_id}/public", sharing.set_public, "POST"),
-        ("/submissions/{submission_id}/chosen", sharing.set_chosen, "POST"),
-        ("/submissions/{submission_id}/withdraw", sharing.set_withdrawn, "POST"),
-        ("/submissions/{submission_id}/restore", sharing.set_withdrawn, "POST"),
-        ("/submissions/{submission_id}/delete", sharing.delete, "POST"),
-        ("/submissions/{submission_id}/description", sharing.describe, "POST"),
-        ("/submissions/{submission_id}/description/removal", sharing.set_removal, "POST"),
-        ("/submissions/{submission_id}/clearance", sharing.set_clearance, "POST"),
         ("/submissions/{submission_id}/preview.png", sharing.preview, "GET"),
         ("/competition", competition.competition, "GET"),
         ("/receipts", service.receipts, "GET"),
@@ -151,45 +209,29 @@ def pages() -> APIRouter:
         (f"{team.ADDRESS}/data.json", team.data, "GET"),
         (f"{team.ADDRESS}/invite", team.invite, "POST"),
         (f"{team.ADDRESS}/token", team.renew_token, "POST"),
-        (f"{team.ADDRESS}/password", team.change_password, "POST"),
-        (f"{team.ADDRESS}/{{action}}", team.change, "POST"),
         (messages.ADDRESS, messages.messages, "GET"),
-        (f"{messages.ADDRESS}/ask", messages.ask, "POST"),
         (desk.APPEALS_ADDRESS, desk.list_appeals, "GET"),
-        (f"{desk.APPEALS_ADDRESS}/open", desk.open_appeal, "POST"),
-        (f"{desk.APPEALS_ADDRESS}/withdraw", desk.withdraw, "POST"),
         (desk.JUDGING_ADDRESS, desk.judging, "GET"),
-        (f"{desk.JUDGING_ADDRESS}/marks", desk.give_marks, "POST"),
-        (f"{desk.JUDGING_ADDRESS}/conflict", desk.declare_conflict, "POST"),
         (desk.REJUDGING_ADDRESS, desk.rejudgements, "GET"),
-        (f"{desk.REJUDGING_ADDRESS}/start", desk.start, "POST"),
-        (f"{desk.REJUDGING_ADDRESS}/apply", desk.apply, "POST"),
-        (f"{desk.REJUDGING_ADDRESS}/discard", desk.discard, "POST"),
         (desk_teams.ADDRESS, desk_teams.teams, "GET"),
-        (f"{desk_teams.ADDRESS}/bulk", desk_teams.change_several, "POST"),
-        (f"{desk_teams.ADDRESS}/note", desk_teams.change_note, "POST"),
         (f"{desk_teams.ADDRESS}/import", desk_teams.import_file, "POST"),
         ("/desk/competitions/{competition}", desk_competitions.competition, "GET"),
-        ("/desk/competitions/{competition}/finalize", desk_competitions.change, "POST"),
-        ("/desk/competitions/{competition}/reopen", desk_competitions.change, "POST"),
         ("/desk/competitions/{competition}/results.zip", desk_competitions.results, "GET"),
         *(
             (f"/desk/competitions/{{competition}}/tracks/{{track}}/stages/{{stage}}{path}", page, method)
             for path, page, method in (
                 ("", desk_competitions.stage, "GET"),
-                ("/advance", desk_competitions.advance, "POST"),
-                ("/reveal", desk_competitions.reveal, "POST"),
                 ("/submissions.zip", desk_competitions.submissions, "GET"),
             )
         ),
         (desk.ADDRESS, desk.desk, "GET"),
-        (f"{desk.ADDRESS}/{{action}}", desk.change, "POST"),
         ("/join", team.join_form, "GET"),
         ("/join", team.join, "POST"),
         ("/sign-in", sign_in.sign_in_form, "GET"),
         ("/sign-in", sign_in.sign_in, "POST"),
         ("/sign-in/password", sign_in.sign_in_with_password, "POST"),
         ("/sign-out", sign_in.sign_out, "POST"),
+        *((path, page, "POST") for path, page in FORMS.items()),
     ):
         router.add_route(path, name_competitions(page), methods=[method], include_in_schema=False)
     return router

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 
 import structlog
@@ -205,7 +206,8 @@ class Shares:
             turn.end()
             await send(message)
 
-        scope.setdefault("state", {})[LEAVE_PLACE] = turn.end
+        loop = asyncio.get_running_loop()
+        scope.setdefault("state", {})[LEAVE_PLACE] = partial(loop.call_soon_threadsafe, turn.end)
         if is_upload or not has_body:
             try:
                 await turn.begin(limit_s)
@@ -260,8 +262,8 @@ def _is_privileged(key: str) -> bool:
 
 
 def leave_place(request: Request) -> None:
-    """Let another request be worked at while this one waits for something else than the processor."""
-    leave: Callable[[], None] = getattr(request.state, LEAVE_PLACE, lambda: None)
+    """Let another request be worked at while this one waits for something else than the processor; from any thread."""
+    leave: Callable[[], object] = getattr(request.state, LEAVE_PLACE, lambda: None)
     leave()
 
 

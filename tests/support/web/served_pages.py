@@ -15,6 +15,7 @@ from vitac.server.database.states import Role
 from vitac.server.principals import CONSOLE, Principal
 
 FORM_TOKEN = re.compile(r'name="form_token" value="([^"]+)"')
+SECRET = re.compile(r"<code>((?:vitac_|vitac-join-)[\w-]+)</code>")
 
 
 NO_CERTIFICATES = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
@@ -47,6 +48,13 @@ class PageVisitor:
                 self.cookies.delete(cookie.name)
             self.cookies.update(client.cookies)
             return answer
+
+
+def secret_in(text: str) -> str:
+    """The token or code that a page shows this once."""
+    secret = SECRET.search(text)
+    assert secret is not None, text
+    return secret[1]
 
 
 def visitor(service: CliService, secret: str | None = None) -> PageVisitor:

@@ -1,24 +1,21 @@
 """Sharing a result: a team makes its submission public, others get a picture and a citation; clearing of copies."""
 
 import asyncio
-from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
 
 from starlette.requests import Request
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import Response
 from vitac.evaluator.tracks import load_track
-from vitac.server.api import submissions as routes
 from vitac.server.api.conditional import answer
 from vitac.server.database.states import EvaluationState
-from vitac.server.leaderboards import descriptions, public_pages
+from vitac.server.leaderboards import public_pages
 from vitac.server.principals import VISITOR
 from vitac.server.views.submissions import SubmissionView
 
 from ...sharing.preview import Citation, cite, draw_preview
-from ...site import Viewer, get_site, open_to_all, signed_in_form
+from ...site import Viewer, get_site, open_to_all
 from ..addresses import as_id
-from ..forms import submit
 from ..submission_detail import read_detail
 
 KEPT_S = 300
@@ -58,66 +55,6 @@ async def shared(request: Request, viewer: Viewer | None, found: SubmissionView,
         is_public=is_shown,
         citation=cite(found, track, address) if is_complete else None,
     )
-
-
-async def set_public(request: Request) -> Response:
-    """Let everybody see the result of a submission, or its team only."""
-    return await _submit(request, routes.put_public, part="#sharing")
-
-
-async def set_chosen(request: Request) -> Response:
-    """Let a submission play the final list of its stage, or no longer."""
-    return await _submit(request, routes.put_chosen, part="#final-list")
-
-
-async def describe(request: Request) -> Response:
-    """Write about a public result."""
-    viewer, fields = await signed_in_form(request)
-    submission_id = as_id(request.path_params["submission_id"])
-    content = {name: fields.get(name, "") for name in ("text", "base", *descriptions.LINKS)}
-    await get_site(request).ask(
-        lambda session: descriptions.describe(session, viewer.principal, submission_id, **content)
-    )
-    return RedirectResponse(f"/submissions/{submission_id}#about", status_code=303)
-
-
-async def set_removal(request: Request) -> Response:
-    """Hide a description from others for the reason given; without one restore it."""
-    return await _submit(request, routes.put_removal, takes_back=routes.delete_removal)
-
-
-async def set_clearance(request: Request) -> Response:
-    """Rank a submission that was found to be a copy, for the reason given; without one take that back."""
-    return await _submit(request, routes.put_clearance, takes_back=routes.delete_clearance)
-
-
-async def set_withdrawn(request: Request) -> Response:
-    """Take a submission off all boards, or put it back, as the last part of the address says."""
-    is_withdrawn = request.url.path.endswith("/withdraw")
-    return await _submit(request, routes.put_withdrawal if is_withdrawn else routes.delete_withdrawal)
-
-
-async def delete(request: Request) -> Response:
-    """Remove what the team uploaded."""
-    return await _submit(request, routes.delete_submission)
-
-
-async def cancel(request: Request) -> Response:
-    """Cancel the evaluation of a submission."""
-    return await _submit(request, routes.cancel_submission)
-
-
-async def _submit(
-    request: Request,
-    route: Callable[..., object],
-    *,
-    part: str = "",
-    takes_back: Callable[..., object] | None = None,
-) -> Response:
-    """Call a route with a form of a submission's page."""
-    submission_id = as_id(request.path_params["submission_id"])
-    back = f"/submissions/{submission_id}{part}"
-    return await submit(request, route, ids={"submission_id": submission_id}, back=back, takes_back=takes_back)
 
 
 @open_to_all

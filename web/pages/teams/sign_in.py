@@ -1,26 +1,24 @@
 """Sign in with an API token or a member's password, and sign out."""
 
 import asyncio
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from http import HTTPStatus
 from uuid import UUID
 
-from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
-from vitac.server.accounts import members, passwords, registration, teams, tokens
-from vitac.server.api.access import get_client_address, member_key, note_password, note_registration
+from vitac.server.accounts import members, passwords, teams, tokens
+from vitac.server.api.access import get_client_address, member_key, note_password
 from vitac.server.api.middleware.shares import leave_place
-from vitac.server.api.teams import NewTeam
+from vitac.server.api.teams import post_team
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.principals import Principal
 
 from ...session import signer
 from ...session.signer import local_target, read_form
 from ...site import get_site, get_viewer, none_if_unknown, page, require_form_token
-from ..forms import checked_form
+from ..forms import call
 
 WRONG_TOKEN = "This token is unknown, revoked or expired. Check that you pasted it completely."  # noqa: S105 - a sentence
 
@@ -138,16 +136,6 @@ IN_FORM = frozenset(
 NOTHING = dict.fromkeys(FIELDS, "")
 
 
-@dataclass(frozen=True, kw_only=True)
-class RegisteredTeam:
-    """A team that has just registered, with its token, which is shown only now."""
-
-    team: str
-    token: str
-    token_id: UUID
-    waits_for_approval: bool
-
-
 async def register_form(request: Request) -> Response:
     """Show the form."""
     return await _register_page(request, viewer=await get_viewer(request), given=NOTHING)
@@ -158,7 +146,7 @@ async def register(request: Request) -> Response:
     fields = await read_form(request)
     given = {name: fields.get(name, "").strip() for name in FIELDS}
     try:
-        made = await _register(request, given)
+        made = await call(request, post_team, None, given)
     except ServiceError as error:
         if error.code not in IN_FORM:
             raise
@@ -168,26 +156,8 @@ async def register(request: Request) -> Response:
         request, viewer=None, viewer_known=False, given=NOTHING, made=made, status=HTTPStatus.CREATED
     )
     answer.headers["Cache-Control"] = "no-store"
-    begin_session(request, answer, made.token_id)
+    begin_session(request, answer, made.token.id)
     return answer
-
-
-async def _register(request: Request, given: Mapping[str, str]) -> RegisteredTeam:
-    new = checked_form(NewTeam, {name: value if name == "name" else value or None for name, value in given.items()})
-    await asyncio.to_thread(note_registration, request)
-    site = get_site(request)
-
-    def made(session: Session) -> RegisteredTeam:
-        asked = registration.RegisteringTeam(**new.model_dump())
-        team, issued = registration.register(session, site.services.settings, None, asked)
-        return RegisteredTeam(
-            team=team.name,
-            token=issued.secret,
-            token_id=issued.token.id,
-            waits_for_approval=team.approved_at is None,
-        )
-
-    return await site.ask(made)
 
 
 async def _register_page(request: Request, **values: object) -> Response:

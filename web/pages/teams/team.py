@@ -1,21 +1,15 @@
 """The team's page: members, invitations, tokens and sessions, each with its forms; and the page that joins a team."""
 
-import asyncio
-from collections.abc import Callable, Mapping
-from datetime import datetime, timedelta
+from collections.abc import Mapping
+from datetime import datetime
 from http import HTTPStatus
 from types import MappingProxyType
-from uuid import UUID
 
 from sqlalchemy.orm import Session
-from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import RedirectResponse, Response
-from vitac.server.accounts import members, passwords, teams, tokens
-from vitac.server.api.access import note_password, note_registration
-from vitac.server.api.members import MemberChanges, NewMember
-from vitac.server.api.middleware.shares import leave_place
-from vitac.server.database.models import Member
+from starlette.responses import Response
+from vitac.server.accounts import members, teams, tokens
+from vitac.server.api import members as routes
 from vitac.server.database.states import MemberRole, NoticeKind
 from vitac.server.errors import ServiceError
 from vitac.server.operations import team_data
@@ -24,10 +18,8 @@ from vitac.server.views.teams import OwnTeamView, TokenView
 
 from ...session.signer import read_form
 from ...site import get_site, get_viewer, page, require_viewer, signed_in_form
-from ..forms import act, checked_form, read_id
+from ..forms import Fields, call
 from .sign_in import begin_session
-
-Change = Callable[[Session, Principal, Mapping[str, str]], object]
 
 ADDRESS = "/team"
 NOTICES: Mapping[NoticeKind, str] = MappingProxyType(
@@ -84,59 +76,24 @@ async def data(request: Request) -> Response:
     return Response(found.model_dump_json(indent=1), media_type="application/json", headers=headers)
 
 
-async def change(request: Request) -> Response:
-    """Make one of the changes of the page's forms."""
-    name = request.path_params["action"]
-    if name not in CHANGES:
-        raise HTTPException(404)
-    return await act(request, CHANGES[name], back=ADDRESS)
-
-
-async def change_password(request: Request) -> Response:
-    """Set the password of the member who asks, or take it away."""
-    viewer, fields = await signed_in_form(request)
-    by, site = viewer.principal, get_site(request)
-    given = {name: fields.get(name) or None for name in ("password", "old_password")}
-    changes = checked_form(MemberChanges, given)
-    member = await site.read(lambda session: _self(session, by))
-    await asyncio.to_thread(note_password, request, str(member.team_id), str(member.id), device="token")
-    leave_place(request)
-    await passwords.KNOWN_DEVICES.wait_for(
-        members.set_password,
-        site.services.database,
-        by,
-        member.team_id,
-        member.id,
-        changes.password,
-        old=changes.old_password,
-    )
-    return RedirectResponse(ADDRESS, status_code=303)
-
-
 async def invite(request: Request) -> Response:
     """Make an invitation and show its code once."""
-    viewer, _ = await signed_in_form(request)
-    by = viewer.principal
-    code = await get_site(request).ask(lambda session: members.invite(session, by, teams.own(session, by))[1])
+    viewer, fields = await signed_in_form(request)
+    made = await call(request, routes.invite_member, viewer.principal, fields, ids=own_team(None, viewer.principal))
     return page(
-        request, "teams/secret.html", viewer=viewer, section=ADDRESS, status=201, what="invitation", secret=code
+        request, "teams/secret.html", viewer=viewer, section=ADDRESS, status=201, what="invitation", secret=made.code
     )
 
 
 async def renew_token(request: Request) -> Response:
     """Make a new token for the member who asks and show it once; the browser stays signed in."""
-    viewer, _ = await signed_in_form(request)
-    by, lifetime = viewer.principal, _token_lifetime(request)
-
-    def made(session: Session) -> tuple[str, UUID]:
-        issued = members.renew_token(session, by, _self(session, by), lifetime)
-        return issued.secret, issued.token.id
-
-    secret, token_id = await get_site(request).ask(made)
-    shown = {"viewer_known": False, "what": "token", "secret": secret}  # the earlier session has ended
+    viewer, fields = await signed_in_form(request)
+    ids = await get_site(request).read(lambda session: own_member(session, viewer.principal))
+    token = await call(request, routes.renew_member_token, viewer.principal, fields, ids=ids)
+    shown = {"viewer_known": False, "what": "token", "secret": token.secret}  # the earlier session has ended
     answer = page(request, "teams/secret.html", viewer=None, section=ADDRESS, status=HTTPStatus.CREATED, **shown)
     answer.headers["Cache-Control"] = "no-store"
-    begin_session(request, answer, token_id, expires_at=viewer.expires_at)
+    begin_session(request, answer, token.id, expires_at=viewer.expires_at)
     return answer
 
 
@@ -149,74 +106,41 @@ async def join(request: Request) -> Response:
     """Make somebody with an invitation a member, show their token and begin a session."""
     fields = await read_form(request)
     given = {name: fields.get(name, "").strip() for name in ("code", "name", "email")}
-    lifetime = _token_lifetime(request)
-
     try:
-        filled = {**given, "password": fields.get("password", "")}
-        checked = checked_form(NewMember, {name: value or None for name, value in filled.items()})
-        await asyncio.to_thread(note_registration, request)
-        thread, password = passwords.UNKNOWN_DEVICES, checked.password
-        leave_place(request)
-        password_hash = password and await thread.wait_for(passwords.hashed, password)
-        joining = members.JoiningMember(**checked.model_dump(exclude={"password"}), password_hash=password_hash)
-
-        def joined(session: Session) -> tuple[str, str, UUID]:
-            member, issued = members.join(session, joining, lifetime)
-            return member.team.name, issued.secret, issued.token.id
-
-        team_name, secret, token_id = await get_site(request).ask(joined)
+        joined = await call(request, routes.join_team, None, {**fields, **given})
     except ServiceError as error:
         viewer = await get_viewer(request)
         return await _join_page(request, viewer=viewer, wrong=error.detail, given=given, status=error.status)
-    made = {"made": (team_name, secret), "viewer_known": False}
-    answer = await _join_page(request, viewer=None, status=HTTPStatus.CREATED, **made)
+    answer = await _join_page(request, viewer=None, status=HTTPStatus.CREATED, made=joined, viewer_known=False)
     answer.headers["Cache-Control"] = "no-store"
-    begin_session(request, answer, token_id)
+    begin_session(request, answer, joined.token.id)
     return answer
 
 
-def _self(session: Session, by: Principal) -> Member:
-    """Return the member who asks; who has the shared token of a captain without one of their own is the captain."""
-    own = teams.own(session, by)
-    return members.find(session, by, own.id, by.member_id or members.find_captain(session, own).id)
+def own_team(_: object, by: Principal) -> Mapping[str, object]:
+    """Return the id of the team that asks."""
+    return {"team_id": by.team_id}
 
 
-def _change_self(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
-    email = checked_form(MemberChanges, {"email": fields.get("email", "").strip() or None}).email
-    members.set_email(session, by, _self(session, by), email)
+def own_member(session: Session, by: Principal) -> Mapping[str, object]:
+    """Return the ids of the member who asks; the shared token of a team without another one is its captain's."""
+    team = teams.own(session, by)
+    return {"team_id": team.id, "member_id": by.member_id or members.find_captain(session, team).id}
 
 
-def _confirm_email(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
-    code = checked_form(MemberChanges, {"email_code": fields.get("code", "")}).email_code or ""
-    members.confirm_email(session, by, _self(session, by), code)
+def read_email(fields: Fields) -> Mapping[str, object]:
+    """Return the address of a form; an empty one takes it away."""
+    return {"email": fields.get("email", "").strip() or None}
 
 
-def _choose_notices(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
-    """Mute the kinds whose box is not ticked; browsers leave those out."""
-    members.mute(session, by, _self(session, by), [kind for kind in NOTICES if kind.value not in fields])
+def read_password(fields: Fields) -> Mapping[str, object]:
+    """Return the new password of a form; an empty one takes it away."""
+    return {"password": fields.get("password") or None}
 
 
-def _member(session: Session, by: Principal, fields: Mapping[str, str]) -> Member:
-    return members.find(session, by, teams.own(session, by).id, read_id(fields, "id"))
-
-
-CHANGES: Mapping[str, Change] = {
-    "me": _change_self,
-    "email": _confirm_email,
-    "notices": _choose_notices,
-    "leave": lambda session, by, _: members.remove(session, by, _self(session, by)),
-    "remove": lambda session, by, fields: members.remove(session, by, _member(session, by, fields)),
-    "captain": lambda session, by, fields: members.hand_over(session, by, _member(session, by, fields)),
-    "withdraw": lambda session, by, fields: members.withdraw_invitation(
-        session, by, teams.own(session, by), read_id(fields, "id")
-    ),
-    "revoke": lambda session, by, fields: tokens.revoke(session, by, read_id(fields, "id")),
-}
-"""What the forms of the page do, by the last part of their address."""
-
-
-def _token_lifetime(request: Request) -> timedelta:
-    return timedelta(days=get_site(request).services.settings.token_lifetime_days)
+def read_muted(fields: Fields) -> Mapping[str, object]:
+    """Return the kinds of notices whose box is not ticked; browsers leave those out."""
+    return {"muted": [kind for kind in NOTICES if kind.value not in fields]}
 
 
 async def _join_page(request: Request, **values: object) -> Response:

@@ -164,6 +164,7 @@ def test_forms_of_descriptions_lead_to_the_service(
 ) -> None:
     done: list[object] = []
     monkeypatch.setattr(descriptions, "describe", lambda _, by, *of, **given: done.append((by.team_name, given)))
+    monkeypatch.setattr(descriptions, "find_description", lambda *_: DESCRIPTION)
     monkeypatch.setattr(descriptions, "remove", lambda _, by, of, reason: done.append(reason))
     monkeypatch.setattr(descriptions, "restore", lambda _, by, of: done.append("restored"))
     describe(public, DESCRIPTION)
@@ -172,12 +173,14 @@ def test_forms_of_descriptions_lead_to_the_service(
     assert browser.post(f"{PAGE}/description", data={"text": "A", "base": "1"}).status_code == 403
     answer = browser.post(f"{PAGE}/description", data={"text": "A", "base": "1", "form_token": token})
     assert (answer.status_code, answer.headers["location"]) == (303, f"{PAGE}#about")
+    browser.post(f"{PAGE}/description", data={"text": "B", "base": "", "form_token": token})
     assert browser.post(f"{PAGE}/description/removal", data={"form_token": token}).status_code == 403
     sign_in(browser, "organizers")
     for fields in ({"reason": "No."}, {}):
         browser.post(f"{PAGE}/description/removal", data={"form_token": form_token(browser)} | fields)
     written = {"text": "A", "base": "1", "code": "", "paper": "", "discussion": ""}
-    assert done == [("Gelbots", written), "No.", "restored"]
+    first = {**written, "text": "B", "base": ""}
+    assert done == [("Gelbots", written), ("Gelbots", first), "No.", "restored"]
 
 
 def test_a_public_result_without_a_score_over_all_tasks_has_a_page(public: FixedData, browser: AsgiBrowser) -> None:

@@ -6,14 +6,13 @@ import pytest
 from argon2 import PasswordHasher
 from cli_service import CliService, cli_service
 from httpx import Cookies
-from served_pages import FORM_TOKEN, PageVisitor, team_visitor, visitor, visitor_of_role
+from served_pages import FORM_TOKEN, PageVisitor, secret_in, team_visitor, visitor, visitor_of_role
 from vitac.server.accounts import passwords, teams
 from vitac.server.database.states import NoticeKind, Role
 
 from competitions import make_competition, put_in_place
 
 PASSWORD = "correct horse battery"  # noqa: S105 - made up
-SECRET = re.compile(r"<code>((?:vitac_|vitac-join-)[\w-]+)</code>")
 
 
 @pytest.fixture(autouse=True)
@@ -27,12 +26,6 @@ def quick_hashes(monkeypatch: pytest.MonkeyPatch) -> None:
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CliService]:
     with cli_service(tmp_path_factory.mktemp("service") / "state", sign_ins_per_hour=24) as service:
         yield service
-
-
-def secret_in(text: str) -> str:
-    found = SECRET.search(text)
-    assert found is not None, text
-    return found[1]
 
 
 def id_beside(page: str, action: str) -> str:
