@@ -1,6 +1,6 @@
 # shellcheck shell=sh
-# Finds the programs that are not Python packages (bubblewrap, chromium), and installs or downloads missing ones.
-# Read by ../vitac, which sets `root`; exports VITAC_BWRAP and VITAC_CHROMIUM.
+# Finds the programs that are not Python packages (bubblewrap, gVisor's runsc, chromium), and installs or downloads missing ones.
+# Read by ../vitac, which sets `root`; exports VITAC_BWRAP, VITAC_RUNSC and VITAC_CHROMIUM.
 #
 # As root they are installed as Debian packages. For a normal user the packages are unpacked in .system/, which works
 # only for programs that run from any folder.
@@ -114,6 +114,7 @@ advise_tool() { # package, reason
 export_tool() { # package, path
   case $1 in
     bubblewrap) export VITAC_BWRAP="$2" ;;
+    runsc) export VITAC_RUNSC="$2" ;;
     chromium) export VITAC_CHROMIUM="$2" ;;
   esac
 }

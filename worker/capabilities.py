@@ -2,14 +2,16 @@
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from functools import cache
 
 from vitac.envs.maniskill.abilities import abilities
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.description import SandboxDescription, describe_sandbox
 from vitac.evaluator.agent.isolation.memory_files import FILES_VARIABLE, FileIsolation, default_file_isolation
 from vitac.evaluator.agent.isolation.packages import installed_packages
-from vitac.evaluator.agent.self_test import PROBES, Outcome, Probe, ProbeState
+from vitac.evaluator.agent.self_test import PROBES, Outcome, Probe, ProbeState, has_kind
 from vitac.evaluator.agent.self_test import run as run_probes
+from vitac.evaluator.isolation_kinds import IsolationKind
 from vitac.evaluator.package_sets import package_differences, shown_sets
 from vitac.evaluator.tracks import Track, list_tracks, load_track
 from vitac.evaluator.tracks.registry import current_versions, find_version
@@ -44,7 +46,16 @@ def list_abilities(families: Collection[Family] | None = None) -> list[str]:
     pairs = [(version, family) for version in sorted(current_versions()) for family in able]
     fit = [pair for pair in pairs if name_requirement(*pair) not in unfit]
     lists = (False,) if explain_no_sealed_lists() else (False, True)
-    return [name_requirement(version, family, sealed=sealed) for version, family in fit for sealed in lists]
+    kinds = [kind for kind in IsolationKind if kind is IsolationKind.NAMESPACES or _has_kind(kind)]
+    return [
+        name_requirement(version, family, sealed=sealed, isolation=kind)
+        for version, family in fit
+        for sealed in lists
+        for kind in kinds
+    ]
+
+
+_has_kind = cache(has_kind)
 
 
 def fit_families(families: Collection[Family] | None = None) -> tuple[Family, ...]:
@@ -133,4 +144,6 @@ def _find_level(outcomes: Iterable[Outcome]) -> str:
     levels = [outcome.isolation for outcome in outcomes if outcome.isolation is not None]
     if not levels:
         return "none"
-    return ", ".join(f"{name.replace('_', ' ')}: {value}" for name, value in asdict(levels[0]).items())
+    words = [f"{name.replace('_', ' ')}: {value}" for name, value in asdict(levels[0]).items()]
+    others = [f"also {kind}" for kind in IsolationKind if kind != levels[0].kind and _has_kind(kind)]
+    return ", ".join([*words, *others])

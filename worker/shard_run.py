@@ -15,6 +15,7 @@ from vitac.evaluator.figures.figures import FigureChoice, FiguresPart
 from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
 from vitac.server.competitions.competition import find_stage
+from vitac.server.competitions.definition import StageRules
 from vitac.server.database.models import Submission
 from vitac.server.errors import ServiceError
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episodes, stored_episodes
@@ -238,13 +239,15 @@ class ShardRun(LeasedRun[RunningShard]):
     def _order(
         self, path: Path, stored: StoredEpisodes, *, secret: Path | None, sensor: Path | None, figures: FigureChoice
     ) -> ShardOrder:
+        rules = self._database(self._find_rules)
         return ShardOrder(
             kind=self._lease.submission_kind,
             submission=path,
             sensor=sensor,
             figures=figures,
             coefficients=self._coefficients(),
-            episode_period_s=self._database(self._find_episode_period),
+            episode_period_s=rules.episode_period_s,
+            isolation=rules.isolation,
             track=self._lease.track,
             task=self._lease.task,
             evaluator_version=self._lease.evaluator_version,
@@ -256,9 +259,8 @@ class ShardRun(LeasedRun[RunningShard]):
             earlier_failures=stored.failures,
         )
 
-    def _find_episode_period(self, session: Session) -> float | None:
-        submission = session.get_one(Submission, self._lease.submission_id)
-        return find_stage(session, submission).rules.episode_period_s
+    def _find_rules(self, session: Session) -> StageRules:
+        return find_stage(session, session.get_one(Submission, self._lease.submission_id)).rules
 
     def _coefficients(self) -> Coefficients | None:
         """Return what the standard estimator has learned in an earlier shard; None where it is to learn it now."""

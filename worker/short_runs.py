@@ -191,6 +191,7 @@ class ReplayRun(LeasedRun[RunningShard]):
                 shard=piece.index,
                 episodes=(lease.episode,),
                 limits=self._services.settings.limits,
+                isolation=lease.isolation,
             )
             process = stack.enter_context(self._start(order))
             stack.callback(self._unwatch)

@@ -13,10 +13,11 @@ from typing import Final, Self
 
 import numpy as np
 
+from ..isolation_kinds import IsolationKind
 from .isolation.memory_files import FileIsolation, default_file_isolation
 from .limits import MIB, Limits
 from .probe_folder import probe_folder
-from .session import Isolation, PolicySession
+from .session import Isolation, PolicySession, default_kind
 from .verdicts import PolicyFailed, SandboxFailed, VerdictCode
 
 CANARY: Final = "vitac-canary-7c1d"
@@ -52,6 +53,8 @@ class Probe:
     """What has to end it; None where it has to end well and reach nothing."""
     needs_memory: bool = False
     """Whether it can hold only where policies' files lie in memory."""
+    is_of_namespaces: bool = False
+    """Whether it attacks the machine's kernel, in whose place a policy under `vm` has its own."""
     limits: Limits = _LIMITS
 
 
@@ -69,6 +72,7 @@ _TEMPLATE: Final = """
 import ctypes, fcntl, os, signal, socket, time
 
 CANARY_FILE = {canary_file!r}
+PARENT = {parent}
 SYSCALL = ctypes.CDLL(None, use_errno=True).syscall
 
 
@@ -111,13 +115,29 @@ ATTEMPTS[{name!r}] = attempt
 PROBES: Final = (
     Probe(name="a policy can answer", code="return 0"),
     Probe(
-        name="network refused",
+        name="network out of reach",
+        code="""
+def connect(family, address):
+    with socket.socket(family) as sock:
+        sock.settimeout(1)
+        sock.connect(address)
+
+return reached(
+    lambda: connect(socket.AF_INET, ("127.0.0.1", 22)),
+    lambda: connect(socket.AF_INET, ("192.0.2.1", 80)),
+    lambda: connect(socket.AF_INET6, ("::1", 22)),
+    lambda: socket.getaddrinfo("example.org", 80),
+)""",
+    ),
+    Probe(
+        name="sockets refused",
+        is_of_namespaces=True,
         code="""
 return reached(
     lambda: socket.socket(socket.AF_INET),
     lambda: socket.socket(socket.AF_INET6),
     lambda: socket.socket(socket.AF_NETLINK, socket.SOCK_RAW),
-    lambda: socket.create_connection(("127.0.0.1", 22), 1),
+    lambda: socket.socketpair(),
 )""",
     ),
     Probe(
@@ -129,10 +149,15 @@ return reached(
     lambda: open("/etc/shadow").read(),
     lambda: os.listdir("/root"),
     lambda: os.listdir("/home"),
-    lambda: os.listdir("/proc"),
-    lambda: os.listdir("/sys"),
+    lambda: open(f"/proc/{PARENT}/environ").read(),
     lambda: __import__("vitac.evaluator"),
 )""",
+    ),
+    Probe(
+        name="kernel's files hidden",
+        is_of_namespaces=True,
+        code="""
+return reached(lambda: os.listdir("/proc"), lambda: os.listdir("/sys"))""",
     ),
     Probe(
         name="files cannot be changed",
@@ -208,10 +233,12 @@ return reached(fill)""",
     ),
     Probe(
         name="new namespaces and mounts denied",
+        is_of_namespaces=True,
         code="return allowed((272, 0x10000000), (272, 0x40000000), (308, 0, 0), (428, -100, 0, 1), (161, 0))",
     ),
     Probe(
         name="kernel interfaces denied",
+        is_of_namespaces=True,
         code="""
 return allowed(
     (321, 5, 0, 0), (425, 8, 0), (298, 0, 0, -1, -1, 0), (250, 0, 0, 0), (319, 0, 0), (323, 1), (162,), (444, 0, 0, 1)
@@ -219,7 +246,16 @@ return allowed(
     ),
     Probe(name="no rights of root", code="return (os.getuid() == 0) + allowed((105, 0), (106, 0), (169, 0, 0, 0))"),
     Probe(
+        name="room for files tells nothing",
+        code="""
+file = open("/usr/bin/env", "rb")
+place = ctypes.create_string_buffer(b"/usr")
+room = ctypes.create_string_buffer(256)
+return allowed((137, ctypes.addressof(place), ctypes.addressof(room)), (138, file.fileno(), ctypes.addressof(room)))""",
+    ),
+    Probe(
         name="shared files tell nothing",
+        is_of_namespaces=True,
         code="""
 file = open("/usr/bin/env", "rb")
 return reached(
@@ -228,7 +264,6 @@ return reached(
     lambda: fcntl.fcntl(file, fcntl.F_GETLEASE),
     lambda: os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED),
 ) + allowed(
-    (137, 0, 0), (138, 0, 0),
     (294, 0), (27, 0, 0, 0), (187, file.fileno(), 0, 4096), (306, file.fileno()), (300, 0, 0), (179, 0, 0, 0, 0)
 )""",
     ),
@@ -264,8 +299,9 @@ return seen""",
 )
 
 
-def run(probes: tuple[Probe, ...] = PROBES) -> Iterator[Outcome]:
-    """Run each probe and yield its check result."""
+def run(probes: tuple[Probe, ...] = PROBES, kind: IsolationKind | None = None) -> Iterator[Outcome]:
+    """Run each probe and yield its check result; `kind` as `PolicySession` takes it."""
+    kind = kind or default_kind()
     with probe_folder() as folder:
         canary = folder / "secret" / CANARY
         canary.parent.mkdir()
@@ -273,11 +309,18 @@ def run(probes: tuple[Probe, ...] = PROBES) -> Iterator[Outcome]:
         submission = folder / "probes"
         submission.mkdir(mode=0o755)
         (submission / "policy.py").write_text(_policy(probes, canary))
-        with _Sessions(submission) as sessions:
+        with _Sessions(submission, kind) as sessions:
             for probe in probes:
+                if probe.is_of_namespaces and kind is IsolationKind.VM:
+                    continue
                 if probe.needs_memory and default_file_isolation() is FileIsolation.DISK:
                     continue
                 yield _run_with_canary(probe, sessions)
+
+
+def has_kind(kind: IsolationKind) -> bool:
+    """Return whether a policy can answer here under a kind of isolation."""
+    return is_safe(list(run(PROBES[:1], kind)))
 
 
 def is_safe(outcomes: list[Outcome]) -> bool:
@@ -288,8 +331,9 @@ def is_safe(outcomes: list[Outcome]) -> bool:
 class _Sessions:
     """Gives probes their sessions: one for all that have to end well, and to each of the others one of its own."""
 
-    def __init__(self, submission: Path) -> None:
+    def __init__(self, submission: Path, kind: IsolationKind) -> None:
         self._submission = submission
+        self._kind = kind
         self._exits = ExitStack()
         self._shared: PolicySession | None = None
 
@@ -308,18 +352,18 @@ class _Sessions:
             SandboxFailed: it cannot be started.
         """
         if probe.verdict is not None or probe.limits != _LIMITS:
-            with PolicySession(self._submission, limits=probe.limits) as session:
+            with PolicySession(self._submission, limits=probe.limits, kind=self._kind) as session:
                 yield session
             return
         if self._shared is None:
-            self._shared = self._exits.enter_context(PolicySession(self._submission, limits=_LIMITS))
+            self._shared = self._exits.enter_context(PolicySession(self._submission, limits=_LIMITS, kind=self._kind))
         self._shared.begin_shard()
         yield self._shared
 
 
 def _policy(probes: tuple[Probe, ...], canary: Path) -> str:
     """Return the code of a policy that makes the attempt whose name it is reset with."""
-    code = _TEMPLATE.format(canary_file=str(canary))
+    code = _TEMPLATE.format(canary_file=str(canary), parent=os.getpid())
     for probe in probes:
         body = "".join(f"    {line}\n" for line in probe.code.strip().splitlines())
         code += _ATTEMPT.format(name=probe.name, body=body)

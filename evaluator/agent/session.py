@@ -13,6 +13,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ..isolation_kinds import IsolationKind
 from ..package_sets import PackageSet
 from .exchange import Deadlines, EpisodeProcess, Exchange
 from .isolation import process_tree, tracing
@@ -37,6 +38,7 @@ from .protocol.frames import (
 )
 from .verdicts import PolicyFailed, SandboxFailed, VerdictCode
 
+ISOLATION_VARIABLE: Final = "VITAC_ISOLATION"
 _REPORT_DEADLINE_S: Final = 2.0
 _ATTEMPTS: Final = 3
 
@@ -62,6 +64,7 @@ class Isolation:
     """True where an episode's process id does not show how many episodes there were before."""
     episode_period_s: float = 0.0
     """From the start of an episode to that of the next [s], see `StartTimes`; 0: each starts as soon as it can."""
+    kind: IsolationKind = IsolationKind.NAMESPACES
 
 
 def default_episode_isolation() -> EpisodeIsolation:
@@ -70,6 +73,18 @@ def default_episode_isolation() -> EpisodeIsolation:
     if named:
         return EpisodeIsolation(named)
     return EpisodeIsolation.FROZEN_COPY if tracing.is_supported() else EpisodeIsolation.FRESH_PROCESS
+
+
+def default_kind() -> IsolationKind:
+    """Return what VITAC_ISOLATION names, namespaces without it.
+
+    Raises:
+        SandboxFailed: it names neither.
+    """
+    named = os.environ.get(ISOLATION_VARIABLE) or IsolationKind.NAMESPACES
+    if named not in tuple(IsolationKind):
+        raise SandboxFailed(f"Expected {ISOLATION_VARIABLE} to be {' or '.join(IsolationKind)}, got {named!r:.80}.")
+    return IsolationKind(named)
 
 
 class PolicySession:
@@ -82,6 +97,8 @@ class PolicySession:
         packages: sets of packages that its track declares.
         episode_isolation: what keeps episodes apart; by default the strongest and fastest that this platform can do.
         episode_period_s: from the start of an episode to that of the next [s]; by default what the machine is set to.
+        kind: what stands between the policy and the machine; by default what the machine is set to. Under `vm` each
+            episode has a process and a kernel of its own.
 
     Raises:
         PolicyFailed: on entering, the policy does not import or load.
@@ -97,17 +114,21 @@ class PolicySession:
         packages: tuple[PackageSet, ...] = (),
         episode_isolation: EpisodeIsolation | None = None,
         episode_period_s: float | None = None,
+        kind: IsolationKind | None = None,
     ) -> None:
         self._submission_dir = submission_dir
         self._entry_point = entry_point
         self._limits = limits or Limits()
         self._packages = packages
+        self._kind = kind or default_kind()
         self._episodes = episode_isolation or default_episode_isolation()
+        if self._kind is IsolationKind.VM:
+            self._episodes = EpisodeIsolation.FRESH_PROCESS
         self._start_times = StartTimes(default_period_s() if episode_period_s is None else episode_period_s)
         self._exits = contextlib.ExitStack()
         self._sandbox: Sandbox | None = None
         self._loaded: LoadedCopy | None = None
-        self._loaded_pid = 0
+        self._loaded_process: EpisodeProcess | None = None
         self._core = SharedCore()
         self._ended: EpisodeProcess | None = None
         """What played the last episode, until it is certain that nothing of it is left."""
@@ -194,7 +215,9 @@ class PolicySession:
     def _copy(self) -> EpisodeProcess:
         if self._loaded is not None:
             return self._loaded.copy()
-        return EpisodeProcess(outside_pid=self._loaded_pid, inside_pid=process_tree.inside_pid(self._loaded_pid))
+        if self._loaded_process is None:
+            raise ProcessLookupError
+        return self._loaded_process
 
     def _end_episode(self, process: EpisodeProcess) -> None:
         """Kill all that the episode started; it ends while the next episode's scene is built."""
@@ -222,8 +245,8 @@ class PolicySession:
         self.starts += 1
         try:
             sandbox = self._exits.enter_context(
-                Sandbox(self._submission_dir, limits=self._limits, packages=self._packages)
-            )  # fmt: skip
+                Sandbox(self._submission_dir, limits=self._limits, packages=self._packages, kind=self._kind)
+            )
             self._load(sandbox)
         except BaseException:
             self._stop()
@@ -236,11 +259,12 @@ class PolicySession:
             files=sandbox.file_isolation,
             process_ids_repeat=self._loaded is None or self._loaded.process_ids_repeat,
             episode_period_s=self._start_times.period_s,
+            kind=self._kind,
         )
         return sandbox
 
     def _stop(self) -> None:
-        self._sandbox, self._loaded, self._loaded_pid, self._ended = None, None, 0, None
+        self._sandbox = self._loaded = self._loaded_process = self._ended = None
         self._core = SharedCore()
         self._exits.close()
 
@@ -260,29 +284,42 @@ class PolicySession:
             self._loading_s = (sandbox.cpu_s(), time.perf_counter() - started)
             self._shard_time.cpu_s += self._loading_s[0]
             self._shard_time.wall_s += self._loading_s[1]
-        self._loaded_pid = answer.sender_pid
-        if self._episodes is EpisodeIsolation.FROZEN_COPY:
-            self._freeze(sandbox, exchange)
+        try:
+            self._loaded_process = EpisodeProcess(
+                outside_pid=answer.sender_pid, inside_pid=self._find_inside_pid(answer)
+            )
+            if self._episodes is EpisodeIsolation.FROZEN_COPY:
+                self._freeze(sandbox, exchange, answer.sender_pid)
+        except (TracedProcessGone, ProcessLookupError):
+            raise exchange.failure(VerdictCode.CRASHED, "The policy ended right after it was loaded.") from None
 
-    def _freeze(self, sandbox: Sandbox, exchange: Exchange) -> None:
-        sandbox.spare(self._loaded_pid)
+    def _find_inside_pid(self, answer: PolicyAnswer) -> int:
+        """Return the pid inside of the process that answers; under `vm` nothing but itself knows it.
+
+        A false one is of no use to it: it explains how its process ended.
+        """
+        if self._kind is IsolationKind.NAMESPACES:
+            return process_tree.inside_pid(answer.sender_pid)
+        reported = answer.header.message
+        return int(reported) if reported.isascii() and reported.isdigit() else 0
+
+    def _freeze(self, sandbox: Sandbox, exchange: Exchange, loaded_pid: int) -> None:
+        sandbox.spare(loaded_pid)
         try:
             process_ids = self._exits.enter_context(ProcessIds(sandbox.first_pid))
             self._loaded = LoadedCopy(
-                self._loaded_pid,
+                loaded_pid,
                 process_ids=process_ids,
                 own_files=sandbox.own_files,
                 episode_cpu_s=self._limits.episode_cpu_s,
             )
-        except (TracedProcessGone, ProcessLookupError):
-            raise exchange.failure(VerdictCode.CRASHED, "The policy ended right after it was loaded.") from None
         except PolicyFailed as failure:
             raise exchange.failure(failure.verdict, failure.message) from None
         except OSError as error:  # names longer than a path may be, links that cannot be read
             left = f"What the policy left in its files while loading cannot be looked through: {error.strerror}."
             raise exchange.failure(VerdictCode.SHARED_STATE, left) from None
         self._exits.callback(self._loaded.end)
-        for pid in (self._loaded_pid, sandbox.first_pid, *process_ids.pids):
+        for pid in (loaded_pid, sandbox.first_pid, *process_ids.pids):
             self._core.add(pid)
         sandbox.channel.reset()
         sandbox.forget_statuses()

@@ -218,7 +218,12 @@ def _make_result(order: ShardOrder, preparation: Preparation, send: Callable[[Sh
 
 def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnEpisode) -> ShardResult:
     order = ordered.order
-    load = partial(load_in_sandbox, packages=ordered.track.packages, episode_period_s=order.episode_period_s)
+    load = partial(
+        load_in_sandbox,
+        packages=ordered.track.packages,
+        episode_period_s=order.episode_period_s,
+        isolation=order.isolation,
+    )
     if ordered.task.definition.batch_size > 1:
         return run_batches(order, ordered.track, ordered.task, ordered.shard, on_episode, load)
     preparation.begin(order)

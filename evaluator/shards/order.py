@@ -16,6 +16,7 @@ from ..agent.session import Isolation
 from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure
 from ..estimator.regression import Coefficients
 from ..figures.figures import FigureChoice, FiguresPart
+from ..isolation_kinds import IsolationKind
 from ..logs.findings import LogFinding
 from ..strict_model import StrictModel
 from ..submission_kinds import SubmissionKind
@@ -85,8 +86,9 @@ class ShardOrder(StrictModel):
     sealed list, without which the public one is played; `sensor` a folder with a sensor of a team's own, or the
     file of a made one. `figures` says of which of the sensor's figures the shard measures a part. `coefficients`
     are what the standard estimator has learned of the sensor; without them it is calibrated first. `episode_period_s`
-    is the time from the start of an episode to that of the next [s]; without it what the machine is set to. A process
-    of another `evaluator_version` than the given one refuses the order.
+    is the time from the start of an episode to that of the next [s], and `isolation` what stands between policy and
+    machine; without them what the machine is set to. A process of another `evaluator_version` than the given one
+    refuses the order.
     """
 
     kind: SubmissionKind
@@ -103,6 +105,7 @@ class ShardOrder(StrictModel):
     figures: FigureChoice = FigureChoice.NONE
     coefficients: Coefficients | None = None
     episode_period_s: float | None = None
+    isolation: IsolationKind | None = None
     skip: tuple[int, ...] = ()
     earlier_failures: tuple[PolicyFailure, ...] = ()
 

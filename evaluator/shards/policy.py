@@ -12,6 +12,7 @@ from ..episodes.episode import Environment, MakeEnvironment, Session, make_envir
 from ..episodes.provenance import make_manifest
 from ..episodes.reading import Reading, make_reading
 from ..episodes.records import EpisodeRecord, PolicyFailure
+from ..isolation_kinds import IsolationKind
 from ..package_sets import PackageSet
 from ..scoring.failures import is_broken
 from ..submission.manifest import load_manifest
@@ -27,6 +28,7 @@ def load_in_sandbox(
     limits: Limits,
     packages: tuple[PackageSet, ...] = (),
     episode_period_s: float | None = None,
+    isolation: IsolationKind | None = None,
 ) -> AbstractContextManager[Session]:
     """Load the policy of a submission in its sandbox, with the sets of packages that its track declares.
 
@@ -41,6 +43,7 @@ def load_in_sandbox(
         limits=limits,
         packages=packages,
         episode_period_s=episode_period_s,
+        kind=isolation,
     )
 
 

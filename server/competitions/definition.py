@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Self
 
 from pydantic import Field, model_validator
+from vitac.evaluator.isolation_kinds import IsolationKind
 from vitac.evaluator.strict_model import DocumentRejected, StrictModel, Word, read_yaml
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, Track, UnknownTask, find_task, list_tracks, load_track
@@ -109,6 +110,9 @@ class StageRules(StrictModel):
         le=10,
         description="Time from the start of an episode to that of the next [s], so that the instant at which one ends "
         "tells the next one nothing; null: as a worker is set.",
+    )
+    isolation: IsolationKind | None = Field(
+        default=None, description="What stands between policies and the machine; null: as a worker is set."
     )
 
     @model_validator(mode="after")

@@ -121,11 +121,12 @@ def _add_shards(session: Session, evaluation: Evaluation) -> bool:
     queued = set(session.scalars(select(Shard.commitment).where(Shard.evaluation_id == evaluation.id)))
     keys = [key for key in reversed(played_keys(evaluation, submission)) if key.commitment not in queued]
     track, owner = load_track(submission.track), f"team:{submission.team_id}"
+    isolation = find_stage(session, submission).rules.isolation
     for key, task in product(keys[:1], submission.tasks):
         family = find_family(submission.track, task)
         kind = WorkKind.TRIAL if family is Family.STATION else WorkKind.SHARD
         is_sealed = key.commitment != "" and kind is WorkKind.SHARD
-        requires = name_requirement(evaluation.evaluator_version, family, sealed=is_sealed)
+        requires = name_requirement(evaluation.evaluator_version, family, sealed=is_sealed, isolation=isolation)
         columns = waiting(session, kind, owner=owner, requires=requires, turn=evaluation.turn)
         for piece in cut(track.task(task)):
             shard = Trial if kind is WorkKind.TRIAL else Shard

@@ -19,6 +19,7 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 from vitac.envs.tasks.definition import Family
+from vitac.evaluator.isolation_kinds import IsolationKind
 
 from ..database.clock import read_clock
 from ..database.engine import Database
@@ -122,15 +123,23 @@ GiveUp = Callable[[Session, Claim, str], None]
 """Ends work that was tried in all its attempts; the text says what became of them."""
 
 
-def name_requirement(evaluator_version: str, family: Family = Family.TACTILE, *, sealed: bool = False) -> str:
+def name_requirement(
+    evaluator_version: str,
+    family: Family = Family.TACTILE,
+    *,
+    sealed: bool = False,
+    isolation: IsolationKind | None = None,
+) -> str:
     """Return what a worker must have for work on a task.
 
     Args:
         evaluator_version: that it must have.
         family: of the task, whose needs it must meet.
         sealed: whether a policy plays a sealed list, so that its sandbox must leave no traces in the machine's caches.
+        isolation: that its stage asks for; every worker has namespaces.
     """
-    return f"{evaluator_version} {family}{' sealed' if sealed else ''}"
+    own_kernel = f" {isolation}" if isolation is IsolationKind.VM else ""
+    return f"{evaluator_version} {family}{' sealed' if sealed else ''}{own_kernel}"
 
 
 def waiting(session: Session, kind: WorkKind, *, owner: str, requires: str, turn: int | None = None) -> dict[str, Any]:

@@ -12,11 +12,13 @@ from pathlib import Path
 from sqlalchemy import update
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord
+from vitac.evaluator.isolation_kinds import IsolationKind
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.evaluator.submission.sources import staged
 from vitac.evaluator.tracks import load_track
 
 from ..audit import record
+from ..competitions.competition import find_stage
 from ..database.models import AppealReplay, Submission
 from ..database.states import WorkKind, WorkState
 from ..errors import ProblemCode, ServiceError
@@ -40,6 +42,7 @@ class ReplayLease(Claim):
     Attributes:
         policy_sha256: of the archive that is played.
         commitment: of the sealed list that was played; None for the public one.
+        isolation: that the stage asks for.
     """
 
     policy_sha256: str
@@ -48,6 +51,7 @@ class ReplayLease(Claim):
     task: str
     episode: int
     commitment: str | None
+    isolation: IsolationKind | None
 
 
 def ask(
@@ -87,7 +91,8 @@ def ask(
         stored_files.store(session, blobs, corrected, policy)
     evaluation = appeal.evaluation
     family, is_sealed = find_family(submission.track, task), evaluation.commitment is not None
-    requires = name_requirement(evaluation.evaluator_version, family, sealed=is_sealed)
+    isolation = find_stage(session, submission).rules.isolation
+    requires = name_requirement(evaluation.evaluator_version, family, sealed=is_sealed, isolation=isolation)
     replay = AppealReplay(
         appeal_id=appeal.id,
         task=task,
@@ -134,6 +139,7 @@ def begin(session: Session, claim: Claim) -> ReplayLease:
         task=replay.task,
         episode=replay.episode,
         commitment=evaluation.commitment,
+        isolation=find_stage(session, evaluation.submission).rules.isolation,
     )
 
 

@@ -35,7 +35,7 @@ _INSTALL: Final = (
     "install bubblewrap (Debian, Ubuntu: `apt-get install bubblewrap`; without root: `apt-get download bubblewrap`, "
     "`dpkg -x` it and name the program in VITAC_BWRAP), then run `vitac doctor`"
 )
-_TOP_FOLDERS: Final = ("/bin", "/lib", "/lib32", "/lib64", "/libx32", "/sbin")
+TOP_FOLDERS: Final = ("/bin", "/lib", "/lib32", "/lib64", "/libx32", "/sbin")
 """Links into /usr on most systems."""
 _ENVIRONMENT: Final = {
     "HOME": "/tmp",  # noqa: S108 - the sandbox's own tmpfs
@@ -174,7 +174,7 @@ def command(
         "--",
         *_drop_privileges(uid),
         *_process_limits(limits),
-        *_python(interpreter, limits, descriptors),
+        *runtime_command(interpreter, limits, channel=descriptors.channel, status=descriptors.status),
     ]
 
 
@@ -237,7 +237,7 @@ def _system_files(passwd: int) -> list[str]:
     arguments = ["--ro-bind", "/usr", "/usr"]
     for folder in ("/etc", "/opt", "/opt/vitac", "/opt/vitac/packages"):
         arguments += ["--perms", "0755", "--dir", folder]
-    for system in map(Path, _TOP_FOLDERS):
+    for system in map(Path, TOP_FOLDERS):
         if system.is_symlink():
             arguments += ["--symlink", str(system.readlink()), str(system)]
         elif system.is_dir():
@@ -250,7 +250,7 @@ def _system_files(passwd: int) -> list[str]:
 def _files_in_memory(root: Path, passwd: int) -> list[str]:
     """Bind what `memory_files` has copied; nothing else of the host is visible."""
     arguments = ["--ro-bind", str(root / "usr"), "/usr", "--ro-bind", str(root / "opt"), "/opt"]
-    for system in map(Path, _TOP_FOLDERS):
+    for system in map(Path, TOP_FOLDERS):
         if system.is_symlink():
             arguments += ["--symlink", str(system.readlink()), str(system)]
         else:
@@ -312,11 +312,14 @@ def _folders_above(interpreter: Interpreter) -> list[Path]:
     )
 
 
+def environment(interpreter: Interpreter) -> dict[str, str]:
+    """Return all environment variables inside."""
+    folder = interpreter.library_folder
+    return {**_ENVIRONMENT, **({} if folder is None else {"LD_LIBRARY_PATH": str(folder)})}
+
+
 def _environment(interpreter: Interpreter) -> list[str]:
-    variables = dict(_ENVIRONMENT)
-    if interpreter.library_folder is not None:
-        variables["LD_LIBRARY_PATH"] = str(interpreter.library_folder)
-    return [part for name, value in variables.items() for part in ("--setenv", name, value)]
+    return [part for name, value in environment(interpreter).items() for part in ("--setenv", name, value)]
 
 
 def _drop_privileges(uid: int) -> list[str]:
@@ -340,12 +343,13 @@ def _process_limits(limits: Limits) -> list[str]:
     ]
 
 
-def _python(interpreter: Interpreter, limits: Limits, descriptors: Descriptors) -> Sequence[str]:
+def runtime_command(interpreter: Interpreter, limits: Limits, *, channel: int, status: int) -> Sequence[str]:
+    """Return the command line of the runtime, with the descriptors that it finds inside."""
     # Not -I: it would ignore PYTHONHASHSEED. The environment holds nothing but what is set above.
     return [
         str(interpreter.executable),
         *("-P", "-s", "-B", "-u", INSIDE_RUNTIME),
-        *(str(descriptors.channel), str(descriptors.status), *_cpu_limits(limits), INSIDE_SUBMISSION),
+        *(str(channel), str(status), *_cpu_limits(limits), INSIDE_SUBMISSION),
         *(str(folder) for folder in interpreter.packages),
     ]
 

@@ -10,7 +10,7 @@ from typing import Final
 
 from ..limits import Limits
 from ..verdicts import SandboxFailed
-from . import bubblewrap, cgroup, tracing
+from . import bubblewrap, cgroup, gvisor, tracing
 from .bubblewrap import UserIsolation
 from .memory_files import FILES_VARIABLE, memory_folder
 
@@ -33,7 +33,7 @@ class Requirement:
 
 def requirements() -> list[Requirement]:
     """Look for everything; nothing is started but `bwrap --version`."""
-    found = [_bubblewrap(), _seccomp(), *_programs(), _memory(), _control_group(), _frozen_copies()]
+    found = [_bubblewrap(), _seccomp(), *_programs(), _memory(), _control_group(), _frozen_copies(), _gvisor()]
     if bubblewrap.current_user_isolation() is UserIsolation.USER_NAMESPACE:
         found += user_namespaces()
     return found
@@ -139,6 +139,14 @@ def _control_group() -> Requirement:
         found="none; a watchdog looks at memory instead",
         remedy="run as a service with `Delegate=yes`, or start with `systemd-run --user --scope -p Delegate=yes`",
     )
+
+
+def _gvisor() -> Requirement:
+    try:
+        found, remedy = str(gvisor.find_program()), ""
+    except SandboxFailed as error:
+        found, remedy = "none; only stages that ask for isolation vm need it", str(error)
+    return Requirement(name="gVisor", is_met=not remedy, is_needed=False, found=found, remedy=remedy)
 
 
 def _frozen_copies() -> Requirement:

@@ -8,17 +8,21 @@ import signal
 import socket
 import struct
 import subprocess
+import tempfile
 import threading
 import time
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Final, Self
 
+from ...isolation_kinds import IsolationKind
 from ...package_sets import PackageSet
 from ..limits import Limits
 from ..protocol.channel import Channel
 from ..verdicts import SandboxFailed
-from . import bubblewrap, cgroup, packages, process_tree, seccomp
+from . import bubblewrap, cgroup, gvisor, packages, process_tree, seccomp
 from .bubblewrap import UserIsolation
 from .cgroup import MemoryIsolation
 from .memory_files import (
@@ -84,13 +88,14 @@ class Resources:
 
 
 class Sandbox:
-    """Starts the runtime in bubblewrap; as a context manager it leaves no process and no control group behind.
+    """Starts the runtime, isolated; as a context manager it leaves no process and no control group behind.
 
     Args:
         submission: folder that the policy is imported from.
         limits: what it may use.
         packages: sets of packages that its track declares.
         files: where the files lie that it sees; by default what the machine is set to.
+        kind: what stands between it and the machine; under `vm` its files lie in memory.
     """
 
     def __init__(
@@ -100,10 +105,14 @@ class Sandbox:
         limits: Limits,
         packages: tuple[PackageSet, ...] = (),
         files: FileIsolation | None = None,
+        kind: IsolationKind = IsolationKind.NAMESPACES,
     ) -> None:
         self._submission = submission
         self._packages = packages
+        self._kind = kind
         self.file_isolation = files or default_file_isolation()
+        if kind is IsolationKind.VM:
+            self.file_isolation = FileIsolation.MEMORY
         self.limits = limits
         self._exits = contextlib.ExitStack()
         self._statuses: dict[int, int] = {}
@@ -183,7 +192,13 @@ class Sandbox:
 
     def _start(self) -> None:
         self._check_readable()
-        self._group = cgroup.create(self.limits)
+        extra = gvisor.EXTRA_PROCESSES if self._kind is IsolationKind.VM else 0
+        self._group = cgroup.create(replace(self.limits, processes=self.limits.processes + extra))
+        if self._group is None and self._kind is IsolationKind.VM:
+            raise SandboxFailed(
+                f"Isolation {self._kind} needs a control group, which limits processes inside; run as root, or as a "
+                "service with `Delegate=yes`."
+            )
         if self._group is not None:
             self._exits.callback(self._group.remove)
         ours, theirs = socket.socketpair()
@@ -192,26 +207,51 @@ class Sandbox:
         self.output = OutputTail(output_read, kept_bytes=self.limits.output_kept_bytes)
         self._exits.callback(self.output.close)
         self.status_descriptor, status_write = self._pipe()
-        info_read, info_write = self._pipe()
         self.own_files = frozenset({_proc_name(output_write, "pipe"), _proc_name(theirs.fileno(), "socket")})
         with contextlib.ExitStack() as given_away, theirs:
             given_away.callback(os.close, output_write)
             given_away.callback(os.close, status_write)
-            given_away.callback(os.close, info_write)
-            uid = bubblewrap.choose_uid()
-            descriptors = bubblewrap.Descriptors(
-                channel=theirs.fileno(),
-                status=status_write,
-                seccomp=given_away.enter_context(bubblewrap.open_data(seccomp.filter_program())),
-                passwd=given_away.enter_context(bubblewrap.open_data(bubblewrap.passwd_file(uid))),
-                info=info_write,
-            )
-            self._process = self._spawn(self._command(uid, descriptors), descriptors, output_write)
+            start = self._start_vm if self._kind is IsolationKind.VM else self._start_bubblewrap
+            read_first_pid = start(given_away, theirs.fileno(), status_write, output_write)
         self._exits.callback(self._stop, ours)
         self.channel = Channel(ours, message_bytes=self.limits.message_bytes)
-        self.first_pid = self._read_first_pid(info_read)
+        self.first_pid = read_first_pid()
         self._wait_for_runtime()
         self._watchdog = self._start_watchdog()
+
+    def _start_bubblewrap(
+        self, given_away: contextlib.ExitStack, channel: int, status: int, output: int
+    ) -> Callable[[], int]:
+        """Start the process, and return how the pid of its first process inside is found out."""
+        info_read, info_write = self._pipe()
+        given_away.callback(os.close, info_write)
+        uid = bubblewrap.choose_uid()
+        descriptors = bubblewrap.Descriptors(
+            channel=channel,
+            status=status,
+            seccomp=given_away.enter_context(bubblewrap.open_data(seccomp.filter_program())),
+            passwd=given_away.enter_context(bubblewrap.open_data(bubblewrap.passwd_file(uid))),
+            info=info_write,
+        )
+        passed = (channel, status, descriptors.seccomp, descriptors.passwd, info_write)
+        self._process = _spawn(self._command(uid, descriptors), subprocess.DEVNULL, output, output, passed)
+        return partial(self._read_first_pid, info_read)
+
+    def _start_vm(self, _: contextlib.ExitStack, channel: int, status: int, output: int) -> Callable[[], int]:
+        """Start the process, which is outside of all that the policy sees."""
+        interpreter = packages.find_interpreter(self._packages)
+        system = prepare_system_files(interpreter, own=bubblewrap.OWN_FILES)
+        self._bundle = Path(self._exits.enter_context(tempfile.TemporaryDirectory(prefix="vitac-vm-")))
+        command = gvisor.command(
+            self._bundle,
+            submission=mount_point(system),
+            interpreter=interpreter,
+            limits=self.limits,
+            uid=bubblewrap.choose_uid(),
+            system=system,
+        )
+        self._process = _spawn(self._with_submission(self._in_group(command), system), channel, output, status, ())
+        return lambda: self._process.pid
 
     def _pipe(self) -> tuple[int, int]:
         read, write = os.pipe()
@@ -232,24 +272,18 @@ class Sandbox:
             descriptors=descriptors,
             system=system,
         )
-        if self._group is not None:
-            command = ["/bin/sh", "-c", _JOIN_GROUPS, "sh", *map(str, self._group.folders), "--", *command]
-        if system is None:
+        command = self._in_group(command)
+        return command if system is None else self._with_submission(command, system)
+
+    def _in_group(self, command: list[str]) -> list[str]:
+        if self._group is None:
             return command
+        return ["/bin/sh", "-c", _JOIN_GROUPS, "sh", *map(str, self._group.folders), "--", *command]
+
+    def _with_submission(self, command: list[str], system: Path) -> list[str]:
         # Before the process joins the control groups: the submission does not count as the policy's memory.
         size_bytes = self.limits.archive_unpacked_bytes
         return with_submission_in_memory(command, submission=self._submission, root=system, size_bytes=size_bytes)
-
-    def _spawn(self, command: list[str], descriptors: bubblewrap.Descriptors, output: int) -> "subprocess.Popen[bytes]":
-        passed = (
-            descriptors.channel, descriptors.status, descriptors.seccomp, descriptors.passwd, descriptors.info
-        )  # fmt: skip
-        try:
-            return subprocess.Popen(  # noqa: S603 - the command holds paths of ours only
-                command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, pass_fds=passed, env={}, cwd="/"
-            )
-        except OSError as error:
-            raise SandboxFailed(f"The sandbox could not be started: {error}; run `vitac doctor`.") from error
 
     def _read_first_pid(self, descriptor: int) -> int:
         deadline = time.monotonic() + _START_DEADLINE_S
@@ -277,8 +311,13 @@ class Sandbox:
         self._process.kill()
         self._process.wait()
         self.output.read_available()
-        said = self.output.text().strip() or "nothing was printed"
-        return SandboxFailed(f"bubblewrap did not start ({said}); run `vitac doctor`, which says what is missing.")
+        said = self.output.text().strip()
+        if self._kind is IsolationKind.VM:
+            said = said or gvisor.read_failure(self._bundle)
+        return SandboxFailed(
+            f"The sandbox ({self._kind}) did not start ({said or 'nothing was printed'}); run `vitac doctor`, which "
+            "says what is missing."
+        )
 
     def _start_watchdog(self) -> MemoryWatchdog | None:
         if self._group is not None:
@@ -313,6 +352,17 @@ class Sandbox:
 
     def _processes_at_limit(self) -> int:
         return int(sum(1 for _ in process_tree.descendants(self.first_pid)) >= self.limits.processes)
+
+
+def _spawn(
+    command: list[str], source: int, output: int, errors: int, passed: Sequence[int]
+) -> "subprocess.Popen[bytes]":
+    try:
+        return subprocess.Popen(  # noqa: S603 - the command holds paths of ours only
+            command, stdin=source, stdout=output, stderr=errors, pass_fds=passed, env={}, cwd="/"
+        )
+    except OSError as error:
+        raise SandboxFailed(f"The sandbox could not be started: {error}; run `vitac doctor`.") from error
 
 
 def _proc_name(descriptor: int, resource: str) -> str:

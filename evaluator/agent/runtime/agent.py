@@ -282,7 +282,7 @@ def run_loader(connection: Connection, submission: str) -> None:
         pid = os.fork()
     if pid:
         os._exit(0)
-    connection.write("loaded")
+    connection.write("loaded", message=str(os.getpid()))
     answer_episode(policy, connection)
 
 

@@ -5,6 +5,7 @@ from cubes_track import FILE
 from vitac.envs.maniskill.abilities import Abilities
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.isolation.packages import PolicyPackages
+from vitac.evaluator.isolation_kinds import IsolationKind
 from vitac.evaluator.package_sets import PackageSet, locked_versions
 from vitac.evaluator.tracks.registry import find_version
 from vitac.evaluator.version import evaluator_version
@@ -111,3 +112,14 @@ def test_a_worker_whose_sandboxes_read_the_disk_takes_no_shards_of_sealed_lists_
     assert sealed not in capabilities.list_abilities()
     assert name_requirement(evaluator_version()) in capabilities.list_abilities()
     assert "sealed lists: expected VITAC_SANDBOX_FILES to be memory, got disk" in capabilities.explain_unfit({})
+
+
+@pytest.mark.parametrize("has_vm", [True, False])
+def test_a_worker_takes_stages_with_isolation_vm_where_a_policy_can_answer_under_it(
+    monkeypatch: pytest.MonkeyPatch, has_vm: bool
+) -> None:
+    install(monkeypatch)
+    monkeypatch.setattr(capabilities, "_has_kind", lambda kind: has_vm)
+    requirement = name_requirement(evaluator_version(), isolation=IsolationKind.VM)
+    assert (requirement in capabilities.list_abilities()) is has_vm
+    assert name_requirement(evaluator_version(), isolation=IsolationKind.NAMESPACES) in capabilities.list_abilities()

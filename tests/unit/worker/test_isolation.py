@@ -40,10 +40,10 @@ def test_slow_probes_are_probes() -> None:
 
 def test_one_escape_or_a_sandbox_that_does_not_start_makes_the_machine_unsound() -> None:
     for state in (ProbeState.ESCAPED, ProbeState.FAILED):
-        report = probe_isolation(FakeProbes({"network refused": state}), pytest.fail)
+        report = probe_isolation(FakeProbes({"network out of reach": state}), pytest.fail)
         assert not report.is_sound
         assert report.sandbox is None
-        assert report.problems == (f"network refused: {state} (what came)",)
+        assert report.problems == (f"network out of reach: {state} (what came)",)
 
 
 def test_a_machine_with_other_packages_for_policies_is_refused_with_their_names() -> None:

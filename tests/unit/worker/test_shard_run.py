@@ -7,6 +7,7 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from psycopg.errors import DiskFull
@@ -118,7 +119,7 @@ def test_shard_is_run_from_the_unpacked_submission_and_ended(
         assert (shard.state, shard.isolation) == (
             WorkState.DONE,
             "user: root, memory: cgroup-v1, episodes: frozen-copy, files: disk, process ids repeat: True, "
-            "episode period s: 0.0",
+            "episode period s: 0.0, kind: namespaces",
         )
 
 
@@ -224,20 +225,25 @@ def test_a_shard_of_a_sealed_list_gets_the_secret_in_a_file_that_goes_with_it(
     assert not path.exists()
 
 
-@pytest.mark.parametrize("period_s", [None, 0.5])
-def test_a_stage_says_when_episodes_start(
-    services: Services, stage: SubmissionStage, archive_sha256: str, period_s: float | None
+@pytest.mark.parametrize("rules", [{}, {"episode_period_s": 0.5, "isolation": "vm"}])
+def test_a_stage_says_when_episodes_start_and_what_isolates_them(
+    services: Services, stage: SubmissionStage, archive_sha256: str, rules: dict[str, Any]
 ) -> None:
     content = open_now(make_competition())
-    content["tracks"][TRACK]["stages"][0]["episode_period_s"] = period_s
+    content["tracks"][TRACK]["stages"][0].update(rules)
     with services.database.transaction() as session:
         put_in_place(session, content)
         upload = make_upload(archive_sha256=archive_sha256)
         submission, _ = creation.create(session, make_principal(session), upload)
     lease = claim(services.database, first_shard(services, submission), lease_s=services.settings.lease_s)
+    with services.database.transaction() as session:
+        assert session.get_one(Shard, lease.work_id).requires.endswith(" vm") is ("isolation" in rules)
     shards = FakeShards()
     ShardRun(services, stage, lease, shards).run()
-    assert shards.started[0].order.episode_period_s == period_s
+    order = shards.started[0].order
+    assert {"episode_period_s": order.episode_period_s, "isolation": order.isolation} == {
+        "episode_period_s": None, "isolation": None, **rules
+    }  # fmt: skip
 
 
 def test_half_done_shard_is_resumed_from_its_stored_episodes(

@@ -10,6 +10,7 @@ from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import FailureStage, PolicyFailure
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice
+from vitac.evaluator.isolation_kinds import IsolationKind
 from vitac.evaluator.shards.order import PROCESS_ID, ShardMessage, ShardOrder, decode_waiting, encode_waiting
 from vitac.evaluator.submission_kinds import SubmissionKind
 
@@ -34,6 +35,7 @@ SHARED = {
     "limits": Limits(open_files=7),
     "assets_dir": Path("/assets"),
     "episode_period_s": 0.5,
+    "isolation": IsolationKind.VM,
     "sensor": Path("/sensor"),
     "figures": next(choice for choice in FigureChoice if choice is not FigureChoice.NONE),
 }
