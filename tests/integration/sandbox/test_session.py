@@ -46,6 +46,12 @@ def make(tmp_path: Path) -> Make:
     return make_submission
 
 
+def loaded_pid(session: PolicySession) -> int:
+    """The process that holds the loaded policy, from outside."""
+    assert session._loaded_process is not None
+    return session._loaded_process.outside_pid
+
+
 def act_once(session: PolicySession) -> list[float]:
     with session.episode(task="peg-insertion", action_shape=(3,)) as policy:
         return policy.act(OBSERVATION).tolist()  # type: ignore[no-any-return]
@@ -242,7 +248,7 @@ def test_an_episodes_processes_end_with_it_also_where_no_other_episode_follows(m
     with PolicySession(folder) as session:
         first = act_once(session)
         assert session._sandbox is not None
-        pids = {session._sandbox.first_pid, session._loaded_pid}
+        pids = {session._sandbox.first_pid, loaded_pid(session)}
         eventually(lambda: set(descendants(session._sandbox.first_pid)) <= pids)  # type: ignore[union-attr]
         assert act_once(session) == first, "also the child's id is the same"
         assert session.starts == 1
@@ -261,7 +267,7 @@ def test_a_loaded_policy_that_dies_with_its_episode_is_loaded_anew(make: Make) -
     with PolicySession(make("return [1, 2, 3]")) as session:
         with session.episode(task="t", action_shape=(3,)) as policy:
             assert policy.act(OBSERVATION).tolist() == [1, 2, 3]
-            os.kill(session._loaded_pid, signal.SIGKILL)
+            os.kill(loaded_pid(session), signal.SIGKILL)
         assert act_once(session) == [1, 2, 3]
         assert session.starts == 2
 
