@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .evaluate import Remote, check_player
 from .terminal.output import AsJson, note_ignored_folders, print_json
 
 if TYPE_CHECKING:
@@ -41,11 +42,12 @@ class Findings:
 
 def command(
     submission: Annotated[Path, typer.Argument(help="Zip or folder with submission.yaml.")],
+    remote: Remote = None,
     as_json: AsJson = False,
 ) -> None:
     """Check a submission before its upload: archive rules, submission.yaml, two episodes of each task."""
     note_ignored_folders(submission)
-    findings = check(submission)
+    findings = check(submission, remote)
     if as_json:
         print_json({"ok": not findings.refused, **asdict(findings)})
     else:
@@ -55,7 +57,7 @@ def command(
         raise typer.Exit(1)
 
 
-def check(submission: Path) -> Findings:
+def check(submission: Path, remote: str | None = None) -> Findings:
     """Run the checks of an upload and of an evaluation.
 
     Raises:
@@ -73,6 +75,7 @@ def check(submission: Path) -> Findings:
             findings.digest = submission_digest(submission)
             findings.passed.append("the files follow the archive rules")
             manifest = load_manifest(folder)
+            check_player(manifest, remote)
             findings.passed.append(f"submission.yaml is complete: {manifest.name}, {', '.join(manifest.tasks)}")
         except (ArchiveRejected, ManifestRejected) as error:
             findings.refused.append(str(error))
@@ -81,7 +84,7 @@ def check(submission: Path) -> Findings:
         if has_sensor and not _check_sensor(folder, findings):
             return findings
         for task in manifest.tasks:
-            _check_task(folder, manifest, task, findings, sensor=folder if has_sensor else None)
+            _check_task(folder, manifest, task, findings, sensor=folder if has_sensor else None, remote=remote)
     return findings
 
 
@@ -103,7 +106,13 @@ def _check_sensor(staged: Path, findings: Findings) -> bool:
 
 
 def _check_task(
-    staged: Path, manifest: "SubmissionManifest", task: str, findings: Findings, *, sensor: Path | None
+    staged: Path,
+    manifest: "SubmissionManifest",
+    task: str,
+    findings: Findings,
+    *,
+    sensor: Path | None,
+    remote: str | None,
 ) -> None:
     """Run the first and the last episode of a task's list, which differ in shape and start."""
     from vitac.evaluator.evaluation.local import evaluate
@@ -115,7 +124,9 @@ def _check_task(
     definition = track.tasks[task]
     numbers = sorted({definition.episodes[0].number, definition.episodes[-1].number})
     with compiling_shown():
-        evaluation = evaluate(submission_dir=staged, track=track, task=definition, episodes=numbers, sensor=sensor)
+        evaluation = evaluate(
+            submission_dir=staged, track=track, task=definition, episodes=numbers, sensor=sensor, remote=remote
+        )
     for record in evaluation.records:
         _add_result(record, findings)
 

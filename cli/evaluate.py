@@ -21,6 +21,23 @@ if TYPE_CHECKING:
     from vitac.evaluator.tracks import Track
 
 
+Remote = Annotated[
+    str | None,
+    typer.Option(help="Address of a policy server that plays, such as ws://127.0.0.1:8000; see docs/remote.md."),
+]
+
+
+def check_player(manifest: "SubmissionManifest", remote: str | None) -> None:
+    """Refuse a policy server without its address, and an address without what the server speaks."""
+    if remote is not None:
+        from vitac.evaluator.remote.line import check_address
+
+        check_address(remote)
+        manifest.server()
+    elif manifest.remote is not None:
+        raise typer.BadParameter("submission.yaml has a policy server play; give its address.", param_hint="--remote")
+
+
 def parse_episodes(text: str | None) -> tuple[int, ...] | None:
     """Parse episode numbers such as `1:12,20`; ranges include both ends."""
     if text is None:
@@ -50,6 +67,7 @@ def command(
     sensor: Annotated[
         Path | None, typer.Option(help="Folder with a sensor of your own (vitac sensor); unranked.")
     ] = None,
+    remote: Remote = None,
     json: Annotated[Path | None, typer.Option(help="Write score, result hash and all records to this file.")] = None,
     log: Annotated[Path | None, typer.Option(help="Write a log that can be verified and uploaded.")] = None,
     output: Annotated[
@@ -64,11 +82,19 @@ def command(
 ) -> None:
     """Evaluate a submission here, with the same records, score and result hash as the service."""
     request = _Request(
-        task=task, episodes=parse_episodes(episodes), workers=workers, assets=assets, secret=secret, sensor=sensor
+        task=task,
+        episodes=parse_episodes(episodes),
+        workers=workers,
+        assets=assets,
+        secret=secret,
+        sensor=sensor,
+        remote=remote,
     )
     outputs = _Outputs(json=json, log=log, printed=output, team=team)
     outputs.check()
     if station is not None:
+        if remote is not None:
+            raise typer.BadParameter("a station is not played from elsewhere; leave it out.", param_hint="--remote")
         from .rehearsal import rehearse_submission
 
         request.check(submission)
@@ -94,6 +120,7 @@ def _evaluate(request: "_Request", submission: Path) -> "tuple[LocalEvaluation, 
         note_ignored_folders(submission)
         with staged(submission) as folder:
             manifest = load_manifest(folder)
+            check_player(manifest, request.remote)
             return request.evaluate(folder, manifest, host), manifest, submission_digest(submission)
 
 
@@ -108,6 +135,7 @@ class _Request:
         assets: folder with the challenge's own meshes.
         secret: file with the secret of a sealed list.
         sensor: folder with a sensor to play with.
+        remote: address of a policy server.
     """
 
     task: str | None
@@ -116,6 +144,7 @@ class _Request:
     assets: Path | None
     secret: Path | None
     sensor: Path | None
+    remote: str | None
 
     def check(self, submission: Path) -> None:
         """Refuse a secret that the policy could read, and a sensor against its rules."""
@@ -141,13 +170,18 @@ class _Request:
                 track=track,
                 task=definition,
                 episodes=self.episodes,
-                workers=self.workers or len(os.sched_getaffinity(0)),
+                workers=self.workers or self._default_workers(),
                 assets_dir=self.assets or assets_dir_from_environment(),
                 secret=self.secret,
                 sensor=folder if self.sensor is None and track.has_sensor else self.sensor,
+                remote=self.remote,
                 on_episode=progress.advance,
                 host=host,
             )
+
+    def _default_workers(self) -> int:
+        """Return one process for each core, or one where a policy server may know one line only."""
+        return 1 if self.remote else len(os.sched_getaffinity(0))
 
 
 @dataclass(frozen=True, kw_only=True)

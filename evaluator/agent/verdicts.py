@@ -26,6 +26,7 @@ class VerdictCode(StrEnum):
     BAD_ACTION_SHAPE = "bad_action_shape"
     NON_FINITE_ACTION = "non_finite_action"
     PROTOCOL_VIOLATION = "protocol_violation"
+    LINE_LOST = "line_lost"
     SANDBOX_FAILED = "sandbox_failed"
 
     @property
@@ -73,6 +74,10 @@ _SENTENCES = {
     VerdictCode.PROTOCOL_VIOLATION: (
         "The policy sent something other than one answer per question; leave the channel to the evaluator's runtime."
     ),
+    VerdictCode.LINE_LOST: (
+        "The line to the remote policy could not be opened, or was cut several times; look at the policy server and at "
+        "the network."
+    ),
     VerdictCode.SANDBOX_FAILED: "The evaluation machine failed, not the policy; the work is tried again by itself.",
 }
 
@@ -91,6 +96,10 @@ class PolicyFailed(VitacError):
         self.verdict = verdict
         self.message = message
         self.output_tail = output_tail
+
+
+class EpisodeCut(VitacError):
+    """The line to a policy server was cut in the middle of an episode: play it again from its start."""
 
 
 class SandboxFailed(VitacError):

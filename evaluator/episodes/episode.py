@@ -78,6 +78,7 @@ class Policy(Protocol):
 
         Raises:
             PolicyFailed: it crashed, broke a limit or answered wrongly.
+            EpisodeCut: it is remote, and its line was cut.
         """
 
 
@@ -175,6 +176,7 @@ def run_episode(
 
     Raises:
         EnvironmentBroken: the environment gave keys that the policy does not read, or did not end.
+        EpisodeCut: the policy is remote, and its line was cut.
     """
     started, physics_s, markers_s = perf_counter(), env.physics_cpu_s, env.marker_cpu_s
     trace = _Trace(sample=PictureSample(env, episode))

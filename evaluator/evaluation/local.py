@@ -71,6 +71,7 @@ def evaluate(
     assets_dir: Path | None = None,
     secret: Path | None = None,
     sensor: Path | None = None,
+    remote: str | None = None,
     figures: FigureChoice = FigureChoice.NONE,
     coefficients: Coefficients | None = None,
     stored: StoredShards | None = None,
@@ -90,6 +91,7 @@ def evaluate(
         assets_dir: folder with the challenge's own meshes; our own generated ones by default.
         secret: file with the secret of a sealed list.
         sensor: folder with a sensor of a team's own, in place of the challenge's.
+        remote: address of a policy server that plays in place of the folder's own code.
         figures: which of the sensor's figures the blind run measures.
         coefficients: of the standard estimator for the sensor; it is calibrated without them.
         stored: finished shards, which are not played again; new ones are added.
@@ -114,6 +116,7 @@ def evaluate(
             limits=limits or Limits(),
             assets_dir=assets_dir.resolve() if assets_dir else None,
             sensor=sensor.resolve() if sensor else None,
+            remote=remote,
             figures=figures if task.measures_figures else FigureChoice.NONE,
             coefficients=coefficients,
         )
@@ -245,7 +248,8 @@ def _common_manifest(results: Sequence[ShardResult]) -> Manifest:
 class EvaluationReport(StrictModel):
     """Everything about an evaluation; either `score` and `result_hash` or `failure` is there.
 
-    `packages` are the versions by name of all that the policy could import here; no hash covers them.
+    `packages` are the versions by name of all that the policy could import here, none of a policy server; no
+    hash covers them.
     """
 
     name: str
@@ -269,6 +273,10 @@ class EvaluationReport(StrictModel):
             score=evaluation.score,
             result_hash=evaluation.result_hash,
             failure=evaluation.failure,
-            packages=dict(installed_packages(load_track(evaluation.manifest.track).packages).versions),
+            packages=dict(
+                installed_packages(load_track(evaluation.manifest.track).packages).versions
+                if evaluation.isolation
+                else {}
+            ),
             episodes=evaluation.records,
         )

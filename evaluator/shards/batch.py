@@ -58,7 +58,7 @@ def run_batches(
     """
     from vitac.envs.maniskill.batch import Batch
 
-    reading = make_reading(task, load_manifest(order.submission).observation_keys)
+    reading = make_reading(task, load_manifest(order.submission).read_keys)
     episodes = secret_order(episode for episode in shard.episodes if episode.number not in order.skip)
     size = max(1, min(task.definition.batch_size, len(episodes)))
     limits = limits_of_each(size, order.limits)

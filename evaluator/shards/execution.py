@@ -37,7 +37,7 @@ from ..tracks.sealed import load_played_track, read_secret
 from .batch import run_batches
 from .estimator import run_estimator
 from .order import ShardEnd, ShardMessage, ShardOrder, ShardResult
-from .policy import Preparation, load_in_sandbox, run_shard
+from .policy import LoadPolicy, Preparation, load_in_sandbox, load_remote, run_shard
 
 if TYPE_CHECKING:
     from vitac.envs.tactile.design import SensorDesign
@@ -211,19 +211,22 @@ def _make_result(order: ShardOrder, preparation: Preparation, send: Callable[[Sh
     shard = next(shard for shard in cut(task, order.episodes) if shard.index == order.shard)
     ordered = OrderedShard(order=order, track=track, task=task, shard=shard)
     runner = RUNNERS[order.kind] if task.player is Player.POLICY else _run_estimator
-    if runner is _run_policy:
+    if runner is _run_policy and order.remote is None:
         send(ShardMessage(packages=dict(installed_packages(track.packages).versions)))
     return runner(ordered, preparation, lambda record: send(ShardMessage(record=record)))
 
 
 def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnEpisode) -> ShardResult:
     order = ordered.order
-    load = partial(
-        load_in_sandbox,
-        packages=ordered.track.packages,
-        episode_period_s=order.episode_period_s,
-        isolation=order.isolation,
-    )
+    if order.remote is not None:
+        load: LoadPolicy = partial(load_remote, address=order.remote)
+    else:
+        load = partial(
+            load_in_sandbox,
+            packages=ordered.track.packages,
+            episode_period_s=order.episode_period_s,
+            isolation=order.isolation,
+        )
     if ordered.task.definition.batch_size > 1:
         return run_batches(order, ordered.track, ordered.task, ordered.shard, on_episode, load)
     preparation.begin(order)
@@ -233,7 +236,7 @@ def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnE
         task=ordered.task,
         shard=ordered.shard,
         on_episode=on_episode,
-        reading=make_reading(ordered.task, load_manifest(order.submission).observation_keys),
+        reading=make_reading(ordered.task, load_manifest(order.submission).read_keys),
         limits=order.limits,
         assets_dir=order.assets_dir,
         load_policy=partial(preparation.policy, load),

@@ -87,8 +87,8 @@ class ShardOrder(StrictModel):
     file of a made one. `figures` says of which of the sensor's figures the shard measures a part. `coefficients`
     are what the standard estimator has learned of the sensor; without them it is calibrated first. `episode_period_s`
     is the time from the start of an episode to that of the next [s], and `isolation` what stands between policy and
-    machine; without them what the machine is set to. A process of another `evaluator_version` than the given one
-    refuses the order.
+    machine; without them what the machine is set to. `remote` is the address of a policy server that plays in place of
+    the submission's own code. A process of another `evaluator_version` than the given one refuses the order.
     """
 
     kind: SubmissionKind
@@ -106,6 +106,7 @@ class ShardOrder(StrictModel):
     coefficients: Coefficients | None = None
     episode_period_s: float | None = None
     isolation: IsolationKind | None = None
+    remote: str | None = None
     skip: tuple[int, ...] = ()
     earlier_failures: tuple[PolicyFailure, ...] = ()
 

@@ -1,13 +1,15 @@
 """Plays the episodes of a shard with a policy in the sandbox, prepared before they begin; called by `execution`."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from random import SystemRandom
 from typing import Self
 
 from ..agent.limits import Limits
 from ..agent.session import Isolation, PolicySession
+from ..agent.verdicts import EpisodeCut
 from ..episodes.episode import Environment, MakeEnvironment, Session, make_environment, run_episode
 from ..episodes.provenance import make_manifest
 from ..episodes.reading import Reading, make_reading
@@ -45,6 +47,18 @@ def load_in_sandbox(
         episode_period_s=episode_period_s,
         kind=isolation,
     )
+
+
+def load_remote(submission_dir: Path, limits: Limits, address: str) -> AbstractContextManager[Session]:
+    """Open the line to the policy server of a submission.
+
+    Raises:
+        PolicyFailed: it does not answer.
+        AddressInvalid: the address is none.
+    """
+    from ..remote.session import RemoteSession
+
+    return RemoteSession(address, load_manifest(submission_dir).server(), limits)
 
 
 def run_shard(
@@ -92,12 +106,21 @@ def run_shard(
         for episode in secret_order(episode for episode in shard.episodes if episode.number not in skip):
             if is_broken(failures):
                 break
-            record = run_episode(env=env, task=task, episode=episode, open_session=policy, reading=reading)
+            record = _play_uncut(
+                partial(run_episode, env=env, task=task, episode=episode, open_session=policy, reading=reading)
+            )
             on_episode(record)
             failures.extend([record.failure] if record.failure else [])
     end = ShardEnd.BROKEN if is_broken(failures) else ShardEnd.COMPLETE
     manifest = make_manifest(track, task, env)
     return ShardResult(index=shard.index, end=end, manifest=manifest, isolation=policy.isolation)
+
+
+def _play_uncut(play: Callable[[], EpisodeRecord]) -> EpisodeRecord:
+    """Play an episode again as often as a line was cut; the session of the line ends that with a verdict."""
+    while True:
+        with suppress(EpisodeCut):
+            return play()
 
 
 class _LoadedPolicy:

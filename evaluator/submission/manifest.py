@@ -11,6 +11,7 @@ from vitac.envs.errors import VitacError
 from vitac.envs.untrusted_file import find_spelling
 
 from ..agent.verdicts import VerdictCode
+from ..remote.description import RemoteServer
 from ..strict_model import DocumentRejected, StrictModel, parse_untrusted_yaml
 from ..tracks import UnknownTrack, load_track
 from .names import MANIFEST_NAME, ArchiveFault, ArchiveRejected, listed
@@ -71,6 +72,30 @@ class SubmissionManifest(StrictModel):
             description="Control mode that its actions are made for, by task; refused where the task has another one.",
         ),
     ]
+    remote: Annotated[
+        RemoteServer | None,
+        Field(description="Policy server that plays in place of the folder's own code."),
+    ] = None
+
+    @property
+    def read_keys(self) -> tuple[str, ...] | None:
+        """Keys of the observation that the policy reads; None for all."""
+        if self.remote is not None and self.remote.keys is not None:
+            return self.remote.keys
+        return self.observation_keys
+
+    def server(self) -> RemoteServer:
+        """Return the section `remote`.
+
+        Raises:
+            ManifestRejected: there is none.
+        """
+        if self.remote is None:
+            raise ManifestRejected(
+                f"{MANIFEST_NAME} has no section `remote`, which says what the policy server speaks: add "
+                "`remote: {protocol: openpi}`, say."
+            )
+        return self.remote
 
 
 def load_manifest(submission_dir: Path) -> SubmissionManifest:
@@ -168,14 +193,20 @@ def _check_tasks(manifest: SubmissionManifest) -> None:
 
 def _check_observation_keys(manifest: SubmissionManifest) -> None:
     tasks = load_track(manifest.track).tasks
-    known = list(dict.fromkeys(row.name for task in manifest.tasks for row in tasks[task].observables))
-    named = manifest.observation_keys or ()
+    rows = {row.name: row for task in manifest.tasks for row in tasks[task].observables}
+    known = list(rows)
+    named = manifest.read_keys or ()
+    place = "observation_keys" if named == manifest.observation_keys else "remote.observations"
     unknown = sorted(set(named) - set(known))
     if unknown or len(set(named)) != len(named):
         got = f"{unknown[0]!r}" if unknown else "a key twice"
-        raise ManifestRejected(
-            f"{MANIFEST_NAME}: observation_keys has {got}, expected each once, out of {', '.join(known)}."
-        )
+        raise ManifestRejected(f"{MANIFEST_NAME}: {place} has {got}, expected each once, out of {', '.join(known)}.")
+    sent = (manifest.remote.observations or {}) if manifest.remote else {}
+    for name, value in sent.items():
+        if value.size is not None and len(rows[value.key].shape) not in {2, 3}:
+            raise ManifestRejected(
+                f"{MANIFEST_NAME}: remote.observations.{name} has a size, but {value.key} is no picture; leave it out."
+            )
 
 
 def _check_control_modes(manifest: SubmissionManifest) -> None:

@@ -83,6 +83,12 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
         raise ServiceError(ProblemCode.ARCHIVE_REJECTED, error.message, reason=error.code.value) from error
     except ManifestRejected as error:
         raise ServiceError(ProblemCode.MANIFEST_REJECTED, str(error)) from error
+    if manifest.remote is not None:
+        raise ServiceError(
+            ProblemCode.MANIFEST_REJECTED,
+            "submission.yaml has a policy server play (`remote`), which this service does not dial: play with "
+            "`vitac evaluate --remote ADDRESS --log run.jsonl` and submit the log, or bring the policy's code.",
+        )
     track = load_known_track(manifest.track)
     return CheckedUpload(
         kind=SubmissionKind.MODEL,

@@ -183,3 +183,21 @@ def test_progress_shows_how_far_a_step_is_before_episodes_are_counted(capsys: py
     progress.count(180, 180)
     assert f"{line.completed} of {line.total}" == "0 of 4"
     assert capsys.readouterr().err == "vitac: calibrating the standard estimator\n"
+
+
+@pytest.mark.parametrize(
+    ("manifest", "arguments", "words"),
+    [
+        ("", ("--remote", "ws://127.0.0.1:1"), "no section `remote`"),
+        (", remote: {protocol: openpi}", ("--remote", "127.0.0.1:1"), "Expected an address such as ws://"),
+        (", remote: {protocol: openpi}", (), "give its address"),
+        (", remote: {protocol: openpi}", ("--remote", "ws://127.0.0.1:1", "--station", "twin"), "leave it out"),
+    ],
+)
+def test_policy_server_needs_its_address_and_what_it_speaks(
+    submission: Path, capsys: pytest.CaptureFixture[str], manifest: str, arguments: tuple[str, ...], words: str
+) -> None:
+    (submission / "submission.yaml").write_text(f"{{track: track_1, tasks: [peg-insertion], name: mine{manifest}}}")
+    code, _, err = run(capsys, submission, *arguments)
+    assert code != 0
+    assert words in " ".join(re.sub(r"[│╭╰─╮╯]", " ", err).split())

@@ -36,6 +36,7 @@ SHARED = {
     "assets_dir": Path("/assets"),
     "episode_period_s": 0.5,
     "isolation": IsolationKind.VM,
+    "remote": "ws://127.0.0.1:8000",
     "sensor": Path("/sensor"),
     "figures": next(choice for choice in FigureChoice if choice is not FigureChoice.NONE),
 }

@@ -403,3 +403,30 @@ def test_a_control_mode_that_is_not_the_tasks_is_refused_with_the_tasks_own(
     error = manifest_error(f"{manifest}control_modes: {{{named}}}\n")
     assert expected in error
     assert "control_modes" in error
+
+
+def test_keys_of_a_policy_server_are_those_that_are_sent() -> None:
+    names = "{state: relative_motion, touch: marker_flow, again: marker_flow}"
+    manifest = parse_manifest(f"{MANIFEST}remote: {{protocol: openpi, observations: {names}}}\n".encode())
+    assert manifest.read_keys == ("relative_motion", "marker_flow")
+    assert manifest.server().execute == 1
+
+
+@pytest.mark.parametrize(
+    ("remote", "words"),
+    [
+        ("{protocol: grpc}", "remote.protocol"),
+        ("{protocol: openpi, observations: {a: gt_offset}}", "remote.observations has 'gt_offset', expected each once"),
+        ("{protocol: openpi, observations: {a: {key: marker_flow, size: [2, 2]}}}", "marker_flow is no picture"),
+        ("{protocol: openpi, observations: {a: {key: marker_flow, size: [0, 2]}}}", "size"),
+        ("{protocol: openpi, execute: 0}", "remote.execute"),
+        ("{protocol: openpi, adress: 1}", "adress"),
+    ],
+)
+def test_wrong_description_of_a_policy_server_is_refused(remote: str, words: str) -> None:
+    assert words in manifest_error(f"{MANIFEST}remote: {remote}\n")
+
+
+def test_folder_without_a_policy_server_says_what_to_add() -> None:
+    with pytest.raises(ManifestRejected, match="no section `remote`"):
+        parse_manifest(MANIFEST.encode()).server()

@@ -1,0 +1,107 @@
+"""What submission.yaml says of a policy server: its protocol, and how observations are named for it."""
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field
+
+from ..strict_model import StrictModel
+
+_Length = Annotated[int, Field(ge=1, le=1024)]
+
+
+class RemoteProtocol(StrEnum):
+    """What a policy server speaks."""
+
+    OPENPI = "openpi"
+    """A server of openpi: we dial it, it answers each observation with actions."""
+    VLA_EVAL = "vla-eval"
+    """A model server of vla-eval: we dial it, it hears of the start and the end of each episode."""
+    ROBOT_BRIDGE = "robot-bridge"
+    """A policy of the 2026 edition: it dials us, as it dials the robot."""
+
+    @property
+    def dials(self) -> bool:
+        """Whether the policy dials us, and not we it."""
+        return self is RemoteProtocol.ROBOT_BRIDGE
+
+
+class SentValue(StrictModel):
+    """Which value of the observation is sent under a name of the server's."""
+
+    key: Annotated[str, Field(min_length=1, max_length=80, description="Key of the observation.")]
+    size: Annotated[
+        tuple[_Length, _Length] | None,
+        Field(description="Height and width of a picture, which is resized."),
+    ] = None
+
+    def of(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+        """Return the value."""
+        value = observation[self.key]
+        return value if self.size is None else resize(value, self.size)
+
+
+def _as_key(value: object) -> object:
+    return {"key": value} if isinstance(value, str) else value
+
+
+class RemoteServer(StrictModel):
+    """Section `remote` of submission.yaml."""
+
+    protocol: Annotated[RemoteProtocol, Field(description="openpi, vla-eval or robot-bridge.")]
+    observations: Annotated[
+        dict[
+            Annotated[str, Field(min_length=1, max_length=80)],
+            Annotated[SentValue, BeforeValidator(_as_key)],
+        ]
+        | None,
+        Field(min_length=1, max_length=64, description="What is sent, by the server's name for it; all by default."),
+    ] = None
+    prompt: Annotated[str, Field(max_length=500, description="The task in words; the task's name by default.")] = ""
+    execute: Annotated[
+        int, Field(ge=1, le=1000, description="How many actions of an answer are played before the next question.")
+    ] = 1
+
+    @property
+    def keys(self) -> tuple[str, ...] | None:
+        """Keys of the observation that are sent; None for all."""
+        if self.observations is None:
+            return None
+        return tuple(dict.fromkeys(value.key for value in self.observations.values()))
+
+    def names(self, observation: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Return an observation as the server names it; what is of another task is left out."""
+        if self.observations is None:
+            return dict(observation)
+        return {name: value.of(observation) for name, value in self.observations.items() if value.key in observation}
+
+
+def resize(picture: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
+    """Return a picture in another size: the mean of the pixels below each new one, or the nearest where it grows.
+
+    Args:
+        picture: shape [height, width, ...], of any numeric type; a picture of depths takes the nearest pixel.
+        size: height and width of the new one.
+    """
+    if picture.dtype != np.uint8:
+        rows, columns = (_nearest(old, new) for old, new in zip(picture.shape[:2], size, strict=True))
+        return picture[rows[:, None], columns]
+    mean = picture.astype(np.float32)
+    for axis, (old, new) in enumerate(zip(picture.shape[:2], size, strict=True)):
+        mean = np.moveaxis(np.tensordot(_weights(old, new), mean, axes=(1, axis)), 0, axis)
+    return np.rint(mean).astype(np.uint8)
+
+
+def _nearest(old: int, new: int) -> NDArray[np.intp]:
+    return ((np.arange(new) + 0.5) * old / new).astype(np.intp)
+
+
+def _weights(old: int, new: int) -> NDArray[np.float32]:
+    """Return what share each old pixel has in each new one, shape [new, old]."""
+    edges = np.arange(new + 1) * old / new
+    overlap = np.minimum(edges[1:, None], np.arange(1, old + 1)) - np.maximum(edges[:-1, None], np.arange(old))
+    share: NDArray[np.float64] = np.maximum(overlap, 0.0)
+    return np.asarray(share / share.sum(axis=1, keepdims=True), np.float32)

@@ -1,0 +1,171 @@
+"""The packages that serve policies, unmodified, each in an environment of its own from the registry."""
+
+import contextlib
+import socket
+import subprocess
+import time
+import venv
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from vitac.evaluator.evaluation.local import LocalEvaluation, evaluate
+from vitac.evaluator.remote.description import RemoteServer
+from vitac.evaluator.remote.session import RemoteSession
+from vitac.evaluator.tracks import load_track
+
+pytestmark = pytest.mark.slow
+EPISODES = range(1, 13)
+PEG_HEURISTIC = Path(__file__).parents[3] / "examples" / "peg_insertion_heuristic" / "Track_1"
+OPENPI = """
+import sys
+import numpy as np
+sys.path.insert(0, sys.argv[2])
+from policy import Policy
+from openpi_server import WebsocketPolicyServer
+
+class Served:
+    def infer(self, observation):
+        if not np.any(observation["state"]):
+            self.policy = Policy()
+            self.policy.reset(observation["prompt"])
+        names = {"marker_flow": observation["observation/touch"], "relative_motion": observation["state"]}
+        return {"actions": np.asarray(self.policy.act(names))[None].repeat(5, axis=0)}
+
+WebsocketPolicyServer(Served(), host="127.0.0.1", port=int(sys.argv[1])).serve_forever()
+"""
+VLA_EVAL = """
+import sys
+import numpy as np
+sys.path.insert(0, sys.argv[2])
+from policy import Policy
+from vla_eval.model_servers.predict import PredictModelServer
+from vla_eval.model_servers.serve import serve
+
+class Served(PredictModelServer):
+    async def on_episode_start(self, config, ctx):
+        await super().on_episode_start(config, ctx)
+        self.policy = Policy()
+        self.policy.reset(config["task"]["name"])
+
+    def predict(self, observation, ctx):
+        if "images" in observation:
+            assert observation["task_description"] == "Look."
+            return {"actions": observation["images"]["wrist"].astype(float).mean(axis=(0, 1)) / 255}
+        return {"actions": self.policy.act(observation)}
+
+serve(Served(), host="127.0.0.1", port=int(sys.argv[1]))
+"""
+
+
+@pytest.fixture(scope="module")
+def make_python(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Makes an environment with packages of the registry; skips where it cannot be made."""
+
+    def make(*packages: str) -> Path:
+        folder = tmp_path_factory.mktemp("environment")
+        venv.create(folder, with_pip=True)
+        python = folder / "bin" / "python"
+        command = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *packages]
+        installed = subprocess.run(command, capture_output=True, text=True)
+        if installed.returncode:
+            pytest.skip(f"{' and '.join(packages)} cannot be installed here: {installed.stderr[-300:]}")
+        return python
+
+    return make
+
+
+@contextlib.contextmanager
+def served(python: Path, program: str, folder: Path) -> Iterator[str]:
+    """Serves the policy of the heuristic with a program on a free port."""
+    with socket.socket() as sock:
+        sock.bind(("127.0.0.1", 0))
+        port = sock.getsockname()[1]
+    script = folder / "serve.py"
+    script.write_text(program)
+    with (folder / "output").open("wb") as output:
+        server = subprocess.Popen([python, script, str(port), PEG_HEURISTIC], stdout=output, stderr=output)
+    try:
+        yield f"ws://127.0.0.1:{port}"
+    finally:
+        server.kill()
+        server.wait()
+
+
+@pytest.fixture(scope="module")
+def openpi_python(make_python: Callable[..., Path]) -> Path:
+    return make_python("openpi-client==0.1.2", "openpi-server==0.1.0")
+
+
+@pytest.fixture(scope="module")
+def vla_eval_python(make_python: Callable[..., Path]) -> Path:
+    return make_python("vla-eval==0.8.0")
+
+
+def play(folder: Path, remote: str | None) -> LocalEvaluation:
+    """Plays some episodes of the peg task, with the submission of a folder or a server that it describes."""
+    track = load_track("track_1")
+    task = track.tasks["peg-insertion"]
+    return evaluate(submission_dir=folder, track=track, task=task, episodes=EPISODES, remote=remote)
+
+
+def described(folder: Path, remote: str) -> Path:
+    """A submission that has a server play."""
+    text = f"track: track_1\ntasks: [peg-insertion]\nname: from elsewhere\nremote: {remote}\n"
+    (folder / "submission.yaml").write_text(text)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def in_sandbox() -> LocalEvaluation:
+    return play(PEG_HEURISTIC, None)
+
+
+def test_openpi_server_plays_with_the_hash_of_the_sandbox(
+    openpi_python: Path, in_sandbox: LocalEvaluation, tmp_path: Path
+) -> None:
+    names = "{observation/touch: marker_flow, state: relative_motion}"
+    submission = described(tmp_path, f"{{protocol: openpi, observations: {names}, prompt: peg-insertion}}")
+    with served(openpi_python, OPENPI, tmp_path) as address:
+        evaluation = play(submission, address)
+    assert evaluation.result_hash == in_sandbox.result_hash is not None
+    assert evaluation.isolation is None
+
+
+def test_openpi_server_answers_within_two_milliseconds(openpi_python: Path, tmp_path: Path) -> None:
+    observation = {"state": np.ones(4, np.float32), "observation/touch": np.ones((2, 2, 128, 2), np.float32)}
+    server = RemoteServer.model_validate({"protocol": "openpi"})
+    with (
+        served(openpi_python, OPENPI.replace("self.policy.act(names)", "np.zeros(3)"), tmp_path) as address,
+        RemoteSession(address, server) as session,
+        session.episode(task="peg-insertion", action_shape=(3,)) as policy,
+    ):
+        times_s = []
+        for _ in range(100):
+            started_s = time.perf_counter()
+            policy.act(observation)
+            times_s.append(time.perf_counter() - started_s)
+    assert np.median(times_s) < 2e-3
+
+
+def test_vla_eval_server_plays_with_the_hash_of_the_sandbox(
+    vla_eval_python: Path, in_sandbox: LocalEvaluation, tmp_path: Path
+) -> None:
+    submission = described(tmp_path, "{protocol: vla-eval}")
+    with served(vla_eval_python, VLA_EVAL, tmp_path) as address:
+        assert play(submission, address).result_hash == in_sandbox.result_hash is not None
+
+
+def test_vla_eval_server_sees_the_pixels_of_a_picture(vla_eval_python: Path, tmp_path: Path) -> None:
+    picture = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
+    server = RemoteServer.model_validate(
+        {"protocol": "vla-eval", "observations": {"images/wrist": "rgb"}, "prompt": "Look."}
+    )
+    with (
+        served(vla_eval_python, VLA_EVAL, tmp_path) as address,
+        RemoteSession(address, server) as session,
+        session.episode(task="peg-insertion", action_shape=(3,)) as policy,
+    ):
+        action = policy.act({"rgb": picture})
+    np.testing.assert_allclose(action, picture.mean(axis=(0, 1)) / 255, rtol=1e-6)
