@@ -79,6 +79,15 @@ class RemoteServer(StrictModel):
         return {name: value.of(observation) for name, value in self.observations.items() if value.key in observation}
 
 
+def by_level(named: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Return values in maps of maps, where a slash in a name makes a level: `images/wrist`."""
+    levels: dict[str, Any] = {}
+    for name, value in named.items():
+        level, _, inner = name.rpartition("/")
+        (levels.setdefault(level, {}) if level else levels)[inner] = value
+    return levels
+
+
 def resize(picture: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
     """Return a picture in another size: the mean of the pixels below each new one, or the nearest where it grows.
 

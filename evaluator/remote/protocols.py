@@ -10,7 +10,7 @@ from ..agent.isolation.output import printable
 from ..agent.protocol.frames import violation
 from ..agent.verdicts import PolicyFailed, VerdictCode
 from .codec import decode, encode, read_field
-from .description import RemoteProtocol
+from .description import RemoteProtocol, by_level
 from .line import Line, LineLost
 
 _BRIDGE_VERSION: Final = "robot-bridge-v1"
@@ -109,11 +109,7 @@ class VlaEval:
 
     def ask(self, sent: Sent, prompt: str, deadline_s: float) -> object:
         """Send an observation; a slash in a name makes a level, as in `images/wrist`. Return the field `actions`."""
-        payload: dict[str, Any] = {"task_description": prompt}
-        for name, value in sent.items():
-            level, _, inner = name.rpartition("/")
-            (payload.setdefault(level, {}) if level else payload)[inner] = value
-        self._send("observation", payload, deadline_s)
+        self._send("observation", by_level(sent) | {"task_description": prompt}, deadline_s)
         return _field(self._receive("action", deadline_s), "actions")
 
     def end(self, deadline_s: float) -> None:

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-PRODUCT = ("cli", "envs", "evaluator", "server", "station", "training", "web", "worker")
+PRODUCT = ("cli", "envs", "evaluator", "integrations", "server", "station", "training", "web", "worker")
 
 
 def rows_of_the_page(repository: Path) -> dict[str, list[str]]:

@@ -20,7 +20,19 @@ from packaging.utils import canonicalize_name
 from vitac.cli.main import NOUNS
 from vitac.envs.maniskill.definition import catalogue
 
-FOLDERS = ("cli", "docs", "envs", "evaluator", "migrations", "server", "station", "training", "web", "worker")
+FOLDERS = (
+    "cli",
+    "docs",
+    "envs",
+    "evaluator",
+    "integrations",
+    "migrations",
+    "server",
+    "station",
+    "training",
+    "web",
+    "worker",
+)
 NOT_SHIPPED = {"__pycache__", "node_modules"}
 URL_HOSTS = {
     "arxiv.org",

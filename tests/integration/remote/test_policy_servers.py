@@ -3,6 +3,7 @@
 import contextlib
 import socket
 import subprocess
+import sysconfig
 import time
 import venv
 from collections.abc import Callable, Iterator
@@ -10,7 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
+from vitac.evaluator.episodes.records import result_hash
 from vitac.evaluator.evaluation.local import LocalEvaluation, evaluate
+from vitac.evaluator.logs.log import LogReader
 from vitac.evaluator.remote.description import RemoteServer
 from vitac.evaluator.remote.session import RemoteSession
 from vitac.evaluator.tracks import load_track
@@ -101,6 +105,29 @@ def openpi_python(make_python: Callable[..., Path]) -> Path:
 @pytest.fixture(scope="module")
 def vla_eval_python(make_python: Callable[..., Path]) -> Path:
     return make_python("vla-eval==0.8.0")
+
+
+def test_run_of_vla_eval_plays_our_episodes_with_our_hash(
+    vla_eval_python: Path, in_sandbox: LocalEvaluation, tmp_path: Path
+) -> None:
+    """Its harness and our benchmark are in one environment, which also has the packages of ours."""
+    site_packages = sysconfig.get_paths(vars={"base": str(vla_eval_python.parents[1])})["purelib"]
+    (Path(site_packages) / "ours.pth").write_text(f"import site; site.addsitedir({sysconfig.get_path('purelib')!r})\n")
+    benchmark = {
+        "benchmark": "vitac.integrations.vla_eval:ViTac",
+        "episodes_per_task": 1,
+        "params": {"episodes": list(EPISODES), "log": str(tmp_path / "log.jsonl")},
+    }
+    with served(vla_eval_python, VLA_EVAL, tmp_path) as address:
+        config = {"server": {"url": address}, "output_dir": str(tmp_path / "results"), "benchmarks": [benchmark]}
+        (tmp_path / "config.yaml").write_text(yaml.safe_dump(config))
+        command = [vla_eval_python.with_name("vla-eval"), "run", "--no-docker", "-c", tmp_path / "config.yaml"]
+        finished = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert finished.returncode == 0, finished.stderr[-2000:]
+    assert f"result hash of {len(EPISODES)} episodes {in_sandbox.result_hash}" in finished.stderr
+    with (tmp_path / "log.jsonl").open("rb") as stream:
+        records = list(LogReader(stream).records())
+    assert result_hash(in_sandbox.manifest, records) == in_sandbox.result_hash
 
 
 def play(folder: Path, remote: str | None) -> LocalEvaluation:
