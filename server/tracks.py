@@ -96,18 +96,11 @@ def track_views(settings: Settings) -> TrackListView:
 
 def track_view(track: Track, settings: Settings) -> TrackView:
     """Return one track."""
-    return TrackView(
-        name=track.name,
-        title=track.title,
-        summary=track.summary,
-        ranking_rule=track.ranking_rule,
-        combination_rule=track.combination_rule,
+    return TrackView.from_row(
+        track,
         accepts=list(track.accepts),
         tasks=[
-            TrackTaskView(
-                name=name, title=task.title, env_id=task.env_id, episodes=len(task.episodes), max_steps=task.max_steps
-            )
-            for name, task in track.tasks.items()
+            TrackTaskView.from_row(task, name=name, episodes=len(task.episodes)) for name, task in track.tasks.items()
         ],
         log_bytes=settings.log_bytes,
         limits=asdict(settings.limits),

@@ -371,20 +371,15 @@ def own_team_view(session: Session, by: Principal, team: Team) -> OwnTeamView:
 
 def new_invitation_view(made: Invitation, code: str) -> NewInvitationView:
     """Return a new invitation with its code."""
-    return NewInvitationView(id=made.id, created_at=made.created_at, expires_at=made.expires_at, code=code)
+    return NewInvitationView.from_row(made, code=code)
 
 
 def _member_view(member: Member) -> MemberView:
-    return MemberView(
-        id=member.id,
-        name=member.name,
-        role=member.role,
-        email=member.email,
+    return MemberView.from_row(
+        member,
         email_confirmed=member.email_confirmed_at is not None,
         has_password=member.password_hash is not None,
         muted=[NoticeKind(kind) for kind in member.muted],
-        joined_at=member.joined_at,
-        left_at=member.left_at,
     )
 
 

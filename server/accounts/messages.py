@@ -117,13 +117,10 @@ def list_announcements(
 
 def make_announcement_view(announcement: Announcement) -> AnnouncementView:
     """Return an announcement as its readers see it."""
-    return AnnouncementView(
-        id=announcement.id,
+    return AnnouncementView.from_row(
+        announcement,
         competition=announcement.competition or None,
         team=announcement.team.name if announcement.team is not None else None,
-        title=announcement.title,
-        text=announcement.text,
-        published_at=announcement.published_at,
     )
 
 
@@ -202,14 +199,9 @@ def list_questions(session: Session, by: Principal | None, *, open_only: bool = 
 def make_question_view(question: Question, by: Principal | None) -> QuestionView:
     """Return a question as somebody who may see it does."""
     knows_team = by is not None and (by.organizes_service or by.team_id == question.team_id)
-    return QuestionView(
-        id=question.id,
+    return QuestionView.from_row(
+        question,
         team=question.team.name if knows_team and question.team is not None else None,
-        text=question.text,
-        public=question.public,
-        asked_at=question.asked_at,
-        answer=question.answer,
-        answered_at=question.answered_at,
         hidden=question.hidden_at is not None,
     )
 

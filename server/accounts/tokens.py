@@ -221,18 +221,10 @@ def _end(session: Session, by: Principal, token: ApiToken) -> None:
 
 def token_view(token: ApiToken) -> TokenView:
     """Return a token as it is shown, without its secret."""
-    return TokenView(
-        id=token.id,
-        label=token.label,
-        role=token.role,
+    return TokenView.from_row(
+        token,
         team=token.team.name if token.team is not None else None,
         member=token.member.name if token.member is not None else None,
-        competition=token.competition,
-        is_session=token.is_session,
-        created_at=token.created_at,
-        expires_at=token.expires_at,
-        revoked_at=token.revoked_at,
-        last_used_at=token.last_used_at,
     )
 
 

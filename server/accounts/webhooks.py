@@ -172,7 +172,7 @@ def add(session: Session, by: Principal, team: Team, address: str, *, inside_all
     session.add(made)
     session.flush()
     record(session, by, "webhook.add", f"team:{team.id}", {"webhook": str(made.id), "address": address})
-    return NewWebhookView(id=made.id, address=made.address, created_at=made.created_at, secret=made.secret)
+    return NewWebhookView.from_row(made)
 
 
 def remove(session: Session, by: Principal, team: Team, webhook_id: UUID) -> None:

@@ -94,22 +94,8 @@ class Description(BaseModel):
     )
 
 
-class Removal(BaseModel):
-    """Why others do not see a description."""
-
-    model_config = ConfigDict(extra="forbid")
-    reason: str = Field(max_length=REASON_LENGTH, description="In one line, for the team.")
-
-
-class Disqualification(BaseModel):
-    """Why a submission is on no board."""
-
-    model_config = ConfigDict(extra="forbid")
-    reason: str = Field(max_length=REASON_LENGTH, description="In one line, for the team.")
-
-
-class Clearance(BaseModel):
-    """Why a submission is ranked although it was found to be a copy."""
+class Reason(BaseModel):
+    """Why organizers decide something about a submission."""
 
     model_config = ConfigDict(extra="forbid")
     reason: str = Field(max_length=REASON_LENGTH, description="In one line, for the team.")
@@ -324,7 +310,7 @@ def put_description(
 
 @router.put("/{submission_id}/description/removal")
 def put_removal(
-    services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID, wanted: Removal
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID, wanted: Reason
 ) -> SubmissionView:
     """Hide what a team wrote about a result from others (organizers only)."""
     return _show_changed(services, principal, submission_id, descriptions.remove, reason=wanted.reason)
@@ -371,7 +357,7 @@ def delete_submission(services: ChangingServicesOf, principal: OwnerOf, submissi
 
 @router.put("/{submission_id}/disqualification")
 def put_disqualification(
-    services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID, wanted: Disqualification
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID, wanted: Reason
 ) -> SubmissionView:
     """Take a submission off all boards (organizers only); its team takes part as before."""
     return _show_changed(services, principal, submission_id, disqualification.disqualify, reason=wanted.reason)
@@ -387,7 +373,7 @@ def delete_disqualification(
 
 @router.put("/{submission_id}/clearance")
 def put_clearance(
-    services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID, wanted: Clearance
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID, wanted: Reason
 ) -> SubmissionView:
     """Rank a submission that was found to be a copy (organizers only)."""
     return _show_changed(services, principal, submission_id, disqualification.clear, reason=wanted.reason)

@@ -35,12 +35,10 @@ def competition_list_view(session: Session) -> CompetitionListView:
     now = read_clock(session)
     return CompetitionListView(
         items=[
-            CompetitionSummaryView(
-                name=competition.name,
+            CompetitionSummaryView.from_row(
+                competition,
                 title=competition.definition.title,
                 summary=competition.definition.summary,
-                opens=competition.opens,
-                closes=competition.closes,
                 state=_state(competition, now),
                 tracks=list(dict.fromkeys(stage.track for stage in competition.stages_held_here)),
                 public_rankings=list(competition.definition.public_rankings.values()),
@@ -67,20 +65,11 @@ def competition_view(session: Session, name: str | None = None, *, at: datetime 
     if not competition.is_held:
         raise ServiceError(ProblemCode.NOT_FOUND, "This service runs no competition; all its tracks are for practice.")
     found, row, lists = competition.definition, competition.row, _lists(competition)
-    return CompetitionView(
-        name=found.name,
-        title=found.title,
-        summary=found.summary,
-        website=found.website,
-        contact=found.contact,
+    return CompetitionView.from_row(
+        found,
         rules=list(found.rules),
-        currency=found.currency,
-        teams_locked=found.teams_locked,
-        anonymous=found.anonymous,
-        appeal_days=found.appeal_days,
         tracks=[_track(name, competition, lists, now) for name in found.tracks],
         public_rankings=list(found.public_rankings.values()),
-        freeze_at=found.freeze_at,
         frozen_at=competition.frozen_at,
         finalized_at=row.finalized_at,
         reopened=[ReopeningView.model_validate(each) for each in row.reopened],
@@ -149,15 +138,12 @@ def _lists(competition: Competition) -> Lists:
 
 def _track(name: str, competition: Competition, lists: Lists, now: datetime) -> CompetitionTrackView:
     track = competition.definition.tracks[name]
-    return CompetitionTrackView(
+    return CompetitionTrackView.from_row(
+        track,
         name=name,
-        title=track.title,
-        taken_here=track.taken_here,
         ranking=[key.name for key in competition.list_stages(name)[0].find_ranking().keys],
-        ties=track.ties,
         stages=[_stage(stage, lists, now) for stage in competition.stages if stage.track == name],
         prizes=[PrizeView(**prize.model_dump()) for prize in track.prizes],
-        picture=track.picture,
         judging=track.judging.sentence if track.judging else None,
     )
 

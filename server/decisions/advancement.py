@@ -161,12 +161,10 @@ def _proposed(
 ) -> ProposedTeamView:
     rank = entry.rank or 0
     advances = entry.success_rate >= rule.score_at_least if rule.score_at_least is not None else rank <= n_advancing
-    return ProposedTeamView(
-        team=entry.team,
+    return ProposedTeamView.from_row(
+        entry,
         rank=rank,
-        success_rate=entry.success_rate,
         interval=entry.success_rate_interval,
-        mean_steps=entry.mean_steps,
         advances=advances,
         at_border=_is_at_border(entry, rule, ranked, n_advancing, advances=advances),
     )

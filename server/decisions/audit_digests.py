@@ -49,14 +49,8 @@ def list_audit_digests(session: Session) -> list[AuditDigestView]:
     )
     entries = [parse_entry(row) for row in rows]
     return [
-        AuditDigestView(
-            entry=entry.number,
-            issued_at=digest.issued_at,
-            first=digest.first,
-            last=digest.last,
-            lines=digest.lines,
-            lines_sha256=digest.lines_sha256,
-            agrees=_hash(_read_between(session, digest)) == digest.lines_sha256,
+        AuditDigestView.from_row(
+            digest, entry=entry.number, agrees=_hash(_read_between(session, digest)) == digest.lines_sha256
         )
         for entry in entries
         for digest in (AuditLogGrown.model_validate(entry.statement),)

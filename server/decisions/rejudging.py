@@ -260,15 +260,8 @@ def _subject(rejudgement: Rejudgement) -> str:
 
 def rejudgement_view(rejudgement: Rejudgement) -> RejudgementView:
     """Return a rejudgement without its submissions."""
-    return RejudgementView(
-        id=rejudgement.id,
-        competition=rejudgement.competition or None,
-        track=rejudgement.track,
-        stage=rejudgement.stage or None,
-        reason=rejudgement.reason,
-        started_at=rejudgement.started_at,
-        applied_at=rejudgement.applied_at,
-        discarded_at=rejudgement.discarded_at,
+    return RejudgementView.from_row(
+        rejudgement, competition=rejudgement.competition or None, stage=rejudgement.stage or None
     )
 
 

@@ -231,17 +231,13 @@ def list_archive_copies(session: Session, by: Principal, *, limit: int = 1000) -
     if by.competition is not None:
         query = query.where(Submission.competition == by.competition)
     return [
-        ArchiveCopyView(
-            submission_id=found.submission_id,
+        ArchiveCopyView.from_row(
+            found,
             submission_name=found.submission.name,
             team=found.submission.team.name,
-            earlier_submission_id=found.earlier_submission_id,
             earlier_submission_name=found.earlier_submission.name,
             earlier_team=found.earlier_submission.team.name,
             track=found.submission.track,
-            code=found.code,
-            weights=found.weights,
-            found_at=found.found_at,
         )
         for found in session.scalars(query)
     ]

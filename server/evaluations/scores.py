@@ -222,28 +222,15 @@ def _tasks_that_count(submission: Submission) -> Collection[str]:
 
 
 def _score_view(task: str, score: Score, result_hash: str) -> TaskScoreView:
-    return TaskScoreView(
+    return TaskScoreView.from_row(
+        score,
         task=task,
-        episodes=score.episodes,
-        starts=score.starts,
-        successes=score.successes,
-        success_rate=score.success_rate,
         success_rate_interval=bounds(score.interval),
-        mean_steps=score.mean_steps,
         shapes=[_shape_view(shape, rate) for shape, rate in sorted(score.by_shape.items())],
         outcomes={outcome.value: count for outcome, count in score.outcomes.items()},
-        forces=score.forces,
-        measures=score.measures,
         result_hash=result_hash,
     )
 
 
 def _shape_view(shape: str, rate: Rate) -> ShapeScoreView:
-    return ShapeScoreView(
-        shape=shape,
-        episodes=rate.episodes,
-        starts=rate.starts,
-        successes=rate.successes,
-        success_rate=rate.success_rate,
-        success_rate_interval=bounds(rate.interval),
-    )
+    return ShapeScoreView.from_row(rate, shape=shape, success_rate_interval=bounds(rate.interval))

@@ -190,15 +190,7 @@ def _view(evaluation: Evaluation, workers: Callable[[str], WorkersAlive], rows: 
 
 def summary_view(evaluation: Evaluation) -> EvaluationSummaryView:
     """Return an evaluation as a line of its submission's history."""
-    return EvaluationSummaryView(
-        id=evaluation.id,
-        run=evaluation.run,
-        state=evaluation.state,
-        evaluator_version=evaluation.evaluator_version,
-        created_at=evaluation.created_at,
-        finished_at=evaluation.finished_at,
-        result_hash=evaluation.result_hash,
-    )
+    return EvaluationSummaryView.from_row(evaluation)
 
 
 def verdict_view(evaluation: Evaluation) -> VerdictView | None:

@@ -188,7 +188,8 @@ def _entry(entry: BestEntry, evaluation: Evaluation, *, version: str, names: Sho
     submission = evaluation.submission
     score = score_views(evaluation)[0]
     claim = LogClaim.model_validate(submission.manifest)
-    return LogEntryView(
+    return LogEntryView.from_row(
+        score,
         rank=entry.rank,
         stale=evaluation.evaluator_version != version,
         team=names.show_name(submission.team),
@@ -198,12 +199,8 @@ def _entry(entry: BestEntry, evaluation: Evaluation, *, version: str, names: Sho
         verdict=read_verification(claim, evaluation),
         copy_of=None,
         submitted_at=submission.submitted_at,
-        episodes=score.episodes,
-        successes=score.successes,
         success_rate=entry.ranked_by["success_rate"] or 0.0,
-        success_rate_interval=score.success_rate_interval,
         mean_steps=entry.ranked_by["mean_steps"],
-        result_hash=score.result_hash,
         evaluator_version=evaluation.evaluator_version,
         list_kind=played_list_kind(evaluation),
     )
@@ -212,17 +209,15 @@ def _entry(entry: BestEntry, evaluation: Evaluation, *, version: str, names: Sho
 def _text_log(evaluation: Evaluation, names: ShownNames) -> TextLogEntryView:
     submission = evaluation.submission
     claim, score = LogClaim.model_validate(submission.manifest), score_views(evaluation)[0]
-    return TextLogEntryView(
+    return TextLogEntryView.from_row(
+        score,
         team=names.show_name(submission.team),
-        task=score.task,
         evaluation_id=evaluation.id,
         submission_id=submission.id,
         submission_name=submission.name,
         submitted_at=submission.submitted_at,
         claimed_success_rate=claim.success_rate,
         claimed_mean_steps=claim.mean_steps,
-        success_rate=score.success_rate,
-        mean_steps=score.mean_steps,
         problems=len(claim.problems),
         evaluator_version=evaluation.evaluator_version,
     )

@@ -184,17 +184,13 @@ def shown_episode(
     record = EpisodeRecord.model_validate(episode.record)
     playback = find_playback(session, episode)
     story = tell_story(record, load_track(episode.track).task(task).env_id)
-    return ShownEpisodeView(
+    return ShownEpisodeView.from_row(
+        record,
         submission_name=submission.name,
         team=ShownNames.read(session, by).show_name(submission.team),
         track=episode.track,
         task=task,
         episode=number,
-        shape=record.shape,
-        initial_offset=record.initial_offset,
-        outcome=record.outcome,
-        env_steps=record.env_steps,
-        total_reward=record.total_reward,
         story=story.sentence,
         moments=story.moments,
         evaluator_version=episode.evaluator_version,
@@ -208,15 +204,12 @@ def playback_view(session: Session, settings: Settings, playback: Playback) -> P
     is_open = playback.state in OPEN_WORK_STATES
     family = find_playback_family(playback.episode.track, playback.episode.task)
     alive = fleet(session, settings).alive(playback.evaluator_version, family).alive if is_open else None
-    return PlaybackView(
-        key=playback.key,
-        state=playback.state,
+    return PlaybackView.from_row(
+        playback,
         env_steps=playback.episode.env_steps,
-        env_steps_played=playback.env_steps_played,
         waits_for=_count_before(session, playback) if playback.state is WorkState.QUEUED else 0,
         family=family,
         workers=alive,
-        problem=playback.problem,
         has_cameras=playback.cameras_sha256 is not None,
         has_still=playback.still_sha256 is not None,
     )

@@ -203,20 +203,12 @@ def appeal_view(appeal: Appeal, by: Principal) -> AppealView:
     submission = appeal.evaluation.submission
     is_shown = decide_sight(by, appeal.evaluation).episodes
     replays = [one for one in appeal.replays if is_shown and one.state is WorkState.DONE]
-    return AppealView(
-        id=appeal.id,
+    return AppealView.from_row(
+        appeal,
         team=appeal.team.name,
         submission_id=submission.id,
         submission_name=submission.name,
         track=submission.track,
-        evaluation_id=appeal.evaluation_id,
-        task=appeal.task,
-        episode=appeal.episode,
-        text=appeal.text,
-        state=appeal.state,
-        ruling=appeal.ruling,
-        opened_at=appeal.opened_at,
-        ended_at=appeal.ended_at,
         replays=[AppealReplayView.model_validate(one, from_attributes=True) for one in replays],
     )
 

@@ -132,18 +132,7 @@ def _find_entry(session: Session, by: Principal, submission: Submission) -> Lead
 
 
 def _view_of_entry(entry: LeaderboardEntryView, track: str) -> ComparedResultView:
-    return ComparedResultView(
-        submission_id=entry.submission_id,
-        submission_name=entry.submission_name,
-        team=entry.team,
-        track=track,
-        submitted_at=entry.submitted_at,
-        evaluator_version=entry.evaluator_version,
-        played=entry.played,
-        scores=entry.scores,
-        has_page=False,
-        episodes=0,
-    )
+    return ComparedResultView.from_row(entry, track=track, has_page=False, episodes=0)
 
 
 def make_comparison(sides: Sequence[ComparedResult]) -> ComparisonView:
@@ -161,22 +150,12 @@ def _group_by_shape(sides: Sequence[ComparedResult]) -> Iterator[ComparedGroupVi
     for task in dict.fromkeys(task for by_task in scores for task in by_task):
         shapes = [_shapes(by_task.get(task)) for by_task in scores]
         for shape in dict.fromkeys(name for by_shape in shapes for name in by_shape):
-            rates = [_rate_view(by_shape[shape]) if shape in by_shape else None for by_shape in shapes]
+            rates = [RateView.from_row(by_shape[shape]) if shape in by_shape else None for by_shape in shapes]
             yield ComparedGroupView(task=task, name=shape, is_shape=True, rates=rates)
 
 
 def _shapes(score: TaskScoreView | None) -> Mapping[str, ShapeScoreView]:
     return {part.shape: part for part in score.shapes} if score else {}
-
-
-def _rate_view(part: ShapeScoreView) -> RateView:
-    return RateView(
-        episodes=part.episodes,
-        starts=part.starts,
-        successes=part.successes,
-        success_rate=part.success_rate,
-        success_rate_interval=part.success_rate_interval,
-    )
 
 
 def _group_by_difficulty(sides: Sequence[ComparedResult]) -> Iterator[ComparedGroupView]:
@@ -199,13 +178,7 @@ def _rate_among(side: ComparedResult, task: str, quarters: Mapping[int, int], qu
     if not ends:
         return None
     found = rate_by_start((find_start(end), end.success) for end in ends)
-    return RateView(
-        episodes=found.episodes,
-        starts=found.starts,
-        successes=found.successes,
-        success_rate=found.success_rate,
-        success_rate_interval=(found.interval.low, found.interval.high),
-    )
+    return RateView.from_row(found, success_rate_interval=(found.interval.low, found.interval.high))
 
 
 @cache
@@ -241,19 +214,13 @@ def _pairs(sides: Sequence[ComparedResult]) -> Iterator[ComparedPairView]:
     for task, pairs in by_task.items():
         adjusted = adjust_p_values([comparison.p_value for _, _, comparison in pairs])
         for (first, second, comparison), p_value in zip(pairs, adjusted, strict=True):
-            yield ComparedPairView(
+            yield ComparedPairView.from_row(
+                comparison,
                 task=task,
                 first=first,
                 second=second,
-                both=comparison.both,
-                only_first=comparison.only_first,
-                only_second=comparison.only_second,
-                neither=comparison.neither,
-                unpaired=comparison.unpaired,
                 starts=len(comparison.by_start),
-                difference=comparison.difference,
                 difference_interval=comparison.interval,
-                p_value=comparison.p_value,
                 adjusted_p_value=p_value,
             )
 
@@ -279,4 +246,4 @@ def _differing(sides: Sequence[ComparedResult]) -> Iterator[ComparedEpisodeView]
 
 
 def _end_view(end: EpisodeView) -> ComparedEndView:
-    return ComparedEndView(outcome=end.outcome, success=end.success, env_steps=end.env_steps)
+    return ComparedEndView.from_row(end)

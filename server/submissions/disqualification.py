@@ -64,7 +64,7 @@ def _lock(session: Session, by: Principal, submission_id: UUID) -> Submission:
     by.require_organizer(by.competition)
     submission = visible(session, by, submission_id)
     session.execute(select(Submission.id).where(Submission.id == submission.id).with_for_update(key_share=True))
-    session.refresh(submission, ["disqualified_at", "disqualified_for"])
+    session.refresh(submission, ["disqualified_at", "disqualified_for", "copy_cleared_at", "copy_cleared_for"])
     return submission
 
 
@@ -75,7 +75,7 @@ def clear(session: Session, by: Principal, submission_id: UUID, reason: str) -> 
         ServiceError: not an organizer, there is no such submission, the reason cannot be shown, or it is cleared
             already.
     """
-    submission = _lock_copy(session, by, submission_id)
+    submission = _lock(session, by, submission_id)
     shown = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH)
     if submission.copy_cleared_at is not None:
         raise ServiceError(
@@ -93,7 +93,7 @@ def withdraw(session: Session, by: Principal, submission_id: UUID) -> None:
     Raises:
         ServiceError: not an organizer, or there is no such submission.
     """
-    submission = _lock_copy(session, by, submission_id)
+    submission = _lock(session, by, submission_id)
     if submission.copy_cleared_at is not None:
         before = {"reason": submission.copy_cleared_for}
         submission.copy_cleared_at = submission.copy_cleared_for = None
@@ -101,14 +101,6 @@ def withdraw(session: Session, by: Principal, submission_id: UUID) -> None:
         record(
             session, by, "submission.withdraw-clearance", f"submission:{submission.id}", {"reason": None}, before=before
         )
-
-
-def _lock_copy(session: Session, by: Principal, submission_id: UUID) -> Submission:
-    by.require_organizer(by.competition)
-    submission = visible(session, by, submission_id)
-    session.execute(select(Submission.id).where(Submission.id == submission.id).with_for_update(key_share=True))
-    session.refresh(submission, ["copy_cleared_at", "copy_cleared_for"])
-    return submission
 
 
 def _mark(session: Session, submission: Submission) -> None:

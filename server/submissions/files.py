@@ -156,13 +156,7 @@ def _count_query() -> Select[int]:
 
 def _view(row: Row[Any]) -> EpisodeOutputView:
     failure = None if row.failure is None else PolicyFailure.model_validate(row.failure)
-    return EpisodeOutputView(
-        task=row.task,
-        episode=row.episode,
-        outcome=row.outcome,
-        output=row.output,
-        failure=None if failure is None else f"{failure.code}: {failure.sentence}",
-    )
+    return EpisodeOutputView.from_row(row, failure=None if failure is None else f"{failure.code}: {failure.sentence}")
 
 
 def _key(evaluation: Evaluation) -> tuple[Any, ...]:

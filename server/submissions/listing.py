@@ -167,13 +167,10 @@ def make_card(session: Session, by: Principal, evaluation: Evaluation) -> ModelC
     """Return the card of an evaluated model."""
     submission = evaluation.submission
     contents = submission.contents
-    return ModelCardView(
-        name=submission.name,
-        track=submission.track,
-        tasks=submission.tasks,
+    return ModelCardView.from_row(
+        submission,
         observation_keys=submission.manifest.get("observation_keys"),
         control_modes=submission.manifest.get("control_modes") or {},
-        archive_bytes=submission.archive_bytes,
         contents=None if contents is None else ArchiveContents.model_validate(contents),
         policy_ms=_find_policy_ms(session, by, evaluation),
     )

@@ -180,7 +180,7 @@ def sensor(session: Session, by: Principal, submission: Submission) -> SensorVie
     return SensorView(
         digest=made.sha256,
         **made.facts,
-        document=DocumentView(name=described.name, n_bytes=described.n_bytes, sha256=described.sha256),
+        document=DocumentView.from_row(described),
         coefficients_sha256=coefficients_digest(session, submission_id, evaluation.id, made.sha256),
         gain=_gain(session, by, submission),
         figures=read_figures(session, submission, evaluation, with_starts=decide_sight(by, evaluation).episodes),
@@ -195,7 +195,7 @@ def document(session: Session, by: Principal, submission_id: UUID) -> DocumentVi
     """
     visible(session, by, submission_id)
     found = _file(session, submission_id, FileRole.DOCUMENT)
-    return DocumentView(name=found.name, n_bytes=found.n_bytes, sha256=found.sha256)
+    return DocumentView.from_row(found)
 
 
 def to_save(submission_id: UUID, document: DocumentView) -> dict[str, str]:

@@ -116,25 +116,14 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
     if log is not None and shown.names.hides(submission.team):
         log = log.model_copy(update={"team_named": None})
     shown_runs = runs if shown.by.may_see(submission.team_id, submission.competition) else runs[:1]
-    return SubmissionView(
-        id=submission.id,
+    return SubmissionView.from_row(
+        submission,
         team=team_view(submission.team, shown.names),
-        kind=submission.kind,
         competition=submission.competition or None,
-        track=submission.track,
         stage=submission.stage or None,
-        tasks=submission.tasks,
         missing_tasks=[task for task in counted_tasks(newest) if task not in submission.tasks],
-        name=submission.name,
-        digest=submission.digest,
-        archive_sha256=submission.archive_sha256,
-        archive_bytes=submission.archive_bytes,
-        submitted_at=submission.submitted_at,
         public=submission.is_public,
         chosen=_is_chosen(submission, shown),
-        final_of=submission.final_of,
-        disqualified_for=submission.disqualified_for,
-        withdrawn_at=submission.withdrawn_at,
         deleted_at=submission.erased_at,
         copy_of=shown.copies.get(newest.id),
         description=show_description(submission, shown.by, shown.names),
