@@ -13,7 +13,7 @@ from .terminal.output import AsJson, Episodes, Workers, print_json, print_record
 
 if TYPE_CHECKING:
     from vitac.evaluator.evaluation.sensor import SensorReport
-    from vitac.evaluator.sensors.check import SensorCheck
+    from vitac.evaluator.sensors.check import CheckedSensor
     from vitac.evaluator.sensors.findings import Finding
 
 app = typer.Typer(no_args_is_help=True)
@@ -241,7 +241,7 @@ def _print_report(report: "SensorReport") -> None:
         print(f"result hash of {run.task} {run.result_hash}")
 
 
-def _digest(found: "SensorCheck") -> str | None:
+def _digest(found: "CheckedSensor") -> str | None:
     return None if found.meshed is None else found.meshed.digest
 
 
@@ -251,7 +251,7 @@ def _verdict(finding: "Finding") -> str:
     return "warning" if finding.is_warning else "ok"
 
 
-def _print_findings(found: "SensorCheck") -> None:
+def _print_findings(found: "CheckedSensor") -> None:
     rows = [(_verdict(it), str(it.rule), it.value, it.limit) for it in found.findings]
     print_table(("", "rule", "value", "limit"), rows, none="")
     for finding in found.findings:

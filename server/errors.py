@@ -163,7 +163,7 @@ class ServiceError(VitacError):
         return STATUS_OF_CODE[self.code]
 
 
-class SettingsError(VitacError):
+class ServiceSettingsError(VitacError):
     """A `VITAC_` setting cannot be used; the message names it and says what to set."""
 
 

@@ -21,7 +21,7 @@ from pydantic import (
 from pydantic_settings import BaseSettings, SettingsConfigDict
 from vitac.evaluator.agent.limits import Limits
 
-from .errors import SettingsError
+from .errors import ServiceSettingsError
 from .state_directory import default_state_directory
 
 
@@ -295,12 +295,14 @@ def load_settings(**overrides: Any) -> Settings:
     """Return the settings of this process; values given here win over the environment.
 
     Raises:
-        SettingsError: a variable has a value that cannot be used.
+        ServiceSettingsError: a variable has a value that cannot be used.
     """
     try:
         return Settings(**overrides)
     except ValidationError as error:
-        raise SettingsError(" ".join(_sentence(problem) for problem in error.errors(include_url=False))) from error
+        raise ServiceSettingsError(
+            " ".join(_sentence(problem) for problem in error.errors(include_url=False))
+        ) from error
 
 
 def _sentence(problem: Any) -> str:

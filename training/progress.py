@@ -4,7 +4,7 @@ from collections.abc import Callable
 from time import monotonic
 
 
-class Progress:
+class TrainingProgress:
     """Work of equal parts, of which some may have been done before.
 
     Args:

@@ -25,7 +25,7 @@ from .files import load, remove_leftovers, save, write_text
 from .folder_lock import hold_folder
 from .learners import Learners
 from .log import Charts, Row, extend_log, read_log
-from .progress import Progress
+from .progress import TrainingProgress
 from .recipe import Recipe
 from .streams import Use, refuse_official_streams
 
@@ -123,7 +123,7 @@ class Run:
         results: list[RoundResult] = []
         networks: Networks | None = None
         numbers = range(1, self.recipe.rounds + 1)
-        progress = Progress()
+        progress = TrainingProgress()
         progress.left(sum(self.folder.networks(number).exists() for number in numbers), len(numbers))
         for number in numbers:
             self._play(number, networks)
@@ -197,7 +197,7 @@ class Run:
         )
 
     def _collected(self, batch: CollectedBatch, networks: Networks | None) -> Episodes:
-        progress = Progress()
+        progress = TrainingProgress()
 
         def report_file(done: int, files: int) -> None:
             self.tell(f"{batch.kind} episodes: {done} of {files} files{progress.left(done, files)}")

@@ -16,7 +16,7 @@ from . import views
 
 
 @dataclass(frozen=True, kw_only=True)
-class Noun:
+class AdminNoun:
     """A noun of `vitac admin`; `further` are verbs made elsewhere, in the order of the help."""
 
     title: str
@@ -90,8 +90,8 @@ SUBMISSION = "/submissions/{submission_id}"
 TEAM_COLUMNS = ("name", "contact", "created_at", "approved_at", "refused_for", "disqualified_for", "id")
 
 
-NOUNS: Mapping[str, Noun] = {
-    "competition": Noun(
+NOUNS: Mapping[str, AdminNoun] = {
+    "competition": AdminNoun(
         title="Competitions",
         further=("check", "apply"),
         verbs=[
@@ -115,7 +115,7 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "advance": Noun(
+    "advance": AdminNoun(
         title="Who takes part in a later stage",
         verbs=[
             Verb("propose", f"GET {STAGE}/advancement", show=views.print_proposal),
@@ -139,7 +139,7 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "results": Noun(
+    "results": AdminNoun(
         title="The end of a competition",
         further=("publish",),
         verbs=[
@@ -177,7 +177,7 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "judging": Noun(
+    "judging": AdminNoun(
         title="Judges' marks",
         verbs=[
             Verb("rubric", "GET /competitions/{competition}/judging/{track}/rubric", show=views.print_rubric),
@@ -206,7 +206,7 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "receipt": Noun(
+    "receipt": AdminNoun(
         title="Receipts of final results",
         further=("export",),
         verbs=[
@@ -230,7 +230,7 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "rejudge": Noun(
+    "rejudge": AdminNoun(
         title="Evaluate again, and decide whether the new results count",
         verbs=[
             Verb(
@@ -274,8 +274,8 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "track": Noun(title="Track files of your own", further=("check",), verbs=[]),
-    "team": Noun(
+    "track": AdminNoun(title="Track files of your own", further=("check",), verbs=[]),
+    "team": AdminNoun(
         title="Teams",
         verbs=[
             Verb(
@@ -405,7 +405,7 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "quota": Noun(
+    "quota": AdminNoun(
         title="Quotas of teams",
         verbs=[
             Verb("list", "GET /teams/{team_id}/quotas", columns=("quota", "limit", "used", "opens_at")),
@@ -423,7 +423,7 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "token": Noun(
+    "token": AdminNoun(
         title="API tokens",
         further=("add",),
         verbs=[
@@ -444,7 +444,7 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "submission": Noun(
+    "submission": AdminNoun(
         title="Submissions",
         further=("download",),
         verbs=[
@@ -514,7 +514,7 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "evaluation": Noun(
+    "evaluation": AdminNoun(
         title="Evaluations",
         verbs=[
             Verb("list", "GET /evaluations", only=("state", "limit"), show=views.print_evaluations),
@@ -554,7 +554,7 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "worker": Noun(
+    "worker": AdminNoun(
         title="Workers",
         verbs=[
             Verb("list", "GET /workers", show=views.print_workers),
@@ -582,7 +582,7 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "station": Noun(
+    "station": AdminNoun(
         title="Laboratories whose agents play trials",
         verbs=[
             Verb(
@@ -606,7 +606,7 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "audit": Noun(
+    "audit": AdminNoun(
         title="The audit log, which nobody can change",
         verbs=[
             Verb("list", "GET /audit", show=views.print_audit),
@@ -618,7 +618,7 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "announcement": Noun(
+    "announcement": AdminNoun(
         title="Announcements to everybody",
         verbs=[
             Verb(
@@ -645,7 +645,7 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "question": Noun(
+    "question": AdminNoun(
         title="Questions of teams",
         verbs=[
             Verb(
@@ -673,7 +673,7 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "appeal": Noun(
+    "appeal": AdminNoun(
         title="Appeals of teams",
         further=("replay",),
         verbs=[
@@ -702,7 +702,7 @@ NOUNS: Mapping[str, Noun] = {
             ),
         ],
     ),
-    "notice": Noun(
+    "notice": AdminNoun(
         title="E-mails and webhooks to teams",
         verbs=[
             Verb(

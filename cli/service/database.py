@@ -21,7 +21,7 @@ def load_settings(**overrides: Any) -> Settings:
     """Build the settings of this process from the environment; command-line options take precedence.
 
     Raises:
-        SettingsError: a value is invalid.
+        ServiceSettingsError: a value is invalid.
     """
     from vitac.server import settings
 

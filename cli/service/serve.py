@@ -40,13 +40,13 @@ def _require_public_url(settings: Settings) -> None:
     """Refuse to serve other machines without knowing how they call this one: links never follow a request's header.
 
     Raises:
-        SettingsError: VITAC_PUBLIC_URL is missing.
+        ServiceSettingsError: VITAC_PUBLIC_URL is missing.
     """
-    from vitac.server.errors import SettingsError
+    from vitac.server.errors import ServiceSettingsError
 
     is_local = settings.host == "localhost" or settings.host.startswith("127.") or settings.host == "::1"
     if not is_local and settings.public_url is None:
-        raise SettingsError(
+        raise ServiceSettingsError(
             f"The service would listen at {settings.host}, beyond this machine, and does not know its address for "
             "others. Set VITAC_PUBLIC_URL to it (https://arena.example.org/)."
         )

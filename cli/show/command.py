@@ -12,7 +12,7 @@ from ..terminal.output import AsJson, Assets, existing_file
 from .playing import EpisodeStart, NothingToShow, Shown, ShownEpisode, film, find_start, no_such_env_step, player
 
 if TYPE_CHECKING:
-    from vitac.envs.drawing.camera_view import Quantity
+    from vitac.envs.drawing.camera_view import DrawnQuantity
     from vitac.envs.drawing.files import Destination, Format, Frame, Picture
     from vitac.envs.drawing.picture import Caption
     from vitac.envs.drawing.playback import Pace, Playback
@@ -33,7 +33,8 @@ _Out = Annotated[
     typer.Option(help="FILE.png, .gif or .webp, or a new folder for a PNG per moment; TASK-EPISODE.png by default."),
 ]
 _Colour = Annotated[
-    Literal["stress", "displacement"] | None, typer.Option(help="Quantity that colours the gels; stress by default.")
+    Literal["stress", "displacement"] | None,
+    typer.Option(help="Quantity that colours the gels; stress by default."),
 ]
 _Step = Annotated[
     int | None, typer.Option(min=0, help="Env step that a PNG shows, 0 is the reset; the last by default.")
@@ -89,7 +90,7 @@ def command(
         shown = film(start, (policy, actions), destination, step=step, each_step=each_step, width_px=width)
         _report(shown, as_json=as_json)
         return
-    from vitac.envs.drawing.camera_view import Quantity
+    from vitac.envs.drawing.camera_view import DrawnQuantity
 
     caption, playback = _played(start, policy, actions, assets, _pace(every, destination))
     width_px = width or (_ANIMATION_WIDTH_PX if destination.format.is_animated else _PICTURE_WIDTH_PX)
@@ -99,7 +100,7 @@ def command(
     elif view != "episode":
         pictures = _render(playback, caption.title, view, width_px=width_px, moments=moments)
     else:
-        pictures = _draw(playback, caption, Quantity(colour or "stress"), width_px=width_px, moments=moments)
+        pictures = _draw(playback, caption, DrawnQuantity(colour or "stress"), width_px=width_px, moments=moments)
     written = destination.write(_frames(playback, pictures, moments))
     last = playback.moments[-1]
     shown = Shown(
@@ -202,7 +203,7 @@ def _names_and_durations(playback: "Playback") -> Iterator[tuple[str, int]]:
 
 
 def _draw(
-    playback: "Playback", caption: "Caption", quantity: "Quantity", *, width_px: int, moments: slice
+    playback: "Playback", caption: "Caption", quantity: "DrawnQuantity", *, width_px: int, moments: slice
 ) -> "Iterator[Picture]":
     """Yield the pictures of these moments, with a progress bar while they are drawn."""
     from rich.console import Console

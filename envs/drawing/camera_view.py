@@ -175,7 +175,7 @@ _WITHIN = (0.01, 0.99)
 _ROUNDING = 1e-6
 
 
-class Quantity(StrEnum):
+class DrawnQuantity(StrEnum):
     """What gels are coloured by."""
 
     STRESS = "stress"  # von Mises stress
@@ -199,12 +199,12 @@ class Colouring:
     values: tuple[tuple[FloatArray, FloatArray], ...]
 
 
-def colouring(playback: Playback, quantity: Quantity) -> Colouring:
+def colouring(playback: Playback, quantity: DrawnQuantity) -> Colouring:
     """Return the quantity at all moments, on one scale that 98 % of the values are within."""
     values = tuple(
         (_values(playback, moment, 0, quantity), _values(playback, moment, 1, quantity)) for moment in playback.moments
     )
-    label = "von Mises stress [kPa]" if quantity is Quantity.STRESS else "displacement [mm]"
+    label = "von Mises stress [kPa]" if quantity is DrawnQuantity.STRESS else "displacement [mm]"
     low, high = np.quantile(np.concatenate([gel for pair in values for gel in pair]), _WITHIN).tolist()
     lowest, highest = round_limits(low, high)
     return Colouring(label=label, lowest=lowest, highest=highest, values=values)
@@ -219,10 +219,10 @@ def round_limits(low: float, high: float) -> tuple[float, float]:
     return step * floor(low / step + _ROUNDING), step * ceil(high / step - _ROUNDING)
 
 
-def _values(playback: Playback, moment: Moment, gel: int, quantity: Quantity) -> FloatArray:
+def _values(playback: Playback, moment: Moment, gel: int, quantity: DrawnQuantity) -> FloatArray:
     """Return nodal values of a gel: stress in kPa (mean of the tetrahedra around a node) or displacement in mm."""
     mesh, nodes_m = playback.gel, moment.gel_nodes_m[gel]
-    if quantity is Quantity.DISPLACEMENT:
+    if quantity is DrawnQuantity.DISPLACEMENT:
         pose = moment.sensor_poses[gel]
         return 1e3 * displacement_m(mesh.rest_position_m, nodes_m, pose.rotation, pose.centre_m)
     stress_pa = cauchy_stress_pa(

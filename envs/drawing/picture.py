@@ -17,7 +17,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from ..scene.perspective import Beside, Perspective
-from .camera_view import CameraStrip, Quantity, colouring
+from .camera_view import CameraStrip, DrawnQuantity, colouring
 from .drawable import find_perspective
 from .playback import TRUE_OFFSET, Moment, Playback
 from .plots import BELIEF_COLOUR, INK, QUIET, draw_progress, draw_section
@@ -55,7 +55,7 @@ def picture_size_px(width_px: int) -> tuple[int, int]:
 
 
 def draw(
-    playback: Playback, caption: Caption, *, quantity: Quantity, width_px: int, moments: slice = slice(None)
+    playback: Playback, caption: Caption, *, quantity: DrawnQuantity, width_px: int, moments: slice = slice(None)
 ) -> Iterator[NDArray[np.uint8]]:
     """Return the pictures of the chosen moments, each RGB of shape [height, width, 3].
 
@@ -93,7 +93,7 @@ _ANCHORS = {
 class Painter:
     """Draws the moments of one playback, all on the same scales."""
 
-    def __init__(self, playback: Playback, caption: Caption, *, quantity: Quantity, width_px: int) -> None:
+    def __init__(self, playback: Playback, caption: Caption, *, quantity: DrawnQuantity, width_px: int) -> None:
         self._playback = playback
         self._caption = caption
         self._perspective = find_perspective(playback.env_id)
@@ -233,7 +233,7 @@ def _outcome(moment: Moment, last: Moment) -> tuple[str, str]:
     return f"{words}: {moment.end_reason.replace('_', ' ')}", _END_COLOURS.get(moment.end_reason, _FAILED_COLOUR)
 
 
-def _colour_map(quantity: Quantity) -> Colormap:
+def _colour_map(quantity: DrawnQuantity) -> Colormap:
     """Return colours from light to strong, without the darkest end, on which arrows could not be read."""
-    name, part = ("YlOrRd", 0.75) if quantity is Quantity.STRESS else ("YlGnBu", 0.6)
+    name, part = ("YlOrRd", 0.75) if quantity is DrawnQuantity.STRESS else ("YlGnBu", 0.6)
     return LinearSegmentedColormap.from_list(f"light {name}", colormaps[name](np.linspace(0.0, part, 256)))

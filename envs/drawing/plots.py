@@ -7,7 +7,7 @@ from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from ..scene.perspective import Perspective, Plane, Progress, SectionView
+from ..scene.perspective import Perspective, Plane, ProgressPlot, SectionView
 from .playback import Moment, Playback
 from .projection import section_loops_m
 from .visibility import CUT_COLOUR, HELD_COLOUR
@@ -36,7 +36,7 @@ def draw_section(axes: Axes, perspective: Perspective, playback: Playback, momen
     style(axes, view.title)
 
 
-def draw_progress(axes: Axes, progress: Progress, playback: Playback, index: int) -> None:
+def draw_progress(axes: Axes, progress: ProgressPlot, playback: Playback, index: int) -> None:
     """Draw the heights that decide, over the env steps of the episode up to the present moment."""
     ends = [playback.moments[last] for last in playback.last_moments]
     steps = np.array([moment.env_step for moment in ends])
@@ -72,7 +72,7 @@ def style(axes: Axes, title: str) -> None:
         spine.set(linewidth=0.6, color=INK)
 
 
-def _limits(heights: FloatArray, progress: Progress) -> tuple[float, float]:
+def _limits(heights: FloatArray, progress: ProgressPlot) -> tuple[float, float]:
     low = min(float(heights.min()), progress.goal_mm, 0.0)
     high = max(float(heights.max()), progress.goal_mm, 0.0)
     margin = 0.15 * (high - low)

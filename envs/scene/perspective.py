@@ -57,7 +57,7 @@ class SectionView:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Progress:
+class ProgressPlot:
     """Heights by which success is judged.
 
     Attributes:
@@ -97,7 +97,7 @@ class Perspective:
     gel_labels: tuple[Beside, Beside]
     cut: Plane
     section: SectionView
-    progress: Progress
+    progress: ProgressPlot
     position: Callable[[InfoView], str]
     arrival: str = "reached its goal"
 

@@ -26,7 +26,7 @@ from ..shards.process import ShardProcess, ShardProcesses
 from ..strict_model import StrictModel
 from ..submission_kinds import SubmissionKind
 from ..tracks import Task, Track, load_track
-from ..tracks.cut import Shard, cut
+from ..tracks.cut import ShardEpisodes, cut
 from .stored_shards import StoredShards
 
 
@@ -35,7 +35,7 @@ class LocalEvaluation:
     """A finished evaluation: its records in order, and either a score or the failure that ended it."""
 
     manifest: Manifest
-    shards: tuple[Shard, ...]
+    shards: tuple[ShardEpisodes, ...]
     records: tuple[EpisodeRecord, ...]
     isolation: Isolation | None
     """How strongly the policy was isolated; None if it never loaded."""

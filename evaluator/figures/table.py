@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from ..sensors.appearance import Appearance, appearance
-from ..sensors.check import SensorCheck
+from ..sensors.check import CheckedSensor
 from ..sensors.made import made_sensor
 from ..sensors.manifest import SensorManifest
 from .figures import SensorFigures
@@ -105,7 +105,7 @@ def make_reference_looks() -> Appearance:
     nodes_mm[:, 2] -= nodes_mm[:, 2].min()
     mesh = Tetrahedra(nodes_mm=nodes_mm, corners=design.gel.tetrahedra)
     meshed = MeshedGel(mesh=mesh, is_own=False, volume_error=0.0, distance_mm=0.0)
-    return appearance(made_sensor(SensorCheck(findings=(), meshed=meshed, design=design)))
+    return appearance(made_sensor(CheckedSensor(findings=(), meshed=meshed, design=design)))
 
 
 def design_of_gel(gel: "GelMesh") -> "SensorDesign":

@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterable, Sequence
 
 from ..agent.verdicts import VerdictCode
 from ..episodes.records import EpisodeRecord, FailureStage, PolicyFailure
-from ..tracks.cut import Shard
+from ..tracks.cut import ShardEpisodes
 
 FAILURES_THAT_END_A_SHARD = 3
 """Number of policy failures in one shard that end the evaluation as failed: the policy is broken, not unlucky."""
@@ -15,7 +15,7 @@ def is_broken(failures: Collection[PolicyFailure]) -> bool:
     return any(map(_ends_at_once, failures)) or len(failures) >= FAILURES_THAT_END_A_SHARD
 
 
-def breaking_failure(shards: Sequence[Shard], records: Iterable[EpisodeRecord]) -> PolicyFailure | None:
+def breaking_failure(shards: Sequence[ShardEpisodes], records: Iterable[EpisodeRecord]) -> PolicyFailure | None:
     """Return the failure that ends an evaluation as failed, or None while the policy works well enough to be scored.
 
     That is the first failure of the first shard that is broken, or there the one that ended it at once: a function of

@@ -29,7 +29,7 @@ class SensorRefused(VitacError):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SensorCheck:
+class CheckedSensor:
     """What was found about a sensor.
 
     Attributes:
@@ -48,7 +48,7 @@ class SensorCheck:
         return self.design is not None
 
 
-def check_sensor(path: Path, limits: SensorLimits | None = None) -> SensorCheck:
+def check_sensor(path: Path, limits: SensorLimits | None = None) -> CheckedSensor:
     """Check a folder with sensor.yaml and gel.stl, or a bare STL with the default camera and markers.
 
     Args:
@@ -65,19 +65,21 @@ def check_sensor(path: Path, limits: SensorLimits | None = None) -> SensorCheck:
     manifest, stl, own = _files(path)
     shape = ShapeCheck(stl, limits)
     if shape.surface is None:
-        return SensorCheck(findings=tuple(shape.findings))
+        return CheckedSensor(findings=tuple(shape.findings))
     mesh = MeshCheck(shape.surface, own, limits)
     findings = [*shape.findings, *mesh.findings]
     if mesh.meshed is None:
-        return SensorCheck(findings=tuple(findings))
+        return CheckedSensor(findings=tuple(findings))
     design = mesh.meshed.design(manifest)
     markers = _markers(design, limits)
     reach = _reach(design)
     findings += [reach, _tips(mesh.meshed.mesh, limits), markers]
-    return SensorCheck(findings=tuple(findings), meshed=mesh.meshed, design=design if reach.ok and markers.ok else None)
+    return CheckedSensor(
+        findings=tuple(findings), meshed=mesh.meshed, design=design if reach.ok and markers.ok else None
+    )
 
 
-def accepted_sensor(path: Path) -> SensorCheck:
+def accepted_sensor(path: Path) -> CheckedSensor:
     """Check a sensor that has to keep to every rule.
 
     Args:

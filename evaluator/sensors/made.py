@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError
 from vitac.envs.errors import VitacError
 
 from ..strict_model import StrictModel
-from .check import SensorCheck, accepted_sensor
+from .check import CheckedSensor, accepted_sensor
 from .limits import sensor_limits
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class MadeSensor(StrictModel):
         )
 
 
-def made_sensor(found: SensorCheck) -> MadeSensor:
+def made_sensor(found: CheckedSensor) -> MadeSensor:
     """Return the sensor of a check without problems."""
     meshed, design = found.meshed, found.design
     if meshed is None or design is None:

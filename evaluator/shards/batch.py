@@ -17,7 +17,7 @@ from ..episodes.records import EpisodeRecord
 from ..scoring.failures import is_broken
 from ..submission.manifest import load_manifest
 from ..tracks import Episode, Task, Track
-from ..tracks.cut import Shard
+from ..tracks.cut import ShardEpisodes
 from .order import ShardEnd, ShardOrder, ShardResult
 from .policy import LoadPolicy, load_in_sandbox, run_shard, secret_order
 
@@ -33,7 +33,7 @@ def run_batches(
     order: ShardOrder,
     track: Track,
     task: Task,
-    shard: Shard,
+    shard: ShardEpisodes,
     on_episode: Callable[[EpisodeRecord], None],
     load_policy: LoadPolicy = load_in_sandbox,
 ) -> ShardResult:

@@ -15,7 +15,7 @@ from ..figures.figures import FigureChoice, FiguresPart, StartFigures
 from ..figures.starts import Measurement, measured_episodes
 from ..sensors.made import read_design
 from ..tracks import Player, Task, Track
-from ..tracks.cut import Shard
+from ..tracks.cut import ShardEpisodes
 from .order import ShardOrder, ShardResult
 from .policy import run_shard
 
@@ -27,7 +27,7 @@ class NoSensor(VitacError):
 
 
 def run_estimator(
-    order: ShardOrder, track: Track, task: Task, shard: Shard, on_episode: Callable[[EpisodeRecord], None]
+    order: ShardOrder, track: Track, task: Task, shard: ShardEpisodes, on_episode: Callable[[EpisodeRecord], None]
 ) -> ShardResult:
     """Calibrate the estimator to the order's sensor, or take what the order or this process has, and play the shard.
 
@@ -70,7 +70,7 @@ def run_estimator(
 class _Figures:
     """Measures a shard's part of the figures, start after start as its episodes end."""
 
-    def __init__(self, measurement: Measurement, task: Task, shard: Shard, choice: FigureChoice) -> None:
+    def __init__(self, measurement: Measurement, task: Task, shard: ShardEpisodes, choice: FigureChoice) -> None:
         self._measurement = measurement
         self._choice = choice
         wanted = measured_episodes(task) if choice is FigureChoice.ALL else frozenset[int]()

@@ -31,7 +31,7 @@ from ..sensors.made import read_design
 from ..submission.manifest import load_manifest
 from ..submission_kinds import SubmissionKind
 from ..tracks import Player, Task, Track
-from ..tracks.cut import Shard, cut
+from ..tracks.cut import ShardEpisodes, cut
 from ..tracks.registry import find_version
 from ..tracks.sealed import load_played_track, read_secret
 from .batch import run_batches
@@ -59,7 +59,7 @@ class LogShard:
     log: Path
     track: Track
     task: Task
-    shard: Shard
+    shard: ShardEpisodes
     skip: Collection[int] = ()
     make_env: MakeEnvironment = make_environment
 
@@ -171,7 +171,7 @@ class OrderedShard:
     order: ShardOrder
     track: Track
     task: Task
-    shard: Shard
+    shard: ShardEpisodes
 
 
 Runner = Callable[[OrderedShard, Preparation, OnEpisode], ShardResult]

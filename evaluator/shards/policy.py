@@ -19,7 +19,7 @@ from ..package_sets import PackageSet
 from ..scoring.failures import is_broken
 from ..submission.manifest import load_manifest
 from ..tracks import Episode, Task, Track
-from ..tracks.cut import Shard
+from ..tracks.cut import ShardEpisodes
 from .order import ShardEnd, ShardOrder, ShardResult
 
 LoadPolicy = Callable[[Path, Limits], AbstractContextManager[Session]]
@@ -66,7 +66,7 @@ def run_shard(
     submission_dir: Path,
     track: Track,
     task: Task,
-    shard: Shard,
+    shard: ShardEpisodes,
     on_episode: Callable[[EpisodeRecord], None],
     reading: Reading | None = None,
     limits: Limits | None = None,

@@ -13,7 +13,7 @@ class UnknownEpisodes(VitacError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shard:
+class ShardEpisodes:
     """Neighbouring episodes of a list. `index` counts from 0 in the cut of the whole list."""
 
     index: int
@@ -25,7 +25,7 @@ class Shard:
         return frozenset(episode.number for episode in self.episodes)
 
 
-def cut(task: Task, episodes: Iterable[int] | None = None) -> tuple[Shard, ...]:
+def cut(task: Task, episodes: Iterable[int] | None = None) -> tuple[ShardEpisodes, ...]:
     """Cut the task's list into shards of `task.shard_size`, always at the same places.
 
     Args:
@@ -43,4 +43,4 @@ def cut(task: Task, episodes: Iterable[int] | None = None) -> tuple[Shard, ...]:
     starts = range(0, len(task.episodes), task.shard_size)
     pieces = (task.episodes[start : start + task.shard_size] for start in starts)
     kept = (tuple(episode for episode in piece if episode.number in wanted) for piece in pieces)
-    return tuple(Shard(index=index, episodes=piece) for index, piece in enumerate(kept) if piece)
+    return tuple(ShardEpisodes(index=index, episodes=piece) for index, piece in enumerate(kept) if piece)

@@ -48,7 +48,7 @@ class NewQuestion(BaseModel):
     public: bool = Field(description="Whether everybody may see it, without the team's name, once it is answered.")
 
 
-class Answer(BaseModel):
+class QuestionAnswer(BaseModel):
     """An answer of the organizers."""
 
     model_config = ConfigDict(extra="forbid")
@@ -111,7 +111,7 @@ def post_question(services: ChangingServicesOf, principal: TeamOf, new: NewQuest
 
 @router.put("/questions/{question_id}/answer")
 def put_answer(
-    services: ChangingServicesOf, principal: OrganizerOf, question_id: RowNumber, answer: Answer
+    services: ChangingServicesOf, principal: OrganizerOf, question_id: RowNumber, answer: QuestionAnswer
 ) -> QuestionView:
     """Answer a question, or replace its answer; for organizers."""
     with services.database.transaction() as session:

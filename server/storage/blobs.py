@@ -14,7 +14,7 @@ import obstore
 from obstore.exceptions import BaseError, NotFoundError
 from obstore.store import LocalStore, ObjectStore, from_url
 
-from ..errors import ProblemCode, ServiceError, SettingsError, storage_full
+from ..errors import ProblemCode, ServiceError, ServiceSettingsError, storage_full
 from ..settings import Settings
 from .scratch import is_disk_full
 
@@ -48,7 +48,7 @@ def _open(url: str) -> ObjectStore:
         return from_url(url, retry_config=RETRIES)
     except (BaseError, ValueError) as error:
         reason = str(error).splitlines()[0]
-        raise SettingsError(
+        raise ServiceSettingsError(
             f"VITAC_STORAGE_URL is {url!r}: expected s3://bucket/prefix or file:///folder of a folder that exists, "
             f"got {reason!r}. Correct it, or create the folder."
         ) from error
@@ -67,7 +67,7 @@ class BlobStore:
         """Return the store that the settings name; by default the folder `blobs` of the state directory.
 
         Raises:
-            SettingsError: the address names no store, or a folder that does not exist.
+            ServiceSettingsError: the address names no store, or a folder that does not exist.
         """
         if settings.storage_url is not None:
             return cls(_open(settings.storage_url))

@@ -26,7 +26,7 @@ from vitac.evaluator.tracks.definition import DRAWN
 from ..files import load, remove_leftovers, save, write_bytes, write_text
 from ..log import Charts, Row, extend_log, read_log
 from ..pool import map_in_order
-from ..progress import Progress
+from ..progress import TrainingProgress
 from ..run import Folder, Tell, claimed, format_rate
 from ..sensor import make_sensor
 from ..streams import Use, stream
@@ -127,7 +127,7 @@ class Cloning:
     processes: int = 1
     tell: Tell = field(default=lambda _: None)
     before: int = 0
-    progress: Progress = field(default_factory=Progress)
+    progress: TrainingProgress = field(default_factory=TrainingProgress)
 
     def __post_init__(self) -> None:
         self._stage = ClonedTask(find_task(self.plan.task)[1], self.keys, self.design)
@@ -260,7 +260,7 @@ def clone(
     plan = plan.model_copy(update={"sensor": made.digest if made else None})
     known = [entry.name for entry in task.observables if prod(entry.shape) <= FEW_NUMBERS]
     sensed = [entry.name for entry in task.observables if entry.name in (MARKERS, PICTURE)]
-    ended, progress = [], Progress()
+    ended, progress = [], TrainingProgress()
     policies = ((folder, [*sensed, *known], 0), (folder / "blind", known, plan.rounds))
     with claimed(folder, plan.model_dump(mode="json"), tell):
         for path, keys, before in policies:

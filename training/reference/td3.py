@@ -30,7 +30,7 @@ from vitac.evaluator.tracks import load_track
 from ..files import Arrays, FileDamaged, load, save, write_bytes, write_text
 from ..learning.network import TrainingDiverged
 from ..log import Charts
-from ..progress import Progress
+from ..progress import TrainingProgress
 from ..run import OtherRun, Tell, claimed
 from ..sensor import make_sensor
 from ..streams import Use, stream
@@ -403,7 +403,7 @@ class Training:
                 f"{self.folder} holds a training of {history.env_steps} env steps, expected at most {env_steps}; "
                 "ask for more, or give another folder."
             )
-        progress = Progress()
+        progress = TrainingProgress()
         progress.left(history.env_steps, env_steps)
         episode: list[float] = []
         while history.env_steps < env_steps:
@@ -506,7 +506,7 @@ class Training:
         self.history.cpu_s = self._cpu_s_before + process_time()
         self.history.elapsed_s = self._elapsed_s_before + time()
 
-    def _store_when_due(self, env_steps: int, progress: Progress) -> None:
+    def _store_when_due(self, env_steps: int, progress: TrainingProgress) -> None:
         """Store the state between two episodes once the next checkpoint is reached.
 
         Nothing of the physics has to be stored then: the next episode begins at a start that is known by its number.

@@ -24,7 +24,7 @@ from vitac.evaluator.tracks import find_task
 from ..files import load, save, write_bytes, write_text
 from ..log import Charts, Row, extend_log, read_log
 from ..pool import map_in_order
-from ..progress import Progress
+from ..progress import TrainingProgress
 from ..run import Folder, Tell, claimed, format_rate
 from ..streams import Use, stream
 from . import policy
@@ -173,7 +173,7 @@ class WeightSearch:
         judged = {generation.number: generation for generation in read_log(self.folder.log, _generation)}
         found: list[Generation] = []
         numbers = range(1, self.recipe.generations + 1)
-        progress = Progress()
+        progress = TrainingProgress()
         progress.left(sum(self.folder.networks(number).exists() for number in numbers), len(numbers))
         for number in numbers:
             mean, spread = self._next(number, mean, spread)

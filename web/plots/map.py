@@ -115,7 +115,7 @@ class EpisodeMap:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class PlotPlace:
     """Where the cell of an episode is, and how its label begins."""
 
     number: int
@@ -178,13 +178,13 @@ def title_of_task(track: Track, task: str) -> str:
 
 
 @cache
-def _layout(track: str, task: str, *, known: bool) -> Mapping[str, tuple[Place, ...]]:
+def _layout(track: str, task: str, *, known: bool) -> Mapping[str, tuple[PlotPlace, ...]]:
     """Return the places of all episodes, by shape."""
     definition = load_track(track).task(task)
     return {shape: _places(shape, definition, known=known) for shape in definition.episode_list.shapes}
 
 
-def _places(shape: str, task: Task, *, known: bool) -> tuple[Place, ...]:
+def _places(shape: str, task: Task, *, known: bool) -> tuple[PlotPlace, ...]:
     columns: dict[tuple[float, ...], int] = {}
     repeats: Counter[tuple[float, ...]] = Counter()
     places = []
@@ -193,12 +193,12 @@ def _places(shape: str, task: Task, *, known: bool) -> tuple[Place, ...]:
             column = columns.setdefault(episode.offset, len(columns))
             start = f", start {describe_start(task, episode.offset)}" if known else ""
             label = f"Episode {episode.number}{start}: "
-            places.append(Place(number=episode.number, column=column, row=repeats[episode.offset], label=label))
+            places.append(PlotPlace(number=episode.number, column=column, row=repeats[episode.offset], label=label))
             repeats[episode.offset] += 1
     return tuple(places)
 
 
-def _cell(place: Place, end: EpisodeView | None, folder: str, otherwise: str) -> MapCell:
+def _cell(place: PlotPlace, end: EpisodeView | None, folder: str, otherwise: str) -> MapCell:
     if end is None:
         return MapCell(column=place.column, row=place.row, state="waiting", label=place.label + otherwise)
     state: CellState = "success" if end.success else "other"

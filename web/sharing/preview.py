@@ -12,7 +12,7 @@ from pathlib import Path
 
 import fontpkg
 from PIL import Image, ImageDraw, ImageFont
-from vitac.server.errors import SettingsError
+from vitac.server.errors import ServiceSettingsError
 from vitac.server.views.submissions import EpisodeView, SubmissionView
 
 WIDTH, HEIGHT = 1200, 630
@@ -55,13 +55,13 @@ def checked_font(font_file: Path | None) -> Path | None:
     """Return a font file that can be read.
 
     Raises:
-        SettingsError: it is none.
+        ServiceSettingsError: it is none.
     """
     if font_file is not None:
         try:
             _font(20, font_file)
         except OSError as error:
-            raise SettingsError(f"VITAC_PREVIEW_FONT is {font_file}, expected a font file: {error}") from error
+            raise ServiceSettingsError(f"VITAC_PREVIEW_FONT is {font_file}, expected a font file: {error}") from error
     return font_file
 
 

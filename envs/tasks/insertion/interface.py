@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...geometry.pegs import CLEARANCE_MM
 from ...observable import Observable
 from ...scene.observables import marker_flow
-from ...scene.perspective import Beside, FloatArray, InfoView, Perspective, Plane, Progress, SectionView, signed
+from ...scene.perspective import Beside, FloatArray, InfoView, Perspective, Plane, ProgressPlot, SectionView, signed
 from ..definition import ActionComponent, Measure
 from ..quantities import TOUCH_QUANTITIES, Quantity
 
@@ -184,7 +184,7 @@ def insertion_perspective(*, fixed_name: str, section: SectionView, title: str, 
         gel_labels=(Beside.ABOVE, Beside.LEFT),
         cut=Plane(normal=(1.0, 0.0, 0.0), offset_m=0.0),
         section=section,
-        progress=Progress(title=title, heights_mm=_heights_mm, goal_mm=-depth_mm, goal_is_below=True),
+        progress=ProgressPlot(title=title, heights_mm=_heights_mm, goal_mm=-depth_mm, goal_is_below=True),
         position=_position,
         arrival="went in",
     )

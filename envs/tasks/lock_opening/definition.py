@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...observable import Observable
 from ...scene.observables import CONTACT_FORCES, MEASURED_POSE, SURFACE_POINTS, marker_flow, played_shape
-from ...scene.perspective import Beside, Perspective, Plane, Progress, SectionView, signed
+from ...scene.perspective import Beside, Perspective, Plane, ProgressPlot, SectionView, signed
 from ...vision.observables import RGB_IMAGES
 from ..definition import SURFACE_DIFF, ActionComponent, Flags, InfoView, Measure, TaskDefinition, surface_moved_too_far
 from ..quantities import TOUCH_QUANTITIES, Quantity
@@ -278,7 +278,7 @@ PERSPECTIVE = Perspective(
         axes=((0, "x"), (2, "z")),
         limits_mm=((-4.0, 68.0), (-6.0, 48.0)),
     ),
-    progress=Progress(
+    progress=ProgressPlot(
         title="teeth above ceiling [mm]",
         heights_mm=_heights_mm,
         goal_mm=1e3 * (SUCCESS_Z_RANGE_M[0] - CEILING_Z_M),

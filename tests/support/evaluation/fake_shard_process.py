@@ -21,7 +21,7 @@ from vitac.evaluator.shards import execution, host
 from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.submission.manifest import SubmissionManifest
 from vitac.evaluator.tracks import Task
-from vitac.evaluator.tracks.cut import Shard
+from vitac.evaluator.tracks.cut import ShardEpisodes
 
 
 def hang(_: int, step: int) -> Any:
@@ -89,7 +89,9 @@ def calibrated(_: Task, sensor: Path, on_start: Callable[[int, int], None]) -> C
     return Coefficients(mesh_hash="0" * 64, starts=int(starts.read_text()), regressions=())
 
 
-def run_estimator(order: ShardOrder, _track: object, task: Task, shard: Shard, _on_episode: object) -> ShardResult:
+def run_estimator(
+    order: ShardOrder, _track: object, task: Task, shard: ShardEpisodes, _on_episode: object
+) -> ShardResult:
     """Plays nothing, and tells with what it would have played."""
     assert order.sensor is not None
     manifest, handed_over = make_manifest(task=task.name), calibration.is_calibrated(task, order.sensor)

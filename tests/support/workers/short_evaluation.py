@@ -11,7 +11,7 @@ from vitac.cli.service.web_server import no_collections
 
 with no_collections():  # as in `vitac worker`
     from vitac.evaluator.tracks import Task
-    from vitac.evaluator.tracks.cut import Shard, cut
+    from vitac.evaluator.tracks.cut import ShardEpisodes, cut
     from vitac.server.evaluations import lifecycle
 
 EPISODES = (1, 2, 3, 4, 31, 32, 33, 34)
@@ -22,7 +22,7 @@ StartWorker = Callable[[], "subprocess.Popen[bytes]"]
 """Starts a worker process on the service under test."""
 
 
-def short_cut(task: Task) -> Sequence[Shard]:
+def short_cut(task: Task) -> Sequence[ShardEpisodes]:
     return cut(task, EPISODES)
 
 

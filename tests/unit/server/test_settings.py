@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from pydantic import ValidationError
-from vitac.server.errors import SettingsError
+from vitac.server.errors import ServiceSettingsError
 from vitac.server.settings import Registration, load_settings
 from vitac.server.state_directory import choose_state_directory, others_can_enter
 
@@ -31,7 +31,7 @@ def test_values_come_from_the_environment_and_arguments_win(monkeypatch: pytest.
 )
 def test_wrong_value_names_the_variable(monkeypatch: pytest.MonkeyPatch, name: str, value: str, says: str) -> None:
     monkeypatch.setenv(name, value)
-    with pytest.raises(SettingsError) as refused:
+    with pytest.raises(ServiceSettingsError) as refused:
         load_settings()
     assert says in str(refused.value)
 
@@ -85,20 +85,20 @@ def test_server_imports_no_simulation_and_no_learning_library() -> None:
 
 def test_a_secret_that_cannot_be_used_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VITAC_METRICS_TOKEN", "hunter2")
-    with pytest.raises(SettingsError, match=r"VITAC_METRICS_TOKEN is set: .*16") as refused:
+    with pytest.raises(ServiceSettingsError, match=r"VITAC_METRICS_TOKEN is set: .*16") as refused:
         load_settings()
     assert "hunter2" not in str(refused.value)
 
 
 def test_registration_by_invite_needs_a_code() -> None:
-    with pytest.raises(SettingsError, match="VITAC_REGISTRATION is invite, so set VITAC_INVITE_CODE, too"):
+    with pytest.raises(ServiceSettingsError, match="VITAC_REGISTRATION is invite, so set VITAC_INVITE_CODE, too"):
         load_settings(registration="invite")
     assert load_settings(registration="invite", invite_code="a long code").registration is Registration.INVITE
 
 
 @pytest.mark.parametrize(("name", "value"), [("invite_code", "short12"), ("metrics_token", "x" * 15)])
 def test_a_secret_that_can_be_guessed_is_refused_unseen(name: str, value: str) -> None:
-    with pytest.raises(SettingsError) as refused:
+    with pytest.raises(ServiceSettingsError) as refused:
         load_settings(**{name: value})
     assert f"VITAC_{name.upper()} is set: " in str(refused.value)
     assert value not in str(refused.value)
@@ -119,7 +119,7 @@ def test_trusted_proxies_are_listed_one_by_one(text: str, networks: tuple[str, .
 
 @pytest.mark.parametrize("text", ["10.0.0.1/8", "10.0.0", "proxy", "10.0.0.1;10.0.0.2"])
 def test_what_is_no_network_is_refused(text: str) -> None:
-    with pytest.raises(SettingsError, match=r"VITAC_TRUSTED_PROXIES is .*\. Correct or unset it\.$"):
+    with pytest.raises(ServiceSettingsError, match=r"VITAC_TRUSTED_PROXIES is .*\. Correct or unset it\.$"):
         load_settings(trusted_proxies=text)
 
 
@@ -128,14 +128,16 @@ def test_a_lease_outlives_two_late_renewals(lease_s: float, is_long_enough: bool
     if is_long_enough:
         assert load_settings(lease_s=lease_s, lease_renewal_s=1.0).lease_s == lease_s
     else:
-        with pytest.raises(SettingsError, match=f"VITAC_LEASE_S is {lease_s} and VITAC_LEASE_RENEWAL_S 1.0; make"):
+        with pytest.raises(
+            ServiceSettingsError, match=f"VITAC_LEASE_S is {lease_s} and VITAC_LEASE_RENEWAL_S 1.0; make"
+        ):
             load_settings(lease_s=lease_s, lease_renewal_s=1.0)
 
 
 def test_several_wrong_values_are_told_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VITAC_PORT", "-1")
     monkeypatch.setenv("VITAC_WORKER_SLOTS", "0")
-    with pytest.raises(SettingsError) as refused:
+    with pytest.raises(ServiceSettingsError) as refused:
         load_settings()
     assert "VITAC_PORT is '-1': " in str(refused.value)
     assert "VITAC_WORKER_SLOTS is '0': " in str(refused.value)
@@ -152,7 +154,7 @@ def test_quotas_are_set_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VITAC_QUOTAS__SCORED_RUNS_PER_DAY", "0")
     quotas = load_settings().quotas
     assert (quotas.scored_runs_per_day, quotas.attempts_per_day, quotas.tokens) == (0, 100, 20)
-    with pytest.raises(SettingsError, match="VITAC_QUOTAS__TOKENS is -1"):
+    with pytest.raises(ServiceSettingsError, match="VITAC_QUOTAS__TOKENS is -1"):
         load_settings(quotas={"tokens": -1})
 
 

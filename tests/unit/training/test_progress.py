@@ -1,7 +1,7 @@
 """How long is left, as people are told."""
 
 import pytest
-from vitac.training.progress import Progress
+from vitac.training.progress import TrainingProgress
 
 
 class Clock:
@@ -20,7 +20,7 @@ def clock() -> Clock:
 
 
 def left_after(clock: Clock, seconds: float, done: int, total: int, before: int = 0) -> str:
-    progress = Progress(clock)
+    progress = TrainingProgress(clock)
     assert progress.left(before, total) == ""
     clock.now_s += seconds
     return progress.left(done, total)
@@ -46,7 +46,7 @@ def test_parts_that_were_done_before_took_no_time(clock: Clock) -> None:
 
 
 def test_parts_that_are_found_done_on_the_way_do_not_count(clock: Clock) -> None:
-    progress = Progress(clock)
+    progress = TrainingProgress(clock)
     progress.begin(0)
     clock.now_s += 1.0
     progress.begin(2)
@@ -65,7 +65,7 @@ def test_nothing_is_said_while_no_part_is_done(clock: Clock) -> None:
 
 
 def test_estimate_follows_the_mean_of_all_parts(clock: Clock) -> None:
-    progress = Progress(clock)
+    progress = TrainingProgress(clock)
     progress.left(0, 4)
     told = []
     for done, seconds in ((1, 60.0), (2, 180.0), (3, 60.0)):

@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fake_scene import FakeScene
-from vitac.envs.drawing.camera_view import CameraStrip, Quantity, camera_sheet, colouring, rendered_sheet, round_limits
+from vitac.envs.drawing.camera_view import (
+    CameraStrip,
+    DrawnQuantity,
+    camera_sheet,
+    colouring,
+    rendered_sheet,
+    round_limits,
+)
 from vitac.envs.drawing.drawable import straight_to_target
 from vitac.envs.drawing.picture import Caption, draw
 from vitac.envs.drawing.playback import Pace, Playback, record
@@ -63,7 +70,7 @@ def test_a_frame_holds_all_that_is_ever_seen_and_nothing_far_from_it(playback: P
 
 def test_the_camera_stands_below_the_scene_in_the_same_width(playback: Playback) -> None:
     caption = Caption(title="title", actions="actions")
-    *_, picture = draw(playback, caption, quantity=Quantity.STRESS, width_px=600, moments=slice(0, 1))
+    *_, picture = draw(playback, caption, quantity=DrawnQuantity.STRESS, width_px=600, moments=slice(0, 1))
     sight = sights_of(playback)[0]
     strip = CameraStrip(sights_of(playback), width_px=600).picture(sight)
     assert picture.shape == (342 + len(strip), 600, 3)
@@ -125,7 +132,7 @@ def test_limits_are_round_and_hold_the_range(low: float, high: float, expected: 
 
 
 def test_displacement_is_in_millimetres(peg_playback: Playback) -> None:
-    found = colouring(peg_playback, Quantity.DISPLACEMENT)
+    found = colouring(peg_playback, DrawnQuantity.DISPLACEMENT)
     assert found.label == "displacement [mm]"
     assert len(found.values) == len(peg_playback.moments)
     for gel in found.values[-1]:
@@ -135,7 +142,7 @@ def test_displacement_is_in_millimetres(peg_playback: Playback) -> None:
 
 
 def test_stress_of_a_pressed_gel_is_that_of_confined_compression(peg_playback: Playback) -> None:
-    found = colouring(peg_playback, Quantity.STRESS)
+    found = colouring(peg_playback, DrawnQuantity.STRESS)
     assert found.label == "von Mises stress [kPa]"
     stretch = (4.0 - 0.6) / 4.0
     mu_kpa = 300.0 / 2.6
@@ -147,7 +154,7 @@ def test_stress_of_a_pressed_gel_is_that_of_confined_compression(peg_playback: P
 
 
 def test_one_scale_fits_all_moments(peg_playback: Playback) -> None:
-    whole = colouring(peg_playback, Quantity.STRESS)
-    alone = colouring(replace(peg_playback, moments=peg_playback.moments[:1]), Quantity.STRESS)
+    whole = colouring(peg_playback, DrawnQuantity.STRESS)
+    alone = colouring(replace(peg_playback, moments=peg_playback.moments[:1]), DrawnQuantity.STRESS)
     assert whole.lowest <= alone.lowest
     assert whole.highest >= alone.highest

@@ -6,7 +6,7 @@ from fake_scene import FakeScene
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from vitac.envs.drawing.camera_view import Quantity
+from vitac.envs.drawing.camera_view import DrawnQuantity
 from vitac.envs.drawing.drawable import NotDrawable, find_perspective, straight_to_target
 from vitac.envs.drawing.picture import Caption, Painter, draw, picture_size_px
 from vitac.envs.drawing.playback import Playback, record
@@ -26,7 +26,7 @@ def lock_playback(fake_scenes: list[FakeScene], monkeypatch: pytest.MonkeyPatch)
     return record(env, options=options, next_action=straight_to_target(env.env_id))
 
 
-def painted(playback: Playback, quantity: Quantity = Quantity.STRESS) -> Painter:
+def painted(playback: Playback, quantity: DrawnQuantity = DrawnQuantity.STRESS) -> Painter:
     return Painter(playback, CAPTION, quantity=quantity, width_px=600)
 
 
@@ -41,7 +41,7 @@ def rendered(figure: Figure) -> np.ndarray:
 
 
 def test_draws_every_moment_at_the_size_that_was_asked_for(peg_playback: Playback) -> None:
-    pictures = list(draw(peg_playback, CAPTION, quantity=Quantity.STRESS, width_px=600))
+    pictures = list(draw(peg_playback, CAPTION, quantity=DrawnQuantity.STRESS, width_px=600))
     assert len(pictures) == len(peg_playback.moments)
     assert picture_size_px(600) == (600, 342)
     assert {picture.shape for picture in pictures} == {(342, 600, 3)}
@@ -65,11 +65,11 @@ def test_a_picture_shows_nothing_of_those_that_were_drawn_before(peg_playback: P
 def test_moments_and_quantities_differ(peg_playback: Playback) -> None:
     stress = painted(peg_playback)
     assert not np.array_equal(stress.picture(0), stress.picture(2))
-    assert not np.array_equal(stress.picture(0), painted(peg_playback, Quantity.DISPLACEMENT).picture(0))
+    assert not np.array_equal(stress.picture(0), painted(peg_playback, DrawnQuantity.DISPLACEMENT).picture(0))
 
 
 def test_only_chosen_moments_are_drawn(peg_playback: Playback) -> None:
-    (only,) = draw(peg_playback, CAPTION, quantity=Quantity.STRESS, width_px=600, moments=slice(2, 3))
+    (only,) = draw(peg_playback, CAPTION, quantity=DrawnQuantity.STRESS, width_px=600, moments=slice(2, 3))
     assert np.array_equal(only, painted(peg_playback).picture(2))
 
 
@@ -122,7 +122,7 @@ def test_lines_of_the_caption_stand_apart(task: str, request: pytest.FixtureRequ
         moments = tuple(replace(each, belief_error=np.array([20.0, -20.0, 40.0])) for each in playback.moments)
         playback = replace(playback, moments=moments)
     caption = Caption(title="Peg insertion, episode 270: trapezoid", actions="a policy with a long name " * 10)
-    figure = Painter(playback, caption, quantity=Quantity.STRESS, width_px=600).figure(1)
+    figure = Painter(playback, caption, quantity=DrawnQuantity.STRESS, width_px=600).figure(1)
     rendered(figure)
     lines = [text.get_window_extent() for text in figure.texts]
     plots = [box for axes in figure.axes if (box := axes.get_tightbbox()) is not None]

@@ -9,16 +9,16 @@ import pytest
 from own_sensors import block, msh, with_nodes_inside, write_sensor
 from vitac.envs.sensor_design.surface import DrawnSurface
 from vitac.envs.sensor_design.tetrahedra import Tetrahedra
-from vitac.evaluator.sensors.check import SensorCheck, check_sensor
+from vitac.evaluator.sensors.check import CheckedSensor, check_sensor
 from vitac.evaluator.sensors.findings import Rule
 from vitac.evaluator.sensors.limits import sensor_limits
 
 
-def broken(check: SensorCheck) -> list[Rule]:
+def broken(check: CheckedSensor) -> list[Rule]:
     return [finding.rule for finding in check.findings if not finding.ok]
 
 
-def problem(check: SensorCheck) -> str:
+def problem(check: CheckedSensor) -> str:
     return next(finding.value + " " + finding.problem for finding in check.findings if not finding.ok)
 
 

@@ -5,7 +5,7 @@ import drawn_gels
 import numpy as np
 import pytest
 from own_sensors import write_sensor
-from vitac.evaluator.sensors.check import SensorCheck, accepted_sensor
+from vitac.evaluator.sensors.check import CheckedSensor, accepted_sensor
 from vitac.evaluator.sensors.made import (
     MAX_BYTES,
     MadeSensor,
@@ -17,17 +17,17 @@ from vitac.evaluator.sensors.made import (
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> SensorCheck:
+def found(tmp_path_factory: pytest.TempPathFactory) -> CheckedSensor:
     yaml = "{camera: {focal_px: [330, 320]}, markers: {points_mm: [[0, 0], [2.5, -3.25]]}}"
     return accepted_sensor(write_sensor(tmp_path_factory.mktemp("sensor"), drawn_gels.bevelled(), yaml))
 
 
 @pytest.fixture(scope="module")
-def made(found: SensorCheck) -> MadeSensor:
+def made(found: CheckedSensor) -> MadeSensor:
     return made_sensor(found)
 
 
-def test_stored_sensor_is_the_checked_one_to_the_last_bit(found: SensorCheck, made: MadeSensor) -> None:
+def test_stored_sensor_is_the_checked_one_to_the_last_bit(found: CheckedSensor, made: MadeSensor) -> None:
     design = read_made_sensor(made.as_bytes()).design()
     assert found.design is not None
     assert design.gel.rest_position_m.tobytes() == found.design.gel.rest_position_m.tobytes()
@@ -35,7 +35,7 @@ def test_stored_sensor_is_the_checked_one_to_the_last_bit(found: SensorCheck, ma
     assert design.as_bytes() == found.design.as_bytes()
 
 
-def test_facts_are_those_of_the_mesh(found: SensorCheck, made: MadeSensor) -> None:
+def test_facts_are_those_of_the_mesh(found: CheckedSensor, made: MadeSensor) -> None:
     assert found.meshed is not None
     assert made.mesh_digest == found.meshed.digest
     assert made.facts.nodes == len(found.meshed.mesh.nodes_mm)
@@ -91,4 +91,4 @@ def test_too_large_a_file_is_refused(made: MadeSensor) -> None:
 
 def test_sensor_that_breaks_a_rule_is_never_made() -> None:
     with pytest.raises(ValueError, match="keeps to every rule"):
-        made_sensor(SensorCheck(findings=()))
+        made_sensor(CheckedSensor(findings=()))

@@ -4,14 +4,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from vitac.evaluator.tracks import load_track
-from vitac.evaluator.tracks.cut import Shard, UnknownEpisodes, cut
+from vitac.evaluator.tracks.cut import ShardEpisodes, UnknownEpisodes, cut
 
 TASK = load_track("track_1").tasks["peg-insertion"]
 COUNT = len(TASK.episodes)
 NUMBERS = st.sets(st.integers(1, COUNT), min_size=1)
 
 
-def numbers_in(shard: Shard) -> list[int]:
+def numbers_in(shard: ShardEpisodes) -> list[int]:
     return [episode.number for episode in shard.episodes]
 
 

@@ -16,7 +16,7 @@ from sqlalchemy import text
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Task
-from vitac.evaluator.tracks.cut import Shard
+from vitac.evaluator.tracks.cut import ShardEpisodes
 from vitac.server.accounts.shown_names import ShownNames
 from vitac.server.database.engine import Database
 from vitac.server.database.models import Submission
@@ -38,8 +38,8 @@ CLAIM = LogClaim(team=None, episodes=270, successes=270, success_rate=1.0, mean_
 def _whole_lists_are_one_shard(monkeypatch: pytest.MonkeyPatch) -> None:
     """Dozens of evaluations are made up here, of which ten shards each took most of the time."""
 
-    def uncut(task: Task) -> tuple[Shard, ...]:
-        return (Shard(index=0, episodes=task.episodes),)
+    def uncut(task: Task) -> tuple[ShardEpisodes, ...]:
+        return (ShardEpisodes(index=0, episodes=task.episodes),)
 
     monkeypatch.setattr(lifecycle, "cut", uncut)
 

@@ -12,7 +12,7 @@ import pytest
 from obstore.exceptions import GenericError
 from obstore.store import LocalStore, MemoryStore
 from service_factories import make_settings
-from vitac.server.errors import ProblemCode, ServiceError, SettingsError
+from vitac.server.errors import ProblemCode, ServiceError, ServiceSettingsError
 from vitac.server.storage import blobs as blobs_module
 from vitac.server.storage.blobs import PART_BYTES, BlobStore, StoredFileLost, make_key
 
@@ -51,7 +51,7 @@ def test_file_of_several_parts_comes_back_whole(blobs: BlobStore, tmp_path: Path
 
 @pytest.mark.parametrize("url", ["file:///no/such/folder", "s4://bucket", "folder"])
 def test_address_that_names_no_store_is_a_sentence(url: str, tmp_path: Path) -> None:
-    with pytest.raises(SettingsError) as refused:
+    with pytest.raises(ServiceSettingsError) as refused:
         BlobStore.from_settings(make_settings(state_dir=tmp_path, storage_url=url))
     assert str(refused.value).startswith(f"VITAC_STORAGE_URL is '{url}': expected s3://bucket/prefix or file:///folder")
     assert len(str(refused.value).splitlines()) == 1

@@ -7,7 +7,7 @@ import pytest
 from page_fixtures import TASK, a_submission, some_episodes
 from PIL import Image
 from vitac.server.database.states import EvaluationState
-from vitac.server.errors import SettingsError
+from vitac.server.errors import ServiceSettingsError
 from vitac.server.views.submissions import SubmissionView
 from vitac.web.sharing import preview
 from vitac.web.sharing.preview import HEIGHT, WIDTH, checked_font, draw_preview
@@ -116,5 +116,5 @@ def test_a_font_file_that_is_none_is_refused(tmp_path: Path) -> None:
     other = tmp_path / "other.ttf"
     other.write_bytes(b"no font")
     for file in (other, tmp_path, tmp_path / "missing.ttf"):
-        with pytest.raises(SettingsError, match=r"VITAC_PREVIEW_FONT is .*, expected a font file"):
+        with pytest.raises(ServiceSettingsError, match=r"VITAC_PREVIEW_FONT is .*, expected a font file"):
             checked_font(file)
