@@ -78,7 +78,7 @@ def command(
     if as_json:
         print_json({"results": results, "pairs": pairs, "episodes": _episodes(sides)})
     elif as_csv:
-        from vitac.web.pages.files.formats import csv_text
+        from vitac.server.csv_text import csv_text
 
         print(csv_text([tuple(pairs[0]), *(tuple(row.values()) for row in pairs)]), end="")
     elif as_latex:

@@ -161,11 +161,3 @@ def clean_text(text: str, *, what: str) -> str:
             f"{what} has 2 to {TEXT_LENGTH} printable characters; got {len(kept)}: {kept[:60]!r}.",
         )
     return kept
-
-
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
-
-
-def spreadsheet_text(text: str) -> str:
-    """Return a text for a cell of a CSV file: one that a spreadsheet would run as a formula gets an apostrophe."""
-    return f"'{text}" if text.startswith(_FORMULA) else text

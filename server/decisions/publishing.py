@@ -1,7 +1,5 @@
 """The results of a competition as files: JSON and CSV for programs, pages to print, a certificate for each winner."""
 
-import csv
-import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -14,11 +12,11 @@ from vitac.envs.errors import VitacError
 from ..competitions.competition import Competition
 from ..competitions.definition import CompetitionDefinition
 from ..competitions.view import competition_view, disqualified_since_the_end
+from ..csv_text import csv_text
 from ..errors import ProblemCode, ServiceError
-from ..names import spreadsheet_text
 from ..transparency.log import ensure_key
 from ..views.competition import ArchiveView
-from ..views.leaderboards import LeaderboardView
+from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
 from .finishing import Winner, find_last_decision, make_boards, winners
 
 _COLUMNS = (
@@ -143,25 +141,15 @@ def _json(
 
 
 def _csv(boards: Sequence[LeaderboardView]) -> str:
-    stream = io.StringIO()
-    rows = csv.writer(stream)
-    rows.writerow([*_COLUMNS, *_MORE])
-    for board in boards:
-        for entry in board.entries:
-            first, last = entry.rank_range or (None, None)
-            cells = [
-                board.track,
-                board.stage,
-                entry.rank,
-                first,
-                last,
-                spreadsheet_text(entry.team),
-                entry.success_rate,
-            ]
-            cells += [*entry.success_rate_interval, entry.mean_steps, str(entry.submission_id)]
-            cells += [entry.submitted_at.isoformat(), entry.list_kind, entry.result_hash, entry.evaluator_version]
-            rows.writerow(cells)
-    return stream.getvalue()
+    return csv_text([(*_COLUMNS, *_MORE), *(_row(board, entry) for board in boards for entry in board.entries)])
+
+
+def _row(board: LeaderboardView, entry: LeaderboardEntryView) -> list[object]:
+    return [
+        *(board.track, board.stage, entry.rank, *(entry.rank_range or (None, None)), entry.team, entry.success_rate),
+        *(*entry.success_rate_interval, entry.mean_steps, str(entry.submission_id), entry.submitted_at.isoformat()),
+        *(entry.list_kind, entry.result_hash, entry.evaluator_version),
+    ]
 
 
 def _page(

@@ -1,6 +1,5 @@
 """All submissions of a stage as one zip, which is sent while it is written; for organizers who look at the code."""
 
-import csv
 import io
 import re
 import zipfile
@@ -12,8 +11,8 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session, joinedload
 
 from ..competitions.stages import Stage
+from ..csv_text import csv_text
 from ..database.models import Submission
-from ..names import spreadsheet_text
 from ..principals import Principal
 from ..storage.blobs import BlobStore, StoredFileLost
 
@@ -83,11 +82,7 @@ def stream_zip(blobs: BlobStore, files: Sequence[StageFile]) -> Iterator[bytes]:
 
 
 def _write_index(files: Sequence[StageFile]) -> str:
-    stream = io.StringIO()
-    rows = csv.writer(stream)
-    rows.writerow(_COLUMNS)
-    rows.writerows([spreadsheet_text(str(getattr(file, name))) for name in _COLUMNS] for file in files)
-    return stream.getvalue()
+    return csv_text([_COLUMNS, *([str(getattr(file, name)) for name in _COLUMNS] for file in files)])
 
 
 class _Sink(io.RawIOBase):

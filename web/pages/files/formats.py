@@ -1,14 +1,10 @@
 """Tables as files: CSV with a row of names first, JSON with an object for each row. Called by the modules beside it."""
 
-import csv
-import io
 from collections.abc import Iterable, Sequence
 from enum import StrEnum
 
 from starlette.responses import JSONResponse, Response
-
-FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
-"""How a text begins that a spreadsheet would run."""
+from vitac.server.csv_text import csv_text
 
 
 class TableFormat(StrEnum):
@@ -42,23 +38,8 @@ def objects(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> list[di
     return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
-def csv_text(rows: Iterable[Sequence[object]]) -> str:
-    """Return rows as CSV; texts that a spreadsheet would run as a formula get an apostrophe in front."""
-    text = io.StringIO()
-    csv.writer(text).writerows([_safe(cell) for cell in row] for row in rows)
-    return text.getvalue()
-
-
 def attached(answer: Response, name: str) -> Response:
     """Return an answer that browsers store under a name; nobody keeps a copy on the way."""
     answer.headers["Content-Disposition"] = f'attachment; filename="{name}"'
     answer.headers["Cache-Control"] = "no-store"
     return answer
-
-
-def _safe(cell: object) -> object:
-    return f"'{cell}" if isinstance(cell, str) and cell.startswith(FORMULA_STARTS) and not _is_numbers(cell) else cell
-
-
-def _is_numbers(text: str) -> bool:
-    return all(part.lstrip("-").replace(".", "", 1).isdecimal() for part in text.split(" "))

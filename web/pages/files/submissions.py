@@ -8,6 +8,7 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from vitac.evaluator.episodes.records import ContactForces
 from vitac.evaluator.tracks import load_track
+from vitac.server.csv_text import csv_text
 from vitac.server.principals import Principal
 from vitac.server.submissions.listing import list_submissions
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
@@ -16,7 +17,7 @@ from vitac.server.views.submissions import SubmissionListView, SubmissionView
 from ...site import Page, Site, get_principal, get_site, get_viewer, open_to_all, require_viewer
 from ..addresses import as_id
 from ..submission_detail import SubmissionDetail, read_detail
-from .formats import TableFormat, attached, csv_text, table_file
+from .formats import TableFormat, attached, table_file
 
 Rows = Iterable[tuple[object, ...]]
 SCORE_COLUMNS = (
