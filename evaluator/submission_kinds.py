@@ -1,6 +1,6 @@
 """The kinds of submission: what a track may accept, how a file of each is recognised, and how it is processed.
 
-A new kind is a member here, a runner in `shards.execution` and an entry in `server.uploads.kinds`.
+A new kind is a member here, a runner in `shards.execution` and an entry in `server.submissions.kinds`.
 """
 
 from collections.abc import Mapping
