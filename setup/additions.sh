@@ -67,8 +67,7 @@ install_addition() { # name
   : >"$log"
   case $1 in maniskill | torch) install_torch "$1" ;; esac
   heading="installing $(addition_title "$1")"
-  logged "$heading" "$(grep -c '==' "$lock")" 'Collecting ' \
-    pip install --require-hashes --only-binary :all: --no-deps -r "$lock" || fail_setup "$heading" "$(addition_mib "$1")"
+  logged "$heading" "$(grep -c '==' "$lock")" 'Collecting ' install_lock "$lock" || fail_setup "$heading" "$(addition_mib "$1")"
   addition_fingerprint "$1" >"$root/.venv/vitac-$1"
   end_steps "$(addition_title "$1") is ready"
 }

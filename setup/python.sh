@@ -91,6 +91,24 @@ pip() {
   "$venv/bin/python" -I -m pip --disable-pip-version-check --no-input "$@"
 }
 
+# Installs the packages of a lock. Four processes fetch and unpack a part each, which their exact versions without
+# dependencies allow; then all cores compile them.
+install_lock() { # file
+  parts=$root/.system/parts
+  rm -rf "$parts"
+  mkdir -p "$parts"
+  awk -v file="$parts/${1##*/}" '/^[^ #]/ { part = count++ % 4 } count { print > (file "." part) }' "$1"
+  children=''
+  for part in "$parts"/*; do
+    pip install --no-compile --require-hashes --only-binary :all: --no-deps -r "$part" &
+    children="$children $!"
+  done
+  result=0
+  for child in $children; do wait "$child" || result=1; done
+  "$venv/bin/python" -I -m compileall -qq -j 0 "$venv"/lib/python3*/site-packages || true # some hold files for no Python
+  return "$result"
+}
+
 # Symlinks `.dev/vitac/<folder>`, so that type checkers find `vitac.<folder>`.
 link_packages() {
   mkdir -p "$root/.dev/vitac"
@@ -123,8 +141,7 @@ install_python() { # profile
   for part in $(echo "$1" | tr + ' '); do
     lock=$root/requirements/$part.lock
     what="installing Python packages"
-    logged "$what, once, one or two minutes" "$(grep -c '==' "$lock")" 'Collecting ' \
-      pip install --require-hashes --only-binary :all: --no-deps -r "$lock" || fail_packages "$what"
+    logged "$what, once, about a minute" "$(grep -c '==' "$lock")" 'Collecting ' install_lock "$lock" || fail_packages "$what"
   done
   logged "installing ViTac Arena" '' '' \
     pip install --no-index --no-deps --no-build-isolation -e "$root" || fail_packages "installing ViTac Arena"
