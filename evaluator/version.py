@@ -62,13 +62,14 @@ def sources_hash(package: str) -> str:
     return digest.hexdigest()
 
 
-PLATFORM_CLASSES = frozenset({"aarch64-linux", "x86_64-linux"})
-"""Platform classes of logs whose states may differ from ours: the sandbox, and so an evaluation, needs Linux."""
+_ALIKE = frozenset({"aarch64", "amd64", "arm64", "x86_64"})
+"""Architectures whose states are equal to the last bit (docs/determinism.md, "Another architecture")."""
 
 
 def platform_class() -> str:
-    """Return the machines of one class give the same states to the last bit, e.g. `x86_64-linux`."""
-    return f"{platform.machine().lower()}-{platform.system().lower()}"
+    """Return the class of this machine, `ieee754-linux` almost always: those of one class give equal states."""
+    machine = platform.machine().lower()
+    return f"{'ieee754' if machine in _ALIKE else machine}-{platform.system().lower()}"
 
 
 def _add_sources(digest: "hashlib._Hash", package: str) -> None:

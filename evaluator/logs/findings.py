@@ -9,7 +9,6 @@ from pydantic import JsonValue
 
 from ..episodes.records import SampledPicture
 from ..strict_model import StrictModel
-from ..tracks import Task
 
 _LONGEST_TEXT = 100
 
@@ -115,10 +114,8 @@ class LogFinding(StrictModel):
         return cls(verdict=VerificationResult.IMPOSSIBLE, reason=impossibility.message, impossibility=impossibility)
 
 
-def explain_tolerated(task: Task, made_on: str) -> str:
-    """Return why a log is accepted whose states differ: its task does not repeat, or it was made on another class."""
-    why = f"made on {made_on}" if task.definition.repeats else "the environment does not repeat to the last bit"
-    return f"{why}; all outcomes are equal"
+WHY_TOLERATED = "the environment does not repeat to the last bit; all outcomes are equal"
+"""Why a log is accepted whose states differ."""
 
 
 def _named(picture: SampledPicture | None) -> str:

@@ -13,9 +13,8 @@ from ..episodes.replay import Resimulated, resimulate
 from ..scoring.score import Score, score
 from ..strict_model import StrictModel
 from ..tracks import Task, Track
-from ..version import PLATFORM_CLASSES
 from .checks import explain_impossible, must_agree
-from .findings import Divergence, LogFinding, OtherPicture, VerificationResult, comparable, explain_tolerated
+from .findings import WHY_TOLERATED, Divergence, LogFinding, OtherPicture, VerificationResult, comparable
 from .log import LogHeader
 from .recordings import make_recording
 
@@ -85,7 +84,7 @@ def verify(
     played: list[EpisodeRecord] = []
     first: Divergence | None = None
     for record in records:
-        checked = check_episode(env, task, manifest, header, record)
+        checked = check_episode(env, task, record)
         first = first or checked.divergence
         if checked.finding:
             return _refuse(manifest, checked.finding)
@@ -93,31 +92,25 @@ def verify(
         on_episode(played[-1])
     return Verification(
         verdict=VerificationResult.WITHIN_TOLERANCE if first else VerificationResult.VERIFIED,
-        reason=explain_tolerated(task, header.manifest.platform_class) if first else "all states are equal",
+        reason=WHY_TOLERATED if first else "all states are equal",
         manifest=manifest,
         divergence=first,
         records=tuple(played),
     )
 
 
-def check_episode(
-    env: Environment, task: Task, manifest: Manifest, header: LogHeader, record: EpisodeRecord
-) -> CheckedEpisode:
+def check_episode(env: Environment, task: Task, record: EpisodeRecord) -> CheckedEpisode:
     """Re-simulate one record of a log.
 
     Args:
         env: the task's environment.
         task: task of the log.
-        manifest: provenance of the re-simulation.
-        header: header of the log.
         record: a record that `explain_impossible_record` accepts.
     """
     recording = make_recording(record, task)
     played = resimulate(env, recording.episode, recording.actions)
     divergence = find_divergence(record, played)
-    # Of an invented class nothing is tolerated: anybody may write one.
-    other_platform = header.manifest.platform_class in PLATFORM_CLASSES - {manifest.platform_class}
-    tolerant = other_platform or not task.definition.repeats
+    tolerant = not task.definition.repeats
     ended_as_recorded = _ended_as_recorded(record, played)
     if tolerant and not ended_as_recorded:
         divergence = _make_divergence(min(record.env_steps, played.end_step or record.env_steps), record, played)

@@ -86,7 +86,7 @@ def resimulate_log(part: LogShard, on_episode: Callable[[EpisodeRecord], None]) 
     """
     env = part.make_env(part.task, None, ())
     manifest = make_manifest(part.track, part.task, env)
-    finding = _explain_impossible(part, manifest) or _first_divergence(part, env, manifest, on_episode)
+    finding = _explain_impossible(part, manifest) or _first_divergence(part, env, on_episode)
     return part.result(manifest, finding)
 
 
@@ -99,14 +99,14 @@ def _explain_impossible(part: LogShard, manifest: Manifest) -> LogFinding | None
 
 
 def _first_divergence(
-    part: LogShard, env: Environment, manifest: Manifest, on_episode: Callable[[EpisodeRecord], None]
+    part: LogShard, env: Environment, on_episode: Callable[[EpisodeRecord], None]
 ) -> LogFinding | None:
     with open_log(part.log) as stream:
         reader = LogReader(stream)
         for record in reader.records():
             if record.episode not in part.numbers:
                 continue
-            checked = check_episode(env, part.task, manifest, reader.header, record)
+            checked = check_episode(env, part.task, record)
             if checked.finding:
                 return checked.finding
             on_episode(checked.record)

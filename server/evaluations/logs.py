@@ -10,7 +10,7 @@ from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest, result_hash
-from vitac.evaluator.logs.findings import LogFinding, VerificationResult, explain_tolerated
+from vitac.evaluator.logs.findings import WHY_TOLERATED, LogFinding, VerificationResult
 from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.evaluator.logs.text_2025 import WHY_RATES_DIFFER, TextLogSummary
 from vitac.evaluator.scoring.score import score
@@ -21,7 +21,6 @@ from ..database.models import Evaluation, Shard, Submission
 from ..database.states import EvaluationState
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
-from ..tracks import known_task
 from ..views.receipts import DivergenceView, LogView
 from ..visibility import require_episodes, visible
 from .episode_store import EpisodeKey, read_stored_records
@@ -95,7 +94,7 @@ def log_view(submission: Submission, evaluation: Evaluation, finding: LogFinding
     return LogView(
         label=submission.kind.form.worth,
         verdict=verdict,
-        reason=finding.reason if finding else _reason(verdict, claim, submission),
+        reason=finding.reason if finding else _reason(verdict, submission),
         divergence=DivergenceView(**divergence.model_dump()) if divergence else None,
         claimed_episodes=claim.episodes,
         claimed_successes=claim.successes,
@@ -130,7 +129,7 @@ def read_verification(claim: LogClaim, evaluation: Evaluation) -> VerificationRe
     """Return the verdict on one of our logs whose evaluation is completed, so that nothing was found against it.
 
     The result hash covers every state: where it is the log's own, no state differs. An evaluation with another one is
-    only completed where the log was made on another platform class and all its episodes end as it says.
+    only completed where the task does not repeat to the last bit and all episodes of the log end as it says.
     """
     return (
         VerificationResult.VERIFIED
@@ -139,15 +138,12 @@ def read_verification(claim: LogClaim, evaluation: Evaluation) -> VerificationRe
     )
 
 
-def _reason(verdict: VerificationResult | None, claim: LogClaim, submission: Submission) -> str | None:
+def _reason(verdict: VerificationResult | None, submission: Submission) -> str | None:
     if not submission.kind.form.is_verified:
         return WHY_RATES_DIFFER
     if verdict is VerificationResult.VERIFIED:
         return "all states are equal"
-    if verdict is VerificationResult.WITHIN_TOLERANCE and claim.manifest:
-        task = known_task(submission.track, submission.tasks[0])
-        return explain_tolerated(task, claim.manifest.platform_class) if task else None
-    return None
+    return WHY_TOLERATED if verdict is VerificationResult.WITHIN_TOLERANCE else None
 
 
 def export_log(session: Session, by: Principal, submission_id: UUID, task: str | None) -> bytes:

@@ -18,7 +18,6 @@ from uuid import UUID
 import numpy as np
 from vitac.envs.errors import VitacError
 from vitac.evaluator.episodes.episode import Environment, make_environment
-from vitac.evaluator.episodes.provenance import make_manifest
 from vitac.evaluator.episodes.records import EpisodeRecord, result_hash
 from vitac.evaluator.logs.checks import explain_impossible, known_without_running
 from vitac.evaluator.logs.log import LogHeader, LogReader, LogRejected
@@ -380,15 +379,14 @@ def _resimulate_log(
     found: Audit,
     on_episode: Callable[[SampledEpisode], None],
 ) -> None:
-    header, records = _read(reader, log.evaluation, log.task)
+    _, records = _read(reader, log.evaluation, log.task)
     task = log.track.tasks[log.task]
     env = _environment(reader, log, found)
     if env is None:
         return
-    manifest = make_manifest(log.track, task, env)
     for record in (record for record in records if record.episode in numbers):
         sampled = SampledEpisode(evaluation=log.evaluation, task=log.task, episode=record.episode)
-        checked = check_episode(env, task, manifest, header, record)
+        checked = check_episode(env, task, record)
         if checked.finding:
             found.findings.append(
                 f"Evaluation {log.evaluation}, {log.task}, episode {record.episode}: {checked.finding.reason}"

@@ -1,3 +1,4 @@
+import platform
 import shutil
 import subprocess
 import sys
@@ -17,8 +18,21 @@ def test_version_names_release_and_hash() -> None:
     assert version.evaluator_version() == f"{version.EVALUATOR_RELEASE}+{version.evaluator_hash()[:12]}"
 
 
-def test_platform_class_names_architecture_and_system() -> None:
-    assert version.platform_class() == f"{__import__('platform').machine().lower()}-{sys.platform}"
+@pytest.mark.parametrize(
+    ("machine", "expected"),
+    [
+        ("x86_64", "ieee754-linux"),
+        ("aarch64", "ieee754-linux"),
+        ("AMD64", "ieee754-linux"),
+        ("riscv64", "riscv64-linux"),
+    ],
+)
+def test_architectures_that_give_the_same_bits_are_of_one_class(
+    monkeypatch: pytest.MonkeyPatch, machine: str, expected: str
+) -> None:
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+    monkeypatch.setattr(platform, "system", lambda: "Linux")
+    assert version.platform_class() == expected
 
 
 def test_hash_needs_no_simulation_libraries() -> None:
