@@ -45,6 +45,15 @@ class Quantity:
         return self.meaning if self.unit == "1" else f"{self.meaning} [{self.unit}]"
 
 
+def symmetric(
+    *, name: str, unit: str, meaning: str, largest: float, apply: Callable[[Any, float], Any] | None = None
+) -> Quantity:
+    """Return a quantity that may differ from 0, its value in 2025, by as much to either side."""
+    return Quantity(
+        name=name, unit=unit, meaning=meaning, range=(-largest, largest), nominal=0.0, apply=apply, two_sided=True
+    )
+
+
 def setting(path: str, scale: float = 1.0) -> Callable[[Any, float], Any]:
     """Return what puts a value, times a scale, in the place of a setting such as `physics.youngs_modulus_pa`."""
     group, _, name = path.rpartition(".")
@@ -155,22 +164,18 @@ TOUCH_QUANTITIES = (
         nominal=0.01,
         apply=setting("markers.loss_probability"),
     ),
-    Quantity(
+    symmetric(
         name="drift_u_px_s",
         unit="px/s",
         meaning="Drift of both sensors' pictures along u",
-        range=(-20.0, 20.0),
-        nominal=0.0,
-        two_sided=True,
+        largest=20.0,
         apply=setting("markers.drift_u_px_s"),
     ),
-    Quantity(
+    symmetric(
         name="drift_v_px_s",
         unit="px/s",
         meaning="Drift of both sensors' pictures along v",
-        range=(-20.0, 20.0),
-        nominal=0.0,
-        two_sided=True,
+        largest=20.0,
         apply=setting("markers.drift_v_px_s"),
     ),
     Quantity(

@@ -20,7 +20,7 @@ from ..insertion.interface import (
     relative_motion,
     section_from_above,
 )
-from ..quantities import Quantity, setting
+from ..quantities import Quantity, setting, symmetric
 
 
 class HasDirection(Protocol):
@@ -41,22 +41,18 @@ GT_DIRECTION: Observable[HasDirection] = Observable(
 )
 
 LOOK_QUANTITIES = (
-    Quantity(
+    symmetric(
         name="peg_hue_deg",
         unit="degree",
         meaning="Turn of the peg's hue",
-        range=(-180.0, 180.0),
-        nominal=0.0,
-        two_sided=True,
+        largest=180.0,
         apply=setting("look.peg_hue_deg"),
     ),
-    Quantity(
+    symmetric(
         name="base_hue_deg",
         unit="degree",
         meaning="Turn of the base's hue",
-        range=(-180.0, 180.0),
-        nominal=0.0,
-        two_sided=True,
+        largest=180.0,
         apply=setting("look.base_hue_deg"),
     ),
     Quantity(
@@ -67,13 +63,11 @@ LOOK_QUANTITIES = (
         nominal=1.0,
         apply=setting("look.brightness"),
     ),
-    Quantity(
+    symmetric(
         name="light_deg",
         unit="degree",
         meaning="Turn of the light about the vertical",
-        range=(-180.0, 180.0),
-        nominal=0.0,
-        two_sided=True,
+        largest=180.0,
         apply=setting("look.light_deg"),
     ),
     Quantity(
@@ -94,30 +88,9 @@ CAMERA_QUANTITIES = PICTURE_DELAY, CAMERA_X, CAMERA_Z, CAMERA_TURN = (
         range=(0.0, 1.0),
         nominal=0.0,
     ),
-    Quantity(
-        name="camera_x_mm",
-        unit="mm",
-        meaning="Offset of the cameras along x",
-        range=(-20.0, 20.0),
-        nominal=0.0,
-        two_sided=True,
-    ),
-    Quantity(
-        name="camera_z_mm",
-        unit="mm",
-        meaning="Offset of the cameras in height",
-        range=(-20.0, 20.0),
-        nominal=0.0,
-        two_sided=True,
-    ),
-    Quantity(
-        name="camera_turn_deg",
-        unit="degree",
-        meaning="Turn of the cameras about y",
-        range=(-3.0, 3.0),
-        nominal=0.0,
-        two_sided=True,
-    ),
+    symmetric(name="camera_x_mm", unit="mm", meaning="Offset of the cameras along x", largest=20.0),
+    symmetric(name="camera_z_mm", unit="mm", meaning="Offset of the cameras in height", largest=20.0),
+    symmetric(name="camera_turn_deg", unit="degree", meaning="Turn of the cameras about y", largest=3.0),
 )
 
 TASK = TaskDefinition(

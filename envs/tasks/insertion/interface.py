@@ -13,7 +13,7 @@ from ...observable import Observable
 from ...scene.observables import marker_flow
 from ...scene.perspective import Beside, FloatArray, InfoView, Perspective, Plane, ProgressPlot, SectionView, signed
 from ..definition import ActionComponent, Measure
-from ..quantities import TOUCH_QUANTITIES, Quantity
+from ..quantities import TOUCH_QUANTITIES, Quantity, symmetric
 
 _LIMIT_TOLERANCE = 1e-5
 
@@ -81,14 +81,7 @@ PEG_HEIGHT = Measure(
 """Height of each bottom corner of the peg above the rim, measured [mm]."""
 
 _GRASP_AND_HOLE = GRIPPER_X, GRIPPER_Z, CLEARANCE = (
-    Quantity(
-        name="gripper_x_mm",
-        unit="mm",
-        meaning="Grasp beside the middle of the peg",
-        range=(-7.0, 7.0),
-        nominal=0.0,
-        two_sided=True,
-    ),
+    symmetric(name="gripper_x_mm", unit="mm", meaning="Grasp beside the middle of the peg", largest=7.0),
     Quantity(
         name="gripper_z_mm",
         unit="mm",

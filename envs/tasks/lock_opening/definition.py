@@ -12,7 +12,7 @@ from ...scene.observables import CONTACT_FORCES, MEASURED_POSE, SURFACE_POINTS, 
 from ...scene.perspective import Beside, Perspective, Plane, ProgressPlot, SectionView, signed
 from ...vision.observables import RGB_IMAGES
 from ..definition import SURFACE_DIFF, ActionComponent, Flags, InfoView, Measure, TaskDefinition, surface_moved_too_far
-from ..quantities import TOUCH_QUANTITIES, Quantity
+from ..quantities import TOUCH_QUANTITIES, Quantity, symmetric
 
 FloatArray = NDArray[np.float64]
 
@@ -68,22 +68,8 @@ RELATIVE_MOTION: Observable[HasLock] = Observable(
 )
 
 GRIP_QUANTITIES = GRIPPER_X, GRIPPER_Z = (
-    Quantity(
-        name="gripper_x_mm",
-        unit="mm",
-        meaning="Grasp beside its nominal place on the handle",
-        range=(-4.0, 4.0),
-        nominal=0.0,
-        two_sided=True,
-    ),
-    Quantity(
-        name="gripper_z_mm",
-        unit="mm",
-        meaning="Grasp above its nominal place on the handle",
-        range=(-4.0, 4.0),
-        nominal=0.0,
-        two_sided=True,
-    ),
+    symmetric(name="gripper_x_mm", unit="mm", meaning="Grasp beside its nominal place on the handle", largest=4.0),
+    symmetric(name="gripper_z_mm", unit="mm", meaning="Grasp above its nominal place on the handle", largest=4.0),
 )
 
 SLOT_CLEARANCE = Quantity(

@@ -13,7 +13,7 @@ from ..insertion.interface import (
     relative_motion,
     section_from_above,
 )
-from ..quantities import Quantity
+from ..quantities import Quantity, symmetric
 
 SUCCESS_DEPTH_MM = 0.3
 """How deep all of the peg's lower end must be below the rim."""
@@ -26,29 +26,12 @@ FORM_QUANTITIES = PEG_WIDTH, PEG_TAPER, PEG_BULGE, PEG_SLANT = (
         range=(0.5, 1.4),
         nominal=1.0,
     ),
-    Quantity(
-        name="peg_taper",
-        unit="1",
-        meaning="Taper of the peg beyond that of its shape",
-        range=(-0.3, 0.3),
-        nominal=0.0,
-        two_sided=True,
+    symmetric(name="peg_taper", unit="1", meaning="Taper of the peg beyond that of its shape", largest=0.3),
+    symmetric(
+        name="peg_bulge", unit="1", meaning="Width of the peg's middle third beyond that of its shape", largest=0.3
     ),
-    Quantity(
-        name="peg_bulge",
-        unit="1",
-        meaning="Width of the peg's middle third beyond that of its shape",
-        range=(-0.3, 0.3),
-        nominal=0.0,
-        two_sided=True,
-    ),
-    Quantity(
-        name="peg_slant_mm",
-        unit="mm",
-        meaning="Slant of the peg from one gripped face to the other",
-        range=(-4.0, 4.0),
-        nominal=0.0,
-        two_sided=True,
+    symmetric(
+        name="peg_slant_mm", unit="mm", meaning="Slant of the peg from one gripped face to the other", largest=4.0
     ),
 )
 """What peg and hole are made by, beside the clearance."""
