@@ -329,7 +329,7 @@ def page(
 def _find_concerned(
     request: Request, competitions: Sequence[CompetitionSummaryView], values: Mapping[str, Any]
 ) -> Sequence[CompetitionSummaryView]:
-    """Return the competitions that a page is about: its own, that of its submission or track, or all of the service."""
+    """Return the competitions that a page is about: its own, that of its submission or track, or the only one."""
     address = request.path_params
     if f"{request.url.path}/".startswith(f"{COMPETITION}/"):
         return competitions[:1]
@@ -339,7 +339,7 @@ def _find_concerned(
         return [one for one in competitions if one.name == getattr(values.get("submission"), "competition", None)]
     if "track" in address:
         return [one for one in competitions if address["track"] in one.tracks][:1]
-    return competitions
+    return competitions if len(competitions) == 1 or request.url.path in {"/", "/competitions"} else ()
 
 
 def navigation(

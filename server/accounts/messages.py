@@ -68,6 +68,19 @@ def publish_announcement(
     return made
 
 
+def find_receiver(session: Session, by: Principal, team_id: UUID) -> Team:
+    """Return a team to which an organizer may send a message.
+
+    Raises:
+        ServiceError: there is none, or it has no submission to the only competition of the organizer.
+    """
+    team, submissions = session.get(Team, team_id), select(Submission.id).where(Submission.team_id == team_id)
+    submitted = submissions.where(Submission.competition == by.competition).limit(1)
+    if team is None or not (by.organizes_service or session.scalar(submitted)):
+        raise not_found("team", team_id)
+    return team
+
+
 def _find_receivers(session: Session, made: Announcement) -> Collection[UUID]:
     if made.team_id is not None:
         return [made.team_id]

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.orm import Session
 
 from ..accounts import members, merging, passwords, quotas, teams, tokens, webhooks
-from ..accounts.messages import TITLE_LENGTH, make_announcement_view, publish_announcement
+from ..accounts.messages import TITLE_LENGTH, find_receiver, make_announcement_view, publish_announcement
 from ..accounts.passwords import MAX_LENGTH, MIN_LENGTH
 from ..accounts.shown_names import ShownNames
 from ..accounts.team_lists import change_note
@@ -38,6 +38,7 @@ from .access import (
     MAX_NUMBER,
     CaptainOf,
     ChangingServicesOf,
+    CompetitionOrganizerOf,
     OrganizerOf,
     OwnerOf,
     ServicesOf,
@@ -203,11 +204,14 @@ def put_note(services: ChangingServicesOf, principal: OrganizerOf, team_id: UUID
 
 @router.post("/{team_id}/messages", status_code=HTTPStatus.CREATED)
 def post_message(
-    services: ChangingServicesOf, principal: OrganizerOf, team_id: UUID, new: NewMessage
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, team_id: UUID, new: NewMessage
 ) -> AnnouncementView:
-    """Send a message to one team: its members read it on the page of announcements, and get it as a notice."""
+    """Send a message to one team: its members read it on the page of announcements, and get it as a notice.
+
+    An organizer of one competition reaches the teams with a submission to it, by their ids.
+    """
     with services.database.transaction() as session:
-        team = _team(session, principal, team_id)
+        team = find_receiver(session, principal, team_id)
         return make_announcement_view(
             publish_announcement(session, principal, **new.model_dump(), notify=True, team=team)
         )

@@ -17,6 +17,7 @@ from vitac.web.site import (
     SignInNeeded,
     Site,
     Viewer,
+    _find_concerned,
     get_principal,
     navigation,
     open_to_all,
@@ -128,3 +129,19 @@ def test_links_lead_to_the_public_address_or_to_this_machine_whatever_host_the_r
          "query_string": b"", "server": ("127.0.0.1", 81)}
     )  # fmt: skip
     assert Site.address(cast(Site, SimpleNamespace(public_url=public_url)), asked) == address
+
+
+@pytest.mark.parametrize(
+    ("path", "n_competitions", "n_concerned"),
+    [
+        ("/", 2, 2),
+        ("/competitions", 2, 2),
+        ("/submissions/upload", 1, 1),
+        ("/submissions/upload", 2, 0),
+        ("/desk", 2, 0),
+    ],
+)
+def test_a_page_of_no_competition_warns_of_the_only_one(path: str, n_competitions: int, n_concerned: int) -> None:
+    request: Any = SimpleNamespace(path_params={}, url=SimpleNamespace(path=path))
+    competitions: Any = [SimpleNamespace(name=f"cup-{number}") for number in range(n_competitions)]
+    assert len(_find_concerned(request, competitions, {})) == n_concerned

@@ -68,7 +68,14 @@ AUDIENCES = {
     Audience.ORGANIZERS: frozenset({Who.ORGANIZER}),
 }
 """Who is meant by what a route declares, of a thing of the team OWNER; all others get 401, 403 or 404."""
-OF_NO_COMPETITION = ("{submission_id}", "{announcement_id}", "{appeal_id}", "{rejudgement_id}", "/judging/conflicts")
+OF_NO_COMPETITION = (
+    "{submission_id}",
+    "{announcement_id}",
+    "{appeal_id}",
+    "{rejudgement_id}",
+    "/judging/conflicts",
+    "/messages",
+)
 """Things that belong to no competition here, so that the organizer of one does not see them."""
 
 SUBMISSION = "/api/v1/submissions/{submission_id}"
@@ -354,6 +361,7 @@ BODIES: dict[tuple[str, str], Options] = {
     },
     ("put", f"{APPEAL}/ruling"): lambda *_: {"json": {"upheld": True, "text": "So."}},
     ("put", f"{SUBMISSION}/marks"): lambda _, who: {"json": {"marks": {"clarity": 5.0}, **_named(who)}},
+    ("post", f"{TEAM}/messages"): lambda *_: {"json": {"title": "Hello", "text": "Well done."}},
     ("post", "/api/v1/judging/conflicts"): lambda _, who: {
         "json": {"team": "Team A", "reason": "friends", **_named(who)}
     },

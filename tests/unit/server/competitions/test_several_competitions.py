@@ -9,6 +9,7 @@ from sqlalchemy.orm import Session
 from submission_steps import refused
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts import messages, teams, tokens
+from vitac.server.accounts.messages import find_receiver
 from vitac.server.accounts.quotas import stage_uses
 from vitac.server.competitions.applying import apply, freeze_boards
 from vitac.server.competitions.competition import Competition, choose_competition, find_stage, list_competition_choices
@@ -180,8 +181,9 @@ def test_an_organizer_of_one_competition_sees_only_what_belongs_to_it(both: Data
 
 def test_an_organizer_of_one_competition_changes_only_what_belongs_to_it(both: Database) -> None:
     with both.transaction() as session:
-        by, ants = class_organizer(session), make_principal(session, "Ants")
+        by, ants, bees = class_organizer(session), make_principal(session, "Ants"), make_principal(session, "Bees")
         made = {name: submit(session, ants, competition=name) for name in (MAIN, CLASS)}
+        submit(session, bees, "bees", competition=MAIN)
         for submission in made.values():
             complete_scored(session, submission, {TASK: make_score(50)})
         appeal = {
@@ -197,8 +199,10 @@ def test_an_organizer_of_one_competition_changes_only_what_belongs_to_it(both: D
         reveal(session, by, stages[CLASS])
         freeze_boards(session, by)
         assert Competition.find(session, CLASS).frozen_at is not None
+        assert find_receiver(session, by, teams.own(session, ants).id).name == "Ants"
 
         for not_found in (
+            lambda: find_receiver(session, by, teams.own(session, bees).id),
             lambda: appeals.rule(session, by, appeal[MAIN], "No.", upheld=False),
             lambda: disqualify(session, by, made[MAIN].id, "copied"),
             lambda: run_again(session, by, made[MAIN].id),
