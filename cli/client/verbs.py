@@ -10,7 +10,7 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import KW_ONLY, dataclass, field
 from datetime import datetime
 from functools import cache
@@ -183,6 +183,8 @@ class Door:
         Raises:
             NoTeam: the token is an organizer's or a judge's.
         """
+        with suppress(ValueError):
+            return str(UUID(named))
         if named != OWN_TEAM:
             (team,) = self.call("GET /teams", {"name": named})
             return str(team["id"])
