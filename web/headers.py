@@ -7,8 +7,9 @@ other origin. The embedded player alone may stand in frames of other sites.
 from dataclasses import dataclass
 
 from starlette.datastructures import MutableHeaders
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 from vitac.evaluator.agent.limits import Limits
+from vitac.server.api.middleware.requests import HttpMiddleware, when_answered
 
 CONTENT_SECURITY_POLICY = "; ".join(
     (
@@ -38,25 +39,20 @@ EMBEDDED = {
 """Headers of an answer that other sites may show in a frame."""
 
 
-class SecurityHeaders:
+class SecurityHeaders(HttpMiddleware):
     """ASGI middleware that adds `HEADERS` to each answer that does not set them itself."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on, and add the headers to the start of the answer."""
 
-        async def send_with_headers(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                for name, value in HEADERS.items():
-                    headers.setdefault(name, value)
-                if headers["Content-Security-Policy"] == EMBEDDED["Content-Security-Policy"]:
-                    del headers["X-Frame-Options"]
-            await send(message)
+        def add(message: Message) -> None:
+            headers = MutableHeaders(scope=message)
+            for name, value in HEADERS.items():
+                headers.setdefault(name, value)
+            if headers["Content-Security-Policy"] == EMBEDDED["Content-Security-Policy"]:
+                del headers["X-Frame-Options"]
 
-        await self.app(scope, receive, send_with_headers if scope["type"] == "http" else send)
+        await self._app(scope, receive, when_answered(send, add))
 
 
 UNITS = (("GiB", 1 << 30), ("MiB", 1 << 20), ("KiB", 1 << 10))

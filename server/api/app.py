@@ -27,7 +27,6 @@ from . import (
     judging,
     members,
     messages,
-    metrics,
     operations,
     problems,
     receipts,
@@ -136,7 +135,7 @@ def _hourly(folder: Path, limit: int) -> WindowLimiter:
 
 def _add_routes(app: FastAPI) -> None:
     app.router.routes.extend(_routes())
-    for router in (health.router, metrics.router, receipts.log_router):
+    for router in (health.router, receipts.log_router):
         app.include_router(router)
 
 

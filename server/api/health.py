@@ -1,20 +1,26 @@
-"""Routes for whoever watches over the service."""
+"""Routes for whoever watches over the service, Prometheus among them."""
 
 import asyncio
+import secrets
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Depends, Request, Response, Security
+from fastapi.concurrency import run_in_threadpool
+from fastapi.security import HTTPAuthorizationCredentials
+from prometheus_client import CONTENT_TYPE_LATEST
 from sqlalchemy.exc import DBAPIError
 
 from ..database.schema import explain_other_schema
-from ..errors import ServiceError
+from ..errors import ProblemCode, ServiceError, token_missing
+from ..operations.exposition import Exposition
+from ..principals import Audience
 from ..queue.workers import workers_alive
 from ..services import Services
 from ..views.operations import HealthView, ReadyView, WorkersView
-from .access import ServicesOf
+from .access import ServicesOf, bearer, get_optional_principal, get_services
 
 router = APIRouter(tags=["health"])
 
@@ -86,3 +92,40 @@ def _look_at_storage(services: Services) -> str:
     except ServiceError as error:
         return error.detail
     return OK
+
+
+_SCRAPES = ThreadPoolExecutor(1, "scrape")
+"""Apart from the threads that answer requests, which all wait where the database does not answer."""
+
+
+async def require_metrics_reader(
+    request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(bearer)]
+) -> None:
+    """Let the holder of VITAC_METRICS_TOKEN pass, without the database, and organizers.
+
+    Raises:
+        ServiceError: anybody else; names of hosts and how busy the service is are not for the world.
+    """
+    expected = get_services(request).settings.metrics_token
+    if expected is not None and credentials is not None:
+        given = credentials.credentials.encode()
+        if secrets.compare_digest(given, expected.get_secret_value().encode()):
+            return
+    principal = await run_in_threadpool(get_optional_principal, request, credentials)
+    if principal is None:
+        raise token_missing()
+    if not principal.organizes_service:
+        raise ServiceError(ProblemCode.FORBIDDEN, "Metrics are for organizers and the holder of VITAC_METRICS_TOKEN.")
+
+
+@router.get(
+    "/metrics",
+    dependencies=[Security(require_metrics_reader, scopes=[Audience.ORGANIZERS])],
+    response_class=Response,
+    responses={200: {"content": {"text/plain": {}}, "description": "Metrics in Prometheus' text format."}},
+)
+async def get_metrics(request: Request) -> Response:
+    """Return the state of the service and what all its processes have counted, for Prometheus."""
+    exposition: Exposition = request.app.state.exposition
+    text = await asyncio.wrap_future(_SCRAPES.submit(exposition.text))
+    return Response(text, media_type=CONTENT_TYPE_LATEST)

@@ -30,6 +30,7 @@ from ..submissions.kinds import SERVED_KINDS
 from ..submissions.pieces import CHECKSUMS, Checksum, PieceReceiver
 from ..views.submissions import SubmissionView
 from .access import OwnerOf, ServicesOf, SubmitterOf
+from .middleware.requests import HttpMiddleware, when_answered
 from .problems import RESPONSES, problem
 
 VERSION: Final = "1.0.0"
@@ -53,24 +54,23 @@ Metadata = Annotated[
 PieceChecksum = Annotated[str | None, Header(description="`sha256` or `sha1` and the piece's digest in base64.")]
 
 
-class ProtocolVersion:
+class ProtocolVersion(HttpMiddleware):
     """ASGI middleware: below a path, requests name the version that we speak, and every answer does."""
 
     def __init__(self, app: ASGIApp, prefix: str) -> None:
-        self._app = app
+        super().__init__(app)
         self._prefix = prefix
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Hand the request on, or answer 412."""
-        if scope["type"] != "http" or not f"{scope['path']}/".startswith(f"{self._prefix}/"):
+        if not f"{scope['path']}/".startswith(f"{self._prefix}/"):
             await self._app(scope, receive, send)
             return
 
-        async def send_with_version(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                MutableHeaders(scope=message)["Tus-Resumable"] = VERSION
-            await send(message)
+        def name_version(message: Message) -> None:
+            MutableHeaders(scope=message)["Tus-Resumable"] = VERSION
 
+        send_with_version = when_answered(send, name_version)
         named = Request(scope).headers.get("tus-resumable")
         if scope["method"] in {"OPTIONS", "GET"} or scope["path"].endswith("/submission") or named == VERSION:
             await self._app(scope, receive, send_with_version)

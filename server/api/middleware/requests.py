@@ -3,7 +3,8 @@
 import asyncio
 import secrets
 import time
-from collections.abc import Collection
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection
 from http import HTTPMethod
 
 import structlog
@@ -21,27 +22,45 @@ UNKNOWN = "unknown"
 _METHODS = frozenset(HTTPMethod)
 
 
-class RequestTimes:
-    """ASGI middleware. The services are those of the application at the time of the request."""
+class HttpMiddleware(ABC):
+    """ASGI middleware that leaves alone what is no HTTP request."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Hand all else on."""
+        await (self.handle if scope["type"] == "http" else self._app)(scope, receive, send)
+
+    @abstractmethod
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, or hand it on."""
+
+
+def when_answered(send: Send, change: Callable[[Message], object]) -> Send:
+    """Return what sends an answer, and changes its status and headers before."""
+
+    async def changed(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            change(message)
+        await send(message)
+
+    return changed
+
+
+class RequestTimes(HttpMiddleware):
+    """ASGI middleware. The services are those of the application at the time of the request."""
+
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Hand the request on and measure the time until its answer begins."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
         begun = time.perf_counter()
 
-        async def measured(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                services: Services = scope["app"].state.services
-                labels = (find_method(scope), find_route(scope), f"{message['status'] // 100}xx")
-                services.instruments.requests_s.labels(*labels).observe(time.perf_counter() - begun)
-            await send(message)
+        def measure(message: Message) -> None:
+            services: Services = scope["app"].state.services
+            labels = (find_method(scope), find_route(scope), f"{message['status'] // 100}xx")
+            services.instruments.requests_s.labels(*labels).observe(time.perf_counter() - begun)
 
-        await self._app(scope, receive, measured)
+        await self._app(scope, receive, when_answered(send, measure))
 
 
 def find_method(scope: Scope) -> str:
@@ -67,20 +86,20 @@ BODY_TIMEOUT_S = 30.0
 """A body that has not arrived after this time is given up, however steadily it trickles."""
 
 
-class BodyLimit:
+class BodyLimit(HttpMiddleware):
     """ASGI middleware. A body that is too large is never held in memory: it ends with 413, a slow one with 408.
 
     `unlimited` names methods and paths, or paths up to their last slash, that count for themselves.
     """
 
     def __init__(self, app: ASGIApp, unlimited: Collection[tuple[str, str]], limit_bytes: int = LIMIT_BYTES) -> None:
-        self._app = app
+        super().__init__(app)
         self._unlimited = frozenset(unlimited)
         self._limit_bytes = limit_bytes
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Hand the request on with a body that is counted while it is read."""
-        if scope["type"] != "http" or matches_route(self._unlimited, scope):
+        if matches_route(self._unlimited, scope):
             await self._app(scope, receive, send)
             return
         received, is_complete = 0, False
@@ -113,15 +132,12 @@ async def _receive_within(deadline: float, receive: Receive) -> Message:
         raise HTTPException(TOO_SLOW, explanation, {"Connection": "close"}) from None
 
 
-class RequestHead:
+class RequestHead(HttpMiddleware):
     """ASGI middleware. Bodies are left to the models that read them."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer with a problem and close the connection, or hand the request on."""
-        refusal = _refusal(scope) if scope["type"] == "http" else None
+        refusal = _refusal(scope)
         if refusal is None:
             await self._app(scope, receive, send)
         else:
@@ -140,13 +156,10 @@ def _refusal(scope: Scope) -> ServiceError | None:
     return None
 
 
-class Shutdown:
+class Shutdown(HttpMiddleware):
     """ASGI middleware. The HTTP server cancels what is not answered in time, and would say 500 for it."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Hand the request on; answer with a problem where it is cancelled before its answer has begun."""
         has_begun = False
 
@@ -158,7 +171,7 @@ class Shutdown:
         try:
             await self._app(scope, receive, noting)
         except asyncio.CancelledError:
-            if scope["type"] != "http" or has_begun:
+            if has_begun:
                 raise
             refusal = ServiceError(
                 ProblemCode.SERVICE_STOPPING,
@@ -170,47 +183,31 @@ class Shutdown:
 HEADER = b"x-request-id"
 
 
-class RequestIds:
+class RequestIds(HttpMiddleware):
     """ASGI middleware. The id is in the scope's state as `request_id`."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Hand the request on with its id."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
         request_id = secrets.token_hex(8)
         scope.setdefault("state", {})["request_id"] = request_id
 
-        async def named(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                message.setdefault("headers", []).append((HEADER, request_id.encode()))
-            await send(message)
+        def name(message: Message) -> None:
+            message.setdefault("headers", []).append((HEADER, request_id.encode()))
 
         with structlog.contextvars.bound_contextvars(request=request_id):
-            await self._app(scope, receive, named)
+            await self._app(scope, receive, when_answered(send, name))
 
 
-class RelativeRedirects:
+class RelativeRedirects(HttpMiddleware):
     """ASGI middleware. The framework redirects `/team/` to `/team` of the host that the client has named."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Hand the request on, and make a redirect to its own host a path."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
         named = f"{scope['scheme']}://{Headers(scope=scope).get('host', '')}/"
 
-        async def sent(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                if (location := headers.get("location", "")).startswith(named):
-                    headers["location"] = "/" + location.removeprefix(named).lstrip("/")
-            await send(message)
+        def shorten(message: Message) -> None:
+            headers = MutableHeaders(scope=message)
+            if (location := headers.get("location", "")).startswith(named):
+                headers["location"] = "/" + location.removeprefix(named).lstrip("/")
 
-        await self._app(scope, receive, sent)
+        await self._app(scope, receive, when_answered(send, shorten))

@@ -24,7 +24,7 @@ from ...errors import ProblemCode, ServiceError
 from ..access import get_client_address
 from ..problems import problem
 from .places import Places, SharedTime
-from .requests import matches_route
+from .requests import HttpMiddleware, matches_route
 
 logger = structlog.get_logger(__name__)
 
@@ -140,7 +140,7 @@ class _Turn:
             one.use(used_s, now_s, self._share)
 
 
-class Shares:
+class Shares(HttpMiddleware):
     """ASGI middleware.
 
     Args:
@@ -150,7 +150,7 @@ class Shares:
     """
 
     def __init__(self, app: ASGIApp, *, share: float, apart: Collection[tuple[str, str]] = ()) -> None:
-        self._app = app
+        super().__init__(app)
         self._share = share
         self._apart = frozenset(apart)
         self._time = SharedTime()
@@ -159,9 +159,9 @@ class Shares:
         self._accounts: dict[bytes, str] = {}
         self._is_warned = False
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Hand the request on when its client has a place, or refuse it."""
-        if scope["type"] != "http" or scope["path"] in _ALWAYS_ANSWERED:
+        if scope["path"] in _ALWAYS_ANSWERED:
             await self._app(scope, receive, send)
             return
         neighbours = self._client(f"at {get_client_address(HTTPConnection(scope))}")

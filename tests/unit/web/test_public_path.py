@@ -11,7 +11,7 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response, StreamingResponse
 from starlette.routing import Route
-from vitac.web.public_path import PublicPath
+from vitac.web.application import PublicPath
 
 ADDRESSES = re.compile(r"href|src|action|formaction|poster|data-[a-z-]+")
 
