@@ -10,6 +10,7 @@ import typer
 
 from .evaluate import Remote, check_player
 from .terminal.output import AsJson, note_ignored_folders, print_json
+from .terminal.own_policy import fall_back_where_nothing_isolates
 
 if TYPE_CHECKING:
     from vitac.evaluator.episodes.records import EpisodeRecord
@@ -47,6 +48,7 @@ def command(
 ) -> None:
     """Check a submission before its upload: archive rules, submission.yaml, two episodes of each task."""
     note_ignored_folders(submission)
+    fall_back_where_nothing_isolates()
     findings = check(submission, remote)
     if as_json:
         print_json({"ok": not findings.refused, **asdict(findings)})

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .terminal.output import Episodes, Workers, note_ignored_folders
+from .terminal.own_policy import fall_back_where_nothing_isolates
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -101,6 +102,7 @@ def command(
         note_ignored_folders(submission)
         rehearse_submission(submission, station, request.episodes, json=json, pictures=pictures)
         return
+    fall_back_where_nothing_isolates()
     evaluation, manifest, digest = _evaluate(request, submission)
     outputs.write(evaluation, manifest, digest)
     _print_summary(evaluation, manifest)

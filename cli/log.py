@@ -73,8 +73,10 @@ def verify(
 
     from .evaluate import parse_episodes
     from .terminal.compiling import compiling_shown
+    from .terminal.own_policy import fall_back_where_nothing_isolates
 
     header, records = _read(log)
+    fall_back_where_nothing_isolates()
     track, task = find_task(header.manifest.task)
     missing = sorted({episode.number for episode in task.episodes} - {record.episode for record in records})
     with compiling_shown():

@@ -10,3 +10,5 @@ class IsolationKind(StrEnum):
     """bubblewrap and seccomp on the machine's kernel."""
     VM = "vm"
     """A kernel of its own in each episode."""
+    NONE = "none"
+    """Nothing: for one's own policy, on a machine that cannot isolate; a service takes none such."""

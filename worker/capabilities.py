@@ -11,6 +11,7 @@ from vitac.evaluator.agent.isolation.memory_files import FILES_VARIABLE, FileIso
 from vitac.evaluator.agent.isolation.packages import installed_packages
 from vitac.evaluator.agent.self_test import PROBES, Outcome, Probe, ProbeState, has_kind
 from vitac.evaluator.agent.self_test import run as run_probes
+from vitac.evaluator.agent.verdicts import SandboxFailed
 from vitac.evaluator.isolation_kinds import IsolationKind
 from vitac.evaluator.package_sets import package_differences, shown_sets
 from vitac.evaluator.tracks import Track, list_tracks, load_track
@@ -46,7 +47,7 @@ def list_abilities(families: Collection[Family] | None = None) -> list[str]:
     pairs = [(version, family) for version in sorted(current_versions()) for family in able]
     fit = [pair for pair in pairs if name_requirement(*pair) not in unfit]
     lists = (False,) if explain_no_sealed_lists() else (False, True)
-    kinds = [kind for kind in IsolationKind if kind is IsolationKind.NAMESPACES or _has_kind(kind)]
+    kinds = [IsolationKind.NAMESPACES, *([IsolationKind.VM] if _has_kind(IsolationKind.VM) else [])]
     return [
         name_requirement(version, family, sealed=sealed, isolation=kind)
         for version, family in fit
@@ -123,7 +124,10 @@ class IsolationReport:
 
 def probe_isolation(run: RunProbes = run_probes, describe: Describe = describe_sandbox) -> IsolationReport:
     """Run the quick probes in real sandboxes; let a sound one say what a policy finds in it, and compare packages."""
-    outcomes = list(run(tuple(probe for probe in PROBES if probe.name not in SLOW_PROBES)))
+    try:
+        outcomes = list(run(tuple(probe for probe in PROBES if probe.name not in SLOW_PROBES)))
+    except SandboxFailed as error:
+        return IsolationReport(level="none", problems=(str(error),))
     problems = tuple(_sentences(outcomes))
     sandbox = None if problems else describe()
     if sandbox is not None and (different := package_differences(shown_sets(), sandbox.packages)):
@@ -145,5 +149,5 @@ def _find_level(outcomes: Iterable[Outcome]) -> str:
     if not levels:
         return "none"
     words = [f"{name.replace('_', ' ')}: {value}" for name, value in asdict(levels[0]).items()]
-    others = [f"also {kind}" for kind in IsolationKind if kind != levels[0].kind and _has_kind(kind)]
-    return ", ".join([*words, *others])
+    has_vm = levels[0].kind is IsolationKind.NAMESPACES and _has_kind(IsolationKind.VM)
+    return ", ".join([*words, *([f"also {IsolationKind.VM}"] if has_vm else [])])

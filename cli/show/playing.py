@@ -10,6 +10,7 @@ from vitac.envs.errors import VitacError
 from vitac.envs.maniskill.definition import is_maniskill
 
 from ..terminal.output import warn
+from ..terminal.own_policy import fall_back_where_nothing_isolates
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -158,6 +159,7 @@ def _policy_player(task: "Task", start: EpisodeStart, submission: Path) -> Itera
     from vitac.evaluator.submission.sources import staged
     from vitac.evaluator.tracks import find_task
 
+    fall_back_where_nothing_isolates()
     packages = find_task(task.name)[0].packages
     with staged(submission) as folder:
         manifest = load_manifest(folder)

@@ -17,7 +17,7 @@ from ..isolation_kinds import IsolationKind
 from .isolation.memory_files import FileIsolation, default_file_isolation
 from .limits import MIB, Limits
 from .probe_folder import probe_folder
-from .session import Isolation, PolicySession, default_kind
+from .session import ISOLATION_VARIABLE, Isolation, PolicySession, default_kind
 from .verdicts import PolicyFailed, SandboxFailed, VerdictCode
 
 CANARY: Final = "vitac-canary-7c1d"
@@ -300,8 +300,17 @@ return seen""",
 
 
 def run(probes: tuple[Probe, ...] = PROBES, kind: IsolationKind | None = None) -> Iterator[Outcome]:
-    """Run each probe and yield its check result; `kind` as `PolicySession` takes it."""
+    """Run each probe and yield its check result; `kind` as `PolicySession` takes it.
+
+    Raises:
+        SandboxFailed: nothing isolates, by setting.
+    """
     kind = kind or default_kind()
+    if kind is IsolationKind.NONE:
+        raise SandboxFailed(
+            f"{ISOLATION_VARIABLE} is {kind}, with which nothing keeps a policy from this machine: only your own may "
+            "run so. Leave it out, and `vitac doctor` says what is missing."
+        )
     with probe_folder() as folder:
         canary = folder / "secret" / CANARY
         canary.parent.mkdir()

@@ -122,7 +122,7 @@ class PolicySession:
         self._packages = packages
         self._kind = kind or default_kind()
         self._episodes = episode_isolation or default_episode_isolation()
-        if self._kind is IsolationKind.VM:
+        if self._kind is not IsolationKind.NAMESPACES:
             self._episodes = EpisodeIsolation.FRESH_PROCESS
         self._start_times = StartTimes(default_period_s() if episode_period_s is None else episode_period_s)
         self._exits = contextlib.ExitStack()
@@ -294,7 +294,7 @@ class PolicySession:
             raise exchange.failure(VerdictCode.CRASHED, "The policy ended right after it was loaded.") from None
 
     def _find_inside_pid(self, answer: PolicyAnswer) -> int:
-        """Return the pid inside of the process that answers; under `vm` nothing but itself knows it.
+        """Return the pid inside of the process that answers; without namespaces nothing but itself knows it.
 
         A false one is of no use to it: it explains how its process ended.
         """

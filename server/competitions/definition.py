@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 from vitac.evaluator.isolation_kinds import IsolationKind
@@ -111,7 +111,7 @@ class StageRules(StrictModel):
         description="Time from the start of an episode to that of the next [s], so that the instant at which one ends "
         "tells the next one nothing; null: as a worker is set.",
     )
-    isolation: IsolationKind | None = Field(
+    isolation: Literal[IsolationKind.NAMESPACES, IsolationKind.VM] | None = Field(
         default=None, description="What stands between policies and the machine; null: as a worker is set."
     )
 

@@ -4,7 +4,7 @@ import math
 import os
 import secrets
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
@@ -37,7 +37,7 @@ _INSTALL: Final = (
 )
 TOP_FOLDERS: Final = ("/bin", "/lib", "/lib32", "/lib64", "/libx32", "/sbin")
 """Links into /usr on most systems."""
-_ENVIRONMENT: Final = {
+ENVIRONMENT: Final = {
     "HOME": "/tmp",  # noqa: S108 - the sandbox's own tmpfs
     "LANG": "C.UTF-8",
     "PATH": "/usr/bin",
@@ -62,6 +62,8 @@ class UserIsolation(StrEnum):
     """Started by root, dropped to a real uid of its own, no user namespace."""
     USER_NAMESPACE = "user-namespace"
     """Started by a normal user, nobody inside a user namespace."""
+    NONE = "none"
+    """The same user, without a sandbox."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,8 +176,21 @@ def command(
         "--",
         *_drop_privileges(uid),
         *_process_limits(limits),
-        *runtime_command(interpreter, limits, channel=descriptors.channel, status=descriptors.status),
+        *runtime_command(
+            limits,
+            channel=descriptors.channel,
+            status=descriptors.status,
+            program=interpreter.executable,
+            packages=interpreter.packages,
+        ),
     ]
+
+
+def empty_command() -> list[str]:
+    """Return the command line of a sandbox in which nothing is done, which fails where there can be none."""
+    uid = choose_uid()
+    sandbox = [str(find_program()), *_privileges(uid), *_NAMESPACES, "--ro-bind", "/", "/"]
+    return [*sandbox, "--", *_drop_privileges(uid), "/bin/true"]
 
 
 def tool_command(
@@ -315,7 +330,7 @@ def _folders_above(interpreter: Interpreter) -> list[Path]:
 def environment(interpreter: Interpreter) -> dict[str, str]:
     """Return all environment variables inside."""
     folder = interpreter.library_folder
-    return {**_ENVIRONMENT, **({} if folder is None else {"LD_LIBRARY_PATH": str(folder)})}
+    return {**ENVIRONMENT, **({} if folder is None else {"LD_LIBRARY_PATH": str(folder)})}
 
 
 def _environment(interpreter: Interpreter) -> list[str]:
@@ -343,14 +358,31 @@ def _process_limits(limits: Limits) -> list[str]:
     ]
 
 
-def runtime_command(interpreter: Interpreter, limits: Limits, *, channel: int, status: int) -> Sequence[str]:
-    """Return the command line of the runtime, with the descriptors that it finds inside."""
+def runtime_command(
+    limits: Limits,
+    *,
+    channel: int,
+    status: int,
+    program: Path,
+    packages: Iterable[Path],
+    runtime: str = INSIDE_RUNTIME,
+    submission: str = INSIDE_SUBMISSION,
+) -> list[str]:
+    """Return the command line of the runtime.
+
+    Args:
+        limits: what the policy may use.
+        channel: descriptor of the channel.
+        status: descriptor that reports are written to.
+        program: Python.
+        packages: folders of packages.
+        runtime: file of the runtime.
+        submission: folder of the policy.
+    """
     # Not -I: it would ignore PYTHONHASHSEED. The environment holds nothing but what is set above.
     return [
-        str(interpreter.executable),
-        *("-P", "-s", "-B", "-u", INSIDE_RUNTIME),
-        *(str(channel), str(status), *_cpu_limits(limits), INSIDE_SUBMISSION),
-        *(str(folder) for folder in interpreter.packages),
+        *(str(program), "-P", "-s", "-B", "-u", runtime, str(channel), str(status), *_cpu_limits(limits), submission),
+        *map(str, packages),
     ]
 
 

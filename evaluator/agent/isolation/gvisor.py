@@ -74,7 +74,9 @@ def command(
         elif (system / folder.name).exists():
             (root / folder.name).mkdir(mode=0o755)
             binds[str(folder)] = system / folder.name
-    runtime = bubblewrap.runtime_command(interpreter, limits, channel=_CHANNEL, status=_STATUS)
+    runtime = bubblewrap.runtime_command(
+        limits, channel=_CHANNEL, status=_STATUS, program=interpreter.executable, packages=interpreter.packages
+    )
     variables = bubblewrap.environment(interpreter)
     specification = {
         "ociVersion": "1.0.0",

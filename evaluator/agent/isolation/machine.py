@@ -39,6 +39,22 @@ def requirements() -> list[Requirement]:
     return found
 
 
+def explain_no_namespaces() -> str:
+    """Return why this machine cannot isolate a policy, by isolating a program that does nothing; empty where it can."""
+    try:
+        command = bubblewrap.empty_command()
+        subprocess.run(  # noqa: S603 - the program that runs every policy
+            command, capture_output=True, text=True, check=True, timeout=_DEADLINE_S
+        )
+    except SandboxFailed as error:
+        return str(error)
+    except subprocess.CalledProcessError as error:
+        return f"bubblewrap says: {error.stderr.strip() or f'exit code {error.returncode}'}"
+    except (OSError, subprocess.SubprocessError) as error:
+        return f"bubblewrap could not be run: {error}"
+    return ""
+
+
 def user_namespaces(sysctl: Path = _SYSCTL) -> list[Requirement]:
     """Look for settings of the kernel that keep a normal user from making namespaces."""
     return [

@@ -109,7 +109,7 @@ class Interpreter:
 
 def installed_packages(declared: Iterable[PackageSet] = ()) -> PolicyPackages:
     """Return the packages that policies see here, where their track declares these sets."""
-    return find_packages(shown_sets(declared), _package_folders())
+    return find_packages(shown_sets(declared), package_folders())
 
 
 def find_interpreter(declared: Iterable[PackageSet] = ()) -> Interpreter:
@@ -130,14 +130,15 @@ def find_interpreter(declared: Iterable[PackageSet] = ()) -> Interpreter:
         masked += [INSIDE_PYTHON / folder.relative_to(prefix) for folder in _folders_below(prefix)]
     return Interpreter(
         executable=executable,
-        packages=tuple(INSIDE_PACKAGES / str(number) for number in range(len(_package_folders()))),
+        packages=tuple(INSIDE_PACKAGES / str(number) for number in range(len(package_folders()))),
         library_folder=library_folder,
         read_only_binds=(*binds, *installed_packages(declared).binds),
         masked=tuple(dict.fromkeys(masked)),
     )
 
 
-def _package_folders() -> tuple[Path, ...]:
+def package_folders() -> tuple[Path, ...]:
+    """Return where packages are installed beside this process."""
     return tuple(dict.fromkeys(Path(sysconfig.get_path(key)).resolve() for key in ("purelib", "platlib")))
 
 

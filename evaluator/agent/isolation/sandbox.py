@@ -22,7 +22,7 @@ from ...package_sets import PackageSet
 from ..limits import Limits
 from ..protocol.channel import Channel
 from ..verdicts import SandboxFailed
-from . import bubblewrap, cgroup, gvisor, packages, process_tree, seccomp
+from . import bubblewrap, cgroup, gvisor, packages, process_tree, seccomp, unisolated
 from .bubblewrap import UserIsolation
 from .cgroup import MemoryIsolation
 from .memory_files import (
@@ -95,7 +95,7 @@ class Sandbox:
         limits: what it may use.
         packages: sets of packages that its track declares.
         files: where the files lie that it sees; by default what the machine is set to.
-        kind: what stands between it and the machine; under `vm` its files lie in memory.
+        kind: what stands between it and the machine; under `vm` its files lie in memory, under `none` on the disk.
     """
 
     def __init__(
@@ -110,9 +110,8 @@ class Sandbox:
         self._submission = submission
         self._packages = packages
         self._kind = kind
-        self.file_isolation = files or default_file_isolation()
-        if kind is IsolationKind.VM:
-            self.file_isolation = FileIsolation.MEMORY
+        fixed = {IsolationKind.VM: FileIsolation.MEMORY, IsolationKind.NONE: FileIsolation.DISK}
+        self.file_isolation = fixed.get(kind) or files or default_file_isolation()
         self.limits = limits
         self._exits = contextlib.ExitStack()
         self._statuses: dict[int, int] = {}
@@ -131,7 +130,7 @@ class Sandbox:
     @property
     def user_isolation(self) -> UserIsolation:
         """The user whose rights the policy has."""
-        return bubblewrap.current_user_isolation()
+        return UserIsolation.NONE if self._kind is IsolationKind.NONE else bubblewrap.current_user_isolation()
 
     @property
     def memory_isolation(self) -> MemoryIsolation:
@@ -184,7 +183,7 @@ class Sandbox:
     def _check_readable(self) -> None:
         """Refuse a submission that the policy's user cannot read: under root the policy runs as another user."""
         mode = self._submission.stat().st_mode
-        if bubblewrap.current_user_isolation() is UserIsolation.ROOT and mode & 0o005 != 0o005:
+        if self.user_isolation is UserIsolation.ROOT and mode & 0o005 != 0o005:
             raise SandboxFailed(
                 f"The folder {self._submission} may be entered by its owner only, but the policy runs as another user; "
                 "copy the submission with `vitac.evaluator.submission.sources.stage` first."
@@ -193,7 +192,9 @@ class Sandbox:
     def _start(self) -> None:
         self._check_readable()
         extra = gvisor.EXTRA_PROCESSES if self._kind is IsolationKind.VM else 0
-        self._group = cgroup.create(replace(self.limits, processes=self.limits.processes + extra))
+        self._group = None
+        if self._kind is not IsolationKind.NONE:
+            self._group = cgroup.create(replace(self.limits, processes=self.limits.processes + extra))
         if self._group is None and self._kind is IsolationKind.VM:
             raise SandboxFailed(
                 f"Isolation {self._kind} needs a control group, which limits processes inside; run as root, or as a "
@@ -211,7 +212,11 @@ class Sandbox:
         with contextlib.ExitStack() as given_away, theirs:
             given_away.callback(os.close, output_write)
             given_away.callback(os.close, status_write)
-            start = self._start_vm if self._kind is IsolationKind.VM else self._start_bubblewrap
+            start = {
+                IsolationKind.NAMESPACES: self._start_bubblewrap,
+                IsolationKind.VM: self._start_vm,
+                IsolationKind.NONE: self._start_unisolated,
+            }[self._kind]
             read_first_pid = start(given_away, theirs.fileno(), status_write, output_write)
         self._exits.callback(self._stop, ours)
         self.channel = Channel(ours, message_bytes=self.limits.message_bytes)
@@ -251,6 +256,17 @@ class Sandbox:
             system=system,
         )
         self._process = _spawn(self._with_submission(self._in_group(command), system), channel, output, status, ())
+        return lambda: self._process.pid
+
+    def _start_unisolated(self, _: contextlib.ExitStack, channel: int, status: int, output: int) -> Callable[[], int]:
+        folder = Path(self._exits.enter_context(tempfile.TemporaryDirectory(prefix="vitac-policy-")))
+        command = unisolated.command(
+            folder, submission=self._submission, limits=self.limits, channel=channel, status=status
+        )
+        self._process = subprocess.Popen(  # noqa: S603 - the command holds paths of ours only
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, pass_fds=(channel, status),
+            env=unisolated.environment(), start_new_session=True,
+        )  # fmt: skip
         return lambda: self._process.pid
 
     def _pipe(self) -> tuple[int, int]:
@@ -332,7 +348,8 @@ class Sandbox:
             SandboxFailed: something survived.
         """
         with contextlib.suppress(ProcessLookupError, AttributeError):
-            os.kill(self.first_pid, signal.SIGKILL)
+            kill = os.killpg if self._kind is IsolationKind.NONE else os.kill  # it leads a group of its own
+            kill(self.first_pid, signal.SIGKILL)
             # bubblewrap waits for the first process and then ends. Killed before, it would leave a zombie to whoever
             # collects orphans here, and RLIMIT_NPROC counts zombies of the policy's user.
             with contextlib.suppress(subprocess.TimeoutExpired):

@@ -41,6 +41,7 @@ MESSAGE_MAX_CHARS = 2000
 DTYPES = {"u1": "u1", "u2": "<u2", "i2": "<i2", "i4": "<i4", "i8": "<i8", "f4": "<f4", "f8": "<f8", "b1": "b1"}
 BACK_PROJECTION = Path(__file__).with_name("back_projection.py")
 NAMES_SHOWN = 20
+LOADER = 2  # pid of the loader in a sandbox, and its name in reports elsewhere
 PIPE_NUMBERS = itertools.count()
 FORK_ERRORS = ("can't start new thread", "Resource temporarily unavailable")
 
@@ -270,26 +271,28 @@ def read_belief(policy: Any) -> Any:
     return None if believed is None else as_numbers(believed, "belief()")
 
 
-def run_loader(connection: Connection, submission: str) -> None:
-    """Load the policy, then continue as a copy that has only one thread."""
+def run_loader(connection: Connection, submission: str, *, alone: bool) -> None:
+    """Load the policy, then continue as a copy that has only one thread; outside of a sandbox as this process."""
     _, entry_point, _ = connection.read()
-    os.pipe, os.statvfs = open_pipe, describe_room
+    if not alone:
+        os.pipe, os.statvfs = open_pipe, describe_room
     point_cloud()  # now, so that no episode has to read it
     policy = load(entry_point, submission)
     gc.freeze()  # collections in the copies then leave what was loaded alone, which they would copy otherwise
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        pid = os.fork()
-    if pid:
-        os._exit(0)
-    connection.write("loaded", message=str(os.getpid()))
+    if not alone:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)
+            pid = os.fork()
+        if pid:
+            os._exit(0)
+    connection.write("loaded", message=str(LOADER if alone else os.getpid()))
     answer_episode(policy, connection)
 
 
-def run_policy_side(connection: Connection, submission: str) -> NoReturn:
+def run_policy_side(connection: Connection, submission: str, *, alone: bool) -> NoReturn:
     """Return everything in which code of the policy runs."""
     try:
-        run_loader(connection, submission)
+        run_loader(connection, submission, alone=alone)
     except Refused as refusal:
         flush_output()
         connection.write("failed", code=refusal.code, message=refusal.message)
@@ -309,14 +312,14 @@ def flush_output() -> None:
             continue
 
 
-def report_children(status: int) -> None:
+def report_children(status: int, loader: int) -> None:
     """Tell the evaluator how each process of the sandbox ended, until there is none left."""
     while True:
         try:
             pid, wait_status = os.wait()
         except ChildProcessError:
             return
-        os.write(status, STATUS.pack(pid, wait_status))
+        os.write(status, STATUS.pack(LOADER if pid == loader else pid, wait_status))
 
 
 def open_pipe() -> tuple[int, int]:
@@ -352,16 +355,17 @@ def main(arguments: list[str]) -> None:
     sys.argv = ["policy"]
     for first, last in list_gaps(sorted((channel, status))):
         os.closerange(first, last)
+    alone = os.getpid() != 1  # without a sandbox
     pid = os.fork()
     if pid == 0:
         os.close(status)
         resource.setrlimit(resource.RLIMIT_CPU, cpu_limits)
         faulthandler.enable()
-        run_policy_side(Connection(channel), submission)
+        run_policy_side(Connection(channel), submission, alone=alone)
     os.close(channel)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the only signal that Python gives process 1 a handler for
     os.write(status, STATUS.pack(0, 0))  # the sandbox works: from here on a failure is the policy's
-    report_children(status)
+    report_children(status, pid)
 
 
 if __name__ == "__main__":
