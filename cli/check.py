@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .evaluate import Remote, check_player
+from .evaluate import Remote, find_policy_server
 from .terminal.output import AsJson, note_ignored_folders, print_json
 from .terminal.own_policy import fall_back_where_nothing_isolates
 
@@ -77,7 +77,7 @@ def check(submission: Path, remote: str | None = None) -> Findings:
             findings.digest = submission_digest(submission)
             findings.passed.append("the files follow the archive rules")
             manifest = load_manifest(folder)
-            check_player(manifest, remote)
+            remote = find_policy_server(manifest, remote)
             findings.passed.append(f"submission.yaml is complete: {manifest.name}, {', '.join(manifest.tasks)}")
         except (ArchiveRejected, ManifestRejected) as error:
             findings.refused.append(str(error))

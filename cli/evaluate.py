@@ -2,7 +2,7 @@
 
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -28,15 +28,18 @@ Remote = Annotated[
 ]
 
 
-def check_player(manifest: "SubmissionManifest", remote: str | None) -> None:
-    """Refuse a policy server without its address, and an address without what the server speaks."""
-    if remote is not None:
-        from vitac.evaluator.remote.line import check_address
+def find_policy_server(manifest: "SubmissionManifest", remote: str | None) -> str | None:
+    """Return the address of the policy server that plays, as given or in submission.yaml; None without one."""
+    if remote is None and manifest.remote is None:
+        return None
+    from vitac.evaluator.remote.line import check_address
 
-        check_address(remote)
-        manifest.server()
-    elif manifest.remote is not None:
+    address = remote or manifest.server().address
+    if address is None:
         raise typer.BadParameter("submission.yaml has a policy server play; give its address.", param_hint="--remote")
+    check_address(address)
+    manifest.server()
+    return address
 
 
 def parse_episodes(text: str | None) -> tuple[int, ...] | None:
@@ -122,7 +125,7 @@ def _evaluate(request: "_Request", submission: Path) -> "tuple[LocalEvaluation, 
         note_ignored_folders(submission)
         with staged(submission) as folder:
             manifest = load_manifest(folder)
-            check_player(manifest, request.remote)
+            request = replace(request, remote=find_policy_server(manifest, request.remote))
             return request.evaluate(folder, manifest, host), manifest, submission_digest(submission)
 
 

@@ -19,7 +19,8 @@ class KindForm:
     content_types: tuple[str, ...]  #: how the body of an upload is announced; the first is the usual one
     suffixes: tuple[str, ...] = ()  #: how the names of its files end, without `.gz`
     is_archive: bool = False  #: a zip of a folder, which is unpacked before anything is done with it
-    runs_policy: bool = False  #: a policy of the team chooses the actions; otherwise recorded ones are re-simulated
+    runs_policy: bool = False  #: its policy runs in our sandbox, which alone may play a sealed list
+    is_remote: bool = False  #: a policy server elsewhere chooses the actions; its folder only describes it
     is_verified: bool = False  #: it claims what an evaluation of ours found, which re-simulation confirms or refutes
     is_ranked: bool = True  #: its results have places on a board
     has_own_log: bool = False  #: its evaluation can be written as a log of ours, and verified again
@@ -27,12 +28,18 @@ class KindForm:
 
 
 class SubmissionKind(StrEnum):
-    """What a team submits. Logs only make sense where the episode list is public: their makers must know the starts."""
+    """What a team submits.
+
+    Logs only make sense where the episode list is public: their makers must know the starts. A policy server sees
+    every start, so that a list which it has played is no secret any more: it plays public lists only.
+    """
 
     MODEL = "model"
     """A policy, which the service runs."""
     LOG = "log"
     """An evaluation log of ours, which is verified by re-simulation."""
+    REMOTE = "remote"
+    """A policy server elsewhere, which chooses the actions in our physics; shown apart from models."""
     TEXT_LOG = "text_log"
     """A text log of the 2025 challenge, which is shown outside the ranking."""
 
@@ -53,6 +60,13 @@ _FORMS: Mapping[SubmissionKind, KindForm] = MappingProxyType(
             is_verified=True,
             has_own_log=True,
             worth="actions verified, policy not seen",
+        ),
+        SubmissionKind.REMOTE: KindForm(
+            content_types=("application/zip",),
+            is_archive=True,
+            is_remote=True,
+            has_own_log=True,
+            worth="played in our physics, policy not seen",
         ),
         SubmissionKind.TEXT_LOG: KindForm(
             content_types=("text/plain", GZIP_TYPE), suffixes=(".log", ".txt"), is_ranked=False, worth="2025 text log"

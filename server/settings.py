@@ -127,6 +127,12 @@ class Settings(BaseSettings):
         "of this machine alone.",
     )
 
+    remote_addresses: str = Field(
+        default="",
+        description="Policy servers that workers may ask, as submissions of kind `remote` name them "
+        "(ws://policy.example.org:8000), with commas; none by default.",
+    )
+
     trusted_proxies: str = Field(
         default="",
         description="Addresses or networks (10.0.0.0/8) of the reverse proxies, with commas; X-Forwarded-For counts "
@@ -268,6 +274,11 @@ class Settings(BaseSettings):
         if url is not None and urlsplit(url.get_secret_value()).scheme not in MAIL_SCHEMES:
             raise ValueError(f"expected a scheme of {', '.join(MAIL_SCHEMES)}")
         return url
+
+    @property
+    def allowed_remote_addresses(self) -> tuple[str, ...]:
+        """The addresses of policy servers, one by one."""
+        return _parts(self.remote_addresses)
 
     @field_validator("trusted_proxies")
     @classmethod

@@ -14,6 +14,7 @@ from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice, FiguresPart
 from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
+from vitac.evaluator.submission.manifest import load_manifest
 from vitac.server.competitions.competition import find_stage
 from vitac.server.competitions.definition import StageRules
 from vitac.server.database.models import Submission
@@ -29,6 +30,7 @@ from vitac.server.storage.blobs import StoredFileLost
 from vitac.server.storage.scratch import scratch_folder
 from vitac.server.submissions.files import add_files
 from vitac.server.submissions.intake import UPLOAD_FOLDER, UploadedFile
+from vitac.server.submissions.kinds import require_allowed
 from vitac.server.submissions.sensors import (
     coefficients_digest,
     coefficients_file,
@@ -248,6 +250,7 @@ class ShardRun(LeasedRun[RunningShard]):
             coefficients=self._coefficients(),
             episode_period_s=rules.episode_period_s,
             isolation=rules.isolation,
+            remote=self._remote_address(path),
             track=self._lease.track,
             task=self._lease.task,
             evaluator_version=self._lease.evaluator_version,
@@ -258,6 +261,16 @@ class ShardRun(LeasedRun[RunningShard]):
             skip=tuple(sorted(stored.numbers)),
             earlier_failures=stored.failures,
         )
+
+    def _remote_address(self, path: Path) -> str | None:
+        """Return the address of the policy server that plays; None where the submission's own code does.
+
+        Raises:
+            ServiceError: the service may not ask it any more.
+        """
+        if not self._lease.submission_kind.form.is_remote:
+            return None
+        return require_allowed(load_manifest(path).server(), self._services.settings)
 
     def _find_rules(self, session: Session) -> StageRules:
         return find_stage(session, session.get_one(Submission, self._lease.submission_id)).rules

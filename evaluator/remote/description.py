@@ -60,6 +60,9 @@ class RemoteServer(StrictModel):
         | None,
         Field(min_length=1, max_length=64, description="What is sent, by the server's name for it; all by default."),
     ] = None
+    address: Annotated[
+        str | None, Field(max_length=300, description="Where a service asks it, such as ws://policy.example.org:8000.")
+    ] = None
     prompt: Annotated[str, Field(max_length=500, description="The task in words; the task's name by default.")] = ""
     execute: Annotated[
         int, Field(ge=1, le=1000, description="How many actions of an answer are played before the next question.")

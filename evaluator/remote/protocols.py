@@ -216,5 +216,5 @@ def _check_answer(expected: str, kind: str, seq: int, answered: object) -> None:
 def _reported(text: str) -> PolicyFailed:
     end = printable(text[-_ERROR_CHARACTERS:]).strip()
     return PolicyFailed(
-        VerdictCode.CRASHED, f"The policy server reported an error: {end.rpartition(chr(10))[2]:.300}", end
+        VerdictCode.CRASHED, f"The policy server reported an error: {end.rpartition(chr(10))[2]!r:.300}.", end
     )

@@ -271,6 +271,7 @@ RUNNERS: Mapping[SubmissionKind, Runner] = MappingProxyType(
     {
         SubmissionKind.MODEL: _run_policy,
         SubmissionKind.LOG: _run_log,
+        SubmissionKind.REMOTE: _run_policy,
         SubmissionKind.TEXT_LOG: _run_text_log,
     }
 )

@@ -1,6 +1,6 @@
-"""Logs of a track, apart from its evaluated models: verified ones ranked by task, 2025 text logs beside their claims.
+"""Logs and plays of policy servers of a track, apart from its evaluated models, and 2025 text logs beside their claims.
 
-A log proves its actions, not that a policy chose them, so it never ranks together with models.
+Both prove their actions, not what chose them, so they never rank together with models, nor with one another.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from functools import cache, partial
 from uuid import UUID
 
-from sqlalchemy import Select, bindparam, select
+from sqlalchemy import Select, bindparam, exists, select
 from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.text_2025 import WHY_RATES_DIFFER
@@ -34,7 +34,8 @@ from .standings import completed_evaluations, made_entries, unranked
 
 _WHAT_IS_RANKED = (
     "Logs are for practice: they play the public list, and give no prizes and no advancement. "
-    "Only verified logs are ranked, the best of each team, task by task, and never together with models. "
+    "Only verified logs are ranked, the best of each team, task by task, and never together with models. What a policy "
+    "server played in our physics is ranked apart from both: what chose the actions is not seen. "
     "A log is not ranked if half of its episodes or more have the states of an earlier submission of another team, "
     "half-way through or to the end."
 )
@@ -68,14 +69,18 @@ def log_boards(session: Session, stage: Stage, *, unfrozen: bool = False) -> Mad
     return _made_boards.get(key, found.revision, made, names=found.names)
 
 
+_Place = tuple[SubmissionKind, str]
+"""Kind and task of a board."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Shown:
-    """What is on the boards of a revision: the best logs by task, which of them are copies, and text logs."""
+    """What is on the boards of a revision: the best by kind and task, which of them are copies, and text logs."""
 
     stage: str
     counted: CountedResults
-    boards: Mapping[str, Board]
-    best: Mapping[str, list[BestEntry]]
+    boards: Mapping[_Place, Board]
+    best: Mapping[_Place, list[BestEntry]]
     copies: Mapping[UUID, CopyView]
     text_logs: Sequence[UUID]
     revision: str
@@ -87,14 +92,19 @@ class _Shown:
 def _found(
     session: Session, track: Track, stage: Stage, counted: CountedResults, shown_names: ShownNames, rule: str
 ) -> _Shown:
-    boards = {task: Board.from_results(stage, counted, kind=SubmissionKind.LOG, task=task) for task in track.tasks}
-    best = {task: best_entries(session, board) for task, board in boards.items()}
+    boards = {
+        (kind, task): Board.from_results(stage, counted, kind=kind, task=task)
+        for kind in track.accepts
+        if kind.form.is_verified or (kind.form.is_remote and _was_played(session, stage, kind))
+        for task in track.tasks
+    }
+    best = {place: best_entries(session, board) for place, board in boards.items()}
     until = Board.from_results(stage, counted).until
     named = {"track": stage.track, "stage": stage.name, "until": until, "at_most": MAX_TEXT_LOGS}
     text_logs = session.scalars(_newest_text_logs(), named).all()
     evaluations = [entry.evaluation_id for entries in best.values() for entry in entries]
     copies = find_copies(session, evaluations, shown_names, logs=evaluations)
-    ranked = [part for task, entries in best.items() for part in (task, *entries)]
+    ranked = [part for place, entries in best.items() for part in (place, *entries)]
     names = f"{teams.find_last_naming(session)} {shown_names.hidden}"
     revision = compute_revision(
         f"logs of {stage.track} {stage.name} {counted} {names} {rule}", [*ranked, *sorted(copies.items()), *text_logs]
@@ -113,15 +123,20 @@ def _found(
     )
 
 
+def _was_played(session: Session, stage: Stage, kind: SubmissionKind) -> bool:
+    """Return whether there is a result of a kind, most tracks having none but of models and logs."""
+    place = (BoardResult.track == stage.track, BoardResult.stage == stage.name, BoardResult.kind == kind)
+    return bool(session.scalar(select(exists().where(*place))))
+
+
 def _view(session: Session, track: Track, shown: _Shown, last: LogBoardsView | None) -> LogBoardsView:
     entry_of = partial(_entry, version=shown.counted.evaluator_version, names=shown.shown_names)
-    entries_before = {board.task: board.entries for board in last.boards} if last else {}
+    entries_before = {(board.kind, board.task): board.entries for board in last.boards} if last else {}
     return LogBoardsView(
         track=track.name,
         title=track.title,
         stage=shown.stage or None,
         final_since=shown.counted.final_since,
-        label=SubmissionKind.LOG.form.worth,
         ranking_rule=shown.ranking_rule,
         evaluator_version=shown.counted.evaluator_version,
         revision=shown.revision,
@@ -129,22 +144,25 @@ def _view(session: Session, track: Track, shown: _Shown, last: LogBoardsView | N
         boards=[
             _board(
                 shown,
-                name,
-                task.title,
-                made_entries(session, shown.best[name], entries_before.get(name, ()), entry_of),
+                place,
+                track.tasks[place[1]].title,
+                made_entries(session, entries, entries_before.get(place, ()), entry_of),
             )
-            for name, task in track.tasks.items()
+            for place, entries in shown.best.items()
         ],
         text_logs=_text_logs(session, shown, last.text_logs if last else ()),
         why_rates_differ=WHY_RATES_DIFFER,
     )
 
 
-def _board(shown: _Shown, task: str, title: str, entries: Sequence[LogEntryView]) -> LogBoardView:
+def _board(shown: _Shown, place: _Place, title: str, entries: Sequence[LogEntryView]) -> LogBoardView:
+    kind, task = place
     return LogBoardView(
+        kind=kind,
+        label=kind.form.worth,
         task=task,
         title=title,
-        unranked=unranked(entries, shown.counted, shown.boards[task]),
+        unranked=unranked(entries, shown.counted, shown.boards[place]),
         entries=[view.model_copy(update={"copy_of": shown.copies.get(view.evaluation_id)}) for view in entries],
     )
 
@@ -187,7 +205,7 @@ def _newest_text_logs() -> Select[UUID]:
 def _entry(entry: BestEntry, evaluation: Evaluation, *, version: str, names: ShownNames) -> LogEntryView:
     submission = evaluation.submission
     score = score_views(evaluation)[0]
-    claim = LogClaim.model_validate(submission.manifest)
+    is_log = submission.kind.form.is_verified
     return LogEntryView.from_row(
         score,
         rank=entry.rank,
@@ -196,7 +214,7 @@ def _entry(entry: BestEntry, evaluation: Evaluation, *, version: str, names: Sho
         evaluation_id=evaluation.id,
         submission_id=submission.id,
         submission_name=submission.name,
-        verdict=read_verification(claim, evaluation),
+        verdict=read_verification(LogClaim.model_validate(submission.manifest), evaluation) if is_log else None,
         copy_of=None,
         submitted_at=submission.submitted_at,
         success_rate=entry.ranked_by["success_rate"] or 0.0,

@@ -5,14 +5,18 @@ The one place of the uploads that distinguishes kinds; `evaluator.submission_kin
 
 import hashlib
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+from vitac.evaluator.agent.verdicts import EpisodeCut, PolicyFailed
 from vitac.evaluator.logs.findings import LogFinding
+from vitac.evaluator.remote.connection_test import test_connection
+from vitac.evaluator.remote.description import RemoteServer
+from vitac.evaluator.remote.line import AddressInvalid
 from vitac.evaluator.sensors.manifest import SensorRejected
 from vitac.evaluator.sensors.package import design_document
 from vitac.evaluator.submission.archive import unpack
@@ -21,7 +25,7 @@ from vitac.evaluator.submission.manifest import ManifestRejected, load_unpacked_
 from vitac.evaluator.submission.names import ArchiveRejected
 from vitac.evaluator.submission.sources import submission_digest
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks import Track
+from vitac.evaluator.tracks import Task, Track
 
 from ..database.models import Evaluation, Submission
 from ..database.states import FileRole
@@ -83,15 +87,11 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
         raise ServiceError(ProblemCode.ARCHIVE_REJECTED, error.message, reason=error.code.value) from error
     except ManifestRejected as error:
         raise ServiceError(ProblemCode.MANIFEST_REJECTED, str(error)) from error
-    if manifest.remote is not None:
-        raise ServiceError(
-            ProblemCode.MANIFEST_REJECTED,
-            "submission.yaml has a policy server play (`remote`), which this service does not dial: play with "
-            "`vitac evaluate --remote ADDRESS --log run.jsonl` and submit the log, or bring the policy's code.",
-        )
     track = load_known_track(manifest.track)
+    if manifest.remote is not None:
+        _ask_policy_server(manifest.remote, [track.tasks[task] for task in manifest.tasks], settings)
     return CheckedUpload(
-        kind=SubmissionKind.MODEL,
+        kind=SubmissionKind.MODEL if manifest.remote is None else SubmissionKind.REMOTE,
         track=manifest.track,
         tasks=track.list_played_tasks(manifest.tasks),
         name=manifest.name,
@@ -103,6 +103,39 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
         contents=read_contents(folder).model_dump(),
         files=(_take_document(folder),) if track.has_sensor else (),
     )
+
+
+def require_allowed(server: RemoteServer, settings: Settings) -> str:
+    """Return the address of a policy server that the service may ask.
+
+    Raises:
+        ServiceError: it has none, or another one.
+    """
+    if server.address is None or server.address not in settings.allowed_remote_addresses:
+        raise ServiceError(
+            ProblemCode.MANIFEST_REJECTED,
+            f"submission.yaml has the policy server {server.address or 'without an address'} play (`remote`); this "
+            f"service asks {', '.join(settings.allowed_remote_addresses) or 'none'}. Play with "
+            "`vitac evaluate --remote ADDRESS --log run.jsonl` and submit the log, or ask the organizers.",
+        )
+    return server.address
+
+
+def _ask_policy_server(server: RemoteServer, tasks: Sequence[Task], settings: Settings) -> None:
+    """Refuse a policy server that does not answer a blank observation of each task.
+
+    Raises:
+        ServiceError: it is not allowed, or its answer would fail an episode.
+    """
+    address = require_allowed(server, settings)
+    limits = replace(settings.limits, start_wall_s=CONNECTION_TEST_S)
+    try:
+        test_connection(address, server, tasks, limits)
+    except (AddressInvalid, PolicyFailed, EpisodeCut) as error:
+        reason = f"{error.message} {error.verdict.sentence}" if isinstance(error, PolicyFailed) else str(error)
+        raise ServiceError(
+            ProblemCode.MANIFEST_REJECTED, f"The policy server failed the test with a blank observation. {reason}"
+        ) from error
 
 
 def _take_document(folder: Path) -> UploadedFile:
@@ -139,9 +172,17 @@ class ServedKind:
     log_view: ShowLog | None = None  #: shows what a log claims and what was found about it
 
 
+CONNECTION_TEST_S = 10.0
+"""Time that a policy server has to greet, and again for its first answer, before anything is queued."""
+
 SERVED_KINDS: Mapping[SubmissionKind, ServedKind] = MappingProxyType(
     {
         SubmissionKind.MODEL: ServedKind(
+            max_bytes=lambda settings: settings.limits.archive_packed_bytes,
+            check=check_model,
+            names_track=(ProblemCode.MANIFEST_REJECTED, "submission.yaml says track"),
+        ),
+        SubmissionKind.REMOTE: ServedKind(
             max_bytes=lambda settings: settings.limits.archive_packed_bytes,
             check=check_model,
             names_track=(ProblemCode.MANIFEST_REJECTED, "submission.yaml says track"),

@@ -121,10 +121,10 @@ class LeaderboardView(View):
 
 
 class LogEntryView(RankedEntryView):
-    """Best verified log of one team for one task."""
+    """Best verified log, or best play of a policy server, of one team for one task."""
 
     rank: int | None = Field(description="Null for a copy, and where another evaluator version made it.")
-    verdict: VerificationResult
+    verdict: VerificationResult | None = Field(description="Null for what a policy server played here.")
     copy_of: CopyView | None = Field(description="Null where it is alike to no earlier one.")
     success_rate: float
     success_rate_interval: tuple[float, float]
@@ -132,8 +132,10 @@ class LogEntryView(RankedEntryView):
 
 
 class LogBoardView(View):
-    """Verified logs of one task, ranked among themselves."""
+    """Verified logs of one task, or plays of policy servers, ranked among themselves."""
 
+    kind: SubmissionKind
+    label: str = Field(description="What its scores are worth.")
     task: str
     title: str
     unranked: str | None = Field(
@@ -163,7 +165,6 @@ class LogBoardsView(View):
     final_since: datetime | None = Field(
         default=None, description="Since then the results of the competition are final; null: they are not."
     )
-    label: str
     ranking_rule: str
     evaluator_version: str
     revision: str = Field(description="Changes with the entries; the ETag of the answer.")

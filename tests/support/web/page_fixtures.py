@@ -352,13 +352,18 @@ def some_log_boards() -> LogBoardsView:
         track=track.name,
         title=track.title,
         stage=None,
-        label="actions verified, policy not seen",
         ranking_rule="Higher success rate first.",
         evaluator_version="1+0123456789ab",
         revision="c0ffee",
         generated_at=NOW,
         boards=[
-            LogBoardView(task=name, title=task.title, entries=entries if name == TASK else [])
+            LogBoardView(
+                kind=SubmissionKind.LOG,
+                label=SubmissionKind.LOG.form.worth,
+                task=name,
+                title=task.title,
+                entries=entries if name == TASK else [],
+            )
             for name, task in track.tasks.items()
         ],
         why_rates_differ="Because they do.",

@@ -9,8 +9,9 @@ def test_every_kind_is_announced_run_checked_and_shown_in_one_way(kind: Submissi
     assert kind.form.content_types
     assert kind in RUNNERS
     assert kind in SERVED_KINDS
-    # What runs no policy is a log: it says what its score is worth, and the service shows what it claims.
-    assert (SERVED_KINDS[kind].log_view is None) == kind.form.runs_policy == (kind.form.worth == "")
+    # What runs no policy here says what its score is worth; of a log the service shows what it claims.
+    assert kind.form.runs_policy == (kind.form.worth == "")
+    assert (SERVED_KINDS[kind].log_view is None) == (kind.form.runs_policy or kind.form.is_remote)
 
 
 def test_no_name_of_a_file_is_of_two_kinds() -> None:

@@ -13,7 +13,7 @@ BOARD_COLUMNS = (
     "rank", "team", "submission", "success_rate", "interval_low", "interval_high", "mean_env_steps", "successes",
     "episodes", "submitted_at", "evaluator_version", "result_hash", "peak_force_n",
 )  # fmt: skip
-LOG_COLUMNS = ("task", *BOARD_COLUMNS, "verification", "copy_of_team", "copied_episodes")
+LOG_COLUMNS = ("kind", "task", *BOARD_COLUMNS, "verification", "copy_of_team", "copied_episodes")
 TEXT_LOG_COLUMNS = (
     "team", "submission", "task", "claimed_success_rate", "success_rate", "claimed_mean_env_steps", "mean_env_steps",
     "problems", "submitted_at", "evaluator_version",
@@ -41,6 +41,7 @@ async def logs(request: Request) -> Response:
     found = await _log_boards(request, asked)
     rows = (
         (
+            board.kind,
             board.task,
             *_ranked(entry),
             entry.verdict,

@@ -203,7 +203,10 @@ async def logs(request: Request) -> Response:
 
     def read(session: Session) -> dict[str, Any]:
         found = shown_log_boards(session, by, track.name, stage=asked.stage, competition=asked.competition).view
-        shown = {board.task: paged(board.entries, section=f"logs-{board.task}") for board in found.boards}
+        shown = {
+            (board.kind, board.task): paged(board.entries, section=f"{board.kind}s-{board.task}")
+            for board in found.boards
+        }
         text_logs = paged(found.text_logs, section=TEXT_LOGS)
         listed = [entry.submission_id for board in shown.values() for entry in board.entries]
         listed += [entry.submission_id for entry in text_logs.entries]

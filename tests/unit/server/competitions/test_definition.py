@@ -160,7 +160,11 @@ def test_a_moment_may_be_written_in_every_usual_form(tmp_path: Path, written: st
         ("scored_runs: 2", "scored_runs: yes", "scored_runs: Input should be a valid integer (got: yes, which YAML"),
         ("scored_runs: 2", "scored_runs: 010", "write a number of base 10 without zeros before it (got: 010)."),
         ("title: The cup", "title: a: b", "in line 3: 'title: a: b'. Correct the file. Text with a colon"),
-        ("- model\n", "- no\n", "accepts.0: Input should be 'model', 'log' or 'text_log' (got: no, which YAML"),
+        (
+            "- model\n",
+            "- no\n",
+            "accepts.0: Input should be 'model', 'log', 'remote' or 'text_log' (got: no, which YAML",
+        ),
     ],
 )
 def test_a_wrong_value_is_shown_as_it_was_written(tmp_path: Path, line: str, written: str, said: str) -> None:
