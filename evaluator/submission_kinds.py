@@ -31,7 +31,7 @@ class SubmissionKind(StrEnum):
     """What a team submits.
 
     Logs only make sense where the episode list is public: their makers must know the starts. A policy server sees
-    every start, so that a list which it has played is no secret any more: it plays public lists only.
+    every start, so that a list which it has played is no longer secret: it plays public lists only.
     """
 
     MODEL = "model"

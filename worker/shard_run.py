@@ -266,7 +266,7 @@ class ShardRun(LeasedRun[RunningShard]):
         """Return the address of the policy server that plays; None where the submission's own code does.
 
         Raises:
-            ServiceError: the service may not ask it any more.
+            ServiceError: the service may no longer ask it.
         """
         if not self._lease.submission_kind.form.is_remote:
             return None

@@ -57,6 +57,15 @@ def test_a_row_changes_with_what_it_shows(data: FixedData, browser: AsgiBrowser)
         assert shown in browser.get("/submissions").text
 
 
+def test_page_of_a_remote_policy_says_what_its_result_proves(data: FixedData, browser: AsgiBrowser) -> None:
+    place = next(place for place, found in enumerate(data.found) if found.id == COMPLETED.id)
+    data.found[place] = COMPLETED.model_copy(update={"kind": SubmissionKind.REMOTE})
+    sign_in(browser, "Gelbots")
+    html = browser.get(f"/submissions/{COMPLETED.id}").text
+    assert "This proves the actions, not which program or person chose them." in html
+    assert "<code>vitac evaluate --remote</code>" in html
+
+
 def test_older_submissions_are_linked(data: FixedData, browser: AsgiBrowser) -> None:
     data.next_before = RUNNING.id
     sign_in(browser, "Gelbots")
