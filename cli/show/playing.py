@@ -169,7 +169,7 @@ def _policy_player(task: "Task", start: EpisodeStart, submission: Path) -> Itera
             )
         reading = make_reading(task, manifest.observation_keys)
         with (
-            PolicySession(folder, entry_point=manifest.entry_point, packages=packages) as session,
+            PolicySession(folder, entry_point=manifest.own_entry_point(), packages=packages) as session,
             session.episode(task=task.name, action_shape=(len(task.actions),), clouds=reading.clouds) as policy,
         ):
             yield ShownEpisode(

@@ -38,7 +38,7 @@ def load_in_sandbox(
         PolicyFailed: it cannot be loaded.
         SandboxFailed: the isolation could not be set up.
     """
-    entry_point = load_manifest(submission_dir).entry_point
+    entry_point = load_manifest(submission_dir).own_entry_point()
     return PolicySession(
         submission_dir,
         entry_point=entry_point,

@@ -84,6 +84,19 @@ class SubmissionManifest(StrictModel):
             return self.remote.keys
         return self.observation_keys
 
+    def own_entry_point(self) -> str:
+        """Return module:Class of the policy that the folder brings.
+
+        Raises:
+            ManifestRejected: a policy server plays in its place.
+        """
+        if self.remote is not None:
+            raise ManifestRejected(
+                f"{MANIFEST_NAME} has a policy server play (`remote`), expected a policy of the folder's own: play "
+                "with `vitac evaluate --remote ADDRESS`."
+            )
+        return self.entry_point
+
     def server(self) -> RemoteServer:
         """Return the section `remote`.
 
@@ -152,6 +165,7 @@ def parse_manifest(data: bytes) -> SubmissionManifest:
         raise ManifestRejected(str(error)) from error
     _check_tasks(manifest)
     _check_observation_keys(manifest)
+    _check_remote(manifest)
     _check_control_modes(manifest)
     return manifest
 
@@ -193,16 +207,27 @@ def _check_tasks(manifest: SubmissionManifest) -> None:
 
 def _check_observation_keys(manifest: SubmissionManifest) -> None:
     tasks = load_track(manifest.track).tasks
-    rows = {row.name: row for task in manifest.tasks for row in tasks[task].observables}
-    known = list(rows)
+    known = list(dict.fromkeys(row.name for task in manifest.tasks for row in tasks[task].observables))
     named = manifest.read_keys or ()
-    place = "observation_keys" if named == manifest.observation_keys else "remote.observations"
+    place = "remote.observations" if manifest.remote else "observation_keys"
     unknown = sorted(set(named) - set(known))
     if unknown or len(set(named)) != len(named):
         got = f"{unknown[0]!r}" if unknown else "a key twice"
         raise ManifestRejected(f"{MANIFEST_NAME}: {place} has {got}, expected each once, out of {', '.join(known)}.")
-    sent = (manifest.remote.observations or {}) if manifest.remote else {}
-    for name, value in sent.items():
+
+
+def _check_remote(manifest: SubmissionManifest) -> None:
+    if manifest.remote is None:
+        return
+    ignored = {"entry_point", "observation_keys"} & manifest.model_fields_set
+    if ignored:
+        raise ManifestRejected(
+            f"{MANIFEST_NAME}: {' and '.join(sorted(ignored))} is of a policy of the folder's own, and a policy server "
+            "plays (`remote`). Leave it out; remote.observations names what is sent."
+        )
+    tasks = load_track(manifest.track).tasks
+    rows = {row.name: row for task in manifest.tasks for row in tasks[task].observables}
+    for name, value in (manifest.remote.observations or {}).items():
         if value.size is not None and len(rows[value.key].shape) not in {2, 3}:
             raise ManifestRejected(
                 f"{MANIFEST_NAME}: remote.observations.{name} has a size, but {value.key} is no picture; leave it out."

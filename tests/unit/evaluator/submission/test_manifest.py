@@ -405,9 +405,12 @@ def test_a_control_mode_that_is_not_the_tasks_is_refused_with_the_tasks_own(
     assert "control_modes" in error
 
 
+REMOTE_MANIFEST = MANIFEST.replace("entry_point: policy:Policy\n", "")
+
+
 def test_keys_of_a_policy_server_are_those_that_are_sent() -> None:
     names = "{state: relative_motion, touch: marker_flow, again: marker_flow}"
-    manifest = parse_manifest(f"{MANIFEST}remote: {{protocol: openpi, observations: {names}}}\n".encode())
+    manifest = parse_manifest(f"{REMOTE_MANIFEST}remote: {{protocol: openpi, observations: {names}}}\n".encode())
     assert manifest.read_keys == ("relative_motion", "marker_flow")
     assert manifest.server().execute == 1
 
@@ -424,7 +427,19 @@ def test_keys_of_a_policy_server_are_those_that_are_sent() -> None:
     ],
 )
 def test_wrong_description_of_a_policy_server_is_refused(remote: str, words: str) -> None:
-    assert words in manifest_error(f"{MANIFEST}remote: {remote}\n")
+    assert words in manifest_error(f"{REMOTE_MANIFEST}remote: {remote}\n")
+
+
+@pytest.mark.parametrize("key", ["entry_point: policy:Policy", "observation_keys: [marker_flow]"])
+def test_what_a_policy_server_does_not_use_is_refused(key: str) -> None:
+    error = manifest_error(f"{REMOTE_MANIFEST}{key}\nremote: {{protocol: openpi}}\n")
+    assert f"{key.partition(':')[0]} is of a policy of the folder's own" in error
+
+
+def test_policy_server_has_no_entry_point() -> None:
+    manifest = parse_manifest(f"{REMOTE_MANIFEST}remote: {{protocol: openpi}}\n".encode())
+    with pytest.raises(ManifestRejected, match="vitac evaluate --remote"):
+        manifest.own_entry_point()
 
 
 def test_folder_without_a_policy_server_says_what_to_add() -> None:
