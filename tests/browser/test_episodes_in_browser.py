@@ -1,5 +1,6 @@
 import io
 import re
+import shutil
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -10,15 +11,15 @@ import numpy as np
 import pytest
 from browser_checks import DESK, PHONE, violations
 from fastapi import FastAPI
-from page_fixtures import a_submission
 from PIL import Image
-from played_episodes import a_playback, a_shown_episode, guided
+from played_episodes import ask_for_playback, guided, path_of_episode
 from playwright.sync_api import Browser, Locator, Page, Route, expect
 from real_browser import NO_WEBGL, SOFTWARE_WEBGL, launched
+from seeded_site import GELBOTS, form_token
 from service_client import serving
 from site_under_test import SiteUnderTest
 from starlette.responses import HTMLResponse
-from vitac.server.database.states import EvaluationState, WorkState
+from vitac.server.database.states import WorkState
 from vitac.web.pages.episodes.page import player_script
 from waiting import resize, until, wait_for_rest
 
@@ -59,14 +60,17 @@ def page(browser: Browser, site: SiteUnderTest) -> Iterator[Page]:
 
 def made(site: SiteUnderTest, task: str = PEG, number: int = 5) -> str:
     """Path of an episode with a playback of real physics."""
-    steps = len(guided(task, number).rewards)
-    playback = a_playback(has_cameras=task == FUSION, env_steps=steps)
-    shown = a_shown_episode(playback, task=task, number=number, env_steps=steps)
-    return site.data.show(submission_id(site), shown)
+    if task == FUSION and "fused" not in site.seeded.added:
+        site.seeded.submit(GELBOTS, "fused", {FUSION: (1, 1, 1)})
+    name = "fused" if task == FUSION else "both"
+    return ask_for_playback(site.seeded, name, number, task, state=WorkState.DONE)
 
 
-def submission_id(site: SiteUnderTest) -> Any:
-    return next(found.id for found in site.data.found if found.name == "done")
+def not_made(site: SiteUnderTest) -> str:
+    """Path of an episode whose playback nobody has asked for, while two others wait."""
+    for number in (1, 2):
+        ask_for_playback(site.seeded, "done", number)
+    return path_of_episode(site.seeded, "both")
 
 
 def open_player(site: SiteUnderTest, page: Page, path: str) -> None:
@@ -132,7 +136,7 @@ def test_controls_stand_below_the_scene(site: SiteUnderTest, page: Page, size: d
 
 
 def test_the_code_that_is_shared_plays_the_moment_in_a_page_of_another_site(site: SiteUnderTest, page: Page) -> None:
-    site.data.set_public(site.data.visitors[0], submission_id(site), public=True)
+    site.seeded.publish("both")
     open_player(site, page, f"{made(site)}?step=1.5")
     expect_time(page, "1.5")
     page.get_by_text("Share", exact=True).click()
@@ -396,7 +400,7 @@ def test_help_for_the_player_stands_only_where_something_is_played(site: SiteUnd
     help_text = page.get_by_text("With the scene focused")
     open_player(site, page, made(site))
     expect(help_text).to_be_visible()
-    site.open(page, site.data.show(submission_id(site), a_shown_episode(a_playback(WorkState.FAILED), number=9)))
+    site.open(page, ask_for_playback(site.seeded, "both", 9, state=WorkState.FAILED))
     expect(page.get_by_text("There is no playback of this episode.")).to_be_visible()
     expect(help_text).to_be_hidden()
 
@@ -405,26 +409,21 @@ def test_without_javascript_there_is_the_still_and_a_button_to_ask(browser: Brow
     context = browser.new_context(java_script_enabled=False)
     page = context.new_page()
     site.enter(page)
-    site.open(page, made(site))
+    site.open(page, made(site, number=6))
     expect(page.locator("img.still")).to_be_visible()
     expect(page.locator("canvas.scene")).to_be_hidden()
     expect(page.get_by_text("Space plays and pauses")).to_be_hidden()
-    site.open(page, site.data.show(submission_id(site), a_shown_episode(None, number=9)))
+    site.open(page, not_made(site))
     page.get_by_role("button", name="Make the playback").click()
     expect(page.get_by_text("2 other playbacks are made first")).to_be_visible()
-    assert len(site.data.asked) == 1
     context.close()
 
 
 def test_a_page_asks_by_itself_shows_progress_and_then_plays(site: SiteUnderTest, page: Page) -> None:
-    path = site.data.show(submission_id(site), a_shown_episode(None))
-    place = next(iter(site.data.episodes))
-    site.open(page, path)
+    site.open(page, not_made(site))
     expect(page.get_by_text("2 other playbacks are made first")).to_be_visible()
-    assert site.data.asked == [place]
-    running = a_playback(WorkState.RUNNING, env_steps_played=2)
-    site.data.episodes[place] = a_shown_episode(running)
-    expect(page.get_by_text("Being made: env step 2 of 3.")).to_be_visible()
+    ask_for_playback(site.seeded, "both", state=WorkState.RUNNING, env_steps_played=2)
+    expect(page.get_by_text("Being made: env step 2 of 4.")).to_be_visible()
     expect(page.get_by_role("progressbar")).to_have_attribute("value", "2")
     assert violations(page) == []
     made(site)
@@ -439,7 +438,7 @@ def test_a_page_asks_again_only_where_the_answer_may_change(
     page = context.new_page()
     page.clock.install()
     site.enter(page)
-    path = site.data.show(submission_id(site), a_shown_episode(None))
+    path = not_made(site)
     asked: list[str] = []
 
     def refuse_once(route: Route) -> None:
@@ -464,17 +463,16 @@ def test_a_page_asks_again_only_where_the_answer_may_change(
 
 
 def test_a_page_whose_session_is_over_leads_to_the_sign_in(site: SiteUnderTest, page: Page) -> None:
-    site.open(page, site.data.show(submission_id(site), a_shown_episode(None)))
+    site.open(page, not_made(site))
     expect(page.get_by_text("2 other playbacks are made first")).to_be_visible()
     page.context.clear_cookies()
     expect(page).to_have_url(re.compile("/sign-in"))
 
 
 def test_a_failed_playback_says_so(site: SiteUnderTest, page: Page) -> None:
-    path = site.data.show(submission_id(site), a_shown_episode(None))
-    site.open(page, path)
+    site.open(page, not_made(site))
     expect(page.get_by_text("2 other playbacks are made first")).to_be_visible()
-    site.data.episodes[next(iter(site.data.episodes))] = a_shown_episode(a_playback(WorkState.FAILED))
+    ask_for_playback(site.seeded, "both", state=WorkState.FAILED)
     expect(page.get_by_text("There is no playback of this episode. The states differ.")).to_be_visible()
     assert violations(page) == []
 
@@ -483,7 +481,7 @@ def test_a_server_that_is_gone_is_said(browser: Browser, site: SiteUnderTest) ->
     context = browser.new_context()
     page = context.new_page()
     site.enter(page)
-    path = site.data.show(submission_id(site), a_shown_episode(None))
+    path = not_made(site)
     page.route("**/playback", lambda route: route.abort())
     site.open(page, path)
     expect(page.get_by_text("The server cannot be reached.")).to_be_visible()
@@ -495,7 +493,7 @@ def test_a_file_that_was_lost_is_said(browser: Browser, site: SiteUnderTest) -> 
     page = context.new_page()
     site.enter(page)
     path = made(site)
-    site.data.files.clear()
+    shutil.rmtree(site.seeded.services.settings.state_dir / "blobs")
     site.open(page, path)
     expect(page.get_by_text("The playback cannot be shown:")).to_contain_text("got status 404")
     context.close()
@@ -505,22 +503,25 @@ def test_one_playback_too_many_is_said(browser: Browser, site: SiteUnderTest) ->
     context = browser.new_context()
     page = context.new_page()
     site.enter(page)
-    site.data.refuses_playbacks = True
-    site.open(page, site.data.show(submission_id(site), a_shown_episode(None)))
-    expect(page.get_by_text("At most 4 playbacks are possible.")).to_be_visible()
+    team = site.seeded.visitor(GELBOTS)
+    for number in range(11, 11 + site.seeded.services.settings.playbacks_at_once):
+        path = path_of_episode(site.seeded, "both", number)
+        assert team.post(f"{path}/playback", data={"form_token": form_token(team)}).status_code == 303
+    site.open(page, path_of_episode(site.seeded, "both"))
+    expect(page.get_by_text("playbacks that wait or are being made are possible")).to_be_visible()
     context.close()
 
 
 def test_a_cell_of_the_map_leads_to_its_episode(site: SiteUnderTest, page: Page) -> None:
     path = made(site)
-    site.open(page, f"/submissions/{submission_id(site)}")
+    site.open(page, site.path_of("both"))
     assert violations(page) == []
     page.locator(f'svg.map a[href="{path}"]').click()
     expect(page.get_by_role("heading", level=1)).to_have_text("Peg insertion, episode 5")
 
 
 def test_the_keyboard_moves_in_a_map_by_arrows_and_leaves_it_by_tab(site: SiteUnderTest, page: Page) -> None:
-    site.open(page, f"/submissions/{submission_id(site)}")
+    site.open(page, site.path_of("both"))
     first = page.locator("svg.map").first.locator("a").first
     first.focus()
     start = first.get_attribute("href")
@@ -544,9 +545,8 @@ def test_focus_in_a_map_outlives_an_update(site: SiteUnderTest, page: Page) -> N
     link = page.locator("svg.map a").first
     link.focus()
     href = link.get_attribute("href")
-    more = a_submission("Gelbots", EvaluationState.RUNNING, name="runs", done=150)
-    site.data.found[:] = [more if found.name == "runs" else found for found in site.data.found]
-    expect(page.get_by_text("150 of 270")).to_be_visible()
+    site.seeded.play_on("runs")
+    expect(page.get_by_text("138 of 270")).to_be_visible()
     expect(page.locator("svg.map a:focus")).to_have_attribute("href", href or "")
 
 
@@ -574,8 +574,8 @@ def test_the_front_page_moves_only_on_request_for_readers_who_want_no_motion(pag
 
 
 def test_an_embedded_episode_is_accessible(site: SiteUnderTest, page: Page) -> None:
-    path, played = made(site), submission_id(site)
-    site.data.found[:] = [found.model_copy(update={"public": found.id == played}) for found in site.data.found]
+    path = made(site)
+    site.seeded.publish("both")
     site.open(page, f"/embed{path}")
     expect(page.get_by_role("form", name="Playback")).to_be_visible()
     assert violations(page) == []

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser_checks import DESK
-from page_service import FixedData
-from played_episodes import a_playback, a_shown_episode, guided
+from played_episodes import ask_for_playback, guided
 from playwright.sync_api import Browser, Page, expect
 from real_browser import SOFTWARE_WEBGL, launched
 from site_under_test import SiteUnderTest
@@ -17,6 +16,7 @@ from tab_key import press_tab_through
 from vitac.envs.tactile.camera import camera_frame
 from vitac.envs.tactile.gel import eye_distance_m
 from vitac.envs.vision.tactile_picture import TactileCamera
+from vitac.server.database.states import WorkState
 from waiting import LIMIT_S, PIXELS_AT_REST, resize, until, wait_for_rest
 
 pytestmark = pytest.mark.slow
@@ -53,17 +53,11 @@ def still_page(browser: Browser, site: SiteUnderTest) -> Iterator[Page]:
     page = context.new_page()
     page.add_init_script(COUNTED)
     site.enter(page)
-    site.open(page, path_of_an_episode(site.data))
+    site.open(page, ask_for_playback(site.seeded, "both", state=WorkState.DONE))
     expect(page.get_by_role("form", name="Playback")).to_be_visible()
     wait_for_rest(page)
     yield page
     context.close()
-
-
-def path_of_an_episode(data: FixedData) -> str:
-    steps = len(guided("peg-insertion", 5).rewards)
-    [done] = [found for found in data.found if found.name == "done"]
-    return data.show(done.id, a_shown_episode(a_playback(env_steps=steps), env_steps=steps))
 
 
 def counted(page: Page) -> dict[str, int]:

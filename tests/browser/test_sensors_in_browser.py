@@ -3,13 +3,12 @@ from collections.abc import Iterator
 
 import pytest
 from browser_checks import DESK, PHONE, violations
-from page_fixtures import a_submission
 from PIL import Image
 from playwright.sync_api import Browser, Locator, Page, expect
 from real_browser import NO_WEBGL, SOFTWARE_WEBGL, launched
-from shown_sensors import a_shown_sensor
+from seeded_site import GELBOTS
+from shown_sensors import play_and_measure, upload_sensor
 from site_under_test import SiteUnderTest
-from vitac.server.database.states import EvaluationState
 from waiting import resize, wait_for_rest
 
 pytestmark = pytest.mark.slow
@@ -25,10 +24,9 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture
 def page(browser: Browser, site: SiteUnderTest) -> Iterator[Page]:
     """A page of somebody who is signed in, with two sensors to look at; it may complain of nothing."""
-    for name, gel in (("ridge", "ridge"), ("dome", "dome")):
-        site.data.found.append(a_submission("Gelbots", EvaluationState.COMPLETED, name=name))
-        identity = site.data.found[-1].id
-        site.data.sensors[identity] = a_shown_sensor(identity, name=name, gel=gel)
+    for name in ("ridge", "dome"):
+        upload_sensor(site.seeded, GELBOTS, name, name)
+        play_and_measure(site.seeded, name)
     context = browser.new_context(viewport=DESK)  # type: ignore[arg-type]
     page = context.new_page()
     complaints: list[str] = []
@@ -41,8 +39,7 @@ def page(browser: Browser, site: SiteUnderTest) -> Iterator[Page]:
 
 
 def address(site: SiteUnderTest, *, beside: bool = False) -> str:
-    first, second = list(site.data.sensors)
-    return f"/submissions/{first}/sensor" + (f"?beside={second}" if beside else "")
+    return f"{site.path_of('ridge')}/sensor" + (f"?beside={site.seeded.id_of('dome')}" if beside else "")
 
 
 def picture(canvas: Locator) -> Image.Image:

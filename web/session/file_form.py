@@ -14,12 +14,14 @@ from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 
-from .signer import FORM_LIMIT_BYTES, require_same_site
+from .signer import require_same_site
 
 MEDIA_TYPE = "multipart/form-data"
 FIELDS_TIMEOUT_S = 30.0
 """Time in which the fields before the file must arrive."""
 MAX_PARTS = 16
+FORM_LIMIT_BYTES = 1 << 16
+"""Maximum length of a field before the file."""
 DISCARDED_BYTES = 64 << 20
 DISCARD_TIMEOUT_S = 60.0
 

@@ -305,10 +305,10 @@ def store(database: Database, lease: Lease, records: Iterable[EpisodeRecord]) ->
 
 def finish(database: Database, lease: Lease, end: ShardEnd = ShardEnd.COMPLETE) -> None:
     with database.transaction() as session:
-        _finish(session, lease, end)
+        finish_within(session, lease, end)
 
 
-def _finish(session: Session, lease: Lease, end: ShardEnd = ShardEnd.COMPLETE) -> None:
+def finish_within(session: Session, lease: Lease, end: ShardEnd = ShardEnd.COMPLETE) -> None:
     result = ShardResult(index=lease.number, end=end, manifest=make_manifest(lease.task), isolation=ISOLATION)
     lifecycle.finish_shard(session, lease, result)
 
@@ -341,7 +341,7 @@ def play(
 ) -> None:
     """Runs a shard from claim to end; all its episodes are stored at once, which is quicker than a worker."""
     with database.transaction() as session:
-        _play(session, shard_id, record_of, worker_id)
+        play_within(session, shard_id, record_of, worker_id)
 
 
 def play_all(database: Database, submission: Submission, record_of: RecordOf = make_record) -> None:
@@ -350,7 +350,7 @@ def play_all(database: Database, submission: Submission, record_of: RecordOf = m
         played: set[int] = set()
         while waiting := [shard_id for shard_id in shard_ids(session, submission) if shard_id not in played]:
             for shard_id in waiting:
-                _play(session, shard_id, record_of)
+                play_within(session, shard_id, record_of)
             played.update(waiting)
 
 
@@ -359,15 +359,15 @@ def play_public_list(database: Database, submission: Submission) -> list[int]:
     with database.transaction() as session:
         first = shard_ids(session, submission)
         for shard_id in first:
-            _play(session, shard_id, make_record)
+            play_within(session, shard_id, make_record)
         return [shard_id for shard_id in shard_ids(session, submission) if shard_id not in first]
 
 
-def _play(session: Session, shard_id: int, record_of: RecordOf, worker_id: UUID | None = None) -> None:
+def play_within(session: Session, shard_id: int, record_of: RecordOf, worker_id: UUID | None = None) -> None:
     lease = take_shard(session, shard_id, worker_id)
     rows = [row_values(lease, record_of(episode, task=lease.task)) for episode in lease.episodes]
     session.execute(insert(EpisodeResult).on_conflict_do_nothing(), rows)
-    _finish(session, lease)
+    finish_within(session, lease)
 
 
 def state_of(session: Session, shard_id: int) -> Any:

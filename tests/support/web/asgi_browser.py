@@ -1,10 +1,11 @@
 """A browser without a window: sends requests to an application in this process and keeps its cookies."""
 
 import asyncio
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import httpx
-from fastapi import FastAPI
+from starlette.types import ASGIApp
 
 HEADERS = {"accept": "text/html,application/xhtml+xml", "sec-fetch-site": "same-origin"}
 
@@ -13,7 +14,7 @@ class AsgiBrowser:
     """Follows no redirect, so that tests see it; an application that crashes answers with what it answers."""
 
     def __init__(
-        self, app: FastAPI, *, base_url: str = "http://testserver", headers: dict[str, str] | None = None
+        self, app: ASGIApp, *, base_url: str = "http://testserver", headers: dict[str, str] | None = None
     ) -> None:
         self.cookies = httpx.Cookies()
         self._app = app
@@ -34,7 +35,8 @@ class AsgiBrowser:
 
     def _request(self, method: str, path: str, **arguments: Any) -> httpx.Response:
         headers = self._headers | arguments.pop("headers", {})
-        return asyncio.run(self._send(method, path, headers=headers, **arguments))
+        with ThreadPoolExecutor(1) as own_thread:  # the caller's may have a loop, as that of playwright
+            return own_thread.submit(asyncio.run, self._send(method, path, headers=headers, **arguments)).result()
 
     async def _send(self, method: str, path: str, **arguments: Any) -> httpx.Response:
         transport = httpx.ASGITransport(self._app, raise_app_exceptions=False)

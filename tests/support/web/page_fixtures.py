@@ -1,4 +1,4 @@
-"""Views with made-up but consistent numbers; `page_service` shows them on the pages."""
+"""Views with made-up but consistent numbers, for tests of what draws, searches and pages them."""
 
 import random
 from collections.abc import Sequence
@@ -7,22 +7,13 @@ from hashlib import sha256
 from typing import Any
 from uuid import UUID, uuid5
 
-from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.description import SandboxDescription
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.scoring.score import CombinedScore, Score, combine, rate
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, load_track
-from vitac.server.database.states import EvaluationState, Role, WorkerOrder, WorkerState
+from vitac.server.database.states import EvaluationState
 from vitac.server.evaluations.scores import played_score
-from vitac.server.principals import Principal
-from vitac.server.views.competition import (
-    CompetitionTrackView,
-    CompetitionView,
-    PrizeView,
-    StageView,
-    WinnerView,
-)
 from vitac.server.views.evaluations import (
     CopyView,
     EvaluationSummaryView,
@@ -37,11 +28,9 @@ from vitac.server.views.leaderboards import (
     LogBoardsView,
     LogBoardView,
     LogEntryView,
-    PastResultView,
     TextLogEntryView,
 )
-from vitac.server.views.operations import CountsView, OperationsView, QueueView, StorageView, WorkersView, WorkerView
-from vitac.server.views.receipts import ActionMatchView, DivergenceView, LogView, MatchedEpisodeView
+from vitac.server.views.operations import WorkersView
 from vitac.server.views.scores import PlayedScoreView, ShapeScoreView, TaskScoreView
 from vitac.server.views.submissions import (
     EpisodeView,
@@ -279,68 +268,6 @@ def some_episodes(task: str, count: int) -> list[EpisodeView]:
     ]
 
 
-def a_log(
-    state: EvaluationState,
-    verdict: VerificationResult | None,
-    *,
-    kind: SubmissionKind = SubmissionKind.LOG,
-    **changes: Any,
-) -> SubmissionView:
-    """A log of the Gelbots; `changes` are those of its `LogView`."""
-    text_log = kind is SubmissionKind.TEXT_LOG
-    values: dict[str, Any] = {
-        "label": "2025 text log" if text_log else "actions verified, policy not seen",
-        "verdict": verdict,
-        "reason": None,
-        "divergence": None,
-        "claimed_episodes": 270,
-        "claimed_successes": 243,
-        "claimed_success_rate": 0.9,
-        "claimed_mean_steps": 4.5,
-        "claimed_result_hash": None if text_log else "9f3b" * 16,
-        "team_named": "Gelbots",
-        "submission_digest_named": None,
-        "made_on": None if text_log else "x86_64-linux",
-        "problems": [],
-    }
-    log = LogView(**(values | changes))
-    submission = a_submission("Gelbots", state, name=f"{log.label}, {verdict or state}")
-    scores = submission.evaluation.scores[:1]
-    return submission.model_copy(
-        update={
-            "kind": kind,
-            "log": log,
-            "tasks": [TASK],
-            "missing_tasks": [],
-            "evaluation": submission.evaluation.model_copy(update={"scores": scores}),
-        }
-    )
-
-
-DIVERGENCE = DivergenceView(
-    episode=31,
-    env_step=2,
-    recorded_state="ab" * 32,
-    recorded_info={"is_success": True, "surface_diff_m": None},
-    resimulated_state="cd" * 32,
-    resimulated_info={"is_success": False, "surface_diff_m": [0.0004321987, 0.0005]},
-)
-
-
-def an_action_match() -> ActionMatchView:
-    """A model that gives all but two of a log's actions."""
-    return ActionMatchView(
-        submission_id=an_id("model"),
-        submission_name="my model",
-        evaluated_at=NOW,
-        actions=810,
-        reproduced=808,
-        episodes=270,
-        episodes_reproduced=269,
-        others=[MatchedEpisodeView(episode=5, actions=3, reproduced=1, first_mismatch=2)],
-    )
-
-
 def some_log_boards() -> LogBoardsView:
     """Two verified logs of the peg task, none of the lock's, and a 2025 text log."""
     track = load_track("track_1")
@@ -410,83 +337,6 @@ def a_log_entry(place: int, team: str, successes: int, verdict: VerificationResu
     )
 
 
-def a_visitor(name: str, role: Role = Role.TEAM) -> Principal:
-    """Somebody with a token of a team (or of the organizers)."""
-    team = name if role is Role.TEAM else None
-    return Principal(role=role, team_id=an_id(name) if team else None, team_name=team, token_id=an_id(f"t:{name}"))
-
-
-def name_of(by: Principal) -> str:
-    """The team's name, or `organizers`."""
-    return by.team_name or "organizers"
-
-
-def a_worker(state: WorkerState, *, is_lost: bool = False, message: str = "") -> WorkerView:
-    """A worker on a machine with a disk of 100 GiB."""
-    return WorkerView(
-        id=an_id(f"worker {state} {is_lost}"),
-        host="machine-1",
-        pid=4711,
-        slots=2,
-        state=state,
-        is_lost=is_lost,
-        worker_order=WorkerOrder.WORK,
-        shards=[],
-        message=message,
-        isolation="user: root, memory: cgroup-v1",
-        evaluator_version="1+0123456789ab",
-        families=[Family.TACTILE, Family.MANISKILL],
-        platform_class="x86_64-linux",
-        started_at=NOW - timedelta(hours=2),
-        heartbeat_at=NOW,
-        disk_bytes=100 << 30,
-        disk_free_bytes=12 << 30,
-    )
-
-
-def an_operations_view(*workers: WorkerView) -> OperationsView:
-    """A busy service."""
-    return OperationsView(
-        queue=QueueView(
-            shards_queued=18_000,
-            shards_running=4,
-            oldest_shard_s=3660.0,
-            shard_idle_s=2.0,
-            evaluations_queued=2000,
-            evaluations_running=2,
-            oldest_evaluation_s=3660.0,
-            evaluations_unserved=2,
-        ),
-        storage=StorageView(uploads=1234, uploads_bytes=5 << 30, database_bytes=700 << 20),
-        workers=list(workers),
-        episodes_in_5_minutes=270,
-        counts=CountsView(
-            episodes=123_456,
-            shards_finished=4100,
-            shard_retries=3,
-            shards_given_up=0,
-            leases_lost=1,
-            requests=9000,
-            requests_failed=2,
-            requests_within_s=0.05,
-            claims_within_s=0.02,
-            shard_waits_within_s=float("inf"),
-        ),
-        at=NOW,
-    )
-
-
-def a_past_result(name: str, success_rate: float, days_ago: int, task: str = TASK) -> PastResultView:
-    """What a submission of the Gelbots has reached."""
-    return PastResultView(
-        task=task,
-        submission_id=an_id(f"Gelbots/{name}"),
-        submission_name=name,
-        submitted_at=NOW - timedelta(days=days_ago),
-        success_rate=success_rate,
-    )
-
-
 def a_sandbox(**changes: Any) -> SandboxDescription:
     """What a policy finds on a worker."""
     values: dict[str, Any] = {
@@ -500,24 +350,3 @@ def a_sandbox(**changes: Any) -> SandboxDescription:
         "packages": {"numpy": "2.4.6", "pydantic": "2.14.0"},
     }
     return SandboxDescription(**(values | changes))
-
-
-def a_finished_cup() -> CompetitionView:
-    """A competition that is final, with one winner."""
-    stage = StageView(
-        name="final", title="Final", opens=NOW - timedelta(days=9), closes=NOW, is_open=False,
-        accepts=[SubmissionKind.MODEL], list_kind=ListKind.SEALED, commitment="9f3b" * 16, secret="9f3b" * 16,
-        scored_runs=3, attempts=None, qualified="the best 10 teams",
-    )  # fmt: skip
-    prize = PrizeView(place="first", amount=2000, winners=1, note="a talk")
-    track = CompetitionTrackView(
-        name="track_1", title="Touch", taken_here=True, ranking=["success_rate"], ties="", stages=[stage],
-        prizes=[prize],
-    )  # fmt: skip
-    won = WinnerView(
-        track="track_1", place="first", rank=1, team="<Bears>", amount=2000, success_rate=0.9, result_hash="9f3b" * 16
-    )
-    return CompetitionView(
-        name="cup", title="The cup", summary="", website=None, contact=None, rules=[], currency="USD",
-        teams_locked=None, tracks=[track], frozen_at=None, finalized_at=datetime(2031, 3, 1, tzinfo=UTC), winners=[won],
-    )  # fmt: skip

@@ -1,68 +1,28 @@
 """Episodes on their pages, with playbacks in any state and real files; imported by page tests."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import cache
 from types import MappingProxyType
 from typing import Any
-from uuid import UUID
 
+import numpy as np
+from seeded_site import SeededSite
+from service_factories import LEASE_S, TASK, make_record, take
+from sqlalchemy import update
 from vitac.envs.drawing.drawable import straight_to_target
 from vitac.envs.drawing.playback import Pace, Playback, record
 from vitac.envs.playback_files.scene import pack_scene
 from vitac.envs.playback_files.stage import pack_cameras
-from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.episode import make_environment
-from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.tracks import find_task
+from vitac.server.database.models import EpisodeResult
+from vitac.server.database.models import Playback as PlaybackRow
 from vitac.server.database.states import WorkState
-from vitac.server.errors import ProblemCode, ServiceError, not_found
-from vitac.server.playbacks.asking import PlaybackFile
-from vitac.server.views.comparisons import PlaybackView, ShownEpisodeView, StillView, StoryMomentView
-from vitac.web.pages.episodes.page import EpisodeAddress
-
-KEY = "5eed" * 16
-
-
-def a_playback(state: WorkState = WorkState.DONE, **changes: Any) -> PlaybackView:
-    values: dict[str, Any] = {
-        "key": KEY,
-        "state": state,
-        "env_steps": 3,
-        "env_steps_played": 3 if state is WorkState.DONE else 0,
-        "waits_for": 0,
-        "family": Family.TACTILE,
-        "workers": None if state in {WorkState.DONE, WorkState.FAILED} else 1,
-        "problem": "The states differ." if state is WorkState.FAILED else None,
-        "has_cameras": False,
-        "has_still": state is WorkState.DONE,
-    }
-    return PlaybackView(**(values | changes))
-
-
-def a_shown_episode(
-    playback: PlaybackView | None = None, *, task: str = "peg-insertion", number: int = 5, **changes: Any
-) -> ShownEpisodeView:
-    track, definition = find_task(task)
-    listed = definition.episodes[number - 1]
-    values: dict[str, Any] = {
-        "submission_name": "done",
-        "team": "Gelbots",
-        "track": track.name,
-        "task": task,
-        "episode": number,
-        "shape": listed.shape,
-        "initial_offset": listed.offset,
-        "outcome": EpisodeOutcome.SUCCESS,
-        "env_steps": 3,
-        "total_reward": 10.25,
-        "story": "Solved in 3 env steps.",
-        "moments": (StoryMomentView(env_step=1, mark="touch", text="the peg touches"),),
-        "evaluator_version": "1+0123456789ab",
-        "record_digest": "ab" * 32,
-        "playback": playback,
-    }
-    return ShownEpisodeView(**(values | changes))
+from vitac.server.playbacks import work
+from vitac.server.playbacks.asking import PlaybackFile, ask, find_episode
+from vitac.server.principals import CONSOLE
+from vitac.server.queue.work import Claim, end
 
 
 @cache
@@ -89,38 +49,58 @@ WHITE_PIXEL = bytes.fromhex(
 )
 
 
-@dataclass(kw_only=True)
-class FixedPlaybacks:
-    """The episodes of a service with fixed content; `asked` holds whatever a playback was asked of."""
+def path_of_episode(site: SeededSite, name: str, number: int = 5, task: str = TASK) -> str:
+    """The page of an episode of a submission."""
+    return f"{site.path_of(name)}/episodes/{task}/{number}"
 
-    episodes: dict[EpisodeAddress, ShownEpisodeView] = field(default_factory=dict)
-    files: dict[EpisodeAddress, Mapping[PlaybackFile, bytes]] = field(default_factory=dict)
-    asked: list[EpisodeAddress] = field(default_factory=list)
-    refuses_playbacks: bool = False
-    stills: list[StillView] = field(default_factory=list)
 
-    def show(self, submission_id: UUID, shown: ShownEpisodeView) -> str:
-        """Adds an episode, with real files if it is made; the path of its page."""
-        place = EpisodeAddress(submission_id=submission_id, task=shown.task, number=shown.episode)
-        self.episodes[place] = shown
-        if shown.playback is not None and shown.playback.state is WorkState.DONE:
-            self.files[place] = real_files(shown.task, shown.episode)
-        return f"/submissions/{submission_id}/episodes/{shown.task}/{shown.episode}"
+def ask_for_playback(
+    site: SeededSite,
+    name: str,
+    number: int = 5,
+    task: str = TASK,
+    *,
+    state: WorkState = WorkState.QUEUED,
+    files: Mapping[PlaybackFile, bytes] | None = None,
+    env_steps_played: int = 0,
+) -> str:
+    """Ask for the playback of an episode as an organizer does, and bring it to a state as a worker does.
 
-    def shown_at(self, place: EpisodeAddress) -> ShownEpisodeView:
-        if place not in self.episodes:
-            raise not_found("episode", place.number)
-        return self.episodes[place]
+    Without `files` a playback that is made has those of real physics, of as many env steps. The path of its page.
+    """
+    if state is WorkState.DONE and files is None:
+        files = real_files(task, number)
+        _set_env_steps(site, name, task, number, len(guided(task, number).rewards))
+    with site.database.transaction() as session:
+        episode = find_episode(session, CONSOLE, site.id_of(name), task, number)
+        playback = ask(session, site.services.settings, CONSOLE, episode)
+        if state is not WorkState.QUEUED:
+            is_claimed = playback.state is WorkState.RUNNING
+            lease = work.begin(session, _claim(playback) if is_claimed else take(session, playback.id))
+            if state is WorkState.RUNNING:
+                work.renew(session, lease, LEASE_S, env_steps_played=env_steps_played)
+            elif state is WorkState.FAILED:
+                end(session, lease, WorkState.FAILED, problem="The states differ.")
+            elif state is WorkState.DONE:
+                digests = {f"{file}_sha256": site.store(content) for file, content in (files or {}).items()}
+                work.end_made(session, lease, digests)
+    return path_of_episode(site, name, number, task)
 
-    def ask_at(self, place: EpisodeAddress) -> PlaybackView:
-        if self.refuses_playbacks:
-            raise ServiceError(ProblemCode.TOO_MANY_REQUESTS, "At most 4 playbacks are possible.")
-        playback = a_playback(WorkState.QUEUED, waits_for=2)
-        self.asked.append(place)
-        self.episodes[place] = self.shown_at(place).model_copy(update={"playback": playback})
-        return playback
 
-    def file_at(self, place: EpisodeAddress, file: PlaybackFile) -> bytes:
-        if file not in self.files.get(place, {}):
-            raise not_found("playback file", file.value)
-        return self.files[place][file]
+def _claim(playback: PlaybackRow) -> Claim:
+    return Claim(work_id=playback.id, kind=playback.kind, token=playback.token, attempt=playback.attempts, waited_s=0.0)
+
+
+def _set_env_steps(site: SeededSite, name: str, task: str, number: int, steps: int) -> None:
+    played = make_record(
+        number,
+        task=task,
+        env_steps=steps,
+        actions=ActionSequence.from_array(np.zeros((steps, 3), np.float32)),
+        state_hashes=("00" * 32,) * (steps + 1),
+        infos=({},) * steps,
+    )
+    with site.database.transaction() as session:
+        episode = find_episode(session, CONSOLE, site.id_of(name), task, number)
+        values = {"env_steps": steps, "record": played.model_dump(mode="json"), "outcome": "success", "success": True}
+        session.execute(update(EpisodeResult).where(EpisodeResult.id == episode.id).values(**values))

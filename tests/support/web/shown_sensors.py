@@ -1,21 +1,28 @@
-"""Sensors on their pages; imported by page tests."""
+"""Sensors on their pages: uploaded to a seeded site, checked as a worker does, and played and measured if asked to."""
 
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
-from uuid import UUID
+from unittest.mock import patch
 
+import drawn_gels
 from own_sensors import GELS, write_sensor
+from seeded_site import SeededSite, form_token
+from sensor_checks import check_sensors
+from service_client import make_archive
+from service_factories import own_record, play_all, sha256
+from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
+from vitac.evaluator.figures.figures import FiguresPart
 from vitac.evaluator.figures.table import reference_figures
-from vitac.evaluator.scoring.comparison import SensingGain
-from vitac.evaluator.sensors.appearance import appearance
 from vitac.evaluator.sensors.check import accepted_sensor
 from vitac.evaluator.sensors.made import MadeSensor, made_sensor
-from vitac.server.views.submissions import DocumentView, SensorView
-from vitac.web.pages.submissions.sensors import ShownSensor
+from vitac.server.database.models import Submission, SubmissionFile
+from vitac.server.database.states import FileRole
+from vitac.server.evaluations.history import newest_evaluation
 
 MARKERS = "markers: {grid: {columns: 8, rows: 6, spacing_mm: [2.4, 2.0]}}\n"
+MANIFEST = "track: track_3\ntasks: [sensor-standard]\nname: {}\n"
+DOCUMENT = b"%PDF-1.7 <script>"
 
 
 @cache
@@ -24,25 +31,45 @@ def a_made_sensor(gel: str = "ridge") -> MadeSensor:
         return made_sensor(accepted_sensor(write_sensor(Path(name), GELS[gel](), MARKERS)))
 
 
-def a_shown_sensor(submission_id: UUID, *, name: str = "done", gel: str = "ridge", **changes: Any) -> ShownSensor:
-    made = a_made_sensor(gel)
-    values: dict[str, Any] = {
-        "digest": made.digest,
-        "mesh_digest": made.mesh_digest,
-        **made.facts.model_dump(),
-        "document": DocumentView(name="design-document.pdf", n_bytes=9, sha256="d0" * 32),
-        "coefficients_sha256": None,
-        "gain": SensingGain(
-            episodes=270,
-            starts=90,
-            standard_successes=19,
-            blind_successes=1,
-            gain=0.067,
-            low=0.03,
-            high=0.1,
-            p_value=4e-6,
-        ),
-        "figures": reference_figures(),
+def upload_sensor(site: SeededSite, team: str, name: str, gel: str) -> str:
+    """The page of a sensor of a team, whose gel is made without the sandbox."""
+    files: dict[str, str | bytes] = {
+        "submission.yaml": MANIFEST.format(name),
+        "sensor.yaml": MARKERS,
+        "gel.stl": drawn_gels.stl_bytes(GELS[gel]()),
+        "design.pdf": DOCUMENT,
     }
-    view = SensorView(**(values | changes))
-    return ShownSensor(submission_id=submission_id, name=name, team="Gelbots", view=view, looks=appearance(made))
+    archive = make_archive({f"Track_3/{file}": content for file, content in files.items()})
+    browser = site.visitor(team)
+    answer = browser.post(
+        "/submissions/upload", data={"form_token": form_token(browser)}, files={"file": ("gel.zip", archive)}
+    )
+    with patch("vitac.worker.short_runs.make_sensor", lambda *_, **__: a_made_sensor(gel)):
+        check_sensors(site.services)
+    path: str = answer.headers["location"]
+    with site.database.reading() as session:
+        site.added[name] = session.get_one(Submission, path.rpartition("/")[2]).id
+    return f"{path}/sensor"
+
+
+def play_and_measure(site: SeededSite, name: str) -> None:
+    """Complete the evaluation of a sensor: of 90 seen episodes 19 are solved, of the blind ones one."""
+
+    def record_of(episode: int, *, task: str) -> EpisodeRecord:
+        is_solved = episode <= (19 if task == "sensor-standard" else 1)
+        return own_record(1, episode, EpisodeOutcome.SUCCESS if is_solved else EpisodeOutcome.STEPS, task)
+
+    with site.database.reading() as session:
+        submission = session.get_one(Submission, site.id_of(name))
+        version = newest_evaluation(session, submission).evaluator_version
+    play_all(site.database, submission, record_of)
+    figures = reference_figures()
+    part = FiguresPart(starts=(), touch=figures.touch, grasp=figures.grasp)
+    facts = {"evaluator_version": version, "commitment": None, "shard": 0, "part": part.model_dump(mode="json")}
+    with site.database.transaction() as session:
+        session.add(
+            SubmissionFile(
+                submission_id=submission.id, role=FileRole.FIGURES, sha256=sha256("part"), n_bytes=1, name="part.json",
+                facts=facts,
+            )
+        )  # fmt: skip

@@ -2,25 +2,26 @@
 
 from dataclasses import dataclass
 
-from page_fixtures import TASK
-from page_service import FixedData
 from playwright.sync_api import Page
+from seeded_site import GELBOTS, SeededSite
+from service_factories import TASK
 
 
 @dataclass(frozen=True, kw_only=True)
 class SiteUnderTest:
-    """Pages with fixed content at an address."""
+    """A service with content at an address."""
 
     address: str
-    data: FixedData
+    seeded: SeededSite
 
     def path_of(self, name: str) -> str:
         """Path of the submission of that name."""
-        return next(f"/submissions/{submission.id}" for submission in self.data.found if submission.name == name)
+        return self.seeded.path_of(name)
 
     def paths(self) -> list[str]:
         """One of each kind of page."""
-        submissions = [self.path_of(submission.name) for submission in self.data.found]
+        submissions = [self.path_of(name) for name in (*self.seeded.seed.submissions, *self.seeded.added)]
+        done = self.seeded.id_of("done")
         return [
             "/",
             "/tracks/track_1",
@@ -42,22 +43,23 @@ class SiteUnderTest:
             "/submissions/upload",
             "/nothing-here",
             *submissions,
-            f"{self.path_of('both')}/output",
+            f"{self.path_of('broke')}/output",
             f"{self.path_of('both')}/compare",
-            f"{self.path_of('both')}/compare?with={self.path_of('done').rpartition('/')[2]}",
+            f"{self.path_of('both')}/compare?with={done}",
             "/compare",
         ]
 
-    def sign_in(self, page: Page, name: str = "Gelbots") -> None:
+    def sign_in(self, page: Page, name: str = GELBOTS) -> None:
         """Signs in by the form."""
         page.goto(f"{self.address}/sign-in")
-        page.get_by_label("API token").fill(f"token-of-{name}")
+        page.get_by_label("API token").fill(self.seeded.token_of(name))
         page.get_by_role("button", name="Sign in").click()
         page.wait_for_url(f"{self.address}/submissions")
 
-    def enter(self, page: Page, name: str = "Gelbots") -> None:
+    def enter(self, page: Page, name: str = GELBOTS) -> None:
         """Gives the browser a session from the form's address, without drawing the pages that a test is not about."""
-        answer = page.request.post(f"{self.address}/sign-in", form={"token": f"token-of-{name}"}, max_redirects=0)
+        token = self.seeded.token_of(name)
+        answer = page.request.post(f"{self.address}/sign-in", form={"token": token}, max_redirects=0)
         assert answer.status == 303, f"expected to be signed in, got status {answer.status}"
 
     def open(self, page: Page, path: str) -> None:

@@ -1,14 +1,24 @@
+from collections.abc import Iterator
+
 import pytest
 from asgi_browser import AsgiBrowser
-from page_service import FixedData, an_application
-from visits import BEARS, BOTH, COMPLETED, FAILED, GELBOTS, ORGANIZERS, QUEUED, RUNNING
+from seeded_site import SeededSite, SharedSite
+
+
+@pytest.fixture(scope="session")
+def shared_site() -> Iterator[SharedSite]:
+    with SharedSite() as shared:
+        yield shared
 
 
 @pytest.fixture
-def data() -> FixedData:
-    return FixedData(visitors=[GELBOTS, BEARS, ORGANIZERS], found=[RUNNING, COMPLETED, BOTH, FAILED, QUEUED])
+def site(shared_site: SharedSite) -> Iterator[SeededSite]:
+    """A service with content; a test may change it."""
+    with shared_site.visited() as site:
+        yield site
 
 
 @pytest.fixture
-def browser(data: FixedData) -> AsgiBrowser:
-    return AsgiBrowser(an_application(data))
+def browser(site: SeededSite) -> AsgiBrowser:
+    """Somebody who is not signed in."""
+    return site.visitor()

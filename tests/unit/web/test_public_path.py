@@ -1,12 +1,12 @@
 """The service below a path of its address: every link, form, script, redirect and cookie stays below it."""
 
 import re
+from collections.abc import Iterator
 from html.parser import HTMLParser
 
 import pytest
 from asgi_browser import AsgiBrowser
-from fastapi import FastAPI
-from page_service import FixedData, an_application
+from seeded_site import seeded_site
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response, StreamingResponse
@@ -29,28 +29,22 @@ class Addresses(HTMLParser):
         ]
 
 
-def under_path(app: Starlette | FastAPI) -> AsgiBrowser:
-    app.add_middleware(PublicPath, path="/arena")
-    return AsgiBrowser(app)  # type: ignore[arg-type]
+@pytest.fixture(scope="module")
+def below() -> Iterator[AsgiBrowser]:
+    """The service as its public address tells."""
+    with seeded_site(public_url="https://example.org/arena/") as site:
+        yield site.visitor()
 
 
 @pytest.mark.parametrize("prefix", ["", "/arena"], ids=["proxy strips it", "proxy leaves it"])
-def test_every_address_of_every_page_lies_below_the_path(data: FixedData, prefix: str) -> None:
-    browser = under_path(an_application(data))
-    for page in (
-        "/",
-        "/sign-in",
-        "/tracks/track_1",
-        "/tracks/track_1/rules",
-        "/compare",
-    ):
-        html = browser.get(prefix + page, headers={"accept-encoding": "gzip"}).text
-        addresses = Addresses()
-        addresses.feed(html)
-        assert addresses.found, page
-        assert [found for found in addresses.found if not found.startswith("/arena/")] == [], page
+@pytest.mark.parametrize("page", ["/", "/sign-in", "/tracks/track_1", "/tracks/track_1/rules", "/compare"])
+def test_every_address_of_every_page_lies_below_the_path(below: AsgiBrowser, page: str, prefix: str) -> None:
+    addresses = Addresses()
+    addresses.feed(below.get(prefix + page, headers={"accept-encoding": "gzip"}).text)
+    assert addresses.found
+    assert [found for found in addresses.found if not found.startswith("/arena/")] == []
     style = next(found for found in addresses.found if ".css" in found)
-    assert browser.get(style).headers["content-type"].startswith("text/css")
+    assert below.get(style).headers["content-type"].startswith("text/css")
 
 
 async def redirect(_: Request) -> Response:
@@ -68,9 +62,8 @@ async def elsewhere(_: Request) -> Response:
 
 
 def test_redirects_cookies_and_streams_follow_and_others_addresses_stay() -> None:
-    browser = under_path(
-        Starlette(routes=[Route("/redirect", redirect), Route("/stream", stream), Route("/elsewhere", elsewhere)])
-    )
+    routes = [Route("/redirect", redirect), Route("/stream", stream), Route("/elsewhere", elsewhere)]
+    browser = AsgiBrowser(PublicPath(Starlette(routes=routes), path="/arena"))
     answer = browser.get("/arena/redirect")
     assert answer.headers["location"] == "/arena/team"
     assert "; path=/arena;" in answer.headers["set-cookie"].lower() + ";"

@@ -1,22 +1,22 @@
 import errno
-import threading
-from uuid import UUID
+import time
+from collections.abc import Callable
 
 import httpx
 import psycopg
 import pytest
 from asgi_browser import AsgiBrowser
-from page_service import FixedData
+from seeded_site import GELBOTS, SeededSite, form_token
+from service_factories import forget_boards
+from sqlalchemy import event, update
 from sqlalchemy.exc import OperationalError
-from visits import COMPLETED, form_token, sign_in
+from vitac.server.database.models import Submission
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.principals import Principal
-from vitac.server.views.leaderboards import LeaderboardView
-from vitac.web import site
+from vitac.web import site as site_module
 from vitac.web.headers import HEADERS
-from vitac.web.pages.submission_detail import SubmissionDetail
 
 SIGN_IN, SIGN_OUT = '<a href="/sign-in">Sign in</a>', 'Sign out <span class="visually-hidden">Gelbots</span>'
+AWAY = OperationalError("SELECT 1", {}, psycopg.OperationalError("connection refused"))
 
 
 def header(answer: httpx.Response) -> list[str]:
@@ -25,70 +25,68 @@ def header(answer: httpx.Response) -> list[str]:
     return [offer for offer in (SIGN_IN, SIGN_OUT) if offer in answer.text]
 
 
-def test_error_pages_have_the_header_of_other_pages(
-    data: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def gone(_: object, __: object, submission_id: UUID) -> SubmissionDetail:
-        raise ServiceError(ProblemCode.TRACK_REMOVED, f"The track of {submission_id} is gone.")
+def before_statements(site: SeededSite, table: str, work: Callable[[], None]) -> None:
+    """Do something before each statement about a table, such as fail."""
+    site.is_changed = True  # its database is of no more use to others
+    forget_boards()
 
-    def failing() -> list[tuple[int, list[str]]]:
-        answers = [browser.get("/nothing-here"), browser.post("/tracks/track_1")]
-        answers += [browser.get(f"/submissions/{COMPLETED.id}"), browser.get("/")]
-        return [(answer.status_code, header(answer)) for answer in answers]
+    def listener(_: object, __: object, statement: str, *___: object) -> None:
+        if table in statement:
+            work()
 
-    monkeypatch.setattr(data, "submission", gone)
-    monkeypatch.setattr(data, "board", None)
-    assert failing() == [(status, [SIGN_IN]) for status in (404, 405, 410, 500)]
-    sign_in(browser, "Gelbots")
-    assert failing() == [(status, [SIGN_OUT]) for status in (404, 405, 410, 500)]
-    forged = browser.post("/sign-out", data={"form_token": "another"})
+    event.listen(site.database.engine, "before_cursor_execute", listener)
+
+
+def fail(site: SeededSite, error: Exception, table: str = "evaluations") -> None:
+    def raise_error() -> None:
+        raise error
+
+    before_statements(site, table, raise_error)
+
+
+def test_error_pages_have_the_header_of_other_pages(site: SeededSite) -> None:
+    visitor, team = site.visitor(), site.visitor(GELBOTS)
+    with site.database.transaction() as session:
+        session.execute(update(Submission).values(track="chess"))
+    removed = [browser.get(site.path_of("done")) for browser in (visitor, team)]
+    assert [answer.status_code for answer in removed] == [303, 410]
+    assert header(removed[1]) == [SIGN_OUT]
+    fail(site, RuntimeError("broken"), "board_results")
+    for browser, offer in ((visitor, SIGN_IN), (team, SIGN_OUT)):
+        answers = [browser.get("/nothing-here"), browser.post("/tracks/track_1"), browser.get("/tracks/track_1")]
+        assert [(answer.status_code, header(answer)) for answer in answers] == [
+            (status, [offer]) for status in (404, 405, 500)
+        ]
+    forged = team.post("/sign-out", data={"form_token": "another"})
     assert (forged.status_code, header(forged)) == (403, [SIGN_OUT])
     assert forged.headers["cache-control"] == "no-store"
-    assert form_token(browser) in forged.text, "signing out works from there"
+    assert form_token(team) in forged.text, "signing out works from there"
 
 
+@pytest.mark.parametrize("error", [AWAY, RuntimeError("no idea who that is")])
 def test_who_cannot_be_looked_up_is_offered_neither_to_sign_in_nor_to_sign_out(
-    data: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
+    site: SeededSite, error: Exception
 ) -> None:
-    sign_in(browser, "Gelbots")
-    asked: list[UUID] = []
-
-    def away(token_id: UUID) -> Principal:
-        asked.append(token_id)
-        raise OperationalError("SELECT 1", {}, psycopg.OperationalError("connection refused"))
-
-    def broken(token_id: UUID) -> Principal:
-        raise RuntimeError(f"no idea who {token_id} is")
-
-    monkeypatch.setattr(data, "principal_of_token_id", away)
+    browser, asked = site.visitor(GELBOTS), []
+    before_statements(site, "api_tokens", lambda: asked.append(1))
+    fail(site, error, "api_tokens")
     answer = browser.get("/")
-    assert (answer.status_code, header(answer)) == (503, [])
-    assert len(asked) == 1, "a database that failed is not asked again"
-    for lookup in (away, broken):
-        monkeypatch.setattr(data, "principal_of_token_id", lookup)
-        missing = browser.get("/nothing-here")
-        assert (missing.status_code, header(missing)) == (404, [])
+    assert (answer.status_code, header(answer), len(asked)) == ((503, [], 1) if error is AWAY else (500, [], 2)), (
+        "a database that failed is not asked again"
+    )
+    missing = browser.get("/nothing-here")
+    assert (missing.status_code, header(missing)) == (404, [])
     browser.cookies.clear()
     assert header(browser.get("/nothing-here")) == [SIGN_IN]
 
 
-def test_who_asks_too_often_costs_no_look_up_more(
-    data: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sign_in(browser, "Gelbots")
-    asked, look_up = [], data.principal_of_token_id
-
-    def counted(token_id: UUID) -> Principal:
-        asked.append(token_id)
-        return look_up(token_id)
-
-    def refused(_: object, __: object, submission_id: UUID) -> SubmissionDetail:
-        raise ServiceError(ProblemCode.TOO_MANY_REQUESTS, f"Wait before you ask for {submission_id} again.")
-
-    monkeypatch.setattr(data, "principal_of_token_id", counted)
-    monkeypatch.setattr(data, "submission", refused)
-    answer = browser.get(f"/submissions/{COMPLETED.id}")
+def test_who_asks_too_often_costs_no_look_up_more(site: SeededSite) -> None:
+    browser, asked = site.visitor(GELBOTS), []
+    before_statements(site, "api_tokens", lambda: asked.append(1))
+    fail(site, ServiceError(ProblemCode.TOO_MANY_REQUESTS, "Wait, then use `vitac <status>`."))
+    answer = browser.get(site.path_of("done"))
     assert (answer.status_code, header(answer), len(asked)) == (429, [], 1), "by the page itself"
+    assert "use <code>vitac &lt;status&gt;</code>." in answer.text
 
 
 def test_browsers_get_a_page_and_programs_their_json(browser: AsgiBrowser) -> None:
@@ -101,73 +99,57 @@ def test_browsers_get_a_page_and_programs_their_json(browser: AsgiBrowser) -> No
         assert answer.json()["code"] == "not_found"
 
 
-def test_a_database_that_stands_still_is_a_page_that_says_so(
-    data: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(site, "PAGE_TIMEOUT_S", 0.05)
-    data.leaderboard = lambda *_, **__: threading.Event().wait(0.5)  # type: ignore[assignment,method-assign]
-    answer = browser.get("/")
+def test_a_database_that_stands_still_is_a_page_that_says_so(site: SeededSite, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(site_module, "PAGE_TIMEOUT_S", 0.05)
+    pauses_s = iter([0.3])
+    before_statements(site, "evaluations", lambda: time.sleep(next(pauses_s, 0.0)))
+    answer = site.visitor().get("/")
     assert answer.status_code == 503
     assert "The database does not answer" in answer.text
 
 
-def test_a_crash_is_a_page_that_tells_nothing_of_the_inside(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = None  # type: ignore[assignment]
-    answer = browser.get("/")
+def test_a_crash_is_a_page_that_tells_nothing_of_the_inside(site: SeededSite) -> None:
+    fail(site, RuntimeError("the inside"))
+    answer = site.visitor().get("/")
     assert answer.status_code == 500
     assert "Internal error" in answer.text
     assert "Traceback" not in answer.text
+    assert "the inside" not in answer.text
     assert answer.headers["content-security-policy"] == HEADERS["Content-Security-Policy"]
 
 
 @pytest.mark.parametrize(
-    ("error", "sentence"),
+    ("error", "status", "sentence"),
     [
-        (psycopg.OperationalError("connection refused"), "The database is starting or unavailable"),
-        (psycopg.OperationalError("sorry, too many clients already"), "The database has no free connection"),
-        (psycopg.errors.QueryCanceled(), "The database took too long"),
+        (AWAY, 503, "The database is starting or unavailable; try again in a moment."),
+        (
+            OperationalError("SELECT 1", {}, psycopg.OperationalError("sorry, too many clients already")),
+            503,
+            "The database has no free connection; try again in a moment.",
+        ),
+        (
+            OperationalError("SELECT 1", {}, psycopg.errors.QueryCanceled()),
+            503,
+            "The database took too long; try again in a moment.",
+        ),
+        (OperationalError("INSERT", {}, psycopg.errors.DiskFull()), 507, "The disk of the service is full"),
+        (OSError(errno.ENOSPC, "No space left on device"), 507, "The disk of the service is full"),
     ],
 )
-def test_database_that_is_away_is_a_page_that_says_why_and_when_to_come_back(
-    data: FixedData, browser: AsgiBrowser, error: Exception, sentence: str
+def test_a_database_that_is_away_or_full_is_a_page_that_says_why_and_when_to_come_back(
+    site: SeededSite, error: Exception, status: int, sentence: str
 ) -> None:
-    def away(*_: object, **__: object) -> LeaderboardView:
-        raise OperationalError("SELECT 1", {}, error)
-
-    data.leaderboard = away  # type: ignore[assignment]
-    answer = browser.get("/")
-    assert answer.status_code == 503
-    assert answer.headers["retry-after"] == "2"
-    assert f"{sentence}; try again in a moment." in answer.text
-    program = browser.get("/", headers={"accept": "*/*"})
-    assert (program.status_code, program.json()["code"]) == (503, "database_unavailable")
-
-
-@pytest.mark.parametrize(
-    "error",
-    [OSError(errno.ENOSPC, "No space left on device"), OperationalError("INSERT", {}, psycopg.errors.DiskFull())],
-)
-def test_full_disk_is_a_page_that_says_so(data: FixedData, browser: AsgiBrowser, error: Exception) -> None:
-    def full(*_: object, **__: object) -> LeaderboardView:
-        raise error
-
-    data.leaderboard = full  # type: ignore[assignment]
-    answer = browser.get("/")
-    assert answer.status_code == 507
-    assert "The disk of the service is full" in answer.text
+    fail(site, error)
+    answer = site.visitor().get("/")
+    assert answer.status_code == status
+    assert sentence in answer.text
+    if status == 503:
+        assert answer.headers["retry-after"] == "2"
+        program = site.visitor().get("/", headers={"accept": "*/*"})
+        assert (program.status_code, program.json()["code"]) == (503, "database_unavailable")
 
 
 def test_wrong_method_is_a_page(browser: AsgiBrowser) -> None:
     answer = browser.post("/tracks/track_1")
     assert answer.status_code == 405
     assert "GET" in answer.headers["allow"]
-
-
-def test_words_between_backticks_of_a_message_are_code(
-    data: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refused(*_: object) -> SubmissionDetail:
-        raise ServiceError(ProblemCode.TOO_MANY_REQUESTS, "Use `vitac <status>`.")
-
-    monkeypatch.setattr(data, "submission", refused)
-    assert "Use <code>vitac &lt;status&gt;</code>." in browser.get(f"/submissions/{COMPLETED.id}").text

@@ -1,75 +1,56 @@
 import gzip
 import json
 import struct
-from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
 from asgi_browser import AsgiBrowser
-from markupsafe import escape
-from page_fixtures import LOCK, MADE_UP_SCORES, NOW, TASK, a_leaderboard, an_entry
-from page_service import FixedData, an_application
 from PIL import Image
-from played_episodes import KEY, a_playback, a_shown_episode, real_files
-from visits import COMPLETED
-from vitac.evaluator.episodes.records import EpisodeOutcome
+from played_episodes import ask_for_playback, real_files
+from seeded_site import GELBOTS, SeededSite, words
+from service_factories import TASK, TRACK
+from sqlalchemy import update
 from vitac.evaluator.tracks import load_track
+from vitac.server.accounts.messages import publish_announcement
 from vitac.server.api.conditional import compress
+from vitac.server.database.models import Submission, Team
+from vitac.server.database.states import WorkState
 from vitac.server.playbacks.asking import PlaybackFile
-from vitac.server.views.comparisons import PublicEpisodeView, StillView
-from vitac.server.views.competition import CompetitionTrackView, CompetitionView, StageView
-from vitac.server.views.correspondence import AnnouncementView
+from vitac.server.principals import CONSOLE
 from vitac.web.pages import home
 from vitac.web.pages.tracks import find_scene
 from vitac.web.rendering import STATIC
 
-SCORES = (MADE_UP_SCORES[TASK], MADE_UP_SCORES[LOCK])
-DAY = timedelta(days=1)
+from competitions import make_competition, moved, open_now
 
 
-def a_stage(name: str, opens: datetime, closes: datetime, *, is_open: bool) -> StageView:
-    empty = dict.fromkeys(("list_kind", "commitment", "secret", "scored_runs", "attempts", "qualified"))
-    times: dict[str, Any] = {"opens": opens, "closes": closes, "is_open": is_open}
-    return StageView.model_validate({"name": name, "title": name.title(), "accepts": ["model"]} | times | empty)
+def first_card(html: str) -> str:
+    """What the front page says of the first track."""
+    return words(html.partition('id="tracks"')[2].partition("</li>")[0])
 
 
-def a_cup(*stages: StageView, taken_here: bool = True) -> CompetitionView:
-    track = CompetitionTrackView(
-        name="track_1",
-        title="Touch",
-        taken_here=taken_here,
-        ranking=["success_rate"],
-        ties="",
-        stages=list(stages),
-        prizes=[],
-    )
-    return CompetitionView.model_validate(
-        dict.fromkeys(("website", "contact", "teams_locked", "frozen_at", "finalized_at"))
-        | {"name": "cup", "title": "The cup", "summary": "", "rules": [], "currency": "USD", "winners": []}
-        | {"tracks": [track]}
-    )
-
-
-def test_an_empty_arena_says_what_it_is_and_how_to_be_the_first(browser: AsgiBrowser) -> None:
-    html = browser.get("/").text
+def test_an_empty_arena_says_what_it_is_and_how_to_be_the_first(site: SeededSite) -> None:
+    with site.database.transaction() as session:
+        session.execute(update(Team).values(disqualified_at=Team.created_at, disqualified_for="test"))
+    html = site.visitor().get("/").text
     for shown in ("ViTac Arena</h1>", "Be the first", "Open for practice", "0 teams ranked", "/docs/"):
         assert shown in html
-    assert html.count('class="cards"') == 1
     assert 'aria-current="page"' not in html.split("<main")[0]
     assert "/competition" not in html
 
 
-def test_names_in_any_script_stand_apart_from_the_numbers_beside_them(data: FixedData, browser: AsgiBrowser) -> None:
-    team = "مختبر اللمس"
-    data.board = a_leaderboard(an_entry(1, team, *SCORES, name="سياسة"))
-    html = browser.get("/").text
+def test_names_in_any_script_stand_apart_from_the_numbers_beside_them(site: SeededSite) -> None:
+    team, name = "مختبر اللمس", "سياسة"
+    with site.database.transaction() as session:
+        session.execute(update(Team).where(Team.name == GELBOTS).values(name=team))
+        session.execute(update(Submission).where(Submission.name == "both").values(name=name))
+    html = site.visitor().get("/").text
     # Without isolation a browser draws the rate after an Arabic name in front of it.
     assert f"<bdi>{team}</bdi>: " in html
     assert f"first <bdi>{team}</bdi> with " in html
     assert html.count(team) == html.count(f"<bdi>{team}</bdi>")
-    assert html.count("سياسة") == html.count("<bdi>سياسة</bdi>") == 1
-    board = browser.get("/tracks/track_1").text
-    assert f'class="team"><bdi>{team}</bdi>' in board
+    assert html.count(name) == html.count(f"<bdi>{name}</bdi>") == 1
+    assert f'class="team"><bdi>{team}</bdi>' in site.visitor().get("/tracks/track_1").text
 
 
 def test_ways_in_are_buttons_and_each_card_leads_to_its_board_and_rules(browser: AsgiBrowser) -> None:
@@ -77,62 +58,47 @@ def test_ways_in_are_buttons_and_each_card_leads_to_its_board_and_rules(browser:
     assert '<a class="button" href="/tracks/track_1/rules#taking-part">Take part</a>' in html
     assert '<a class="button plain" href="/docs/">Documentation</a>' in html
     cards = html.partition('class="cards"')[2].partition("</ul>")[0]
-    assert cards.count('">Leaderboard<') == cards.count('">Rules<') == cards.count("<li>") >= 1
+    assert cards.count("board<span") == cards.count('">Rules<') == cards.count("<li>") >= 1
 
 
-def test_what_happened_lately_comes_first_and_links_what_is_public(data: FixedData, browser: AsgiBrowser) -> None:
-    entries = [
-        an_entry(rank, f"Team {rank}", *SCORES).model_copy(update={"evaluated_at": NOW - rank * DAY})
-        for rank in range(1, 9)
-    ]
-    newest = an_entry(9, "Gelbots", SCORES[0]).model_copy(
-        update={"evaluated_at": NOW + DAY, "submission_id": COMPLETED.id, "submission_name": "<done>"}
-    )
-    stale = an_entry(None, "Old Team", *SCORES)
-    data.board = a_leaderboard(*entries, newest, stale)
-    data.found = [found.model_copy(update={"public": found.id == COMPLETED.id}) for found in data.found]
-    data.stills[:] = [StillView(task=TASK, episode=7, outcome=EpisodeOutcome.SUCCESS, key="a")]
-    html = browser.get("/").text.replace("\N{NO-BREAK SPACE}", " ")
+def test_what_happened_lately_comes_first_and_links_what_is_public(site: SeededSite) -> None:
+    for number in range(home.NEWS + 1):
+        site.score(f"Team {number}", f"<{number}>", 250 - number)
+    newest = f"<{home.NEWS}>"
+    site.publish(newest)
+    html = site.visitor().get("/").text
     recent = html.split('id="recent"')[1]
+    shown = words(recent)
     assert recent.count("<li>") == home.NEWS
-    assert recent.index("&lt;done&gt;") < recent.index("Team 1") < recent.index("Team 4")
-    assert "Team 5" not in recent
-    assert "Old Team" not in html
-    assert f'<a href="/submissions/{COMPLETED.id}">' in recent
-    assert "86.7 % in peg insertion, rank 9" in recent
-    assert f'<a class="thumbnail" href="/submissions/{COMPLETED.id}/episodes/{TASK}/7"><img src=' in recent
-    assert (recent.count('href="/submissions/'), recent.count("/playback/still")) == (2, 1)
+    places = [shown.index(f"<{number}>") for number in range(home.NEWS, 0, -1)]
+    assert places == sorted(places)
+    assert "<0>" not in shown
+    assert f'<a href="{site.path_of(newest)}">' in recent
+    assert "% in peg insertion, rank " in shown
     assert recent.count("<img") == home.NEWS, "the picture of its track stands in place of a still"
-    assert "9 teams ranked, first <bdi>Team 1</bdi> with" in html
+    assert "1 evaluation runs now, 1 in the queue." in shown
 
 
 @pytest.mark.parametrize(
-    ("stages", "shown"),
-    [
-        ([("main", -DAY, DAY, True), ("final", 2 * DAY, 3 * DAY, False)], "Main is open until"),
-        ([("main", -2 * DAY, -DAY, False), ("final", 2 * DAY, 3 * DAY, False)], "Final opens on"),
-        ([("main", -2 * DAY, -DAY, False)], "Closed since"),
-    ],
+    ("days", "card"),
+    [(0, "Simulation is open until"), (-30.5, "Final opens on"), (-120, "Closed since")],
 )
-def test_a_card_says_whether_its_track_takes_submissions(
-    data: FixedData,
-    browser: AsgiBrowser,
-    monkeypatch: pytest.MonkeyPatch,
-    stages: list[tuple[str, timedelta, timedelta, bool]],
-    shown: str,
-) -> None:
-    monkeypatch.setattr("vitac.web.front.monotonic", lambda: 0.0)
-    now = datetime.now(UTC)
-    made = [a_stage(name, now + opens, now + closes, is_open=is_open) for name, opens, closes, is_open in stages]
-    data.cup = a_cup(*made)
-    html = browser.get("/").text
-    assert shown in html
+def test_a_card_says_whether_its_track_takes_submissions(site: SeededSite, days: float, card: str) -> None:
+    site.hold(moved(open_now(make_competition()), days))
+    html = site.visitor().get("/").text
+    assert card in first_card(html)
     assert '<a class="button plain" href="/competition">The cup</a>' in html
     assert '<a href="/competition">The cup</a></h3>' in html
     assert '<li><a href="/competition">Competition</a></li>' in html
-    data.cup = a_cup(*made, taken_here=False)
-    assert "collected elsewhere" not in browser.get("/").text, "it is kept for seconds"
-    assert "collected elsewhere" in AsgiBrowser(an_application(data)).get("/").text
+    site.hold(moved(open_now(make_competition(taken_here=False)), days))
+    assert "collected elsewhere" in site.visitor().get("/").text
+
+
+def test_what_everybody_asks_for_is_kept_for_seconds(site: SeededSite, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vitac.web.front.monotonic", lambda: 0.0)
+    before = site.visitor().get("/").text
+    site.score("Newcomers", "new", 270)
+    assert site.visitor().get("/").text == before
 
 
 def test_the_first_load_is_small_and_the_player_waits_for_a_click(
@@ -170,45 +136,46 @@ def header_of(content: bytes) -> dict[str, Any]:
     return header
 
 
-@pytest.mark.parametrize("has_cameras", [False, True])
-def test_a_public_episode_is_played_in_place_of_ours(data: FixedData, browser: AsgiBrowser, has_cameras: bool) -> None:
-    shown = a_shown_episode(a_playback(has_cameras=has_cameras), submission_name="<b>", number=9)
-    data.public_one = PublicEpisodeView(submission_id=COMPLETED.id, shown=shown)
-    html = browser.get("/").text
-    address = f"/submissions/{COMPLETED.id}/episodes/{TASK}/9"
-    assert f'data-playback="{address}/playback" data-version="{KEY}"' in html
-    assert ("data-cameras" in html) == has_cameras
-    assert f'<a href="{address}">Peg insertion, episode 9</a>, by <bdi>&lt;b&gt;</bdi> of <bdi>Gelbots</bdi>' in html
-    assert str(escape(shown.story)) in html
+def test_a_public_episode_is_played_in_place_of_ours(site: SeededSite) -> None:
+    path = ask_for_playback(site, "both", 9, state=WorkState.DONE, files=dict(real_files(TASK, 5)))
+    assert path not in site.visitor().get("/").text
+    with site.database.transaction() as session:
+        session.execute(update(Submission).where(Submission.name == "both").values(name="<b>"))
+    site.publish("both")
+    site.forget_front_page()
+    html = site.visitor().get("/").text
+    assert f'data-playback="{path}/playback" data-version="' in html
+    assert f'<a href="{path}">Peg insertion, episode 9</a>, by <bdi>&lt;b&gt;</bdi> of <bdi>Gelbots</bdi>' in html
     assert "/example/playback" not in html
     assert html.count("<img") == 1 + html.count('loading="lazy"'), "only what is seen first is loaded with the page"
-    assert f'src="{address}/playback/still?v={KEY}"' in html, "the picture is of the episode that is played"
+    assert f'src="{path}/playback/still?v=' in html, "the picture is of the episode that is played"
 
 
-def test_the_newest_announcements_are_shown_and_linked(data: FixedData, browser: AsgiBrowser) -> None:
-    assert "/announcements#" not in browser.get("/").text
-    data.said = [
-        AnnouncementView(id=number, title=f"<News {number}>", text="All of it.", published_at=NOW)
-        for number in range(7, 1, -1)
-    ]
-    html = AsgiBrowser(an_application(data)).get("/").text
+def test_the_newest_announcements_are_shown_and_linked(site: SeededSite) -> None:
+    assert "/announcements#" not in site.visitor().get("/").text
+    with site.database.transaction() as session:
+        for number in range(1, home.ANNOUNCEMENTS + 2):
+            publish_announcement(session, CONSOLE, title=f"<News {number}>", text="All of it.", notify=False)
+    site.forget_front_page()
+    html = site.visitor().get("/").text
     assert html.count("/announcements#announcement-") == home.ANNOUNCEMENTS
-    assert '<a href="/announcements#announcement-7">&lt;News 7&gt;</a>' in html
-    assert html.index("News 7") < html.index("News 5")
-    assert "News 4" not in html
+    newest = home.ANNOUNCEMENTS + 1
+    assert f'<a href="/announcements#announcement-{newest}">&lt;News {newest}&gt;</a>' in html
+    assert html.index(f"News {newest}") < html.index("News 2")
+    assert "News 1" not in html
     assert "All of it." not in html
 
 
-def test_a_track_has_the_picture_of_its_first_task_or_of_the_one_that_a_competition_names(
-    data: FixedData, browser: AsgiBrowser
-) -> None:
+def test_a_track_has_the_picture_of_its_first_task_or_of_the_one_that_a_competition_names(site: SeededSite) -> None:
     robust = load_track("track_1_peg_robust").tasks
     assert find_scene(next(iter(robust.values()))) == "peg-insertion.webp", "that of the same environment"
     assert find_scene(None) == "markers.svg"
-    assert 'src="/static/lock-opening.webp?v=' in browser.get("/").text
-    now = datetime.now(UTC)
-    cup = a_cup(a_stage("main", now - DAY, now + DAY, is_open=True))
-    data.cup = cup.model_copy(
-        update={"tracks": [track.model_copy(update={"picture": "fusion-insertion"}) for track in cup.tracks]}
-    )
-    assert 'src="/static/fusion-insertion.webp?v=' in AsgiBrowser(an_application(data)).get("/").text
+
+    def picture() -> str:
+        return site.visitor().get("/").text.partition('class="cards"')[2].partition("?v=")[0]
+
+    assert picture().endswith('src="/static/lock-opening.webp')
+    content = open_now(make_competition())
+    content["tracks"][TRACK]["picture"] = "fusion-insertion"
+    site.hold(content)
+    assert picture().endswith('src="/static/fusion-insertion.webp')

@@ -1,19 +1,24 @@
 import re
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 
 import pytest
 from asgi_browser import AsgiBrowser
 from cubes_track import FILE
-from page_fixtures import LOCK, NOW, TASK, a_finished_cup, a_leaderboard, a_score, an_entry, an_id
-from page_service import FixedData, a_site, an_application
 from PIL import Image
 from recorded_forces import some_forces
-from visits import sign_in
+from seeded_site import BEARS, GELBOTS, ORGANIZERS, SeededSite, words
+from service_factories import TASK, TRACK, forget_boards
+from sqlalchemy import update
 from vitac.evaluator.scoring.score import summarize_forces
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import list_tracks, load_track
-from vitac.server.leaderboards.baselines import list_baselines
+from vitac.server.competitions.applying import freeze_boards
+from vitac.server.competitions.sealing import seal
+from vitac.server.database.models import BoardResult, Evaluation
+from vitac.server.decisions.finishing import finalize
+from vitac.server.principals import CONSOLE
 from vitac.server.tracks import sort_challenge_first
 from vitac.web.pages.leaderboards.leaderboard import PLOTTED
 from vitac.web.pages.leaderboards.paging import PAGE_ENTRIES
@@ -21,127 +26,105 @@ from vitac.web.pages.leaderboards.tabs import accepts_logs, track_tabs
 from vitac.web.pages.tracks import PICTURES
 from vitac.web.rendering import STATIC
 
-BEARS_PEG, BEARS_LOCK = a_score((84, 80, 77), 4.31), a_score((40, 38, 2, 0), 11.5, LOCK)
-GELBOTS_PEG = a_score((20, 11, 9), 6.02)
+from competitions import FIRST, make_competition, moved, open_now, sealed_competition, stored_stage
 
 
-def test_the_board_ranks_all_tasks_together_and_shows_each(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(an_entry(1, "Bears", BEARS_PEG, BEARS_LOCK), an_entry(2, "Gelbots", GELBOTS_PEG))
-    html = browser.get("/tracks/track_1").text.replace("\N{NO-BREAK SPACE}", " ")
-    for shown in (
-        "69.6 %",
-        "65.2 % to 73.8 %",
-        "7.90",
-        "89.3 %",
-        "241 of 270",
-        "4.31 env steps",
-        "80 of 160",
-        "11.50 env steps",
-    ):
-        assert shown in html
+def test_the_board_ranks_all_tasks_together_and_shows_each(site: SeededSite) -> None:
+    site.score("Wolves", "one task", 40)
+    html = site.visitor().get("/tracks/track_1").text.replace("\N{NO-BREAK SPACE}", " ")
+    shown = words(html)
+    for text in ("73.3 %", "68.3 % to 77.9 %", "86.7 %", "234 of 270", "4.50 env steps", "96 of 160"):
+        assert text in shown
     earned = "of all tasks; 14.8 % in peg insertion alone, 40 of 270"
     assert html.index("Bears") < html.index('"rate-number">7.4 %<') < html.index(earned) < html.index("not submitted")
     assert '"rate-number">14.8 %<' not in html, "the number that ranks is the large one"
-    assert "mean of the success rates of all tasks" in html
+    assert "mean of the success rates of all tasks" in shown
 
 
-def test_a_task_has_a_leaderboard_of_its_own_with_rates_by_shape(data: FixedData, browser: AsgiBrowser) -> None:
-    data.task_boards[TASK] = a_leaderboard(an_entry(1, "Bears", BEARS_PEG, BEARS_LOCK, task=TASK), task=TASK)
+def test_a_task_has_a_leaderboard_of_its_own_with_rates_by_shape(browser: AsgiBrowser) -> None:
     assert f'href="/tracks/track_1?task={TASK}"' in browser.get("/tracks/track_1").text
-    html = browser.get(f"/tracks/track_1?task={TASK}").text.replace("\N{NO-BREAK SPACE}", " ")
-    for shown in ("Trapezoid", "85.0 % to 92.4 %, 241 of 270", "4.31", "93.3 %", "<dd>270</dd>"):
-        assert shown in html
-    assert "Key1" not in html
+    html = browser.get(f"/tracks/track_1?task={TASK}").text
+    shown = words(html)
+    for text in ("Trapezoid", "85.0 % to 92.4 %, 241 of 270", "4.51", "93.3 %"):
+        assert text in shown
+    assert "<dd>270</dd>" in html
+    assert "Key1" not in shown
     assert f'href="/tracks/track_1?task={TASK}" aria-current="page"' in html
     assert browser.get("/tracks/track_1?task=nothing").status_code == 404
 
 
-def test_the_board_of_a_task_shows_the_median_peak_force_where_it_is_recorded(
-    data: FixedData, browser: AsgiBrowser
-) -> None:
-    forced = BEARS_PEG.model_copy(update={"forces": summarize_forces([some_forces(24.5)])})
-    rows = an_entry(1, "Bears", forced, task=TASK), an_entry(2, "Gelbots", GELBOTS_PEG, task=TASK)
-    data.task_boards[TASK] = a_leaderboard(*rows, task=TASK)
-    html = browser.get(f"/tracks/track_1?task={TASK}").text
-    assert "Peak force, median" in html
-    assert "</span> 24.5 N" in html
-    data.task_boards[TASK] = a_leaderboard(rows[1], task=TASK)
-    assert "Peak force, median" not in browser.get(f"/tracks/track_1?task={TASK}").text
+def test_the_board_of_a_task_shows_the_median_peak_force_where_it_is_recorded(site: SeededSite) -> None:
+    page = f"/tracks/track_1?task={TASK}"
+    assert "Peak force, median" not in site.visitor().get(page).text
+    forces = summarize_forces([some_forces(24.5)])
+    assert forces is not None
+    with site.evaluation("sharp") as (_, evaluation):
+        evaluation.scores = [score | {"forces": forces.model_dump(mode="json")} for score in evaluation.scores or ()]
+    forget_boards()
+    shown = words(site.visitor().get(page).text)
+    assert "Peak force, median" in shown
+    assert "24.5 N" in shown
 
 
-def test_a_page_of_thousands_of_teams_stays_small(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(*(an_entry(rank, f"Team {rank}", BEARS_PEG) for rank in range(1, 301)))
-    html = browser.get("/tracks/track_1").text
-    assert html.count('class="point"') == PLOTTED + PAGE_ENTRIES, "one for each point, and for each row"
-    assert len(html) < 150_000
+def test_a_page_of_many_teams_stays_small_and_its_plot_shows_the_best(site: SeededSite) -> None:
+    site.fill_board(PAGE_ENTRIES + PLOTTED)
+    html = site.visitor().get("/tracks/track_1").text
+    assert html.count('<tr role="row" class') >= PAGE_ENTRIES
+    by_date = re.findall(r"<figure.*?</figure>", html, re.DOTALL)[0]
+    assert by_date.count('class="point"') == PLOTTED
+    assert len(html) < 170_000
 
 
-def test_baselines_stand_below_the_entries_without_a_rank_and_on_an_empty_board(
-    data: FixedData, browser: AsgiBrowser
-) -> None:
-    baselines = list_baselines(load_track("track_1"), TASK)
-    for entries in ([an_entry(1, "Bears", BEARS_PEG, task=TASK)], []):
-        data.task_boards[TASK] = a_leaderboard(*entries, task=TASK).model_copy(update={"baselines": baselines})
-        html = browser.get(f"/tracks/track_1?task={TASK}").text
-        rows = html.split('class="reference"')[1:]
+def test_baselines_stand_below_the_entries_without_a_rank_and_on_an_empty_board(site: SeededSite) -> None:
+    page = f"/tracks/track_1?task={TASK}"
+    assert 'class="reference"' not in site.visitor().get(f"{page}&q=bears").text
+    for _ in range(2):
+        rows = site.visitor().get(page).text.split('class="reference"')[1:]
         assert len(rows) == 2
         assert "peg insertion trained" in rows[0]
         assert "211 of 270" in rows[0]
         assert re.findall(r"</span> ([0-9.]+).%</td>", rows[0]) == ["83.3", "86.7", "64.4"], "by shape"
         assert 'type="checkbox"' not in rows[0] + rows[1]
-    data.task_boards[TASK] = a_leaderboard(an_entry(1, "Bears", BEARS_PEG, task=TASK), task=TASK)
-    assert 'class="reference"' not in browser.get(f"/tracks/track_1?task={TASK}&q=bears").text
+        with site.database.transaction() as session:
+            session.execute(update(BoardResult).values(is_off_boards=True))
+        forget_boards()
 
 
-def test_entry_of_another_evaluator_version_has_no_rank(data: FixedData, browser: AsgiBrowser) -> None:
-    board = a_leaderboard(an_entry(None, "Old Team", a_score((84, 80, 77), 4.31)))
-    data.board = board.model_copy(update={"unranked": "1 of 1 entries has no rank: use `vitac admin rejudge`."})
-    html = browser.get("/tracks/track_1").text
-    assert "evaluator 1+ba9876543210, not comparable" in html
-    assert "<p>1 of 1 entries has no rank: use <code>vitac admin rejudge</code>.</p>" in html
-    assert "<dt>Teams ranked</dt><dd>0</dd>" in html
+def test_entry_of_another_evaluator_version_has_no_rank(site: SeededSite) -> None:
+    with site.evaluation("sharp") as (session, evaluation):
+        for table, of_evaluation in ((Evaluation, Evaluation.id), (BoardResult, BoardResult.evaluation_id)):
+            session.execute(update(table).where(of_evaluation == evaluation.id).values(evaluator_version="0+old"))
+    forget_boards()
+    html = site.visitor().get("/tracks/track_1").text
+    assert "evaluator 0+old, not comparable" in words(html)
+    assert "1 of 2 entries has no rank" in words(html)
+    assert "<code>vitac admin" in html
+    assert "<dt>Teams ranked</dt><dd>1</dd>" in html
 
 
-def test_a_public_page_that_a_browser_has_is_not_sent_again_until_it_changes(
-    data: FixedData, browser: AsgiBrowser
-) -> None:
-    data.board = a_leaderboard(an_entry(1, "Bears", a_score((84, 80, 77), 4.31)))
+def test_a_public_page_that_a_browser_has_is_not_sent_again_until_it_changes(site: SeededSite) -> None:
+    browser = site.visitor()
     tag = browser.get("/tracks/track_1").headers["etag"]
     assert browser.get("/tracks/track_1", headers={"If-None-Match": tag}).status_code == 304
-    data.board = a_leaderboard(an_entry(1, "Wolves", a_score((84, 80, 77), 4.31)))
+    site.score("<b>Wolves</b>", "new", 250)
     changed = browser.get("/tracks/track_1", headers={"If-None-Match": tag})
-    assert (changed.status_code, "Wolves" in changed.text, "Bears" in changed.text) == (200, True, False)
+    assert (changed.status_code, "&lt;b&gt;Wolves" in changed.text, "<b>Wolves" in changed.text) == (200, True, False)
 
 
-def test_team_names_are_escaped(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(an_entry(1, "<b>Bears</b>", a_score((1, 0, 0), 4.0)))
-    html = browser.get("/tracks/track_1").text
-    assert "&lt;b&gt;Bears" in html
-    assert "<b>Bears" not in html
+def test_submission_is_linked_for_its_own_team_only(site: SeededSite) -> None:
+    link = f'href="{site.path_of("sharp")}"'
+    for name, is_linked in ((None, False), (GELBOTS, False), (BEARS, True), (ORGANIZERS, True)):
+        assert (link in site.visitor(name).get("/tracks/track_1").text) is is_linked
 
 
-def test_submission_is_linked_for_its_own_team_only(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(an_entry(1, "Bears", a_score((84, 80, 77), 4.31)))
-    link = f'href="/submissions/{an_id("Bears/policy")}"'
-    assert link not in browser.get("/tracks/track_1").text
-    sign_in(browser, "Gelbots")
-    assert link not in browser.get("/tracks/track_1").text
-    sign_in(browser, "Bears")
-    assert link in browser.get("/tracks/track_1").text
-    sign_in(browser, "organizers")
-    assert link in browser.get("/tracks/track_1").text
-
-
-@pytest.mark.parametrize("address", ["/tracks/track_1", "/tracks/track_1/leaderboard.csv"])
-def test_organizers_see_results_that_frozen_boards_do_not_show_to_others(
-    data: FixedData, browser: AsgiBrowser, address: str
-) -> None:
-    data.board = a_leaderboard(an_entry(1, "Bears", a_score((84, 80, 77), 4.31)))
-    data.unfrozen_board = a_leaderboard(an_entry(1, "Newcomers", a_score((90, 90, 90), 3.0)))
-    for who, sees_all in ((None, False), ("Bears", False), ("organizers", True)):
-        if who is not None:
-            sign_in(browser, who)
-        assert ("Newcomers" in browser.get(address).text) is sees_all
+def test_organizers_see_results_that_frozen_boards_do_not_show_to_others(site: SeededSite) -> None:
+    site.hold(open_now(make_competition()))
+    with site.database.transaction() as session:
+        freeze_boards(session, CONSOLE)
+    site.score("Newcomers", "late", 260)
+    for address in ("/tracks/track_1", "/tracks/track_1/leaderboard.csv"):
+        for name, sees_all in ((None, False), (BEARS, False), (ORGANIZERS, True)):
+            assert ("Newcomers" in site.visitor(name).get(address).text) is sees_all
 
 
 def test_rules_show_the_track_file_and_the_limits(browser: AsgiBrowser) -> None:
@@ -165,32 +148,23 @@ def test_unknown_track_is_a_page_that_names_the_known_ones(browser: AsgiBrowser)
     assert browser.get("/tracks/track_9/rules").status_code == 404
 
 
-def test_logs_of_a_track_rank_apart_and_text_logs_stand_beside_their_claims(browser: AsgiBrowser) -> None:
-    html = browser.get("/tracks/track_1/logs").text.replace("\N{NO-BREAK SPACE}", " ")
-    assert "200 of 270 episodes as an earlier submission of <bdi>Gelbots</bdi>" in html
-    for shown in ("actions verified, policy not seen", "90.0 %", "verified within tolerance", "243 of 270"):
-        assert shown in html
-    assert "No verified log of this task yet" in html
-    for shown in ("does not reproduce itself", "90.6 %", "85.0 %", "lock opening", "not ranked"):
-        assert shown in html
-    assert 'href="/tracks/track_1/logs" aria-current="page"' in html
-
-
-def test_the_board_of_a_public_list_is_for_practice(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard().model_copy(update={"is_practice": True})
-    html = browser.get("/tracks/track_1").text
+def test_the_board_of_a_public_list_is_for_practice(site: SeededSite) -> None:
+    html = site.visitor().get("/tracks/track_1").text
     assert "<dt>Episode list</dt><dd>public</dd>" in html
     assert "Tactile manipulation: practice</h1>" in html
     assert "can recognise its episodes by their first observation" in html
-    data.board = a_leaderboard()
-    assert "practice" not in browser.get("/tracks/track_1").text
+    site.hold(open_now(sealed_competition()))
+    with site.database.transaction() as session:
+        seal(session, CONSOLE, stored_stage(session, TRACK, FIRST))
+    forget_boards()
+    assert "practice</h1>" not in site.visitor().get("/tracks/track_1").text
 
 
-def test_all_pages_of_a_competition_that_ranks_on_a_public_list_say_so(data: FixedData, browser: AsgiBrowser) -> None:
-    data.cup = a_finished_cup()
-    data.public_rankings = ["the prizes go by the board of Final"]
+def test_all_pages_of_a_competition_that_ranks_on_a_public_list_say_so(site: SeededSite) -> None:
+    site.hold(open_now(make_competition()))
+    browser = site.visitor()
     for address in ("/", "/tracks/track_1", "/tracks/track_1/logs", "/tracks/track_1/rules", "/receipts", "/sign-in"):
-        assert "<strong>The cup ranks on a public list:</strong> the prizes go by" in browser.get(address).text
+        assert "<strong>The cup ranks on a public list:</strong>" in browser.get(address).text
     assert "ranks on a public list" not in browser.get("/competitions/other/receipts").text
 
 
@@ -316,11 +290,10 @@ def test_contents_of_the_rules_lead_to_every_section_in_its_order(browser: AsgiB
     assert targets[0] == "taking-part"
 
 
-def test_every_track_is_reached_from_the_leaderboard_and_the_rules_of_another() -> None:
-    names = sort_challenge_first(list_tracks())
-    site = a_site(FixedData(), names)
+def test_every_track_is_reached_from_the_leaderboard_and_the_rules_of_another(site: SeededSite) -> None:
+    names, shared = sort_challenge_first(list_tracks()), site.app.state.site
     for page_of_track in ("", "/rules"):
-        shown = track_tabs(site, load_track("track_1"), page_of_track)
+        shown = track_tabs(shared, load_track("track_1"), page_of_track)
         assert [tab.target for tab in shown] == [f"/tracks/{name}{page_of_track}" for name in names]
         assert [tab.current for tab in shown] == [name == "track_1" for name in names]
         assert [tab.title for tab in shown] == [load_track(name).title for name in names]
@@ -328,8 +301,9 @@ def test_every_track_is_reached_from_the_leaderboard_and_the_rules_of_another() 
     assert names[:3] == ("track_1", "track_2", "track_3")
 
 
-def test_tracks_that_are_not_the_challenges_own_stand_under_a_fold_that_is_open_on_their_pages() -> None:
-    browser = AsgiBrowser(an_application(FixedData(), tracks=sort_challenge_first(list_tracks())))
+def test_tracks_that_are_not_the_challenges_own_stand_under_a_fold_that_is_open_on_their_pages(
+    browser: AsgiBrowser,
+) -> None:
     for track, is_open in (("track_2", False), ("track_2_robust", True)):
         first, fold = browser.get(f"/tracks/{track}").text.partition('aria-label="Tracks"')[2].split("<details", 1)
         assert fold.startswith(" open>") == is_open
@@ -340,57 +314,53 @@ def test_tracks_that_are_not_the_challenges_own_stand_under_a_fold_that_is_open_
     assert "Tactile-vision fusion, robust" in front.partition("<details>")[2]
 
 
-def test_logs_of_other_tracks_are_one_link_away_where_they_are_accepted() -> None:
-    names = list_tracks()
+def test_logs_of_other_tracks_are_one_link_away_where_they_are_accepted(site: SeededSite) -> None:
     only_models = load_track("track_1").model_copy(update={"accepts": (SubmissionKind.MODEL,)})
     assert not accepts_logs(only_models)
-    site = a_site(FixedData(), names)
-    shown = track_tabs(site, load_track("track_1"), "/logs", has_page=lambda track: not track.has_sensor)
+    track, names = load_track("track_1"), site.app.state.site.tracks
+    shown = track_tabs(site.app.state.site, track, "/logs", has_page=lambda one: not one.has_sensor)
     assert [tab.target for tab in shown] == [f"/tracks/{name}/logs" for name in names if name != "track_3"]
-    html = AsgiBrowser(an_application(FixedData(), tracks=names)).get("/tracks/track_1/logs").text
+    html = site.visitor().get("/tracks/track_1/logs").text
     assert html.count('aria-label="Tracks"') == 1
     assert '<a href="/tracks/track_1/logs" aria-current="page">' in html
 
 
-def test_a_single_track_needs_no_links_to_tracks(browser: AsgiBrowser) -> None:
-    assert 'aria-label="Tracks"' not in browser.get("/tracks/track_1").text
+def test_a_single_track_needs_no_links_to_tracks(site: SeededSite) -> None:
+    alone = replace(site.app.state.site, tracks=("track_1",))
+    assert track_tabs(alone, load_track("track_1"), "") == ()
 
 
-def test_a_stage_is_kept_by_all_links_of_its_board(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(an_entry(1, "Bears", BEARS_PEG, BEARS_LOCK))
-    html = browser.get("/tracks/track_1?stage=final").text
-    for address in ("/tracks/track_1/leaderboard.csv", "/api/v1/leaderboards/track_1"):
-        assert f'href="{address}?stage=final"' in html
-    assert 'href="/tracks/track_1?task=peg-insertion&amp;stage=final"' in html
-    named = browser.get("/tracks/track_1/leaderboard.csv?stage=final").headers["content-disposition"]
-    assert "track_1-final-all.csv" in named
+def test_a_stage_is_kept_by_all_links_of_its_board(site: SeededSite) -> None:
+    site.hold(open_now(make_competition()))
+    site.score(BEARS, "staged", 200)
+    browser = site.visitor()
+    html = browser.get(f"/tracks/track_1?stage={FIRST}").text
+    for address in ("/tracks/track_1/leaderboard.csv", "/api/v1/leaderboards/track_1", "/tracks/track_1/logs"):
+        assert f'href="{address}?stage={FIRST}"' in html
+    assert f'href="/tracks/track_1?task=peg-insertion&amp;stage={FIRST}"' in html
+    named = browser.get(f"/tracks/track_1/leaderboard.csv?stage={FIRST}").headers["content-disposition"]
+    assert f"track_1-{FIRST}-all.csv" in named
+    logs = browser.get(f"/tracks/track_1/logs?stage={FIRST}").text
+    assert f'href="/tracks/track_1?stage={FIRST}"' in logs
 
 
-def test_rows_show_the_ranks_that_chance_allows_as_they_are_now(data: FixedData, browser: AsgiBrowser) -> None:
-    entry = an_entry(1, "Bears", BEARS_PEG, task=TASK)
-    for rank_range, shown in (((1, 3), "by chance rank 1 to 3"), ((1, 2), "by chance rank 1 to 2"), ((1, 1), None)):
-        data.task_boards[TASK] = a_leaderboard(entry.model_copy(update={"rank_range": rank_range}), task=TASK)
-        html = browser.get(f"/tracks/track_1?task={TASK}").text
-        assert shown in html if shown else "by chance rank" not in html
+def test_rows_show_the_ranks_that_chance_allows(site: SeededSite) -> None:
+    assert "by chance rank 1 to 2" in words(site.visitor().get("/tracks/track_1").text)
+    site.score("Wolves", "sure", 5)
+    row = words(site.visitor().get("/tracks/track_1").text).partition("3 Wolves")[2]
+    assert "by chance" not in row.partition("Compare")[0]
 
 
-def test_boards_of_models_and_logs_say_since_when_they_are_final(data: FixedData, browser: AsgiBrowser) -> None:
-    archive = 'href="/competition/archive"'
-    pages = ("/tracks/track_1?stage=final", "/tracks/track_1/logs?stage=final")
+def test_boards_of_models_and_logs_say_since_when_they_are_final(site: SeededSite) -> None:
+    content = open_now(make_competition())
+    site.hold(content)
+    pages = [f"/tracks/track_1{page}?stage={FIRST}" for page in ("", "/logs")]
     for page in pages:
-        assert archive not in browser.get(page).text
-    data.board = data.board.model_copy(update={"final_since": NOW, "revision": "final"})
-    data.logs = data.logs.model_copy(update={"final_since": NOW, "revision": "final"})
+        assert 'href="/competition/archive"' not in site.visitor().get(page).text
+    site.hold(moved(content, days=-120))
+    with site.database.transaction() as session:
+        finalize(session, CONSOLE)
     for page in pages:
-        html = browser.get(page).text
+        html = site.visitor().get(page).text
         assert "final since" in html, page
-        assert f"{NOW:%F}" in html
-        assert archive in html
-
-
-def test_the_tab_of_logs_keeps_the_stage(browser: AsgiBrowser) -> None:
-    assert 'href="/tracks/track_1/logs?stage=stage1"' in browser.get("/tracks/track_1?stage=stage1").text
-    html = browser.get("/tracks/track_1/logs?stage=stage1").text
-    assert ">stage1</a>" in html
-    assert 'href="/tracks/track_1?stage=stage1"' in html
-    assert "?stage=" not in browser.get("/tracks/track_1/logs").text
+        assert 'href="/competition/archive"' in html

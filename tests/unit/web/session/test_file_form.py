@@ -8,8 +8,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.types import Message
 from vitac.web.session import file_form
-from vitac.web.session.file_form import MAX_PARTS, FileForm, read_file_form
-from vitac.web.session.signer import FORM_LIMIT_BYTES
+from vitac.web.session.file_form import FORM_LIMIT_BYTES, MAX_PARTS, FileForm, read_file_form
 
 BOUNDARY = "----of-the-form"
 TYPE = f"multipart/form-data; boundary={BOUNDARY}"

@@ -1,8 +1,8 @@
 import pytest
 from asgi_browser import AsgiBrowser
-from page_service import FixedData, an_application
-from visits import RUNNING, form_token, sign_in
-from vitac.web.session.signer import FORM_LIMIT_BYTES, local_target
+from seeded_site import GELBOTS, SeededSite, form_token
+from vitac.web.session.file_form import FORM_LIMIT_BYTES
+from vitac.web.session.signer import local_target
 
 
 @pytest.mark.parametrize(
@@ -13,40 +13,38 @@ from vitac.web.session.signer import FORM_LIMIT_BYTES, local_target
         {"sec-fetch-site": "", "origin": "https://evil.test"},
     ],
 )
-def test_forms_of_other_sites_are_refused(browser: AsgiBrowser, headers: dict[str, str]) -> None:
-    sign_in(browser, "Gelbots")
-    for path in ("/sign-in", "/sign-out", f"/submissions/{RUNNING.id}/cancel"):
+def test_forms_of_other_sites_are_refused(site: SeededSite, headers: dict[str, str]) -> None:
+    browser = site.visitor(GELBOTS)
+    for path in ("/sign-in", "/sign-out", "/register", f"{site.path_of('runs')}/cancel"):
         answer = browser.post(path, data={"form_token": form_token(browser)}, headers=headers)
         assert answer.status_code == 403
         assert "another site" in answer.text
 
 
-def test_forms_of_old_browsers_are_accepted_from_this_origin(data: FixedData) -> None:
-    browser = AsgiBrowser(an_application(data), headers={"origin": "http://testserver"})
-    assert browser.post("/sign-in", data={"token": "token-of-Gelbots"}).status_code == 303
+def test_a_form_that_is_none_is_refused_and_told_what_was_expected(browser: AsgiBrowser) -> None:
+    other = browser.post("/sign-in", json={"token": "x"})
+    assert (other.status_code, "got application/json" in other.text) == (415, True)
+    empty = browser.post("/sign-in")
+    assert (empty.status_code, "got no content type" in empty.text) == (415, True)
 
 
-def test_a_form_that_is_too_long_or_none_is_refused(browser: AsgiBrowser) -> None:
-    assert browser.post("/sign-in", data={"token": "x" * 70_000}).status_code == 413
-    assert browser.post("/sign-in", json={"token": "x"}).status_code == 415
-    assert browser.post("/sign-in").status_code == 415
-
-
-@pytest.mark.parametrize("origin", ["null", "https://testserver.evil.test", "http://[", "testserver", ""])
-def test_forms_of_old_browsers_from_another_origin_are_refused(data: FixedData, origin: str) -> None:
-    browser = AsgiBrowser(an_application(data), headers={"origin": origin})
-    assert browser.post("/sign-in", data={"token": "token-of-Gelbots"}).status_code == 403
-
-
-def test_a_form_that_tells_no_origin_is_accepted(data: FixedData) -> None:
-    """Such as that of a command-line client, which no other site can start."""
-    browser = AsgiBrowser(an_application(data), headers={})
-    assert browser.post("/sign-in", data={"token": "token-of-Gelbots"}).status_code == 303
-
-
-def test_a_form_that_the_user_opened_is_accepted(data: FixedData) -> None:
-    browser = AsgiBrowser(an_application(data), headers={"sec-fetch-site": "none"})
-    assert browser.post("/sign-in", data={"token": "token-of-Gelbots"}).status_code == 303
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"origin": "http://testserver"}, 303),
+        ({"sec-fetch-site": "none"}, 303),
+        ({}, 303),  # as of a command-line client, which no other site can start
+        *(
+            ({"origin": origin}, 403)
+            for origin in ("null", "https://testserver.evil.test", "http://[", "testserver", "")
+        ),
+    ],
+)
+def test_browsers_that_tell_less_are_believed_by_their_origin(
+    site: SeededSite, headers: dict[str, str], status: int
+) -> None:
+    browser = site.visitor(headers=headers)
+    assert browser.post("/sign-in", data={"token": site.token_of(GELBOTS)}).status_code == status
 
 
 @pytest.mark.parametrize(("bytes_beyond", "status"), [(0, 401), (1, 413)])
@@ -55,28 +53,13 @@ def test_a_form_may_be_as_long_as_the_limit(browser: AsgiBrowser, bytes_beyond: 
     assert browser.post("/sign-in", data={"token": token}).status_code == status
 
 
-def test_a_refused_form_is_told_what_was_expected(browser: AsgiBrowser) -> None:
-    assert (
-        "expected a form of at most 65536 bytes" in browser.post("/sign-in", data={"token": "x" * 70_000}).text.lower()
-    )
-    assert "got application/json" in browser.post("/sign-in", json={}).text
-    assert "got no content type" in browser.post("/sign-in").text
-
-
-def test_a_media_type_with_parameters_and_capitals_is_a_form(browser: AsgiBrowser) -> None:
-    media_type = "Application/X-WWW-Form-Urlencoded; charset=utf-8"
-    answer = browser.post("/sign-in", content=b"token=token-of-Gelbots", headers={"content-type": media_type})
-    assert answer.status_code == 303
-
-
-def test_bytes_that_are_no_text_are_a_wrong_token(browser: AsgiBrowser) -> None:
-    media_type = {"content-type": "application/x-www-form-urlencoded"}
-    assert browser.post("/sign-in", content=b"token=\xff%ff%00", headers=media_type).status_code == 401
-
-
-def test_of_equal_fields_the_last_one_counts(browser: AsgiBrowser) -> None:
-    answer = browser.post("/sign-in", data={"token": ["token-of-nobody", "token-of-Gelbots"]})
-    assert answer.status_code == 303
+def test_a_media_type_with_parameters_and_capitals_is_a_form_whose_last_field_of_a_name_counts(
+    site: SeededSite, browser: AsgiBrowser
+) -> None:
+    media_type = {"content-type": "Application/X-WWW-Form-Urlencoded; charset=utf-8"}
+    for tokens, status in (("token=wrong&token={}", 303), ("token={}&token=wrong", 401), ("token=\xff%ff%00", 401)):
+        content = tokens.format(site.token_of(GELBOTS)).encode("latin-1")
+        assert browser.post("/sign-in", content=content, headers=media_type).status_code == status
 
 
 @pytest.mark.parametrize("target", ["/", "/submissions/1?refresh=off#top", "/tracks/track_1?task=a//b", "/x?y=["])

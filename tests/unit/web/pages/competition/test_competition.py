@@ -1,128 +1,119 @@
 import re
+from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 from asgi_browser import AsgiBrowser
-from page_service import FixedData
-from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks import ListKind
-from vitac.server.views.competition import CompetitionTrackView, CompetitionView, PrizeView, StageView, WinnerView
-from vitac.server.views.correspondence import AnnouncementView
+from seeded_site import SeededSite, words
+from service_factories import TRACK
+from vitac.server.accounts.messages import publish_announcement
+from vitac.server.competitions.applying import freeze_boards
+from vitac.server.competitions.sealing import seal
+from vitac.server.competitions.view import competition_view
+from vitac.server.decisions.finishing import finalize
+from vitac.server.principals import CONSOLE
 from vitac.web.pages.competition import list_countdowns
 
+from competitions import make_competition, moved, open_now, put_in_place, stored_stage
+
 DAY = timedelta(days=1)
-OPENS, CLOSES = datetime(2031, 1, 1, tzinfo=UTC), datetime(2031, 2, 1, 12, tzinfo=UTC)
+NOW = datetime.now(UTC)
 
 
-def a_competition(**changes: object) -> CompetitionView:
-    stage = StageView(
-        name="final", title="The <final>", opens=OPENS, closes=CLOSES, is_open=True, accepts=[SubmissionKind.MODEL],
-        list_kind=ListKind.SEALED, commitment="c0ffee", secret=None, scored_runs=3, attempts=None,
-        qualified="the best 3 teams of the stage before",
-    )  # fmt: skip
-    track = CompetitionTrackView(
-        name="track_1", title="Touch", taken_here=True, ranking=["success_rate"], ties="The earlier is in front.",
-        stages=[stage], prizes=[PrizeView(place="first", amount=2000, winners=2, note="a talk")],
-    )  # fmt: skip
-    values: dict[str, object] = {
-        "name": "cup", "title": "The cup", "summary": "Who is best?", "website": "https://cup.example",
-        "contact": "mail@cup.example", "rules": ["Be <fair>."], "currency": "USD", "teams_locked": CLOSES,
-        "tracks": [track, track.model_copy(update={"name": "mail", "taken_here": False})], "frozen_at": None,
-        "finalized_at": None, "winners": [],
-    }  # fmt: skip
-    return CompetitionView.model_validate(values | changes)
+def cup(*, days: float = 0, **changes: Any) -> dict[str, Any]:
+    """A competition of one stage, which has been open for a day and is open for another month."""
+    content = make_competition(**changes)
+    del content["tracks"][TRACK]["stages"][1:]
+    content["tracks"][TRACK]["stages"][0]["title"] = "The <final>"
+    return moved(open_now(content), days)
 
 
-def shown(data: FixedData, browser: AsgiBrowser, **changes: object) -> str:
-    data.cup = a_competition(**changes)
-    answer = browser.get("/competition")
+FULL: dict[str, Any] = {
+    "summary": "Who is best?", "website": "https://cup.example", "contact": "mail@cup.example", "rules": ["Be <fair>."],
+    "teams_locked": (NOW + 9 * DAY).isoformat(), "appeal_days": 1,
+    "prizes": [{"place": "first", "amount": 2000, "winners": 2, "note": "a talk"}],
+}  # fmt: skip
+
+
+def shown(site: SeededSite, content: Mapping[str, Any]) -> str:
+    site.hold(content)
+    answer = site.visitor().get("/competition")
     assert answer.status_code == 200
     return answer.text.replace("\N{NARROW NO-BREAK SPACE}", " ")
 
 
-def test_a_visitor_sees_schedule_rules_prizes_and_commitment(data: FixedData, browser: AsgiBrowser) -> None:
-    html = shown(data, browser)
+def test_a_visitor_sees_schedule_quotas_rules_prizes_and_commitment_as_text(site: SeededSite) -> None:
+    content = cup(**FULL)
+    stage = content["tracks"][TRACK]["stages"][0]
+    stage |= {"list": "sealed", "accepts": ["model"], "quotas": {"scored_runs": 1, "attempts": 2}}
+    content["tracks"]["mail"] = content["tracks"][TRACK] | {"title": "By mail", "taken_here": False, "prizes": []}
+    site.hold(content)
+    with site.database.transaction() as session:
+        commitment = seal(session, CONSOLE, stored_stage(session, TRACK, stage["name"])).commitment
+    html = shown(site, content)
+    for text in ("The &lt;final&gt;", "Be &lt;fair&gt;.", "2 000 USD (2 teams)", "a talk", commitment, "Who is best?"):
+        assert text in html, text
     for text in (
-        "The cup",
-        "2031-02-01 12:00 UTC",
-        "c0ffee",
-        "2 000 USD (2 teams)",
-        "a talk",
-        "3 scored runs at most",
+        "1 scored run at most",
+        "2 attempts at most",
+        "until 1 day after",
+        "collected by the organizers",
         "Open",
     ):
-        assert text in html, text
-    assert "collected by the organizers" in html
-    assert 'class="nowrap deadline" datetime="2031-02-01T12:00:00Z"' in html
+        assert text in words(html), text
+    closes = datetime.fromisoformat(stage["closes"])
+    assert f'class="nowrap deadline" datetime="{closes:%Y-%m-%dT%H:%M:%SZ}"' in html
+    assert re.search(r'closes in</dt><dd><span data-until="[^>]+>\d+ days \d+ h</span>', html), "without scripts"
+    plain = shown(site, cup())
+    for absent in ("/appeals", 'id="rules"', "Winners", "All announcements", "under random names"):
+        assert absent not in plain
 
 
-def test_what_closes_or_opens_next_is_counted_down_once_for_tracks_that_share_it() -> None:
-    cup = a_competition()
-    stage = cup.tracks[0].stages[0]
-    final = stage.model_copy(update={"title": "Later", "opens": CLOSES, "closes": CLOSES + 9 * DAY})
-    staged = cup.tracks[0].model_copy(update={"stages": [stage, final]})
-    cup = cup.model_copy(update={"tracks": [staged, staged.model_copy(update={"title": "Sight"})]})
+def test_what_closes_or_opens_next_is_counted_down_once_for_tracks_that_share_it(site: SeededSite) -> None:
+    content = make_competition()
+    first, second = content["tracks"][TRACK]["stages"]
+    opens, closes = (datetime.fromisoformat(first[name]) for name in ("opens", "closes"))
+    second |= {"opens": first["closes"], "closes": (closes + 9 * DAY).isoformat()}
+    content["tracks"]["track_2"] = content["tracks"][TRACK] | {"title": "Sight"}
+    site.hold(content)
+    with site.database.reading() as session:
+        view = competition_view(session)
 
     def shown_at(now: datetime) -> list[tuple[object, ...]]:
-        return [(next_.tracks, next_.stage, next_.closes, next_.moment) for next_ in list_countdowns(cup, now)]
+        return [(next_.tracks, next_.stage, next_.closes, next_.moment) for next_ in list_countdowns(view, now)]
 
     both = ("Touch", "Sight")
-    assert shown_at(OPENS - DAY) == [(both, "The <final>", False, OPENS)]
-    assert shown_at(OPENS) == [(both, "The <final>", True, CLOSES)]
-    assert shown_at(CLOSES) == [(both, "Later", True, CLOSES + 9 * DAY)]
-    assert shown_at(CLOSES + 9 * DAY) == []
+    assert shown_at(opens - DAY) == [(both, "Simulation", False, opens)]
+    assert shown_at(opens) == [(both, "Simulation", True, closes)]
+    assert shown_at(closes) == [(both, "Final", True, closes + 9 * DAY)]
+    assert shown_at(closes + 9 * DAY) == []
 
 
-def test_the_countdown_is_there_without_scripts(data: FixedData, browser: AsgiBrowser) -> None:
-    html = shown(data, browser)
-    assert re.search(r"opens in</dt><dd><span data-until=\"2031-01-01[^>]+>\d+ days \d+ h</span>", html)
-    assert "data-until" not in shown(data, browser, finalized_at=OPENS)
+def test_frozen_boards_hidden_names_and_the_newest_announcements_are_told(site: SeededSite) -> None:
+    site.hold(cup(anonymous=True))
+    with site.database.transaction() as session:
+        freeze_boards(session, CONSOLE)
+        for number in (1, 2, 3, 4):
+            publish_announcement(session, CONSOLE, title=f"News <{number}>", text="All\nis well.", notify=False)
+    html = site.visitor().get("/competition").text
+    for text in ("News &lt;4&gt;", "News &lt;2&gt;", "All\nis well.", 'href="/announcements"', "under random names"):
+        assert text in html, text
+    assert "have been frozen since" in html
+    assert "News &lt;1&gt;" not in html, "the others are on the page of announcements"
 
 
-def test_words_of_the_file_are_shown_as_text(data: FixedData, browser: AsgiBrowser) -> None:
-    html = shown(data, browser)
-    assert "The &lt;final&gt;" in html
-    assert "Be &lt;fair&gt;." in html
-
-
-def test_winners_and_a_published_secret_are_shown_at_the_end(data: FixedData, browser: AsgiBrowser) -> None:
-    assert "Winners" not in shown(data, browser)
-    winner = WinnerView(
-        track="track_1", place="first", rank=1, team="A<b>", amount=2000, success_rate=0.5, result_hash="h"
-    )
-    html = shown(data, browser, winners=[winner], finalized_at=CLOSES)
+def test_winners_are_shown_at_the_end(site: SeededSite) -> None:
+    site.hold(cup(prizes=FULL["prizes"], anonymous=True))
+    site.score("A<b>", "won", 200)
+    with site.database.transaction() as session:
+        put_in_place(session, cup(days=-60, prizes=FULL["prizes"], anonymous=True))
+        finalize(session, CONSOLE)
+    html = site.visitor().get("/competition").text
     assert "A&lt;b&gt;" in html
     assert "Final since" in html
-
-
-def test_a_frozen_competition_says_so(data: FixedData, browser: AsgiBrowser) -> None:
-    assert "have been frozen since" in shown(data, browser, frozen_at=OPENS)
+    for gone in ("data-until", "under random names"):
+        assert gone not in html
 
 
 def test_without_a_competition_there_is_no_page(browser: AsgiBrowser) -> None:
     assert browser.get("/competition").status_code == 404
-
-
-def test_quotas_appeals_and_judging_are_told(data: FixedData, browser: AsgiBrowser) -> None:
-    stage = a_competition().tracks[0].stages[0].model_copy(update={"scored_runs": 1, "attempts": 2})
-    track = a_competition().tracks[0].model_copy(update={"stages": [stage], "judging": "Judges decide <it>."})
-    html = shown(data, browser, tracks=[track], appeal_days=1, rules=[], teams_locked=None)
-    for text in ("1 scored run at most", "2 attempts at most", "until 1 day after", "Judges decide &lt;it&gt;."):
-        assert text in html, text
-    plain = shown(data, browser, rules=[], teams_locked=None)
-    assert "/appeals" not in plain
-    assert 'id="rules"' not in plain
-
-
-def test_the_newest_announcements_and_hidden_names_are_told(data: FixedData, browser: AsgiBrowser) -> None:
-    plain = shown(data, browser)
-    assert "All announcements" not in plain
-    assert "under random names" not in plain
-    data.said = [
-        AnnouncementView(id=number, title=f"News <{number}>", text="All\nis well.", published_at=OPENS)
-        for number in (4, 3, 2, 1)
-    ]
-    html = shown(data, browser, anonymous=True)
-    for text in ("News &lt;4&gt;", "News &lt;2&gt;", "All\nis well.", 'href="/announcements"', "under random names"):
-        assert text in html, text
-    assert "News &lt;1&gt;" not in html, "the others are on the page of announcements"
-    assert "under random names" not in shown(data, browser, anonymous=True, finalized_at=CLOSES)

@@ -1,13 +1,11 @@
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import TASK, a_leaderboard, a_score, an_entry
-from page_service import FixedData
+from page_fixtures import TASK, a_score, an_entry
+from seeded_site import SeededSite, words
 from starlette.requests import Request
-from visits import sign_in
-from vitac.evaluator.tracks import load_track
-from vitac.server.leaderboards.baselines import list_baselines
+from vitac.evaluator.version import evaluator_version
 from vitac.server.views.leaderboards import LeaderboardEntryView
-from vitac.web.pages.leaderboards.paging import BoardPage, board_page
+from vitac.web.pages.leaderboards.paging import PAGE_ENTRIES, BoardPage, board_page
 
 SCORE = a_score((80, 74, 80), 4.92)
 ENTRIES = [an_entry(rank, f"Team {rank:03d}" if rank != 120 else "Gelbots", SCORE) for rank in range(1, 151)]
@@ -73,73 +71,47 @@ def test_no_entry_is_one_empty_page() -> None:
     assert (page.number, page.pages, page.entries) == (1, 1, [])
 
 
-def test_the_board_shows_a_page_and_links_the_others(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(*ENTRIES)
-    sign_in(browser, "Gelbots")
-    html = browser.get("/tracks/track_1").text
-    assert html.count('<tr role="row" class=') == 50
+def test_the_board_shows_a_page_and_links_the_others_and_the_own_row(site: SeededSite) -> None:
+    site.fill_board(120)
+    site.score("Wolves", "last", 1)
+    wolves = site.team_visitor("Wolves")
+    html = wolves.get("/tracks/track_1").text
+    assert html.count('<tr role="row" class=') == PAGE_ENTRIES
     assert 'href="/tracks/track_1?page=3#own"' in html
-    assert "rank 120 of 150" in html
+    assert "rank 123 of 123" in words(html)
     assert 'id="own"' not in html
-    third = browser.get("/tracks/track_1?page=3").text
+    third = wolves.get("/tracks/track_1?page=3").text
     assert third.count('id="own"') == 1
+    assert third.count('class="point own"') == 1
     assert 'href="/tracks/track_1?page=3" aria-current="page"' in third
+    assert third.index("<summary>How this board was made") < third.index(evaluator_version())
 
 
-def test_a_search_without_result_says_so_and_is_escaped(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(*ENTRIES)
-    html = browser.get('/tracks/track_1?q="<b>').text
-    assert "in the name: none of 150." in html
-    assert "&lt;b&gt;" in html
-    assert "<b>" not in html
-
-
-def test_the_form_has_what_was_searched_for_and_a_wrong_day_is_named(data: FixedData, browser: AsgiBrowser) -> None:
-    baselines = list_baselines(load_track("track_1"), TASK)
-    data.board = a_leaderboard(*ENTRIES).model_copy(update={"baselines": baselines})
+def test_a_search_says_what_it_looked_for_and_a_wrong_day_is_named(site: SeededSite) -> None:
+    site.fill_board(60)
+    browser = site.visitor()
+    nobody = browser.get('/tracks/track_1?q="<b>').text
+    assert "in the name: none of 62." in words(nobody)
+    assert "&lt;b&gt;" in nobody
+    assert "<b>" not in nobody
     html = browser.get("/tracks/track_1?q=Team+01&since=2020-01-31&rows=entries").text
-    assert (
-        "Searched for teams with “<bdi>Team 01</bdi>” in the name, submitted from 2020-01-31 (UTC): 10 of 150." in html
-    )
+    assert "with “ Team 01 ” in the name, submitted from 2020-01-31 (UTC): 10 of 62." in words(html)
     for field in ('value="Team 01"', 'value="2020-01-31"', '<option value="entries" selected>'):
         assert field in html
-    only = browser.get("/tracks/track_1?rows=baselines").text
+    only = browser.get(f"/tracks/track_1?task={TASK}&rows=baselines").text
     assert "Only the baselines are shown." in only
     assert (only.count('class="reference"'), only.count('class="leader')) == (2, 0)
+    assert f'<input type="hidden" name="task" value="{TASK}">' in only
     wrong = browser.get("/tracks/track_1?since=31.1.")
     assert wrong.status_code == 422
     assert "Expected a day as 2026-03-31 as since" in wrong.text
 
 
-def test_a_small_board_needs_no_pages_and_no_search(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(*ENTRIES[:3])
+def test_a_small_board_needs_no_pages_and_no_search(browser: AsgiBrowser) -> None:
     html = browser.get("/tracks/track_1").text
     assert 'role="search"' not in html
     assert 'class="pages"' not in html
-
-
-def test_the_plot_by_date_has_ranked_entries_and_marks_the_own_one(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(*ENTRIES[118:121], an_entry(None, "Old Team", SCORE))
-    html = browser.get("/tracks/track_1").text
-    assert html.count(' r="4"><title>') == 3
-    sign_in(browser, "Gelbots")
-    own = browser.get("/tracks/track_1").text
-    assert own.count('class="point own"') == 1
-    data.board = a_leaderboard(ENTRIES[0])
-    assert "By date" not in browser.get("/tracks/track_1").text
-
-
-def test_the_evaluator_stands_in_a_detail(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(*ENTRIES[:3])
-    html = browser.get("/tracks/track_1").text
-    assert html.index("<summary>How this board was made") < html.index(data.board.evaluator_version)
-
-
-def test_a_search_stays_in_its_stage_and_task(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(*ENTRIES)
-    kept = '<input type="hidden" name="stage" value="final">'
-    assert kept in browser.get("/tracks/track_1?stage=final").text
-    assert 'type="hidden"' not in browser.get("/tracks/track_1").text
+    assert "By date" in html
 
 
 def test_each_of_several_boards_of_a_page_has_a_number_of_its_own() -> None:

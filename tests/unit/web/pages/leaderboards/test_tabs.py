@@ -1,47 +1,51 @@
 """Boards of stages: under the stage's title and one link from each other; a stage's submissions lead to its board."""
 
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 import pytest
-from asgi_browser import AsgiBrowser
-from page_fixtures import LOCK, TASK, a_finished_cup, a_leaderboard, a_log, a_submission
-from page_service import FixedData
-from visits import sign_in
-from vitac.evaluator.logs.findings import VerificationResult
-from vitac.server.database.states import EvaluationState
-from vitac.server.views.competition import CompetitionView, StageView
+from seeded_site import BOTH, GELBOTS, SeededSite, words
+from service_factories import LOCK, TASK, TRACK
+from vitac.server.views.competition import StageView
 from vitac.web.pages.leaderboards.tabs import find_stage_title, stage_tabs
+
+from competitions import make_competition
 
 DAY = timedelta(days=1)
 NOW = datetime.now(UTC)
 
 
+def cup() -> dict[str, Any]:
+    """A competition with a stage that is over, one that is open, and one that opens tomorrow."""
+    content = make_competition(appeal_days=7)
+    first = content["tracks"][TRACK]["stages"][0]
+    content["tracks"][TRACK]["stages"] = [
+        first
+        | {
+            "name": name,
+            "title": f"The <{name}>",
+            "opens": (NOW + opens * DAY).isoformat(),
+            "closes": (NOW + (opens + days) * DAY).isoformat(),
+        }
+        for name, opens, days in (("first", -9, 8), ("final", -1, 2), ("encore", 1, 1))
+    ]
+    return content
+
+
 def stages() -> list[StageView]:
-    """One that is over, one that is open, and one that opens tomorrow."""
-    made = a_finished_cup().tracks[0].stages[0]
-    names = {"first": -9, "final+": -1, "encore": 1}
+    empty: dict[str, Any] = dict.fromkeys(("list_kind", "commitment", "secret", "scored_runs", "attempts", "qualified"))
+    shown = ("name", "title", "opens", "closes", "accepts")
     return [
-        made.model_copy(update={"name": name, "title": f"The <{name}>", "opens": NOW + days * DAY})
-        for name, days in names.items()
+        StageView.model_validate(empty | {"is_open": False} | {key: stage[key] for key in shown})
+        for stage in cup()["tracks"][TRACK]["stages"]
     ]
 
 
-def a_cup() -> CompetitionView:
-    cup = a_finished_cup()
-    return cup.model_copy(update={"tracks": [cup.tracks[0].model_copy(update={"stages": stages()})]})
-
-
-def shown(browser: AsgiBrowser, path: str) -> str:
-    """The tabs of the stages on a page."""
-    html = browser.get(path).text
-    return html.partition('aria-label="Stages"')[2].partition("</nav>")[0]
-
-
 def test_boards_of_opened_stages_are_one_link_away() -> None:
-    tabs = stage_tabs(stages(), "final+", lambda name: f"?{name}")
+    tabs = stage_tabs(stages(), "final", lambda name: f"?{name}")
     assert [(tab.title, tab.target, tab.current) for tab in tabs] == [
         ("The <first>", "?first", False),
-        ("The <final+>", "?final+", True),
+        ("The <final>", "?final", True),
     ]
     assert [tab.title for tab in stage_tabs(stages(), "encore", str)][-1] == "The <encore>", "what is shown is named"
     assert stage_tabs(stages()[:1], "first", str) == ()
@@ -55,43 +59,35 @@ def test_a_stage_is_called_by_its_title() -> None:
 
 
 @pytest.mark.parametrize(("page", "asked"), [("/tracks/track_1", f"task={TASK}&amp;"), ("/tracks/track_1/logs", "")])
-def test_a_board_names_its_stage_and_leads_to_the_others(
-    data: FixedData, browser: AsgiBrowser, page: str, asked: str
-) -> None:
-    data.cup = a_cup()
-    data.task_boards[TASK] = a_leaderboard(task=TASK)
-    query = f"{asked}stage=final%2B".replace("&amp;", "&")
-    tabs = shown(browser, f"{page}?{query}")
+def test_a_board_names_its_stage_and_leads_to_the_others(site: SeededSite, page: str, asked: str) -> None:
+    assert 'aria-label="Stages"' not in site.visitor().get(page).text
+    site.hold(cup())
+    html = site.visitor().get(f"{page}?{asked}stage=final".replace("&amp;", "&")).text
+    tabs = html.partition('aria-label="Stages"')[2].partition("</nav>")[0]
     assert f'<a href="{page}?{asked}stage=first">The &lt;first&gt;</a>' in tabs
-    assert f'<a href="{page}?{asked}stage=final%2B" aria-current="page">The &lt;final+&gt;</a>' in tabs
+    assert f'<a href="{page}?{asked}stage=final" aria-current="page">The &lt;final&gt;</a>' in tabs
     assert "encore" not in tabs, "nobody is on that board yet"
-    assert '<a href="/competition">The &lt;final+&gt;</a>' in browser.get(f"{page}?{query}").text
-    data.cup = None
-    assert shown(browser, page) == ""
+    assert '<a href="/competition">The &lt;final&gt;</a>' in html
 
 
-def test_the_schedule_leads_to_the_boards_of_opened_stages(data: FixedData, browser: AsgiBrowser) -> None:
-    data.cup = a_cup()
-    html = browser.get("/competition").text
-    assert '<a href="/tracks/track_1?stage=final%2B">The &lt;final+&gt;</a>' in html
+def test_the_schedule_leads_to_the_boards_of_opened_stages(site: SeededSite) -> None:
+    site.hold(cup())
+    html = site.visitor().get("/competition").text
+    assert '<a href="/tracks/track_1?stage=final">The &lt;final&gt;</a>' in html
     assert "stage=encore" not in html
-    assert "sealed list of The &lt;first&gt;:" in html
-    elsewhere = data.cup.tracks[0].model_copy(update={"taken_here": False})
-    data.cup = data.cup.model_copy(update={"tracks": [elsewhere]})
-    assert "?stage=" not in browser.get("/competition").text
+    elsewhere = cup()
+    elsewhere["tracks"][TRACK]["taken_here"] = False
+    site.hold(elsewhere)
+    assert "?stage=" not in site.visitor().get("/competition").text
 
 
-def test_a_submission_names_its_stage_and_leads_to_its_board(data: FixedData, browser: AsgiBrowser) -> None:
-    data.cup = a_cup()
-    model = a_submission("Gelbots", EvaluationState.COMPLETED, name="staged", tasks=(TASK, LOCK))
-    log = a_log(EvaluationState.COMPLETED, VerificationResult.VERIFIED)
-    data.found += [one.model_copy(update={"stage": "final+"}) for one in (model, log)]
-    sign_in(browser, "Gelbots")
-    html = browser.get(f"/submissions/{model.id}").text
-    assert '<a href="/tracks/track_1?stage=final%2B">The &lt;final+&gt;</a>' in html
-    assert 'on the <a href="/tracks/track_1?stage=final%2B">leaderboard</a>' in html
-    assert f'href="/tracks/track_1?task={LOCK}&amp;stage=final%2B">1 of 3</a>' in html
-    assert 'href="/tracks/track_1/logs?stage=final%2B"' in browser.get(f"/submissions/{log.id}").text
-    practice = browser.get(f"/submissions/{data.found[1].id}").text
-    assert f'on the <a href="/tracks/track_1?task={TASK}">leaderboard</a> of Peg insertion.' in practice
-    assert "stage=" not in practice
+def test_a_submission_names_its_stage_leads_to_its_board_and_offers_an_appeal(site: SeededSite) -> None:
+    browser = site.visitor(GELBOTS)
+    assert 'on the <a href="/tracks/track_1">leaderboard</a>' in browser.get(site.path_of("both")).text
+    site.hold(cup())
+    html = browser.get(site.submit(GELBOTS, "staged", BOTH)).text
+    assert '<a href="/tracks/track_1?stage=final">The &lt;final&gt;</a>' in html
+    assert 'on the <a href="/tracks/track_1?stage=final">leaderboard</a>' in html
+    assert f'href="/tracks/track_1?task={LOCK}&amp;stage=final">1 of 1</a>' in html
+    assert "Rank 1 of 1" in words(html)
+    assert "/appeals?submission=" in html

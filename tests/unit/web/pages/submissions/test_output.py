@@ -1,89 +1,78 @@
+from collections.abc import Mapping
+
 import pytest
-from asgi_browser import AsgiBrowser
-from page_fixtures import LOCK, TASK
-from page_service import FixedData
-from visits import BOTH, COMPLETED, RUNNING, sign_in
-from vitac.server.views.submissions import EpisodeOutputView
-
-ADDRESS = f"/submissions/{BOTH.id}/output"
-
-
-def printed(*episodes: int, task: str = TASK) -> list[EpisodeOutputView]:
-    return [
-        EpisodeOutputView(task=task, episode=number, outcome="not_converged", output=f"<b>in {number}</b>")
-        for number in episodes
-    ]
+from markupsafe import escape
+from seeded_site import BEARS, GELBOTS, SeededSite
+from service_factories import LOCK, TASK
+from sqlalchemy import update
+from vitac.server.database.models import EpisodeResult
+from vitac.server.submissions import files
 
 
-def test_output_is_shown_by_episode_and_escaped(data: FixedData, browser: AsgiBrowser) -> None:
-    data.printed = printed(2, 7)
-    sign_in(browser, "Gelbots")
-    html = browser.get(ADDRESS).text
-    assert html.index("Episode 2: not converged") < html.index("Episode 7: not converged")
-    assert "&lt;b&gt;in 2&lt;/b&gt;" in html
-    assert "<b>in" not in html
+def print_in(site: SeededSite, episodes: Mapping[int, str], *, name: str = "both", task: str = TASK) -> str:
+    """Have a policy print in episodes of a submission; returns the page of its output."""
+    with site.evaluation(name) as (session, evaluation):
+        for number, output in episodes.items():
+            of_episode = (EpisodeResult.evaluation_id == evaluation.id, EpisodeResult.task == task)
+            session.execute(
+                update(EpisodeResult).where(*of_episode, EpisodeResult.episode == number).values(output=output)
+            )
+    return f"{site.path_of(name)}/output"
+
+
+def test_output_is_shown_by_episode_and_escaped_with_outcomes_explained_once(site: SeededSite) -> None:
+    address = print_in(site, {268: "<b>first", 270: "second"})
+    html = site.visitor(GELBOTS).get(address).text
+    assert html.index("Episode 268: tactile") < html.index("Episode 270: tactile")
+    assert "&lt;b&gt;first" in html
+    assert "<b>first" not in html
+    assert html.count("<li>tactile: ") == 1
     assert "Later episodes" not in html
-    assert (
-        html.count("<li>not converged: The physics found no solution for an IPC step, even in smaller pieces.</li>")
-        == 1
-    )
 
 
-def test_more_episodes_are_one_link_away(data: FixedData, browser: AsgiBrowser) -> None:
-    data.printed = printed(2, 7, 9)
-    sign_in(browser, "Gelbots")
-    assert f'href="{ADDRESS}?task={TASK}&amp;after=7"' in browser.get(ADDRESS).text
-    html = browser.get(f"{ADDRESS}?task={TASK}&after=7").text
-    assert "in 9" in html
-    assert "in 7" not in html
+def test_more_episodes_are_one_link_away(site: SeededSite) -> None:
+    last = files.PAGE_EPISODES + 1
+    address = print_in(site, {number: f"in {number}." for number in range(1, last + 1)})
+    browser, older = site.visitor(GELBOTS), f"{address}?task={TASK}&after={last - 1}"
+    assert f'href="{escape(older)}"' in browser.get(address).text
+    html = browser.get(older).text
+    assert (f"in {last}." in html, f"in {last - 1}." in html) == (True, False)
 
 
-def test_why_a_policy_failed_is_told_also_where_it_printed_nothing(data: FixedData, browser: AsgiBrowser) -> None:
-    (silent,) = printed(4)
-    failed = {"outcome": "policy_failed", "output": "", "failure": "bad_action_shape: Action has shape <2>."}
-    data.printed = [silent.model_copy(update=failed)]
-    sign_in(browser, "Gelbots")
-    html = browser.get(ADDRESS).text
-    assert "<p>bad_action_shape: Action has shape &lt;2&gt;.</p>" in html
+def test_each_task_has_its_own_output(site: SeededSite) -> None:
+    print_in(site, {2: "of pegs"})
+    address = print_in(site, {5: "of locks"}, task=LOCK)
+    html = site.visitor(GELBOTS).get(f"{address}?task={LOCK}").text
+    assert ("of locks" in html, "of pegs" in html) == (True, False)
+    assert f'href="{address}?task={LOCK}" aria-current="page"' in html
+
+
+def test_why_a_policy_failed_is_told_also_where_it_printed_nothing(site: SeededSite) -> None:
+    address = print_in(site, dict.fromkeys((4, 5, 6), ""), name="broke", task=LOCK)
+    html = site.visitor(GELBOTS).get(address).text
+    assert "<p>crashed: failed in 4. " in html
     assert "policy failed: The policy crashed, broke a limit or answered wrongly." in html
     assert '<pre class="log"' not in html
 
 
-def test_each_task_has_its_own_output(data: FixedData, browser: AsgiBrowser) -> None:
-    data.printed = [*printed(2), *printed(5, task=LOCK)]
-    sign_in(browser, "Gelbots")
-    html = browser.get(f"{ADDRESS}?task={LOCK}").text
-    assert "in 5" in html
-    assert "in 2" not in html
-    assert f'href="{ADDRESS}?task={LOCK}" aria-current="page"' in html
-
-
-def test_silence_is_told(data: FixedData, browser: AsgiBrowser) -> None:
-    sign_in(browser, "Gelbots")
-    html = browser.get(ADDRESS).text
+def test_silence_is_told(site: SeededSite) -> None:
+    browser, address = site.visitor(GELBOTS), f"{site.path_of('both')}/output"
+    html = browser.get(address).text
     assert "Nothing was printed." in html
     assert "plain-list" not in html
-    assert "Nothing was printed in the episodes after 9." in browser.get(f"{ADDRESS}?after=9").text
+    assert "Nothing was printed in the episodes after 9." in browser.get(f"{address}?after=9").text
 
 
 @pytest.mark.parametrize("after", ["-1", "x", "1" * 30, "²"])
-def test_a_number_that_is_none_is_refused(browser: AsgiBrowser, after: str) -> None:
-    sign_in(browser, "Gelbots")
-    assert browser.get(f"{ADDRESS}?after={after}").status_code == 400
+def test_a_number_that_is_none_is_refused(site: SeededSite, after: str) -> None:
+    assert site.visitor(GELBOTS).get(f"{site.path_of('both')}/output?after={after}").status_code == 400
 
 
-def test_it_is_for_the_team_only(browser: AsgiBrowser) -> None:
-    assert browser.get(ADDRESS).headers["location"] == f"/sign-in?next={ADDRESS}"
-    sign_in(browser, "Bears")
-    assert browser.get(ADDRESS).status_code == 404
-
-
-def test_the_submissions_page_links_to_it_where_there_is_some(data: FixedData, browser: AsgiBrowser) -> None:
-    sign_in(browser, "Gelbots")
-    for submission in (COMPLETED, RUNNING):
-        page = f"/submissions/{submission.id}"
-        assert f"{page}/output" not in browser.get(page).text
-    data.printed = printed(2, 7)
-    html = browser.get(f"/submissions/{COMPLETED.id}").text
-    assert "It printed or failed in 2 episodes" in html
-    assert f'href="/submissions/{COMPLETED.id}/output"' in html
+def test_it_is_for_the_team_only_and_linked_where_there_is_some(site: SeededSite) -> None:
+    page = site.path_of("broke")
+    assert site.visitor().get(f"{page}/output").headers["location"] == f"/sign-in?next={page}/output"
+    assert site.visitor(BEARS).get(f"{page}/output").status_code == 404
+    html = site.visitor(GELBOTS).get(page).text
+    assert "It printed or failed in 3 episodes" in html
+    assert f'href="{page}/output"' in html
+    assert "/output" not in site.visitor(GELBOTS).get(site.path_of("done")).text

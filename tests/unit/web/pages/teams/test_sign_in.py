@@ -2,25 +2,31 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import an_id
-from page_service import SIGNER, FixedData, an_application
-from visits import GELBOTS, RUNNING, form_token, sign_in
+from seeded_site import GELBOTS, SIGNER, SeededSite, form_token, seeded_site
+from sqlalchemy import update
+from vitac.server.accounts import members, teams
+from vitac.server.accounts.members import JoiningMember
+from vitac.server.database.models import ApiToken
+from vitac.server.principals import CONSOLE
 from vitac.web.session import signer
 
-
-def test_sign_in_sets_a_cookie_that_scripts_and_other_sites_do_not_get(browser: AsgiBrowser) -> None:
-    answer = browser.post("/sign-in", data={"token": " token-of-Gelbots\n"})
-    cookie = answer.headers["set-cookie"]
-    assert answer.headers["location"] == "/submissions"
-    assert "HttpOnly" in cookie
-    assert "SameSite=strict" in cookie
-    assert "token-of-Gelbots" not in cookie
-    assert "Secure" not in cookie
+PASSWORD = "a long enough password of Ann"  # noqa: S105 - made up
 
 
-def test_cookie_is_secure_over_https(data: FixedData) -> None:
-    browser = AsgiBrowser(an_application(data), base_url="https://arena.test")
-    assert "Secure" in browser.post("/sign-in", data={"token": "token-of-Gelbots"}).headers["set-cookie"]
+def sign_in(site: SeededSite, browser: AsgiBrowser, **fields: str) -> str:
+    """Signs in with a token; returns where that leads."""
+    return browser.post("/sign-in", data={"token": site.token_of(GELBOTS)} | fields).headers["location"]
+
+
+def test_sign_in_sets_a_cookie_that_scripts_and_other_sites_do_not_get(site: SeededSite) -> None:
+    for address, is_secure in (("http://testserver", False), ("https://arena.test", True)):
+        answer = site.visitor(base_url=address).post("/sign-in", data={"token": f" {site.token_of(GELBOTS)}\n"})
+        cookie = answer.headers["set-cookie"]
+        assert answer.headers["location"] == "/submissions"
+        assert "HttpOnly" in cookie
+        assert "SameSite=strict" in cookie
+        assert site.token_of(GELBOTS) not in cookie
+        assert ("Secure" in cookie) is is_secure
 
 
 def test_wrong_token_is_told_beside_the_field(browser: AsgiBrowser) -> None:
@@ -32,8 +38,8 @@ def test_wrong_token_is_told_beside_the_field(browser: AsgiBrowser) -> None:
     assert signer.COOKIE not in browser.cookies
 
 
-def test_wrong_token_ends_no_session(browser: AsgiBrowser) -> None:
-    sign_in(browser, "Gelbots")
+def test_wrong_token_ends_no_session(site: SeededSite) -> None:
+    browser = site.visitor(GELBOTS)
     for path, given in (("/sign-in", {"token": "wrong"}), ("/sign-in/password", {"password": "wrong"})):
         answer = browser.post(path, data=given)
         assert answer.status_code == 401
@@ -44,55 +50,59 @@ def test_wrong_token_ends_no_session(browser: AsgiBrowser) -> None:
 @pytest.mark.parametrize(
     "target", ["https://evil.test/", "//evil.test", "/\\evil.test", "javascript:alert(1)", "", "x"]
 )
-def test_sign_in_leads_to_no_other_site(browser: AsgiBrowser, target: str) -> None:
-    answer = browser.post("/sign-in", data={"token": "token-of-Gelbots", "next": target})
-    assert answer.headers["location"] == "/submissions"
+def test_sign_in_leads_to_no_other_site(site: SeededSite, browser: AsgiBrowser, target: str) -> None:
+    assert sign_in(site, browser, next=target) == "/submissions"
 
 
-def test_sign_in_leads_back_to_where_one_came_from(browser: AsgiBrowser) -> None:
-    wanted = f"/submissions/{RUNNING.id}"
+def test_sign_in_leads_back_to_where_one_came_from(site: SeededSite, browser: AsgiBrowser) -> None:
+    wanted = site.path_of("runs")
     to_sign_in = browser.get(wanted)
     assert to_sign_in.status_code == 303
     assert to_sign_in.headers["location"] == f"/sign-in?next={wanted}"
     assert f'value="{wanted}"' in browser.get(to_sign_in.headers["location"]).text
-    assert browser.post("/sign-in", data={"token": "token-of-Gelbots", "next": wanted}).headers["location"] == wanted
+    assert sign_in(site, browser, next=wanted) == wanted
 
 
-def test_revoked_token_ends_its_session(data: FixedData, browser: AsgiBrowser) -> None:
-    sign_in(browser, "Gelbots")
+def test_revoked_token_ends_its_session(site: SeededSite) -> None:
+    browser = site.visitor(GELBOTS)
     assert browser.get("/submissions").status_code == 200
-    data.visitors.remove(GELBOTS)
+    with site.database.transaction() as session:
+        session.execute(update(ApiToken).values(revoked_at=datetime.now(UTC)))
     assert browser.get("/submissions").status_code == 303
 
 
-def test_expired_session_is_none(browser: AsgiBrowser) -> None:
+def test_expired_session_is_none(site: SeededSite, browser: AsgiBrowser) -> None:
+    token_id = site.seed.people[GELBOTS].token_id
+    assert token_id is not None
     long_ago = datetime.now(UTC) - signer.LIFETIME - timedelta(seconds=5)
-    browser.cookies.set(signer.COOKIE, SIGNER.sign(signer.begin(an_id("t:Gelbots"), now=long_ago)))
+    browser.cookies.set(signer.COOKIE, SIGNER.sign(signer.begin(token_id, now=long_ago)))
     assert browser.get("/submissions").status_code == 303
 
 
-def test_sign_out_ends_the_session(browser: AsgiBrowser) -> None:
-    sign_in(browser, "Gelbots")
-    answer = browser.post("/sign-out", data={"form_token": form_token(browser)})
-    assert answer.status_code == 303
-    assert signer.COOKIE not in browser.cookies
-
-
-def test_a_member_signs_in_with_a_password_and_out_again(data: FixedData, browser: AsgiBrowser) -> None:
-    given = {"team": "Gelbots", "member": "Ann", "password": "password-of-Ann", "next": "/team"}
+def test_a_member_signs_in_with_a_password_and_out_again(site: SeededSite, browser: AsgiBrowser) -> None:
+    with site.database.transaction() as session:
+        team = teams.own(session, site.seed.people[GELBOTS])
+        _, code = members.invite(session, CONSOLE, team)
+        member, _ = members.join(session, JoiningMember(code=code, name="Ann"), timedelta(days=1))
+    members.set_password(site.database, CONSOLE, team.id, member.id, PASSWORD, old="")
+    given = {"team": GELBOTS, "member": "Ann", "password": PASSWORD, "next": "/team"}
     wrong = browser.post("/sign-in/password", data=given | {"password": "guess"})
     assert wrong.status_code == 401
     assert 'value="Ann"' in wrong.text
     assert "guess" not in wrong.text
     answer = browser.post("/sign-in/password", data=given)
     assert (answer.status_code, answer.headers["location"]) == (303, "/team")
-    browser.post("/sign-out", data={"form_token": form_token(browser)})
-    assert data.ended == [GELBOTS.token_id]
+    cookie = browser.cookies[signer.COOKIE]
+    assert browser.post("/sign-out", data={"form_token": form_token(browser)}).status_code == 303
+    assert signer.COOKIE not in browser.cookies
+    browser.cookies.set(signer.COOKIE, cookie)
+    assert browser.get("/submissions").status_code == 303, "the session has ended, not its cookie alone"
 
 
 def test_too_many_attempts_are_refused_in_the_form() -> None:
-    browser = AsgiBrowser(an_application(FixedData(settings={"sign_ins_per_hour": 3})))
-    for _ in range(4):
-        answer = browser.post("/sign-in/password", data={"team": "Gelbots", "member": "Ann", "password": "guess"})
+    with seeded_site(sign_ins_per_hour=3) as site:
+        browser = site.visitor()
+        for _ in range(4):
+            answer = browser.post("/sign-in/password", data={"team": GELBOTS, "member": "Ann", "password": "guess"})
     assert answer.status_code == 429
     assert 'role="alert"' in answer.text
