@@ -9,6 +9,7 @@ import pytest
 from browser_checks import DESK, PHONE, ZOOMED, Complaints, violations
 from checked_pages import WITH_SCENES, unchecked
 from fastapi import APIRouter
+from page_fixtures import a_sandbox
 from playwright.sync_api import Browser, Page, Route, expect
 from seeded_site import BEARS, GELBOTS, ORGANIZERS, form_token
 from service_client import make_archive
@@ -39,22 +40,24 @@ A4_PAPER = {"width": 720, "height": 1050}  # px at 96 dpi, without margins
 def show_everything(site: SiteUnderTest) -> None:
     """Add logs of each kind, an evaluation that was cancelled, workers, and a competition that is final."""
     seeded = site.seeded
-    content = make_competition(prizes=[{"place": "first", "amount": 2000, "note": "a talk"}])
-    seeded.hold(open_now(content))
-    seeded.score("Tactile Bears with a long name", "marker transformer with a long name", 200)
-    seeded.hold(moved(content, days=-60))
     gelbots = seeded.visitor(GELBOTS)
     logs = {"file": ("old.log", a_text_log(GELBOTS))}
     sent = gelbots.post("/submissions/upload", data={"form_token": form_token(gelbots)}, files=logs)
     gelbots.post(f"{site.path_of('runs')}/cancel", data={"form_token": form_token(gelbots)})
     with seeded.database.transaction() as session:
-        finalize(session, CONSOLE)
         refuted = submit_refuted_log(session, seeded.seed.people[GELBOTS], "refuted")
         text_log = session.get_one(Submission, sent.headers["location"].rpartition("/")[2])
     play_all(seeded.database, text_log)
     seeded.added |= {"refuted": refuted.id, "text log": text_log.id}
+    content = make_competition(prizes=[{"place": "first", "amount": 2000, "note": "a talk"}])
+    del content["tracks"]["track_1"]["stages"][1]
+    seeded.hold(open_now(content))
+    seeded.score("Tactile Bears with a long name", "marker transformer with a long name", 200)
+    seeded.hold(moved(content, days=-60))
+    with seeded.database.transaction() as session:
+        finalize(session, CONSOLE)
     for number in (1, 2):
-        make_worker(seeded.database, host=f"machine-{number}")
+        make_worker(seeded.database, host=f"machine-{number}", sandbox=a_sandbox().model_dump(mode="json"))
 
 
 def test_pages_are_accessible_fit_and_raise_no_error(page: Page, site: SiteUnderTest) -> None:
