@@ -237,8 +237,8 @@ def _seconds_to_end(
 
 
 def _packages(evaluation: Evaluation) -> list[PackagesView]:
-    # The database orders the keys of JSON by their length.
-    return [PackagesView(digest=digest_of_packages(seen), versions=dict(sorted(seen.items()))) for seen in evaluation.packages]
+    lists = [dict(sorted(seen.items())) for seen in evaluation.packages]  # the database orders them by their length
+    return [PackagesView(digest=digest_of_packages(seen), versions=seen) for seen in lists]
 
 
 def _output(session: Session, evaluation: Evaluation) -> str:

@@ -3,21 +3,23 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from asgi_browser import AsgiBrowser
 from seeded_site import GELBOTS, SeededSite, seeded_site
+from served_pages import secret_in
 from vitac.server.settings import Registration
 from vitac.web.session import signer
 
 from competitions import make_competition, open_now, put_in_place
 
 
-def test_registers_shows_the_token_once_and_signs_in(browser: AsgiBrowser) -> None:
+def test_registers_shows_the_token_once_and_signs_in(site: SeededSite, browser: AsgiBrowser) -> None:
     assert 'action="/register"' in browser.get("/register").text
-    answer = browser.post("/register", data={"name": "Newcomers", "contact": "a@example.org"})
+    answer = browser.post("/register", data={"name": " Newcomers ", "contact": "a@example.org"})
     assert answer.status_code == 201
     assert answer.headers["cache-control"] == "no-store"
-    assert "vitac_" in answer.text
+    token = secret_in(answer.text)
     assert ">Sign in</a>" not in answer.text, "that is done"
     assert signer.COOKIE in browser.cookies
-    assert "vitac_" not in browser.get("/register").text.replace(signer.COOKIE, "")
+    assert token not in browser.get("/register").text
+    assert site.visitor().post("/sign-in", data={"token": token}).status_code == 303
     assert browser.get("/submissions").status_code == 200
 
 
