@@ -19,6 +19,7 @@ from seeded_site import GELBOTS, form_token
 from service_client import serving
 from site_under_test import SiteUnderTest
 from starlette.responses import HTMLResponse
+from submission_steps import make_worker
 from vitac.server.database.states import WorkState
 from vitac.web.pages.episodes.page import player_script
 from waiting import resize, until, wait_for_rest
@@ -67,7 +68,8 @@ def made(site: SiteUnderTest, task: str = PEG, number: int = 5) -> str:
 
 
 def not_made(site: SiteUnderTest) -> str:
-    """Path of an episode whose playback nobody has asked for, while two others wait."""
+    """Path of an episode whose playback nobody has asked for, while two others wait for the only worker."""
+    make_worker(site.seeded.database)
     for number in (1, 2):
         ask_for_playback(site.seeded, "done", number)
     return path_of_episode(site.seeded, "both")
@@ -166,7 +168,7 @@ def test_a_film_has_every_picture_from_the_start_to_the_end(site: SiteUnderTest,
     open_player(site, page, made(site))
     with page.expect_download(timeout=600e3) as downloaded:
         record_film(page)
-    assert downloaded.value.suggested_filename == "done_episode_5_trapezoid_x_-4.00_mm_y_-2.00_mm_turned_+2.00deg.webm"
+    assert downloaded.value.suggested_filename == "both_episode_5_trapezoid_x_-4.00_mm_y_-2.00_mm_turned_+2.00deg.webm"
     downloaded.value.save_as(tmp_path / "film.webm")
     film = cv2.VideoCapture(str(tmp_path / "film.webm"))
     pictures = [picture for read, picture in iter(film.read, (False, None)) if read]
@@ -415,13 +417,13 @@ def test_without_javascript_there_is_the_still_and_a_button_to_ask(browser: Brow
     expect(page.get_by_text("Space plays and pauses")).to_be_hidden()
     site.open(page, not_made(site))
     page.get_by_role("button", name="Make the playback").click()
-    expect(page.get_by_text("2 other playbacks are made first")).to_be_visible()
+    expect(page.get_by_text("Another playback is made first")).to_be_visible()
     context.close()
 
 
 def test_a_page_asks_by_itself_shows_progress_and_then_plays(site: SiteUnderTest, page: Page) -> None:
     site.open(page, not_made(site))
-    expect(page.get_by_text("2 other playbacks are made first")).to_be_visible()
+    expect(page.get_by_text("Another playback is made first")).to_be_visible()
     ask_for_playback(site.seeded, "both", state=WorkState.RUNNING, env_steps_played=2)
     expect(page.get_by_text("Being made: env step 2 of 4.")).to_be_visible()
     expect(page.get_by_role("progressbar")).to_have_attribute("value", "2")
@@ -452,7 +454,7 @@ def test_a_page_asks_again_only_where_the_answer_may_change(
     page.route("**/playback", refuse_once)
     site.open(page, path)
     if goes_on:
-        expect(page.get_by_text("2 other playbacks are made first")).to_be_visible()
+        expect(page.get_by_text("Another playback is made first")).to_be_visible()
         assert len(asked) > 1
     else:
         expect(page.get_by_text("Not now. Reload the page to go on.")).to_be_visible()
@@ -464,14 +466,14 @@ def test_a_page_asks_again_only_where_the_answer_may_change(
 
 def test_a_page_whose_session_is_over_leads_to_the_sign_in(site: SiteUnderTest, page: Page) -> None:
     site.open(page, not_made(site))
-    expect(page.get_by_text("2 other playbacks are made first")).to_be_visible()
+    expect(page.get_by_text("Another playback is made first")).to_be_visible()
     page.context.clear_cookies()
     expect(page).to_have_url(re.compile("/sign-in"))
 
 
 def test_a_failed_playback_says_so(site: SiteUnderTest, page: Page) -> None:
     site.open(page, not_made(site))
-    expect(page.get_by_text("2 other playbacks are made first")).to_be_visible()
+    expect(page.get_by_text("Another playback is made first")).to_be_visible()
     ask_for_playback(site.seeded, "both", state=WorkState.FAILED)
     expect(page.get_by_text("There is no playback of this episode. The states differ.")).to_be_visible()
     assert violations(page) == []
