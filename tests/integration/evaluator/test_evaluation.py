@@ -259,8 +259,8 @@ def test_a_package_installed_beside_the_evaluator_is_not_there_for_policies_and_
     (site / "IPython" / "__init__.py").touch()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: ipython\nVersion: 9.18.1\n")
     (info / "RECORD").write_text("IPython/__init__.py,,\nipython-9.18.1.dist-info/METADATA,,\n")
-    folders = packages._package_folders()
-    monkeypatch.setattr(packages, "_package_folders", lambda: (*folders, site))
+    folders = packages.package_folders()
+    monkeypatch.setattr(packages, "package_folders", lambda: (*folders, site))
     monkeypatch.setattr(sys, "path", [*sys.path, str(site)])
     assert find_spec("IPython") is not None
     assert "ipython" not in packages.installed_packages().versions
