@@ -11,6 +11,7 @@ from typing import Any
 
 import typer
 
+from ..client.team import print_appeal
 from ..client.verbs import Verb
 from . import views
 
@@ -690,7 +691,7 @@ NOUNS: Mapping[str, AdminNoun] = {
                 "show",
                 "GET /appeals/{appeal_id}",
                 help="Show an appeal, and what was played again for it.",
-                show=views.print_appeal,
+                show=print_appeal,
             ),
             Verb(
                 "rule",

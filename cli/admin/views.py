@@ -9,7 +9,7 @@ from typing import Any
 
 from ..client.status import show as show_status
 from ..client.verbs import print_fields, print_rows, readable
-from ..terminal.output import percent, print_meanings, print_pairs, print_records, print_table
+from ..terminal.output import percent, print_pairs, print_records, print_table
 
 Given = Mapping[str, Any]
 WINNERS = ("track", "place", "team", "amount", "currency", "rank", "success_rate", "mean_steps", "total")
@@ -312,13 +312,3 @@ def print_audit(answer: Any, _: Given) -> None:
 def _short(values: dict[str, object] | None) -> str | None:
     text = json.dumps(values, ensure_ascii=False) if values else ""
     return text if len(text) <= 80 else f"{text[:79]}…"
-
-
-def print_appeal(answer: Any, _: Given) -> None:
-    """Print an appeal with what was played again for it."""
-    print_fields({name: value for name, value in answer.items() if name != "replays"})
-    print()
-    replays = answer["replays"]
-    columns = ("task", "episode", "corrected", "old_outcome", "outcome", "old_env_steps", "env_steps", "same_states")
-    print_rows(replays, columns, none="No episode was played again.")
-    print_meanings(end for replay in replays for end in (replay["old_outcome"], replay["outcome"]))

@@ -47,10 +47,11 @@ def _print_webhook(answer: Any, _: Given) -> None:
     print("\nThe secret is shown only once; the receiver checks each notice with it.")
 
 
-def _print_appeal(answer: Any, _: Given) -> None:
+def print_appeal(answer: Any, _: Given) -> None:
+    """Print an appeal with what was played again for it."""
     print_fields({name: value for name, value in answer.items() if name != "replays"})
     print()
-    columns = ("task", "episode", "corrected", "old_outcome", "outcome", "same_states")
+    columns = ("task", "episode", "corrected", "old_outcome", "outcome", "old_env_steps", "env_steps", "same_states")
     print_rows(answer["replays"], columns, none="No episode was played again.")
     print_meanings(end for replay in answer["replays"] for end in (replay["old_outcome"], replay["outcome"]))
 
@@ -98,7 +99,7 @@ appeal = _noun(
             "show",
             "GET /appeals/{appeal_id}",
             help="Show an appeal, its ruling, and what was played again for it.",
-            show=_print_appeal,
+            show=print_appeal,
         ),
         Verb(
             "withdraw",

@@ -39,6 +39,7 @@ URL_HOSTS = {
     "c2sp.org",
     "creativecommons.org",
     "doi.org",
+    "gvisor.dev",
     "docs.astral.sh",
     "docs.ray.io",
     "github.com",
