@@ -4,12 +4,13 @@ from http import HTTPStatus
 from uuid import UUID
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from ..names import TEXT_LENGTH
 from ..submissions import appeals
 from ..views.correspondence import AppealListView, AppealView
 from .access import ChangingServicesOf, CompetitionOrganizerOf, OwnerOf, ReaderOf, RowNumber, ServicesOf, SignedInOf
+from .inputs import Input
 from .messages import OnlyOpen
 from .problems import RESPONSES
 from .teams import ONE_LINE
@@ -17,20 +18,18 @@ from .teams import ONE_LINE
 router = APIRouter(tags=["appeals"], responses=RESPONSES)
 
 
-class NewAppeal(BaseModel):
+class NewAppeal(Input):
     """An appeal against the newest evaluation of a submission."""
 
-    model_config = ConfigDict(extra="forbid")
     submission_id: UUID
     text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="What went wrong, as plain text.")
     task: str | None = Field(default=None, max_length=100, pattern=ONE_LINE, description="In which task; null: in all.")
     episode: int | None = Field(default=None, ge=1, le=1_000_000, description="In which of its episodes.")
 
 
-class Ruling(BaseModel):
+class Ruling(Input):
     """What the organizers decide."""
 
-    model_config = ConfigDict(extra="forbid")
     upheld: bool
     text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Why, as plain text.")
 

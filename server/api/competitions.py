@@ -10,7 +10,7 @@ from uuid import UUID, uuid4
 
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse, StreamingResponse
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from sqlalchemy.orm import Session
 from starlette.background import BackgroundTask
 from vitac.evaluator.strict_model import DocumentRejected
@@ -30,15 +30,15 @@ from ..errors import ProblemCode, ServiceError
 from ..submissions import stage_files
 from ..views.competition import AdvancementView, ArchiveView, CompetitionListView, CompetitionView
 from .access import ChangingServicesOf, CompetitionOrganizerOf, OrganizerOf, ServicesOf
+from .inputs import Input
 from .problems import RESPONSES
 
 router = APIRouter(tags=["competitions"], responses=RESPONSES)
 
 
-class Decision(BaseModel):
+class Decision(Input):
     """Who takes part in a stage besides or without those that its rule takes."""
 
-    model_config = ConfigDict(extra="forbid")
     add: list[str] = Field(default=[], max_length=1000, description="Names or ids of further teams.")
     without: list[str] = Field(default=[], max_length=1000, description="Proposed teams that do not take part.")
     revision: str | None = Field(
@@ -51,10 +51,9 @@ class Decision(BaseModel):
     )
 
 
-class NewDefinition(BaseModel):
+class NewDefinition(Input):
     """The content of a competition's file."""
 
-    model_config = ConfigDict(extra="forbid")
     definition: CompetitionDefinition
     base: str | None = Field(
         default=None,
@@ -109,10 +108,9 @@ class Winners(BaseModel):
     revision: str = Field(description="Give this as `shown` to end the competition with exactly these.")
 
 
-class FinalEnd(BaseModel):
+class FinalEnd(Input):
     """How a competition is ended."""
 
-    model_config = ConfigDict(extra="forbid")
     confirm: list[str] = Field(
         default=[], max_length=100, description="Names of what is not settled and is meant; a refusal lists them."
     )
@@ -124,10 +122,9 @@ class FinalEnd(BaseModel):
     )
 
 
-class Reopening(BaseModel):
+class Reopening(Input):
     """Why a final competition is reopened."""
 
-    model_config = ConfigDict(extra="forbid")
     reason: str = Field(max_length=REASON_LENGTH, description="For everybody to read.")
 
 

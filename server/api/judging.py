@@ -14,6 +14,7 @@ from ..decisions import judging
 from ..principals import Principal
 from ..views.decisions import JudgedTeamView
 from .access import ChangingServicesOf, CompetitionOrganizerOf, JudgeOf, ServicesOf
+from .inputs import Input
 from .problems import RESPONSES
 
 router = APIRouter(tags=["judging"], responses=RESPONSES)
@@ -24,10 +25,9 @@ JudgeName = Annotated[
 ]
 
 
-class NewMarks(BaseModel):
+class NewMarks(Input):
     """A judge's marks of a submission."""
 
-    model_config = ConfigDict(extra="forbid")
     marks: dict[str, float] = Field(max_length=50, description="From 0 to 10, for every criterion of the track.")
     judge: JudgeName
 

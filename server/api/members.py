@@ -6,7 +6,7 @@ from typing import Annotated
 from uuid import UUID
 
 from fastapi import APIRouter, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from sqlalchemy.orm import Session
 
 from ..accounts import members, merging, passwords, quotas, teams, tokens, webhooks
@@ -45,6 +45,7 @@ from .access import (
     note_password,
     note_registration,
 )
+from .inputs import Input
 from .middleware.shares import leave_place
 from .problems import RESPONSES
 from .teams import ONE_LINE
@@ -57,20 +58,18 @@ Email = Annotated[str, Field(max_length=254, pattern=EMAIL)]
 Password = Annotated[str, Field(min_length=MIN_LENGTH, max_length=MAX_LENGTH)]
 
 
-class NewMember(BaseModel):
+class NewMember(Input):
     """Somebody who joins a team."""
 
-    model_config = ConfigDict(extra="forbid")
     code: str = Field(max_length=200, description="Of the captain's invitation.")
     name: str = Field(min_length=2, max_length=teams.NAME_LENGTH, description="For the team and the organizers.")
     email: Email | None = Field(default=None, description="For notices.")
     password: Password | None = Field(default=None, description="To sign in on the pages, besides the token.")
 
 
-class MemberChanges(BaseModel):
+class MemberChanges(Input):
     """What changes of a member; what is left out stays, null takes it away."""
 
-    model_config = ConfigDict(extra="forbid")
     email: Email | None = None
     email_code: str | None = Field(default=None, max_length=200, description="Of the e-mail that asks to confirm.")
     password: Password | None = None
@@ -78,24 +77,21 @@ class MemberChanges(BaseModel):
     muted: list[NoticeKind] | None = Field(default=None, max_length=20, description="Notices that are not wanted.")
 
 
-class NewWebhook(BaseModel):
+class NewWebhook(Input):
     """Where notices are sent."""
 
-    model_config = ConfigDict(extra="forbid")
     address: str = Field(max_length=500, description="An https address of the internet.")
 
 
-class NewCaptain(BaseModel):
+class NewCaptain(Input):
     """Who leads the team from now on."""
 
-    model_config = ConfigDict(extra="forbid")
     member_id: UUID
 
 
-class TeamChanges(BaseModel):
+class TeamChanges(Input):
     """What an organizer changes of a team; what is left out stays."""
 
-    model_config = ConfigDict(extra="forbid")
     name: str | None = Field(default=None, min_length=2, max_length=teams.NAME_LENGTH)
     accepted: bool | None = Field(default=None, description="The answer to a team that waits.")
     reason: str | None = Field(
@@ -103,40 +99,35 @@ class TeamChanges(BaseModel):
     )
 
 
-class Note(BaseModel):
+class Note(Input):
     """What organizers write about a team for each other."""
 
-    model_config = ConfigDict(extra="forbid")
     note: str = Field(max_length=TEXT_LENGTH, description="Plain text; empty: no note.")
 
 
-class NewMessage(BaseModel):
+class NewMessage(Input):
     """What organizers say to one team."""
 
-    model_config = ConfigDict(extra="forbid")
     title: str = Field(min_length=2, max_length=TITLE_LENGTH)
     text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Plain text.")
     competition: str | None = Field(default=None, description="Which competition it is about; null: the whole service.")
 
 
-class TeamDisqualification(BaseModel):
+class TeamDisqualification(Input):
     """Why a team no longer takes part."""
 
-    model_config = ConfigDict(extra="forbid")
     reason: str = Field(max_length=teams.REASON_LENGTH, pattern=ONE_LINE, description="The team reads it.")
 
 
-class Limit(BaseModel):
+class Limit(Input):
     """What a team may have of something."""
 
-    model_config = ConfigDict(extra="forbid")
     limit: int | None = Field(ge=0, le=MAX_NUMBER, description="Null: any number.")
 
 
-class Merge(BaseModel):
+class Merge(Input):
     """The team into which another one is merged."""
 
-    model_config = ConfigDict(extra="forbid")
     into: str = Field(pattern=ONE_LINE, max_length=200, description="Name or id of the team that remains.")
 
 

@@ -4,7 +4,7 @@ from http import HTTPStatus
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from ..accounts import messages
 from ..names import TEXT_LENGTH
@@ -19,15 +19,15 @@ from .access import (
     ServicesOf,
     TeamOf,
 )
+from .inputs import Input
 from .problems import RESPONSES
 
 router = APIRouter(tags=["messages"], responses=RESPONSES)
 
 
-class NewAnnouncement(BaseModel):
+class NewAnnouncement(Input):
     """What organizers say to everybody."""
 
-    model_config = ConfigDict(extra="forbid")
     competition: str | None = Field(
         default=None,
         description="Which competition it is about; null: the one that the organizer has, or the whole service.",
@@ -40,18 +40,16 @@ class NewAnnouncement(BaseModel):
     )
 
 
-class NewQuestion(BaseModel):
+class NewQuestion(Input):
     """A question to the organizers."""
 
-    model_config = ConfigDict(extra="forbid")
     text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Plain text.")
     public: bool = Field(description="Whether everybody may see it, without the team's name, once it is answered.")
 
 
-class QuestionAnswer(BaseModel):
+class QuestionAnswer(Input):
     """An answer of the organizers."""
 
-    model_config = ConfigDict(extra="forbid")
     text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Plain text.")
     public: bool = Field(description="Whether everybody sees question and answer.")
 

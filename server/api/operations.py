@@ -17,6 +17,7 @@ from ..views.correspondence import NoticeView
 from ..views.operations import WorkerView
 from ..views.teams import AuditDigestView, AuditEntryView
 from .access import ChangingServicesOf, OrganizerOf, ServicesOf
+from .inputs import Input
 from .problems import RESPONSES
 from .teams import ONE_LINE
 
@@ -25,17 +26,15 @@ router = APIRouter(tags=["operations"], responses=RESPONSES)
 Rows = Annotated[int, Query(ge=1, le=10_000, description="Maximum number of rows.")]
 
 
-class Order(BaseModel):
+class Order(Input):
     """What a worker is to do."""
 
-    model_config = ConfigDict(extra="forbid")
     order: WorkerOrder
 
 
-class NewStation(BaseModel):
+class NewStation(Input):
     """A laboratory whose agent plays trials."""
 
-    model_config = ConfigDict(extra="forbid")
     name: str = Field(max_length=100, pattern=ONE_LINE)
 
 

@@ -4,7 +4,7 @@ from http import HTTPStatus
 from uuid import UUID
 
 from fastapi import APIRouter, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from ..competitions.competition import Competition
 from ..decisions import rejudging
@@ -12,15 +12,15 @@ from ..decisions.rejudging import rejudgement_detail_view, rejudgement_view
 from ..errors import ProblemCode, ServiceError
 from ..views.decisions import RejudgementDetailView, RejudgementView
 from .access import ChangingServicesOf, CompetitionOrganizerOf, ServicesOf
+from .inputs import Input
 from .problems import RESPONSES
 
 router = APIRouter(prefix="/rejudgements", tags=["rejudging"], responses=RESPONSES)
 
 
-class NewRejudgement(BaseModel):
+class NewRejudgement(Input):
     """Which submissions are evaluated again, and why."""
 
-    model_config = ConfigDict(extra="forbid")
     track: str = Field(max_length=100)
     competition: str | None = Field(
         default=None, max_length=100, description="Name of the competition; the one that opened last without it."
@@ -30,10 +30,9 @@ class NewRejudgement(BaseModel):
     reason: str = Field(max_length=rejudging.REASON_LENGTH, description="In one line, for the audit log.")
 
 
-class Application(BaseModel):
+class Application(Input):
     """What is applied."""
 
-    model_config = ConfigDict(extra="forbid")
     shown: str | None = Field(
         default=None,
         max_length=64,

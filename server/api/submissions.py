@@ -11,7 +11,7 @@ from uuid import UUID
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from vitac.evaluator.submission_kinds import SubmissionKind
 
@@ -54,6 +54,7 @@ from .access import (
     SubmitterOf,
     VisitorOf,
 )
+from .inputs import Input
 from .problems import RESPONSES
 from .streams import CountedStream, OpenStreams
 from .uploads import read_number, require_type
@@ -67,24 +68,21 @@ _BINARY = {"schema": {"type": "string", "format": "binary"}}
 _BODY = {"required": True, "content": {name: _BINARY for kind in SubmissionKind for name in kind.form.content_types}}
 
 
-class Publicity(BaseModel):
+class Publicity(Input):
     """Who may see the result of a submission."""
 
-    model_config = ConfigDict(extra="forbid")
     public: bool = Field(description="Everybody; else its team, judges and organizers.")
 
 
-class Choice(BaseModel):
+class Choice(Input):
     """Whether a submission plays the final list of its stage."""
 
-    model_config = ConfigDict(extra="forbid")
     chosen: bool
 
 
-class Description(BaseModel):
+class Description(Input):
     """What is written about a public result; with nothing in it, what was written is removed."""
 
-    model_config = ConfigDict(extra="forbid")
     text: str = Field(default="", description=f"Plain text of at most {TEXT_LENGTH} characters.")
     code: str = Field(default="", description="https address of the code.")
     paper: str = Field(default="", description="https address of the paper.")
@@ -94,10 +92,9 @@ class Description(BaseModel):
     )
 
 
-class Reason(BaseModel):
+class Reason(Input):
     """Why organizers decide something about a submission."""
 
-    model_config = ConfigDict(extra="forbid")
     reason: str = Field(max_length=REASON_LENGTH, description="In one line, for the team.")
 
 

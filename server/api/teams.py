@@ -6,7 +6,7 @@ from typing import Annotated, Literal, cast
 from uuid import UUID
 
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from sqlalchemy.orm import Session
 
 from ..accounts import messages, registration, team_lists, teams, tokens
@@ -39,6 +39,7 @@ from .access import (
     SubmitterOf,
     note_registration,
 )
+from .inputs import Input
 from .problems import RESPONSES
 
 router = APIRouter(tags=["teams"], responses=RESPONSES)
@@ -47,10 +48,9 @@ ONE_LINE = r"^[^\x00-\x1f\x7f]+$"
 Label = Annotated[str, Field(min_length=1, max_length=64, pattern=ONE_LINE)]
 
 
-class NewTeam(BaseModel):
+class NewTeam(Input):
     """A team that wants to take part."""
 
-    model_config = ConfigDict(extra="forbid")
     name: str = Field(min_length=1, max_length=teams.NAME_LENGTH, description="Shown on the leaderboard.")
     contact: str | None = Field(
         default=None, max_length=teams.CONTACT_LENGTH, pattern=ONE_LINE, description="For the organizers."
@@ -58,10 +58,9 @@ class NewTeam(BaseModel):
     invite: str | None = Field(default=None, max_length=200, description="The invite code, where one is needed.")
 
 
-class NewToken(BaseModel):
+class NewToken(Input):
     """A further token."""
 
-    model_config = ConfigDict(extra="forbid")
     label: Label = Field(description="Distinguishes the tokens of a team.")
     expires_in_days: int | None = Field(default=None, ge=1, le=3650, description="The server's default if null.")
     team: str | None = Field(default=None, pattern=ONE_LINE, description="For organizers: whose token this is.")
@@ -73,20 +72,18 @@ class NewToken(BaseModel):
     )
 
 
-class TeamsFile(BaseModel):
+class TeamsFile(Input):
     """A file with teams."""
 
-    model_config = ConfigDict(extra="forbid")
     csv: str = Field(
         max_length=1_000_000,
         description="CSV with a line of names of columns: name and, if wanted, contact; others become the note.",
     )
 
 
-class ChangeOfTeams(BaseModel):
+class ChangeOfTeams(Input):
     """What is done with several teams at once."""
 
-    model_config = ConfigDict(extra="forbid")
     action: team_lists.BulkAction
     reason: str | None = Field(
         default=None, max_length=teams.REASON_LENGTH, pattern=ONE_LINE, description="Of a refusal or disqualification."
