@@ -1,7 +1,8 @@
 """Plays on an emulated ARM64 machine and compares every bit with what this machine gives.
 
-Run it as `python benchmarks/other_architecture.py FOLDER` on Debian with `qemu-user-static`. FOLDER keeps Debian's ARM64
-Python, the ARM64 wheels of `requirements/base.lock` and the compiled kernels; the first run takes a quarter of an hour.
+Run it as `python benchmarks/other_architecture.py FOLDER` on Debian with `qemu-user-static`. FOLDER keeps Debian's
+ARM64 Python, the ARM64 wheels of `requirements/base.lock` and the compiled kernels; the first run takes a
+quarter of an hour.
 """
 
 import argparse
