@@ -48,7 +48,8 @@ def command(
 ) -> None:
     """Check a submission before its upload: archive rules, submission.yaml, two episodes of each task."""
     note_ignored_folders(submission)
-    fall_back_where_nothing_isolates()
+    if remote is None:
+        fall_back_where_nothing_isolates()
     findings = check(submission, remote)
     if as_json:
         print_json({"ok": not findings.refused, **asdict(findings)})

@@ -105,7 +105,8 @@ def command(
         note_ignored_folders(submission)
         rehearse_submission(submission, station, request.episodes, json=json, pictures=pictures)
         return
-    fall_back_where_nothing_isolates()
+    if remote is None:
+        fall_back_where_nothing_isolates()
     evaluation, manifest, digest = _evaluate(request, submission)
     outputs.write(evaluation, manifest, digest)
     _print_summary(evaluation, manifest)

@@ -166,7 +166,8 @@ def end_played(session: Session, lease: ReplayLease, played: EpisodeRecord) -> N
 def _require_policy(submission: Submission) -> None:
     if not submission.kind.form.runs_policy or load_track(submission.track).has_sensor:
         raise ServiceError(
-            ProblemCode.UNSUPPORTED_SUBMISSION_KIND, "Expected a submission with a policy; a log or a sensor has none."
+            ProblemCode.UNSUPPORTED_SUBMISSION_KIND,
+            "Expected a submission whose policy runs here; a log, a policy server or a sensor has none.",
         )
 
 

@@ -158,7 +158,7 @@ def model_card(session: Session, by: Principal, submission_id: UUID) -> ModelCar
     if not submission.kind.form.runs_policy:
         raise ServiceError(
             ProblemCode.UNSUPPORTED_SUBMISSION_KIND,
-            f"Expected a model, got a {submission.kind}: only models have a card.",
+            f"Expected a model, got a submission of kind {submission.kind}: only models have a card.",
         )
     return make_card(session, by, newest_evaluation(session, submission))
 
