@@ -161,11 +161,11 @@ def pack(folder: Path, archive: Path) -> int:
         ManifestRejected: its manifest cannot be read.
         ArchiveRejected: the folder contains a link or a device.
     """
-    from vitac.evaluator.submission.sources import find_submission, top_folder
+    from vitac.evaluator.submission.sources import find_submission, list_files, top_folder
 
     found = find_submission(folder)
     top = top_folder(found)
-    paths = sorted(_files(found, ""))
+    paths = sorted(list_files(found))
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as writer:
         for path in paths:
             _add(writer, found / path, f"{top}/{path}")
@@ -186,20 +186,3 @@ def _shrinks(file: Path) -> bool:
     with file.open("rb") as source:
         sample = source.read(SAMPLE_BYTES)
     return len(zlib.compress(sample, level=1)) < WORTH_COMPRESSING * len(sample)
-
-
-def _files(folder: Path, prefix: str) -> Iterator[str]:
-    from vitac.evaluator.submission.names import is_ignored, link, special_file
-
-    for item in folder.iterdir():
-        path = f"{prefix}{item.name}"
-        if is_ignored(path):
-            continue
-        if item.is_symlink():
-            raise link(path)
-        if item.is_dir():
-            yield from _files(item, f"{path}/")
-        elif item.is_file():
-            yield path
-        else:
-            raise special_file(path)

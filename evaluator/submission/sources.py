@@ -161,12 +161,20 @@ def top_folder(submission_dir: Path) -> str:
 
 
 def _folder_entries(folder: Path, top: str, limits: Limits) -> list[ArchiveEntry]:
-    entries = list(_walk(folder, ""))
+    entries = [
+        ArchiveEntry(path=fixed_name(path), n_bytes=(folder / path).stat().st_size, open=partial(_open, folder / path))
+        for path in list_files(folder)
+    ]
     check_names((NamedEntry(path=f"{top}/{entry.path}", is_folder=False) for entry in entries), limits)
     return entries
 
 
-def _walk(folder: Path, prefix: str) -> Iterator[ArchiveEntry]:
+def list_files(folder: Path, prefix: str = "") -> Iterator[str]:
+    """Yield the files of a submission's folder, in order, with `prefix` before their paths.
+
+    Raises:
+        ArchiveRejected: there is a link, or what is neither file nor folder.
+    """
     for item in sorted(os.scandir(folder), key=lambda item: item.name):
         path = f"{prefix}{item.name}"
         if is_ignored(path):
@@ -174,15 +182,15 @@ def _walk(folder: Path, prefix: str) -> Iterator[ArchiveEntry]:
         if item.is_symlink():
             raise link(path)
         if item.is_dir():
-            yield from _walk(Path(item.path), f"{path}/")
+            yield from list_files(Path(item.path), f"{path}/")
         elif item.is_file():
-            yield ArchiveEntry(path=fixed_name(path), n_bytes=item.stat().st_size, open=partial(_open, item.path))
+            yield path
         else:
             raise special_file(path)
 
 
-def _open(path: str) -> IO[bytes]:
-    return Path(path).open("rb")
+def _open(path: Path) -> IO[bytes]:
+    return path.open("rb")
 
 
 def _digest(entries: list[ArchiveEntry]) -> str:

@@ -31,10 +31,9 @@ from ..views.comparisons import (
     ComparedPairView,
     ComparedResultView,
     ComparisonView,
-    RateView,
 )
 from ..views.leaderboards import LeaderboardEntryView
-from ..views.scores import ShapeScoreView, TaskScoreView
+from ..views.scores import RateView, ShapeScoreView, TaskScoreView
 from ..views.submissions import EpisodeView, SubmissionView
 from . import listing
 

@@ -9,7 +9,7 @@ from vitac.evaluator.episodes.records import EpisodeOutcome
 
 from ..database.states import WorkState
 from .base import View
-from .scores import INTERVAL, STARTS, PlayedScoreView, TaskScoreView
+from .scores import STARTS, PlayedScoreView, RateView, TaskScoreView
 
 
 class ComparedResultView(View):
@@ -25,16 +25,6 @@ class ComparedResultView(View):
     scores: list[TaskScoreView]
     has_page: bool = Field(description="The reader may see its submission; of others only what a leaderboard shows.")
     episodes: int = Field(description="Number of single episodes that the reader may see; 0 where none are shown.")
-
-
-class RateView(View):
-    """Successes among some episodes."""
-
-    episodes: int
-    starts: int = Field(description=STARTS)
-    successes: int
-    success_rate: float
-    success_rate_interval: tuple[float, float] = Field(description=INTERVAL)
 
 
 class ComparedGroupView(View):

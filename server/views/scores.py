@@ -11,26 +11,26 @@ INTERVAL = (
 )
 
 
-class ShapeScoreView(View):
+class RateView(View):
+    """Successes among some episodes."""
+
+    episodes: int
+    starts: int = Field(description=STARTS)
+    successes: int
+    success_rate: float
+    success_rate_interval: tuple[float, float] = Field(description=INTERVAL)
+
+
+class ShapeScoreView(RateView):
     """Successes with one shape."""
 
     shape: str
-    episodes: int
-    starts: int = Field(description=STARTS)
-    successes: int
-    success_rate: float
-    success_rate_interval: tuple[float, float] = Field(description=INTERVAL)
 
 
-class TaskRateView(View):
+class TaskRateView(RateView):
     """Success rate in one task, also by shape."""
 
     task: str
-    episodes: int
-    starts: int = Field(description=STARTS)
-    successes: int
-    success_rate: float
-    success_rate_interval: tuple[float, float] = Field(description=INTERVAL)
     mean_steps: float | None = Field(description="Mean env steps of the successful episodes; null without a success.")
     shapes: list[ShapeScoreView]
 
