@@ -1,7 +1,7 @@
 """`vitac evaluate`: evaluates a submission on this machine, in the same sandbox and with the same result hash."""
 
-import os
 import sys
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -118,7 +118,7 @@ def _evaluate(request: "_Request", submission: Path) -> "tuple[LocalEvaluation, 
     """Return the evaluation of a submission, its manifest and its digest; the simulation is loaded meanwhile."""
     from vitac.evaluator.shards.host_process import HostProcess
 
-    with HostProcess(loads_all=True) as host:
+    with HostProcess(loads_all=True) if sys.platform == "linux" else nullcontext() as host:
         from vitac.evaluator.submission.manifest import load_manifest
         from vitac.evaluator.submission.sources import staged, submission_digest
 
@@ -161,7 +161,7 @@ class _Request:
         if self.sensor is not None:
             accepted_sensor(self.sensor)
 
-    def evaluate(self, folder: Path, manifest: "SubmissionManifest", host: "HostProcess") -> "LocalEvaluation":
+    def evaluate(self, folder: Path, manifest: "SubmissionManifest", host: "HostProcess | None") -> "LocalEvaluation":
         """Evaluate an unpacked submission in processes that a host forks, with a progress bar."""
         from vitac.envs.assets import assets_dir_from_environment
         from vitac.evaluator.evaluation.local import evaluate
@@ -187,7 +187,9 @@ class _Request:
 
     def _default_workers(self) -> int:
         """Return one process for each core, or one where a policy server may know one line only."""
-        return 1 if self.remote else len(os.sched_getaffinity(0))
+        from vitac.evaluator.cores import count_cores
+
+        return 1 if self.remote else count_cores()
 
 
 @dataclass(frozen=True, kw_only=True)

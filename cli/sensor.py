@@ -1,6 +1,5 @@
 """`vitac sensor`: meshes, checks and draws a team's own sensor (Track 3)."""
 
-import os
 from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
@@ -164,6 +163,7 @@ def evaluate(
     if figures is FigureChoice.QUICK and episodes is None:
         _measure_quickly(sensor, json)
         return
+    from vitac.evaluator.cores import count_cores
     from vitac.evaluator.evaluation.sensor import evaluate_sensor
     from vitac.evaluator.tracks import find_task
 
@@ -179,7 +179,7 @@ def evaluate(
         found = evaluate_sensor(
             sensor,
             episodes=numbers,
-            workers=workers or len(os.sched_getaffinity(0)),
+            workers=workers or count_cores(),
             figures=figures,
             keep=None if fresh else _stored_shards_folder(),
             on_episode=progress.advance,

@@ -1,5 +1,6 @@
 """A whole evaluation on this machine: all shards over some processes, then the score; called by `vitac evaluate`."""
 
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -20,6 +21,7 @@ from ..estimator.regression import Coefficients
 from ..figures.figures import FigureChoice, FiguresPart
 from ..scoring.failures import breaking_failure
 from ..scoring.score import Score, score
+from ..shards.here import ShardHere, ShardsHere
 from ..shards.host_process import HostProcess
 from ..shards.order import OnCalibration, ShardEnd, ShardOrder, ShardResult
 from ..shards.process import ShardProcess, ShardProcesses
@@ -123,8 +125,10 @@ def evaluate(
         for shard in shards
     ]
     records = []
-    with ShardProcesses(host) as processes:
-        pool = _ShardPool(processes, orders, min(workers, len(orders)), stored, on_calibration)
+    can_fork = sys.platform == "linux"
+    with ShardProcesses(host) if can_fork else ShardsHere() as processes:
+        workers = min(workers, len(orders)) if can_fork else 1
+        pool = _ShardPool(processes, orders, workers, stored, on_calibration)
         with closing(pool.run()) as finished:
             for record in finished:
                 records.append(record)
@@ -144,7 +148,7 @@ class _ShardPool:
 
     def __init__(
         self,
-        processes: ShardProcesses,
+        processes: ShardProcesses | ShardsHere,
         orders: Sequence[ShardOrder],
         workers: int,
         stored: StoredShards | None,
@@ -158,7 +162,7 @@ class _ShardPool:
         self._processes = processes
         self._orders = deque(orders)
         self._lock = threading.Lock()
-        self._running: dict[int, ShardProcess] = {}
+        self._running: dict[int, ShardProcess | ShardHere] = {}
         self._given_up = False
         self._queue: SimpleQueue[EpisodeRecord | ShardResult | Exception | None] = SimpleQueue()
         self._threads = [threading.Thread(target=self._work, args=(slot,), daemon=True) for slot in range(workers)]
@@ -220,7 +224,7 @@ class _ShardPool:
             self._stored.store(order, records, process.result)
         return process.result
 
-    def _register(self, slot: int, process: ShardProcess) -> None:
+    def _register(self, slot: int, process: ShardProcess | ShardHere) -> None:
         with self._lock:
             self._running[slot] = process
             if self._given_up:

@@ -12,6 +12,7 @@ from vitac.envs.errors import VitacError
 
 from ..agent.isolation.cgroup import memory_limit_bytes
 from ..agent.limits import GIB, Limits
+from ..cores import count_cores
 from ..episodes.reading import make_reading
 from ..episodes.records import EpisodeRecord
 from ..scoring.failures import is_broken
@@ -115,7 +116,7 @@ def limits_of_each(policies: int, limits: Limits) -> Limits:
             f"{policies} policies at once may use {needed / GIB:.1f} GiB of memory, {there} GiB; take a smaller "
             "batch_size or more memory."
         )
-    sharing = ceil(policies / len(os.sched_getaffinity(0)))
+    sharing = ceil(policies / count_cores())
     return replace(
         limits,
         start_wall_s=sharing * limits.start_wall_s,

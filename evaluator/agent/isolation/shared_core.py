@@ -3,9 +3,14 @@
 import ctypes
 import os
 from contextlib import suppress
+from typing import Final
 
-_current_core = ctypes.CDLL(None).sched_getcpu
-_current_core.argtypes = []
+_LIBRARY: Final = ctypes.CDLL(None)
+
+
+def _current_core() -> int:
+    """Return the core that this process runs on; -1 where the system does not say."""
+    return int(_LIBRARY.sched_getcpu()) if hasattr(_LIBRARY, "sched_getcpu") else -1
 
 
 class SharedCore:

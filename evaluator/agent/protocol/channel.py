@@ -3,6 +3,7 @@
 import array
 import fcntl
 import socket
+import sys
 import termios
 from collections.abc import Sequence
 from typing import Final
@@ -24,7 +25,8 @@ class Channel:
 
     def __init__(self, sock: socket.socket, *, message_bytes: int) -> None:
         sock.setblocking(False)
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
+        if sys.platform == "linux":
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
         self._sock = sock
         self._reader = FrameReader(message_bytes=message_bytes)
         self._unsent: list[memoryview] = []
@@ -152,6 +154,7 @@ def _unsent_parts(parts: list[memoryview], sent: int) -> list[memoryview]:
 
 
 def _sender_pid(ancillary: list[tuple[int, int, bytes]]) -> int:
+    """Return the process that has sent a piece, 0 where the system does not say."""
     for level, kind, data in ancillary:
         if level == socket.SOL_SOCKET and kind == socket.SCM_CREDENTIALS:
             return array.array("i", data[:_CREDENTIALS_BYTES])[0]

@@ -121,7 +121,13 @@ def test_run_of_vla_eval_plays_our_episodes_with_our_hash(
     with served(vla_eval_python, VLA_EVAL, tmp_path) as address:
         config = {"server": {"url": address}, "output_dir": str(tmp_path / "results"), "benchmarks": [benchmark]}
         (tmp_path / "config.yaml").write_text(yaml.safe_dump(config))
-        command = [vla_eval_python.with_name("vla-eval"), "run", "--no-docker", "-c", tmp_path / "config.yaml"]
+        command = [
+            str(vla_eval_python.with_name("vla-eval")),
+            "run",
+            "--no-docker",
+            "-c",
+            str(tmp_path / "config.yaml"),
+        ]
         finished = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert finished.returncode == 0, finished.stderr[-2000:]
     assert f"result hash of {len(EPISODES)} episodes {in_sandbox.result_hash}" in finished.stderr

@@ -4,7 +4,8 @@ import json
 from datetime import UTC, datetime
 
 import pytest
-from vitac.web.pages.files.formats import TableFormat, csv_text, objects, table_file
+from vitac.server.csv_text import csv_text
+from vitac.web.pages.files.formats import TableFormat, objects, table_file
 
 
 @pytest.mark.parametrize("text", ["=1+1", "+1+1", "-1+cmd", "@SUM(A1)", "\tx", "\rx", "-", "+", "-1 =x"])
