@@ -12,7 +12,7 @@ from typing import Any
 from uuid import UUID
 
 import quick_worker
-from databases import fresh_database, make_template
+from databases import make_template, opened_database
 from service_client import serving
 from service_factories import make_principal, make_secret, make_settings, play_all, sha256, submit
 from typer.testing import CliRunner, Result
@@ -83,27 +83,23 @@ def template_with_team(team: str) -> tuple[str, str]:
 def cli_service(state_dir: Path, team: str = "Team A", **values: Any) -> Iterator[CliService]:
     """A service with one team, whose token the environment holds; it looks for no lost work."""
     template, token = template_with_team(team)
-    with fresh_database(template) as database_address:
-        database = Database(database_address)
+    with opened_database(template) as database:
         settings = make_settings(state_dir=state_dir, **values)
         settings.scratch_dir.mkdir(parents=True)
         services = Services(
             settings=settings, database=database, blobs=BlobStore.from_settings(settings), postgres=None
         )
-        try:
-            with serving(create(services, sweeps=False)) as (host, port):
-                address = f"http://{host}:{port}"
-                environment = {
-                    "VITAC_SERVER": address,
-                    "VITAC_TOKEN": token,
-                    "VITAC_DATABASE_URL": database_address,
-                    "VITAC_STATE_DIR": str(state_dir),
-                    "COLUMNS": "200",
-                    "XDG_CONFIG_HOME": str(state_dir / "config"),
-                }
-                yield CliService(address=address, database=database, environment=environment)
-        finally:
-            database.dispose()
+        with serving(create(services, sweeps=False)) as (host, port):
+            address = f"http://{host}:{port}"
+            environment = {
+                "VITAC_SERVER": address,
+                "VITAC_TOKEN": token,
+                "VITAC_DATABASE_URL": database.address,
+                "VITAC_STATE_DIR": str(state_dir),
+                "COLUMNS": "200",
+                "XDG_CONFIG_HOME": str(state_dir / "config"),
+            }
+            yield CliService(address=address, database=database, environment=environment)
 
 
 def submission_folder(path: Path, manifest: str = MANIFEST) -> Path:

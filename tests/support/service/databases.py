@@ -188,6 +188,9 @@ CATALOG = """
         || (SELECT count(*) FROM pg_trigger WHERE tgenabled = 'O') || ' ' || (SELECT count(*) FROM pg_proc)
 """
 """What changes with the schema."""
+CLIENTS = """
+    SELECT count(*) FROM pg_stat_activity WHERE datname = current_database() AND backend_type = 'client backend'
+"""
 GROWTH_BYTES = 8 << 20
 """A database that has grown by more is dropped: what was deleted would slow down the tests that come after."""
 
@@ -207,9 +210,12 @@ class _KeptDatabase:
 
     def restore(self) -> bool:
         """Put back what the template holds; return whether that was possible."""
-        if cast(QueuePool, self.database.engine.pool).checkedout():  # somebody still works with it
+        pool = cast(QueuePool, self.database.engine.pool)
+        if pool.checkedout():  # somebody still works with it
             return False
         with self.database.engine.begin() as connection:
+            if connection.scalars(text(CLIENTS)).one() > pool.checkedin() + 1:  # or another process
+                return False
             catalog, n_bytes, sequences = self._read_state(connection)
             if catalog != self._state[0] or n_bytes > self._state[1] + GROWTH_BYTES:
                 return False
