@@ -42,7 +42,8 @@ class PageVisitor:
 
     def _request(self, method: str, path: str, **options: Any) -> Response:
         headers = {"accept": "text/html"} | options.pop("headers", {})
-        with Client(base_url=self.address, cookies=self.cookies, trust_env=False, verify=NO_CERTIFICATES) as client:
+        limits: Any = {"timeout": 60.0, "trust_env": False, "verify": NO_CERTIFICATES}
+        with Client(base_url=self.address, cookies=self.cookies, **limits) as client:
             answer = client.request(method, path, headers=headers, **options)
             for cookie in list(self.cookies.jar):
                 self.cookies.delete(cookie.name)

@@ -37,6 +37,7 @@ def test_an_empty_arena_says_what_it_is_and_how_to_be_the_first(site: SeededSite
         assert shown in html
     assert 'aria-current="page"' not in html.split("<main")[0]
     assert "/competition" not in html
+    assert 'data-share=""' in html, "there is no frame of our example"
 
 
 def test_names_in_any_script_stand_apart_from_the_numbers_beside_them(site: SeededSite) -> None:
