@@ -18,6 +18,7 @@ from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.version import platform_class
 from vitac.server import tracks
 from vitac.server.database.engine import Database
 
@@ -40,7 +41,7 @@ def test_log_is_accepted_with_its_claims_and_jobs(service: Service) -> None:
     claimed = found["log"]
     assert (claimed["label"], claimed["verdict"]) == ("actions verified, policy not seen", None)
     assert (claimed["claimed_episodes"], claimed["claimed_success_rate"]) == (270, 1.0)
-    assert (claimed["team_named"], claimed["made_on"]) == ("Team A", "x86_64-linux")
+    assert (claimed["team_named"], claimed["made_on"]) == ("Team A", platform_class())
     assert service.count("work") == len(cut(load_track(TRACK).tasks["peg-insertion"]))
 
 
