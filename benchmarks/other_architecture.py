@@ -124,7 +124,8 @@ def play_dome() -> str:
     from vitac.evaluator.tracks import find_task
 
     with staged(DOME) as folder:
-        env: Any = make_environment(find_task("peg-insertion")[1], sensor=read_design(folder)).unwrapped
+        made: Any = make_environment(find_task("peg-insertion")[1], sensor=read_design(folder))
+    env = made.unwrapped
     digest = hashlib.sha256()
     observation, _ = env.reset(seed=5)
     for action in np.random.default_rng(5).uniform(-1, 1, (2, 3)).astype(np.float32):
