@@ -109,6 +109,7 @@ def test_its_expert_gives_demonstrations_that_become_a_data_set_and_replay(packa
     assert "1 episodes replayed" in vitac(packages, "data", "check", tmp_path / "set", "--replay", 1)
 
 
+@pytest.mark.slow
 def test_it_stands_on_a_board(packages: Path) -> None:
     folders = {"VITAC_STATE_DIR": str(state_directory()), "VITAC_PORT": "0"}
     output = vitac(packages, "demo", "--exit", "--submission", SUBMISSION, **folders)

@@ -130,6 +130,7 @@ def test_a_second_run_reuses_all_episodes_and_keeps_its_token(finished: Finished
     assert result_hash(second) == result_hash(finished.first)
 
 
+@pytest.mark.slow
 def test_again_runs_all_episodes_once_more_at_another_port_with_another_token_where_those_do_not_do(
     finished: FinishedDemo,
 ) -> None:

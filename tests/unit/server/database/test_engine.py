@@ -151,6 +151,7 @@ def test_pooled_connection_is_asked_whether_it_works_only_after_a_while(
     database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The database tells the last statement of each connection."""
+    database.dispose()  # so that its pool has one connection
     last = []
     with database.transaction() as session:
         pid = session.scalar(text("SELECT pg_backend_pid()"))
