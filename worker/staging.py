@@ -10,6 +10,7 @@ from pathlib import Path
 
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.submission.archive import unpack
+from vitac.evaluator.submission.wheels import unpack_wheels
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.storage.blobs import BlobStore
 from vitac.server.storage.scratch import remove_leftovers, scratch_folder
@@ -113,6 +114,7 @@ class SubmissionStage:
         if not kind.form.is_archive:
             return upload
         submission_dir = unpack(upload, folder / "unpacked", self._limits)
+        unpack_wheels(submission_dir, self._limits)
         upload.unlink()
         return submission_dir
 

@@ -3,9 +3,9 @@
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from queue import SimpleQueue
@@ -13,7 +13,7 @@ from typing import Self
 
 from pydantic import Field
 
-from ..agent.isolation.packages import installed_packages
+from ..agent.isolation.packages import policy_versions
 from ..agent.limits import Limits
 from ..agent.session import Isolation
 from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure, RecordsDisagree, result_hash, sort_records
@@ -27,7 +27,7 @@ from ..shards.order import OnCalibration, ShardEnd, ShardOrder, ShardResult
 from ..shards.process import ShardProcess, ShardProcesses
 from ..strict_model import StrictModel
 from ..submission_kinds import SubmissionKind
-from ..tracks import Task, Track, load_track
+from ..tracks import Task, Track
 from ..tracks.cut import ShardEpisodes, cut
 from .stored_shards import StoredShards
 
@@ -45,6 +45,8 @@ class LocalEvaluation:
     """Coefficients of the standard estimator; None if it did not play."""
     figures: tuple[FiguresPart, ...] = ()
     """Parts of the figures of the sensor; none where they were not asked for."""
+    packages: Mapping[str, str] = field(default_factory=dict)
+    """Versions by name of all that the policy could import; nothing if none of the folder loaded."""
 
     @cached_property
     def failure(self) -> PolicyFailure | None:
@@ -133,13 +135,15 @@ def evaluate(
             for record in finished:
                 records.append(record)
                 on_episode(record)
+    isolation = next((result.isolation for result in pool.results if result.isolation), None)
     return LocalEvaluation(
         manifest=_common_manifest(pool.results),
         shards=shards,
         records=tuple(sort_records(task.name, records)),
-        isolation=next((result.isolation for result in pool.results if result.isolation), None),
+        isolation=isolation,
         coefficients=next((result.coefficients for result in pool.results if result.coefficients), None),
         figures=tuple(result.figures for result in pool.results if result.figures),
+        packages=policy_versions(submission_dir, track.packages) if isolation else {},
     )
 
 
@@ -277,10 +281,6 @@ class EvaluationReport(StrictModel):
             score=evaluation.score,
             result_hash=evaluation.result_hash,
             failure=evaluation.failure,
-            packages=dict(
-                installed_packages(load_track(evaluation.manifest.track).packages).versions
-                if evaluation.isolation
-                else {}
-            ),
+            packages=dict(evaluation.packages),
             episodes=evaluation.records,
         )

@@ -13,7 +13,7 @@ from typing import IO, TYPE_CHECKING
 
 from vitac.envs.errors import VitacError
 
-from ..agent.isolation.packages import installed_packages
+from ..agent.isolation.packages import policy_versions
 from ..episodes.episode import Environment, MakeEnvironment, make_environment
 from ..episodes.provenance import make_manifest
 from ..episodes.reading import make_reading
@@ -212,7 +212,7 @@ def _make_result(order: ShardOrder, preparation: Preparation, send: Callable[[Sh
     ordered = OrderedShard(order=order, track=track, task=task, shard=shard)
     runner = RUNNERS[order.kind] if task.player is Player.POLICY else _run_estimator
     if runner is _run_policy and order.remote is None:
-        send(ShardMessage(packages=dict(installed_packages(track.packages).versions)))
+        send(ShardMessage(packages=policy_versions(order.submission, track.packages)))
     return runner(ordered, preparation, lambda record: send(ShardMessage(record=record)))
 
 

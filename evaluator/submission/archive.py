@@ -32,7 +32,16 @@ from .names import (
     too_many_files,
 )
 
-__all__ = ["ArchiveEntry", "ArchiveFault", "ArchiveRejected", "packed_entries", "unpack", "write"]
+__all__ = [
+    "ArchiveEntry",
+    "ArchiveFault",
+    "ArchiveRejected",
+    "packed_entries",
+    "packed_files",
+    "unpack",
+    "unpacked_too_large",
+    "write",
+]
 
 _CHUNK_BYTES: Final = 1024 * 1024
 _FOLDER_MODE: Final = 0o755
@@ -103,6 +112,11 @@ def packed_entries(stream: BinaryIO, limits: Limits, exits: ExitStack) -> tuple[
     return exits.enter_context(_Opened(stream, limits)).entries()
 
 
+def packed_files(stream: BinaryIO, limits: Limits, exits: ExitStack) -> list[ArchiveEntry]:
+    """Return all files of any open zip, such as a wheel, after checking its directory."""
+    return exits.enter_context(_Opened(stream, limits)).files()
+
+
 def write(entries: Iterable[ArchiveEntry], destination: Path, top: str, limits: Limits) -> Path:
     """Write files below `destination/top`, counting real bytes.
 
@@ -146,6 +160,26 @@ class _Opened:
         Raises:
             ArchiveRejected: a rule is broken by what the directory says.
         """
+        kept, files = self._checked()
+        manifests = [name for name in files if fixed_name(name) == MANIFEST_NAME]
+        if manifests and not {name.partition("/")[0] for name, _ in kept} & set(archive_folders()):
+            top, prefix = self._track_folder(files[manifests[0]]), ""
+        else:
+            top = _top_folder({name for name, _ in kept if not _is_beside(name)})
+            prefix = f"{top}/"
+        inside = [(name.removeprefix(prefix), info) for name, info in files.items() if name.startswith(prefix)]
+        return top, [self._entry(info, fixed_name(path)) for path, info in inside]
+
+    def files(self) -> list[ArchiveEntry]:
+        """Return the files, whatever their folders.
+
+        Raises:
+            ArchiveRejected: a rule is broken by what the directory says.
+        """
+        return [self._entry(info, name) for name, info in self._checked()[1].items()]
+
+    def _checked(self) -> tuple[list[tuple[str, zipfile.ZipInfo]], dict[str, zipfile.ZipInfo]]:
+        """Return all entries with their paths, and the files by path."""
         infos = self._zip.infolist()
         if len(infos) > self._limits.archive_files:
             raise too_many_files(self._limits)
@@ -155,14 +189,7 @@ class _Opened:
         check_names((NamedEntry(path=name, is_folder=_is_folder(info)) for name, info in kept), self._limits)
         files = {name: info for name, info in kept if not _is_folder(info)}
         self._check_sizes([*files.values()])
-        manifests = [name for name in files if fixed_name(name) == MANIFEST_NAME]
-        if manifests and not {name.partition("/")[0] for name, _ in kept} & set(archive_folders()):
-            top, prefix = self._track_folder(files[manifests[0]]), ""
-        else:
-            top = _top_folder({name for name, _ in kept if not _is_beside(name)})
-            prefix = f"{top}/"
-        inside = [(name.removeprefix(prefix), info) for name, info in files.items() if name.startswith(prefix)]
-        return top, [self._entry(info, fixed_name(path)) for path, info in inside]
+        return kept, files
 
     def _track_folder(self, manifest: zipfile.ZipInfo) -> str:
         """Return the folder of the track that a manifest at the top of the archive names.
@@ -177,7 +204,7 @@ class _Opened:
     def _check_sizes(self, files: list[zipfile.ZipInfo]) -> None:
         total = sum(info.file_size for info in files)
         if total > self._limits.archive_unpacked_bytes:
-            raise _unpacked_too_large(self._limits)
+            raise unpacked_too_large(self._limits)
         if total > max(_RATIO_FREE_BYTES, self._packed_bytes * self._limits.archive_ratio):
             raise ArchiveRejected(
                 ArchiveFault.COMPRESSED_TOO_MUCH,
@@ -304,7 +331,7 @@ def _write_entry(entry: ArchiveEntry, folder: Path, left: int, limits: Limits) -
         for chunk in entry.chunks():
             written += len(chunk)
             if written > left:
-                raise _unpacked_too_large(limits)
+                raise unpacked_too_large(limits)
             file.write(chunk)
     target.chmod(0o644)
     if written != entry.n_bytes:
@@ -316,7 +343,8 @@ def _damaged(what: str) -> ArchiveRejected:
     return ArchiveRejected(ArchiveFault.DAMAGED, f"The archive is damaged: {what}. Pack and upload it again.")
 
 
-def _unpacked_too_large(limits: Limits) -> ArchiveRejected:
+def unpacked_too_large(limits: Limits) -> ArchiveRejected:
+    """Return the rejection of files that are too large together."""
     return ArchiveRejected(
         ArchiveFault.UNPACKED_TOO_LARGE, f"The files are larger than {limits.archive_unpacked_bytes} bytes together."
     )

@@ -56,6 +56,8 @@ class ArchiveFault(StrEnum):
     ENCRYPTED = "encrypted"
     COMPRESSION_METHOD = "compression_method"
     WRONG_TOP_FOLDER = "wrong_top_folder"
+    WHEEL = "wheel"
+    """A package in `wheels/` or `requirements.txt` cannot be used."""
 
 
 class ArchiveRejected(VitacError):

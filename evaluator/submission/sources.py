@@ -35,6 +35,7 @@ from .names import (
     listed,
     special_file,
 )
+from .wheels import unpack_wheels
 
 
 class NoSubmission(VitacError):
@@ -93,7 +94,7 @@ def read_manifest_file(source: Path, limits: Limits | None = None) -> Submission
 
 
 def stage(source: Path, destination: Path, limits: Limits | None = None) -> Path:
-    """Copy a zip or folder to where it can be evaluated, under the same rules for both.
+    """Copy a zip or folder to where it can be evaluated, its wheels unpacked, under the same rules for both.
 
     Args:
         source: zip, submission folder, or the folder that contains it under its track's name, such as `Track_1`.
@@ -111,10 +112,13 @@ def stage(source: Path, destination: Path, limits: Limits | None = None) -> Path
     limits = limits or Limits()
     if source.is_file():
         read_manifest_file(source, limits)  # refuses the folder of another track
-        return unpack(source, destination, limits)
-    found = find_submission(source)
-    top = top_folder(found)
-    return write(_folder_entries(found, top, limits), destination, top, limits)
+        folder = unpack(source, destination, limits)
+    else:
+        found = find_submission(source)
+        top = top_folder(found)
+        folder = write(_folder_entries(found, top, limits), destination, top, limits)
+    unpack_wheels(folder, limits)
+    return folder
 
 
 @contextmanager

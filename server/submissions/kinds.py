@@ -24,6 +24,7 @@ from vitac.evaluator.submission.likeness import WEIGHTS_SUFFIXES, make_sketch
 from vitac.evaluator.submission.manifest import ManifestRejected, load_unpacked_manifest
 from vitac.evaluator.submission.names import ArchiveRejected
 from vitac.evaluator.submission.sources import submission_digest
+from vitac.evaluator.submission.wheels import unpack_wheels
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Task, Track
 
@@ -83,11 +84,13 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
     try:
         folder = unpack(received.path, received.path.with_name(_UNPACKED_NAME), settings.limits)
         manifest, digest = load_unpacked_manifest(folder), submission_digest(folder, settings.limits)
+        track = load_known_track(manifest.track)
+        sketch, contents = make_sketch(folder), read_contents(folder)  # of the team's own files, without the wheels'
+        unpack_wheels(folder, settings.limits)
     except ArchiveRejected as error:
         raise ServiceError(ProblemCode.ARCHIVE_REJECTED, error.message, reason=error.code.value) from error
     except ManifestRejected as error:
         raise ServiceError(ProblemCode.MANIFEST_REJECTED, str(error)) from error
-    track = load_known_track(manifest.track)
     if manifest.remote is not None:
         _ask_policy_server(manifest.remote, [track.tasks[task] for task in manifest.tasks], settings)
     return CheckedUpload(
@@ -99,8 +102,8 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
         archive_sha256=received.sha256,
         archive_bytes=received.n_bytes,
         manifest=manifest.model_dump(mode="json"),
-        archive_sketch=make_sketch(folder).to_bytes(),
-        contents=read_contents(folder).model_dump(),
+        archive_sketch=sketch.to_bytes(),
+        contents=contents.model_dump(),
         files=(_take_document(folder),) if track.has_sensor else (),
     )
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from ...package_sets import PackageSet, locked_versions, shown_sets
+from ..runtime.agent import WHEELS_FOLDER
 
 INSIDE_PACKAGES: Final = Path("/opt/vitac/packages")
 
@@ -59,14 +60,19 @@ def _found(sets: tuple[PackageSet, ...], folders: tuple[tuple[Path, int], ...]) 
 def _distributions(folder: Path) -> Iterator[tuple[str, str, list[str]]]:
     """Yield name, version and files of every distribution in a folder; one without a list of files cannot be shown."""
     for info in sorted(folder.glob("*.dist-info")):
-        name, _, version = info.stem.rpartition("-")
         try:
             record = (info / "RECORD").read_text(encoding="utf-8")
         except OSError:
             continue
         files = [line.rsplit(",", 2)[0].strip('"') for line in record.splitlines()]
         inside = [path for path in files if not path.startswith(("..", "/"))]
-        yield re.sub(r"[-_.]+", "-", name).lower(), version, inside
+        yield *_parse_name(info), inside
+
+
+def _parse_name(info: Path) -> tuple[str, str]:
+    """Return name and version of the distribution that a folder describes."""
+    name, _, version = info.stem.rpartition("-")
+    return re.sub(r"[-_.]+", "-", name).lower(), version
 
 
 def _covering(seen: Iterable[str], unseen: Iterable[str], above: str = "") -> Iterator[str]:
@@ -110,6 +116,12 @@ class Interpreter:
 def installed_packages(declared: Iterable[PackageSet] = ()) -> PolicyPackages:
     """Return the packages that policies see here, where their track declares these sets."""
     return find_packages(shown_sets(declared), package_folders())
+
+
+def policy_versions(submission_dir: Path, declared: Iterable[PackageSet]) -> dict[str, str]:
+    """Return the versions of all packages that a submission's policy can import here, those of its own wheels first."""
+    own = dict(_parse_name(info) for info in (submission_dir / WHEELS_FOLDER).glob("*.dist-info"))
+    return dict(sorted({**installed_packages(declared).versions, **own}.items()))
 
 
 def find_interpreter(declared: Iterable[PackageSet] = ()) -> Interpreter:

@@ -41,6 +41,7 @@ MESSAGE_MAX_CHARS = 2000
 DTYPES = {"u1": "u1", "u2": "<u2", "i2": "<i2", "i4": "<i4", "i8": "<i8", "f4": "<f4", "f8": "<f8", "b1": "b1"}
 BACK_PROJECTION = Path(__file__).with_name("back_projection.py")
 NAMES_SHOWN = 20
+WHEELS_FOLDER = "site-packages"  # of the submission, with the files of its wheels
 LOADER = 2  # pid of the loader in a sandbox, and its name in reports elsewhere
 PIPE_NUMBERS = itertools.count()
 FORK_ERRORS = ("can't start new thread", "Resource temporarily unavailable")
@@ -68,7 +69,8 @@ class Connection:
         header = json.loads(self._read_exactly(header_bytes))
         payload = self._read_exactly(payload_bytes)
         self._seq = header["seq"]
-        arrays = decode_arrays(header["arrays"], payload)
+        # The first question has none: no NumPy is imported before the policy, which may bring its own.
+        arrays = decode_arrays(header["arrays"], payload) if header["arrays"] else {}
         add_clouds(header["clouds"], arrays)
         return header["kind"], header["text"], arrays
 
@@ -202,10 +204,12 @@ def list_available(error: BaseException, submission: str, module_name: str) -> s
     hint += f" and {len(files) - NAMES_SHOWN} more" if len(files) > NAMES_SHOWN else ""
     if isinstance(error, FileNotFoundError) or error.name == module_name.partition(".")[0]:
         return hint + "."
-    sys.path[:] = [place for place in sys.path if place != submission]  # a file there may have the name of Python's own
+    wheels = f"{submission}/{WHEELS_FOLDER}"
+    # A file there may have the name of Python's own.
+    sys.path[:] = [place for place in sys.path if place not in {submission, wheels}]
     import difflib  # late, as below, and only with Python's own folders on the path
 
-    packages = [each.partition(" ")[0] for each in installed_packages()]
+    packages = [each.partition(" ")[0] for each in installed_packages(wheels)]
     near = difflib.get_close_matches(error.name or "", packages, NAMES_SHOWN)
     like = f" (names like it: {', '.join(near)})" if near else ""
     return f"{hint}. None of the {len(packages)} installed packages has it{like}; `vitac sandbox` lists them."
@@ -218,17 +222,18 @@ def list_classes(module: Any) -> str:
     return f". Classes there: {', '.join(made[:NAMES_SHOWN]) or 'none'}."
 
 
-def installed_packages() -> list[str]:
-    """Return name and version of the packages that a policy can import."""
+def installed_packages(*further: str) -> list[str]:
+    """Return name and version of the packages that a policy can import, with those of further folders."""
     import importlib.metadata  # late: it would make every copy of the policy slower to start
 
-    found = {(each.metadata["Name"] or "").lower(): each.version for each in importlib.metadata.distributions()}
+    installed = importlib.metadata.distributions(path=[*sys.path, *further])
+    found = {(each.metadata["Name"] or "").lower(): each.version for each in installed}
     return [f"{name} {found[name]}" for name in sorted(found.keys() - {"", "vitac-arena"})]
 
 
 def load(entry_point: str, submission: str) -> Any:
     """Import `module:Class` from the submission and call it."""
-    sys.path.insert(0, submission)
+    sys.path[:0] = [submission, f"{submission}/{WHEELS_FOLDER}"]
     os.chdir(submission)
     module_name, _, class_name = entry_point.partition(":")
     hint = partial(list_available, submission=submission, module_name=module_name)
@@ -276,8 +281,8 @@ def run_loader(connection: Connection, submission: str, *, alone: bool) -> None:
     _, entry_point, _ = connection.read()
     if not alone:
         os.pipe, os.statvfs = open_pipe, describe_room
-    point_cloud()  # now, so that no episode has to read it
     policy = load(entry_point, submission)
+    point_cloud()  # now, so that no episode has to read it, and after the policy, as it imports NumPy
     gc.freeze()  # collections in the copies then leave what was loaded alone, which they would copy otherwise
     if not alone:
         with warnings.catch_warnings():

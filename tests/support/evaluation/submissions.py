@@ -40,6 +40,24 @@ def submission_zip(files: Mapping[str, str | bytes] = FILES, *, top: str = "Trac
     return zip_bytes({f"{top}/{name}" if top else name: content for name, content in files.items()})
 
 
+def wheel_bytes(
+    name: str = "feelings",
+    version: str = "1.0",
+    files: Mapping[str | zipfile.ZipInfo, str | bytes] | None = None,
+    *,
+    fields: str = "",
+) -> bytes:
+    """A wheel of one package, whose module says which version it is, with further files and lines of METADATA."""
+    info = f"{name}-{version}.dist-info"
+    metadata = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n{fields}"
+    wheel: dict[str | zipfile.ZipInfo, str | bytes] = {
+        f"{name}/__init__.py": f"version = {version!r}\n",
+        f"{info}/METADATA": metadata,
+        f"{info}/RECORD": "",
+    }
+    return zip_bytes({**wheel, **(files or {})})
+
+
 def submission_folder(folder: Path, files: Mapping[str, str | bytes] = FILES) -> Path:
     """A submission's files as a folder."""
     for name, content in files.items():

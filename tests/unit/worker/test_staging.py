@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from service_client import make_archive
 from service_factories import sha256
+from submissions import FILES, submission_zip, wheel_bytes
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.errors import ServiceError
 from vitac.server.services import Services
@@ -50,6 +51,15 @@ def test_submission_is_unpacked_once_for_shards_at_the_same_time(
     assert len(folders) == 4
     assert len(set(folders)) == 1
     assert (folders[0] / "submission.yaml").is_file()
+
+
+def test_wheels_of_a_submission_are_unpacked(services: Services, stage: SubmissionStage, tmp_path: Path) -> None:
+    path = tmp_path / "submission.zip"
+    path.write_bytes(submission_zip({**FILES, "wheels/feelings-1.0-py3-none-any.whl": wheel_bytes()}))
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    services.blobs.put(path, digest)
+    with stage.submission(MODEL, digest) as folder:
+        assert (folder / "site-packages/feelings/__init__.py").is_file()
 
 
 def test_only_a_few_idle_submissions_stay_on_disk_and_used_ones_always(

@@ -220,6 +220,10 @@ def test_archive_that_breaks_a_rule_is_refused_and_nothing_is_left(service: Serv
             make_archive({"Track_1/submission.yaml": MANIFEST, "Track_1/bomb": b"\0" * (64 << 20)}),
             "compressed_too_much",
         ),
+        (
+            make_archive({"Track_1/submission.yaml": MANIFEST, "Track_1/wheels/jax-0.9.tar.gz": b"x"}),
+            "wheel",
+        ),
     ]:
         problem = problem_of(service.upload(archive), 422, "archive_rejected")
         assert problem["reason"] == reason

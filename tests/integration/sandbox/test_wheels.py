@@ -1,0 +1,42 @@
+"""A policy in the sandbox imports what its wheels bring, and the report lists it."""
+
+import json
+from pathlib import Path
+
+import pytest
+from submissions import FILES, submission_folder, wheel_bytes
+from vitac.cli.main import main
+
+POLICY = """
+import feelings, numpy
+assert feelings.version == "1.0", feelings.version
+assert feelings.__file__ == "/submission/site-packages/feelings/__init__.py", feelings.__file__
+assert numpy.__version__ == "99.0" and numpy.asarray, numpy.__version__
+"""
+OWN_NUMPY = """
+import importlib.machinery, importlib.util, sys
+places = [place for place in sys.path if place.startswith("/opt/vitac/packages")]
+specification = importlib.machinery.PathFinder.find_spec("numpy", places)
+numpy = importlib.util.module_from_spec(specification)
+sys.modules["numpy"] = numpy
+specification.loader.exec_module(numpy)
+numpy.__version__ = "99.0"
+"""
+
+
+@pytest.mark.usefixtures("shared_simulation")
+def test_a_policy_imports_its_wheels_before_what_all_policies_see(tmp_path: Path) -> None:
+    files = {
+        **FILES,
+        "policy.py": POLICY + FILES["policy.py"],
+        "wheels/feelings-1.0-py3-none-any.whl": wheel_bytes(),
+        "wheels/numpy-99.0-py3-none-any.whl": wheel_bytes("numpy", "99.0", {"numpy/__init__.py": OWN_NUMPY}),
+    }
+    report = tmp_path / "report.json"
+    arguments = ["--task", "peg-insertion", "--episodes", "1", "--json", str(report)]
+    with pytest.raises(SystemExit) as caught:
+        main(["evaluate", str(submission_folder(tmp_path / "mine", files)), *arguments])
+    assert caught.value.code in {None, 0}
+    packages = json.loads(report.read_text())["packages"]
+    assert (packages["feelings"], packages["numpy"]) == ("1.0", "99.0")
+    assert "llvmlite" in packages
