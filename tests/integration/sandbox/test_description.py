@@ -32,7 +32,10 @@ def test_a_policy_imports_our_packages_and_no_others_of_the_machine(tmp_path: Pa
     with PolicySession(tmp_path) as session, session.episode(task="t", action_shape=(1,)) as policy:
         policy.act({"value": np.zeros(1, np.float32)})
         folders = policy.output.split()
-    assert [folder for folder in folders if "packages" in folder] == ["/opt/vitac/packages/0"]
+    assert [folder for folder in folders if "packages" in folder] == [
+        "/submission/site-packages",
+        "/opt/vitac/packages/0",
+    ]
 
 
 @pytest.mark.parametrize("name", ["pytest", "fastapi", "vitac", "pip", "IPython"])

@@ -56,9 +56,10 @@ def house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_the_files_of_wheels_lie_in_one_folder_that_is_listed(tmp_path: Path) -> None:
     record = {"feelings-1.0.dist-info/RECORD": b"\xff"}  # nothing reads it
-    files = {WHEEL: wheel_bytes(files={**record}, fields="Requires-Dist: numpy>=1\n"), "wheels/Sense_Less-2.1-py3-none-any.whl": (
-        wheel_bytes("Sense_Less", "2.1")
-    )}  # fmt: skip
+    files = {
+        WHEEL: wheel_bytes(files={**record}, fields="Requires-Dist: numpy>=1\n"),
+        "wheels/Sense_Less-2.1-py3-none-any.whl": wheel_bytes("Sense_Less", "2.1"),
+    }
     folder = staged(tmp_path, files)
     assert (folder / "site-packages/feelings/__init__.py").read_text() == "version = '1.0'\n"
     assert not list(folder.rglob("*.whl"))
