@@ -12,10 +12,12 @@ every byte that it sends. Three processes take part:
 """
 
 import contextlib
+import errno
 import faulthandler
 import functools
 import gc
 import importlib
+import io
 import itertools
 import json
 import math
@@ -281,6 +283,11 @@ def run_loader(connection: Connection, submission: str, *, alone: bool) -> None:
     _, entry_point, _ = connection.read()
     if not alone:
         os.pipe, os.statvfs = open_pipe, describe_room
+        try:
+            for end in socket.socketpair():
+                end.close()
+        except OSError:  # on the machine's own kernel
+            socket.socketpair = open_pair  # type: ignore[assignment]
     policy = load(entry_point, submission)
     point_cloud()  # now, so that no episode has to read it, and after the policy, as it imports NumPy
     gc.freeze()  # collections in the copies then leave what was loaded alone, which they would copy otherwise
@@ -336,6 +343,29 @@ def open_pipe() -> tuple[int, int]:
     os.unlink(name)  # noqa: PTH108 - a Path takes several times as long
     os.set_blocking(read, True)
     return read, write
+
+
+class PairEnd(io.FileIO):
+    """One end of a pipe, with what an event loop of `asyncio` calls of a socket."""
+
+    recv = io.FileIO.read
+    send = io.FileIO.write
+
+    def setblocking(self, flag: bool) -> None:
+        """Choose whether calls wait."""
+        os.set_blocking(self.fileno(), flag)
+
+    def detach(self) -> int:
+        """Refuse: who takes the descriptor, as `multiprocessing.Pipe` does, would write to both ends."""
+        raise OSError(
+            errno.ENOSYS, "Expected a pipe of one direction, as Pipe(duplex=False): there are no sockets here"
+        )
+
+
+def open_pair(*_: Any, **__: Any) -> tuple[PairEnd, PairEnd]:
+    """Stand in for `socket.socketpair`, by which event loops wake themselves: an end that reads, one that writes."""
+    read, write = open_pipe()
+    return PairEnd(read, "r"), PairEnd(write, "w")
 
 
 def describe_room(path: object) -> os.statvfs_result:

@@ -343,6 +343,34 @@ def test_pipes_of_python_work_without_those_of_the_kernel(make: Make) -> None:
     assert play_one(make(act, "import multiprocessing, os")) == [5, 3, 0]
 
 
+def test_event_loops_and_pools_work_without_sockets(make: Make) -> None:
+    top = """
+import asyncio, multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+
+async def add(number):
+    await asyncio.sleep(0.001)
+    return number + await asyncio.to_thread(int, number)
+
+async def add_all():
+    program = await asyncio.create_subprocess_exec("/usr/bin/echo", "hello", stdout=asyncio.subprocess.PIPE)
+    said, _ = await program.communicate()
+    return sum(await asyncio.gather(*map(add, range(4)))), len(said)
+
+def refusal():
+    try:
+        multiprocessing.Pipe()
+    except OSError as error:
+        return "of one direction" in str(error)
+"""
+    act = """
+    with ProcessPoolExecutor(2) as pool:
+        squares = sum(pool.map(abs, [-1, -2]))
+    return [*asyncio.run(add_all()), squares + 10 * refusal()]
+    """
+    assert play_one(make(act, top)) == [12, 6, 13]
+
+
 def test_threads_and_locks_work_in_a_copy(make: Make) -> None:
     top = "import threading\nLOCK = threading.RLock()\nLOCK.acquire()\nthreading.Thread(target=int).start()"
     act = """
