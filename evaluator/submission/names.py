@@ -14,7 +14,8 @@ from ..sensors.manifest import SENSOR_NAME
 from ..sensors.package import GEL_NAME, MESH_NAME
 
 MANIFEST_NAME: Final = "submission.yaml"
-FIXED_NAMES: Final = (MANIFEST_NAME, SENSOR_NAME, GEL_NAME, MESH_NAME)
+REQUIREMENTS_NAME: Final = "requirements.txt"
+FIXED_NAMES: Final = (MANIFEST_NAME, REQUIREMENTS_NAME, SENSOR_NAME, GEL_NAME, MESH_NAME)
 """Files that are found directly in the submission's folder, in small or capital letters."""
 IGNORED_FOLDERS: Final = frozenset(
     {

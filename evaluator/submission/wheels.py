@@ -28,10 +28,9 @@ from ..package_sets import locked_versions, shown_sets
 from ..tracks import load_track
 from .archive import ArchiveEntry, packed_files, unpacked_too_large, write
 from .manifest import load_manifest
-from .names import ArchiveFault, ArchiveRejected, NamedEntry, check_names, listed
+from .names import REQUIREMENTS_NAME, ArchiveFault, ArchiveRejected, NamedEntry, check_names, listed
 
 PACKED_FOLDER: Final = "wheels"
-REQUIREMENTS_NAME: Final = "requirements.txt"
 HOUSE_VARIABLE: Final = "VITAC_WHEEL_HOUSE"
 """Names a folder with the wheels that requirements.txt may name."""
 _DISTRIBUTIONS: Final = (".whl", ".tar.gz", ".tar.bz2", ".tgz", ".zip", ".egg")

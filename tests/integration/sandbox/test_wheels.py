@@ -6,6 +6,13 @@ from pathlib import Path
 import pytest
 from submissions import FILES, submission_folder, wheel_bytes
 from vitac.cli.main import main
+from vitac.evaluator.agent.limits import Limits
+from vitac.evaluator.shards.order import ShardOrder
+from vitac.evaluator.shards.process import ShardProcesses
+from vitac.evaluator.submission.sources import staged
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks.cut import cut
 
 POLICY = """
 import feelings, numpy
@@ -40,3 +47,17 @@ def test_a_policy_imports_its_wheels_before_what_all_policies_see(tmp_path: Path
     packages = json.loads(report.read_text())["packages"]
     assert (packages["feelings"], packages["numpy"]) == ("1.0", "99.0")
     assert "llvmlite" in packages
+
+
+@pytest.mark.usefixtures("shared_simulation")
+def test_a_shard_says_what_its_policy_could_import(tmp_path: Path) -> None:
+    files = {**FILES, "wheels/feelings-1.0-py3-none-any.whl": wheel_bytes()}
+    (shard,) = cut(load_track("track_1").tasks["peg-insertion"], [1])
+    with staged(submission_folder(tmp_path / "mine", files)) as folder, ShardProcesses() as processes:
+        order = ShardOrder(
+            kind=SubmissionKind.MODEL, submission=folder, track="track_1", task="peg-insertion", shard=shard.index,
+            episodes=(1,), limits=Limits(),
+        )  # fmt: skip
+        with processes.running_shard(order) as process:
+            assert [record.failure for record in process.records()] == [None]
+            assert (process.packages or {})["feelings"] == "1.0"

@@ -130,7 +130,7 @@ def test_a_folder_of_that_name_without_wheels_is_the_policys_own(tmp_path: Path)
         ({WHEEL: wheel_bytes(), "requirements.txt": f"feelings==2.0 {hash_of(wheel_bytes())}"}, "is 1.0, but"),
         ({"requirements.txt": f"feelings>=1 {hash_of(b'')}"}, "expected one version"),
         ({"requirements.txt": f"feelings @ file:///etc/passwd {hash_of(b'')}"}, "expected one version"),
-        ({"requirements.txt": "-r /etc/passwd"}, "and no other options"),
+        ({"Requirements.TXT": "-r /etc/passwd"}, "and no other options"),
         ({"requirements.txt": f"{PIN} {hash_of(b'')}"}, "there is no wheel house here"),
     ],
 )  # fmt: skip
