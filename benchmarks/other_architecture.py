@@ -25,7 +25,6 @@ HEURISTIC = ROOT / "examples" / "peg_insertion_heuristic"
 DOME = ROOT / "examples" / "track_3_dome"
 EPISODES = range(1, 21)
 PLATFORMS = ("manylinux_2_28_aarch64", "manylinux_2_27_aarch64", "manylinux_2_17_aarch64", "manylinux2014_aarch64")
-DEBIAN = "deb [signed-by=/usr/share/keyrings/debian-archive-keyring.gpg] http://deb.debian.org/debian bookworm main\n"
 
 
 def main() -> None:
@@ -68,7 +67,7 @@ def prepare(folder: Path) -> None:
     for name in ("apt/lists/partial", "apt/archives/partial", "debs", "wheels", "root", "packages/vitac"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     (folder / "apt/status").touch()
-    (folder / "apt/sources.list").write_text(DEBIAN)
+    (folder / "apt/sources.list").write_text(find_source())
     settings = {
         "APT::Architecture": "arm64", "APT::Architectures": "arm64", "Dir::State": folder / "apt",
         "Dir::State::status": folder / "apt/status", "Dir::Cache": folder / "apt",
@@ -94,6 +93,13 @@ def prepare(folder: Path) -> None:
     for link in (ROOT / ".dev/vitac").iterdir():
         (folder / "packages/vitac" / link.name).symlink_to(link.resolve())
     done.touch()
+
+
+def find_source() -> str:
+    """Return the line that names this machine's own source of Debian packages."""
+    wanted = ["Created-By: Packages", "Origin: Debian"]
+    targets = call(["apt-get", "indextargets", "--format", "$(SITE) $(RELEASE) $(COMPONENT)", *wanted])
+    return f"deb [signed-by=/usr/share/keyrings/debian-archive-keyring.gpg] {targets.splitlines()[0]}\n"
 
 
 def call(command: Sequence[str], cwd: Path | None = None) -> str:

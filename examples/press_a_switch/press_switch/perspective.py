@@ -10,7 +10,7 @@ from vitac.envs.scene.perspective import (
     InfoView,
     Perspective,
     Plane,
-    Progress,
+    ProgressPlot,
     SectionView,
     signed,
 )
@@ -41,7 +41,7 @@ PERSPECTIVE = Perspective(
         axes=((0, "x"), (2, "z")),
         limits_mm=((-45.0, 45.0), (-2.0, 65.0)),
     ),
-    progress=Progress(
+    progress=ProgressPlot(
         title="force on the button [N]",
         heights_mm=lambda info: np.array([info["button_force_n"]]),
         goal_mm=CLOSES_AT_N,

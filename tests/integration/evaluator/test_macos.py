@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
 FAKE = Path(__file__).parents[2] / "support" / "evaluation" / "fake_macos"
 VITAC = "import sys; from vitac.cli.main import main; sys.exit(main())"
 

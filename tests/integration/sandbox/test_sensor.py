@@ -110,7 +110,7 @@ def test_check_plays_a_sensor_with_the_estimator(folder: Path, monkeypatch: pyte
     (package(folder) / "design.md").write_text("A flat gel.")
     played: list[tuple[str, bool]] = []
 
-    def note(_: Path, __: object, task: str, ___: object, *, sensor: Path | None) -> None:
+    def note(_: Path, __: object, task: str, ___: object, *, sensor: Path | None, **____: object) -> None:
         played.append((task, sensor is not None and (sensor / "gel.stl").is_file()))
 
     monkeypatch.setattr("vitac.cli.check._check_task", note)

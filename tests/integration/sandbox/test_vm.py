@@ -13,6 +13,7 @@ from vitac.evaluator.agent.session import ISOLATION_VARIABLE, PolicySession
 from vitac.evaluator.agent.verdicts import PolicyFailed, SandboxFailed, VerdictCode
 from vitac.evaluator.isolation_kinds import IsolationKind
 
+pytestmark = pytest.mark.slow  # each episode starts a kernel and loads its policy
 OBSERVATION = {"x": np.zeros(1, dtype=np.float32)}
 TRIED = ("network out of reach", "files hidden", "room for files tells nothing", "episodes share nothing")
 

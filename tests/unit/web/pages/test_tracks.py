@@ -253,7 +253,7 @@ def test_a_task_on_a_gpu_says_that_it_does_not_repeat_and_one_without_a_picture_
     monkeypatch.setattr("vitac.web.pages.tracks.STATIC", tmp_path)
     html = browser.get("/tracks/gpu/rules").text
     assert "a log is verified within tolerance, by its outcomes" in html
-    assert "with one evaluator version, except in the tasks that say otherwise." in html
+    assert "and one evaluator version, except in the tasks that say otherwise." in html
     assert "There is no picture of this task" in html
     assert "Pictures come from the graphics driver" not in html
     assert "episodes at once" not in html
@@ -270,7 +270,7 @@ def test_a_task_with_pictures_says_what_of_it_does_not_repeat(
     assert "No state depends on them" in html
     for key in ("base_camera_rgb", "base_camera_depth", "(128, 128, 3) uint8", "(128, 128, 1) int16"):
         assert key in html
-    assert "with one evaluator version.</li>" in html
+    assert "and one evaluator version.</li>" in html
     assert "within tolerance, by its outcomes" not in html
 
 
