@@ -33,7 +33,7 @@ numpy.__version__ = "99.0"
 
 @pytest.mark.usefixtures("shared_simulation")
 def test_a_policy_imports_its_wheels_before_what_all_policies_see(tmp_path: Path) -> None:
-    files = {
+    files: dict[str, str | bytes] = {
         **FILES,
         "policy.py": POLICY + FILES["policy.py"],
         "wheels/feelings-1.0-py3-none-any.whl": wheel_bytes(),
@@ -51,7 +51,7 @@ def test_a_policy_imports_its_wheels_before_what_all_policies_see(tmp_path: Path
 
 @pytest.mark.usefixtures("shared_simulation")
 def test_a_shard_says_what_its_policy_could_import(tmp_path: Path) -> None:
-    files = {**FILES, "wheels/feelings-1.0-py3-none-any.whl": wheel_bytes()}
+    files: dict[str, str | bytes] = {**FILES, "wheels/feelings-1.0-py3-none-any.whl": wheel_bytes()}
     (shard,) = cut(load_track("track_1").tasks["peg-insertion"], [1])
     with staged(submission_folder(tmp_path / "mine", files)) as folder, ShardProcesses() as processes:
         order = ShardOrder(

@@ -5,6 +5,7 @@ import stat
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 MANIFEST = "track: track_1\ntasks: [peg-insertion]\nname: test policy\nentry_point: policy:Policy\n"
 POLICY = """
@@ -43,7 +44,7 @@ def submission_zip(files: Mapping[str, str | bytes] = FILES, *, top: str = "Trac
 def wheel_bytes(
     name: str = "feelings",
     version: str = "1.0",
-    files: Mapping[str | zipfile.ZipInfo, str | bytes] | None = None,
+    files: Mapping[Any, str | bytes] | None = None,
     *,
     fields: str = "",
 ) -> bytes:

@@ -57,7 +57,7 @@ def house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_the_files_of_wheels_lie_in_one_folder_that_is_listed(tmp_path: Path) -> None:
     record = {"feelings-1.0.dist-info/RECORD": b"\xff"}  # nothing reads it
     files = {
-        WHEEL: wheel_bytes(files={**record}, fields="Requires-Dist: numpy>=1\n"),
+        WHEEL: wheel_bytes(files=record, fields="Requires-Dist: numpy>=1\n"),
         "wheels/Sense_Less-2.1-py3-none-any.whl": wheel_bytes("Sense_Less", "2.1"),
     }
     folder = staged(tmp_path, files)
@@ -82,7 +82,7 @@ def test_what_acts_beyond_a_folder_of_packages_is_left_out(tmp_path: Path) -> No
         f"{data}/scripts/evil": "#!python",
         f"{data}/data/etc/evil.py": "",
     }
-    folder = staged(tmp_path, {WHEEL: wheel_bytes(files={**files})})
+    folder = staged(tmp_path, {WHEEL: wheel_bytes(files=files)})
     unpacked = contents(folder / "site-packages")
     assert "feelings/more.py" in unpacked
     assert not [path for path in contents(folder) if "evil" in path]
@@ -177,7 +177,7 @@ def test_wheels_follow_the_rules_of_archives(content: bytes, fault: ArchiveFault
 def test_wheels_and_own_files_together_are_limited(limits: Limits, fault: ArchiveFault, tmp_path: Path) -> None:
     own = {f"own/{number}.bin": bytes(600) for number in range(30)}
     more = {f"feelings/{number}.bin": bytes(600) for number in range(30)}
-    assert rejected(tmp_path, {**own, WHEEL: wheel_bytes(files={**more})}, limits).code is fault
+    assert rejected(tmp_path, {**own, WHEEL: wheel_bytes(files=more)}, limits).code is fault
 
 
 def test_requirements_come_from_the_wheel_house_by_their_hash(house: Path, tmp_path: Path) -> None:
