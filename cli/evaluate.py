@@ -116,9 +116,9 @@ def command(
 
 def _evaluate(request: "_Request", submission: Path) -> "tuple[LocalEvaluation, SubmissionManifest, str]":
     """Return the evaluation of a submission, its manifest and its digest; the simulation is loaded meanwhile."""
-    from vitac.evaluator.shards.host_process import HostProcess
+    from vitac.evaluator.shards.host_process import CAN_FORK, HostProcess
 
-    with HostProcess(loads_all=True) if sys.platform == "linux" else nullcontext() as host:
+    with HostProcess(loads_all=True) if CAN_FORK else nullcontext() as host:
         from vitac.evaluator.submission.manifest import load_manifest
         from vitac.evaluator.submission.sources import staged, submission_digest
 

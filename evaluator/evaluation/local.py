@@ -1,6 +1,5 @@
 """A whole evaluation on this machine: all shards over some processes, then the score; called by `vitac evaluate`."""
 
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
@@ -22,7 +21,7 @@ from ..figures.figures import FigureChoice, FiguresPart
 from ..scoring.failures import breaking_failure
 from ..scoring.score import Score, score
 from ..shards.here import ShardHere, ShardsHere
-from ..shards.host_process import HostProcess
+from ..shards.host_process import CAN_FORK, HostProcess
 from ..shards.order import OnCalibration, ShardEnd, ShardOrder, ShardResult
 from ..shards.process import ShardProcess, ShardProcesses
 from ..strict_model import StrictModel
@@ -127,9 +126,8 @@ def evaluate(
         for shard in shards
     ]
     records = []
-    can_fork = sys.platform == "linux"
-    with ShardProcesses(host) if can_fork else ShardsHere() as processes:
-        workers = min(workers, len(orders)) if can_fork else 1
+    with ShardProcesses(host) if CAN_FORK else ShardsHere() as processes:
+        workers = min(workers, len(orders)) if CAN_FORK else 1
         pool = _ShardPool(processes, orders, workers, stored, on_calibration)
         with closing(pool.run()) as finished:
             for record in finished:

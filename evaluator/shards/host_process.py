@@ -10,6 +10,8 @@ from typing import Final, Self
 from vitac.envs.errors import VitacError, require_compilation
 
 COMMAND = (sys.executable, "-P", "-m", "vitac.evaluator.shards.host")
+CAN_FORK: Final = sys.platform == "linux"
+"""Whether this system has what forks and watches the processes of shards; elsewhere `here` plays them."""
 LOAD_ALL: Final = "load-all"
 """Argument of a host that loads the simulation of every task while it has nothing else to do."""
 _ONE_THREAD = MappingProxyType(

@@ -1,8 +1,8 @@
 """A sandbox with a kernel of its own: gVisor's, which answers the policy's system calls as an ordinary program.
 
 What kernels keep for all of their processes (names and pages that were looked up, file locks, counters) then ends with
-the sandbox, and an attack on the kernel meets a program without rights. gVisor stands in for a virtual machine; where
-it is set to, it is one, by KVM (https://gvisor.dev/docs/architecture_guide/platforms).
+the sandbox, and an attack on the kernel meets gVisor's first. Its platform `ptrace` was tried, that by KVM was not
+(https://gvisor.dev/docs/architecture_guide/platforms).
 """
 
 import json
