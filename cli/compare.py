@@ -12,7 +12,17 @@ from vitac.envs.errors import VitacError
 
 from .client.answers import pick
 from .client.http import make_client
-from .terminal.output import AsJson, Server, TokenFile, print_json, print_latex, print_meanings, print_table
+from .terminal.output import (
+    AsCsv,
+    AsJson,
+    AsLatex,
+    Server,
+    TokenFile,
+    print_json,
+    print_latex,
+    print_meanings,
+    print_table,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -67,10 +77,13 @@ def command(
     server: Server = None,
     token_file: TokenFile = None,
     as_json: AsJson = False,
-    as_csv: Annotated[bool, typer.Option("--csv", help="Print the pairs as CSV.")] = False,
-    as_latex: Annotated[bool, typer.Option("--latex", help="Print results and pairs as tables for LaTeX.")] = False,
+    as_csv: AsCsv = False,
+    as_latex: AsLatex = False,
 ) -> None:
-    """Compare submissions episode by episode: differences with 95 % intervals, and exact p-values, by start."""
+    """Compare submissions episode by episode: differences with 95 % intervals, and exact p-values, by start.
+
+    As CSV come the pairs alone.
+    """
     if len(submissions) < 2:
         raise typer.BadParameter("expected two or more submissions, got one.", param_hint="submissions")
     sides = [_evaluated(named, server, token_file) for named in submissions]

@@ -77,6 +77,7 @@ NOUNS = (
         app="withdraw",
         summary="Take a submission off all boards, or delete it.",
     ),
+    Noun(name="leaderboard", module="client.leaderboard", summary="Print a leaderboard, also as CSV or for LaTeX."),
     Noun(name="compare", module="compare", summary="Compare two submissions episode by episode."),
     Noun(name="receipt", module="receipt.app", summary="Verify receipts; audit the public log and boards."),
     Noun(

@@ -18,6 +18,8 @@ from vitac.evaluator.figures.table import make_rows, reference_figures
 GAP = "  "
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 """The option of every command that reads or changes something."""
+AsCsv = Annotated[bool, typer.Option("--csv", help="Print CSV, for a spreadsheet.")]
+AsLatex = Annotated[bool, typer.Option("--latex", help="Print tables for LaTeX, with the package booktabs.")]
 
 
 def print_json(content: object) -> None:

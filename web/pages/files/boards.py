@@ -3,16 +3,13 @@
 from starlette.requests import Request
 from starlette.responses import Response
 from vitac.server.leaderboards.reading import shown_leaderboard, shown_log_boards
-from vitac.server.views.leaderboards import LeaderboardEntryView, LogBoardsView, LogEntryView
+from vitac.server.views.board_table import BOARD_COLUMNS, board_table, ranked_cells
+from vitac.server.views.leaderboards import LogBoardsView
 
 from ...site import get_principal, get_site, get_viewer
 from ..addresses import AskedBoard
 from .formats import csv_file
 
-BOARD_COLUMNS = (
-    "rank", "team", "submission", "success_rate", "interval_low", "interval_high", "mean_env_steps", "successes",
-    "episodes", "submitted_at", "evaluator_version", "result_hash", "peak_force_n",
-)  # fmt: skip
 LOG_COLUMNS = ("kind", "task", *BOARD_COLUMNS, "verification", "copy_of_team", "copied_episodes")
 TEXT_LOG_COLUMNS = (
     "team", "submission", "task", "claimed_success_rate", "success_rate", "claimed_mean_env_steps", "mean_env_steps",
@@ -30,9 +27,8 @@ async def leaderboard(request: Request) -> Response:
             ).view
         )
     )
-    measures = [key.name for key in board.ranking.measures]
-    rows = ((*_ranked(entry), *(entry.measures.get(name) for name in measures)) for entry in board.entries)
-    return csv_file(_name(asked, asked.task or "all"), (*BOARD_COLUMNS, *measures), rows)
+    columns, rows = board_table(board.model_dump(mode="json"))
+    return csv_file(_name(asked, asked.task or "all"), columns, rows)
 
 
 async def logs(request: Request) -> Response:
@@ -43,7 +39,7 @@ async def logs(request: Request) -> Response:
         (
             board.kind,
             board.task,
-            *_ranked(entry),
+            *ranked_cells(entry.model_dump(mode="json")),
             entry.verdict,
             entry.copy_of.team if entry.copy_of else None,
             entry.copy_of.episodes if entry.copy_of else None,
@@ -83,30 +79,6 @@ async def _log_boards(request: Request, asked: AskedBoard) -> LogBoardsView:
             shown_log_boards(session, by, asked.track, stage=asked.stage, competition=asked.competition).view
         )
     )
-
-
-def _ranked(entry: LeaderboardEntryView | LogEntryView) -> tuple[object, ...]:
-    return (
-        entry.rank,
-        entry.team,
-        entry.submission_name,
-        entry.success_rate,
-        *entry.success_rate_interval,
-        entry.mean_steps,
-        entry.successes,
-        entry.episodes,
-        entry.submitted_at.isoformat(),
-        entry.evaluator_version,
-        entry.result_hash,
-        _peak_force_n(entry),
-    )
-
-
-def _peak_force_n(entry: LeaderboardEntryView | LogEntryView) -> float | None:
-    """Return the median peak of the force on the held part; of several tasks there is none."""
-    scores = entry.scores if isinstance(entry, LeaderboardEntryView) else []
-    forces = scores[0].forces if len(scores) == 1 else None
-    return forces.part.peak_n if forces else None
 
 
 def _name(asked: AskedBoard, what: str) -> str:
