@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .evaluate import Remote, find_policy_server
+from .evaluate import Image, Remote, find_playing_kind, find_policy_server
 from .terminal.output import AsJson, note_ignored_folders, print_json
 from .terminal.own_policy import fall_back_where_nothing_isolates
 
 if TYPE_CHECKING:
     from vitac.evaluator.episodes.records import EpisodeRecord
     from vitac.evaluator.submission.manifest import SubmissionManifest
+    from vitac.evaluator.submission_kinds import SubmissionKind
 
 _NO_TORCH = "No module named 'torch'"
 _TORCH_REMEDY = (
@@ -42,15 +43,16 @@ class Findings:
 
 
 def command(
-    submission: Annotated[Path, typer.Argument(help="Zip or folder with submission.yaml.")],
+    submission: Annotated[Path, typer.Argument(help="Zip or folder with submission.yaml, or tar of an image.")],
     remote: Remote = None,
+    image: Image = False,
     as_json: AsJson = False,
 ) -> None:
     """Check a submission before its upload: archive rules, submission.yaml, two episodes of each task."""
     note_ignored_folders(submission)
     if remote is None:
         fall_back_where_nothing_isolates()
-    findings = check(submission, remote)
+    findings = check(submission, remote, is_image=image)
     if as_json:
         print_json({"ok": not findings.refused, **asdict(findings)})
     else:
@@ -60,7 +62,7 @@ def command(
         raise typer.Exit(1)
 
 
-def check(submission: Path, remote: str | None = None) -> Findings:
+def check(submission: Path, remote: str | None = None, *, is_image: bool = False) -> Findings:
     """Run the checks of an upload and of an evaluation.
 
     Raises:
@@ -74,8 +76,9 @@ def check(submission: Path, remote: str | None = None) -> Findings:
     findings = Findings()
     with ExitStack() as stack:
         try:
-            folder = stack.enter_context(staged(submission))
-            findings.digest = submission_digest(submission)
+            kind = find_playing_kind(submission, is_image=is_image)
+            folder = stack.enter_context(staged(submission, kind))
+            findings.digest = submission_digest(submission, kind=kind)
             findings.passed.append("the files follow the archive rules")
             manifest = load_manifest(folder)
             remote = find_policy_server(manifest, remote)
@@ -87,7 +90,8 @@ def check(submission: Path, remote: str | None = None) -> Findings:
         if has_sensor and not _check_sensor(folder, findings):
             return findings
         for task in manifest.tasks:
-            _check_task(folder, manifest, task, findings, sensor=folder if has_sensor else None, remote=remote)
+            sensor = folder if has_sensor else None
+            _check_task(folder, manifest, task, findings, sensor=sensor, kind=kind, remote=remote)
     return findings
 
 
@@ -115,6 +119,7 @@ def _check_task(
     findings: Findings,
     *,
     sensor: Path | None,
+    kind: "SubmissionKind",
     remote: str | None,
 ) -> None:
     """Run the first and the last episode of a task's list, which differ in shape and start."""
@@ -128,7 +133,13 @@ def _check_task(
     numbers = sorted({definition.episodes[0].number, definition.episodes[-1].number})
     with compiling_shown():
         evaluation = evaluate(
-            submission_dir=staged, track=track, task=definition, episodes=numbers, sensor=sensor, remote=remote
+            submission_dir=staged,
+            track=track,
+            task=definition,
+            episodes=numbers,
+            sensor=sensor,
+            kind=kind,
+            remote=remote,
         )
     for record in evaluation.records:
         _add_result(record, findings)

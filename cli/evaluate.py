@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from vitac.evaluator.scoring.score import ForceSummary, Rate
     from vitac.evaluator.shards.host_process import HostProcess
     from vitac.evaluator.submission.manifest import SubmissionManifest
+    from vitac.evaluator.submission_kinds import SubmissionKind
     from vitac.evaluator.tracks import Track
 
 
@@ -26,6 +27,19 @@ Remote = Annotated[
     str | None,
     typer.Option(help="Address of a policy server that plays, such as ws://127.0.0.1:8000; see docs/remote.md."),
 ]
+
+
+Image = Annotated[
+    bool, typer.Option("--image", help="The submission is a container image, whatever the name of its tar is.")
+]
+
+
+def find_playing_kind(submission: Path, *, is_image: bool) -> "SubmissionKind":
+    """Return what kind of policy a submission is: a container image if so said or named, a model else."""
+    from vitac.evaluator.submission_kinds import SubmissionKind, kind_of_file
+
+    is_named = not submission.is_dir() and kind_of_file(submission.name).form.is_image
+    return SubmissionKind.IMAGE if is_image or is_named else SubmissionKind.MODEL
 
 
 def find_policy_server(manifest: "SubmissionManifest", remote: str | None) -> str | None:
@@ -57,7 +71,7 @@ def parse_episodes(text: str | None) -> tuple[int, ...] | None:
 
 
 def command(
-    submission: Annotated[Path, typer.Argument(help="Zip or folder with submission.yaml.")],
+    submission: Annotated[Path, typer.Argument(help="Zip or folder with submission.yaml, or tar of an image.")],
     task: Annotated[str | None, typer.Option(help="Task to evaluate; needed if the submission has several.")] = None,
     episodes: Episodes = None,
     workers: Workers = None,
@@ -72,6 +86,7 @@ def command(
         Path | None, typer.Option(help="Folder with a sensor of your own (vitac sensor); unranked.")
     ] = None,
     remote: Remote = None,
+    image: Image = False,
     json: Annotated[Path | None, typer.Option(help="Write score, result hash and all records to this file.")] = None,
     log: Annotated[Path | None, typer.Option(help="Write a log that can be verified and uploaded.")] = None,
     output: Annotated[
@@ -93,6 +108,7 @@ def command(
         secret=secret,
         sensor=sensor,
         remote=remote,
+        kind=find_playing_kind(submission, is_image=image),
     )
     outputs = _Outputs(json=json, log=log, printed=output, team=team)
     outputs.check()
@@ -124,10 +140,11 @@ def _evaluate(request: "_Request", submission: Path) -> "tuple[LocalEvaluation, 
 
         request.check(submission)
         note_ignored_folders(submission)
-        with staged(submission) as folder:
+        with staged(submission, request.kind) as folder:
             manifest = load_manifest(folder)
             request = replace(request, remote=find_policy_server(manifest, request.remote))
-            return request.evaluate(folder, manifest, host), manifest, submission_digest(submission)
+            digest = submission_digest(submission, kind=request.kind)
+            return request.evaluate(folder, manifest, host), manifest, digest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,6 +159,7 @@ class _Request:
         secret: file with the secret of a sealed list.
         sensor: folder with a sensor to play with.
         remote: address of a policy server.
+        kind: of the submission.
     """
 
     task: str | None
@@ -151,6 +169,7 @@ class _Request:
     secret: Path | None
     sensor: Path | None
     remote: str | None
+    kind: "SubmissionKind"
 
     def check(self, submission: Path) -> None:
         """Refuse a secret that the policy could read, and a sensor against its rules."""
@@ -180,6 +199,7 @@ class _Request:
                 assets_dir=self.assets or assets_dir_from_environment(),
                 secret=self.secret,
                 sensor=folder if self.sensor is None and track.has_sensor else self.sensor,
+                kind=self.kind,
                 remote=self.remote,
                 on_episode=progress.advance,
                 host=host,

@@ -1,6 +1,7 @@
 """The kinds of submission: what a track may accept, how a file of each is recognised, and how it is processed.
 
-A new kind is a member here, a runner in `shards.execution` and an entry in `server.submissions.kinds`.
+A new kind is a member here, a runner in `shards.execution`, an entry in `server.submissions.kinds`, and a word in the
+schema's lists of kinds.
 """
 
 from collections.abc import Mapping
@@ -19,6 +20,7 @@ class KindForm:
     content_types: tuple[str, ...]  #: how the body of an upload is announced; the first is the usual one
     suffixes: tuple[str, ...] = ()  #: how the names of its files end, without `.gz`
     is_archive: bool = False  #: a zip of a folder, which is unpacked before anything is done with it
+    is_image: bool = False  #: a container image, whose own command plays
     runs_policy: bool = False  #: its policy runs in our sandbox, which alone may play a sealed list
     is_remote: bool = False  #: a policy server elsewhere chooses the actions; its folder only describes it
     is_verified: bool = False  #: it claims what an evaluation of ours found, which re-simulation confirms or refutes
@@ -36,6 +38,8 @@ class SubmissionKind(StrEnum):
 
     MODEL = "model"
     """A policy, which the service runs."""
+    IMAGE = "image"
+    """A policy as a container image, which the service runs."""
     LOG = "log"
     """An evaluation log of ours, which is verified by re-simulation."""
     REMOTE = "remote"
@@ -48,11 +52,19 @@ class SubmissionKind(StrEnum):
         """What holds for all submissions of the kind."""
         return _FORMS[self]
 
+    @property
+    def board(self) -> "SubmissionKind":
+        """The kind that names the boards of its results: whatever runs in our sandbox ranks together."""
+        return SubmissionKind.MODEL if self.form.runs_policy else self
+
 
 _FORMS: Mapping[SubmissionKind, KindForm] = MappingProxyType(
     {
         SubmissionKind.MODEL: KindForm(
             content_types=("application/zip",), suffixes=(".zip",), is_archive=True, runs_policy=True, has_own_log=True
+        ),
+        SubmissionKind.IMAGE: KindForm(
+            content_types=("application/x-tar",), suffixes=(".tar",), is_image=True, runs_policy=True, has_own_log=True
         ),
         SubmissionKind.LOG: KindForm(
             content_types=("application/x-ndjson", "application/jsonl", GZIP_TYPE),
@@ -73,6 +85,11 @@ _FORMS: Mapping[SubmissionKind, KindForm] = MappingProxyType(
         ),
     }
 )
+
+
+def kinds_of_board(kind: SubmissionKind) -> tuple[SubmissionKind, ...]:
+    """Return the kinds whose results are on the boards that a kind names."""
+    return tuple(each for each in SubmissionKind if each.board is kind)
 
 
 POLICY_KINDS = tuple(kind for kind in SubmissionKind if kind.form.runs_policy)

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.evaluator.agent.protocol.frames import CloudSpec, checked_action
+from vitac.evaluator.agent.protocol.frames import CloudSpec, add_clouds, checked_action
 from vitac.evaluator.agent.verdicts import EpisodeCut
 from vitac.evaluator.episodes.episode import make_environment, run_episode
 from vitac.evaluator.episodes.provenance import make_manifest
@@ -24,7 +24,6 @@ from vitac.evaluator.episodes.records import EpisodeRecord, result_hash
 from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.evaluator.remote.codec import read_array
 from vitac.evaluator.remote.description import RemoteProtocol, RemoteServer, by_level
-from vitac.evaluator.remote.session import add_clouds
 from vitac.evaluator.tracks import Episode, load_track
 from vla_eval.benchmarks.base import StepBenchmark, StepResult
 from vla_eval.specs import DimSpec

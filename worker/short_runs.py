@@ -177,12 +177,12 @@ class ReplayRun(LeasedRun[RunningShard]):
     def _work(self) -> None:
         lease = self._lease
         with ExitStack() as stack:
-            stage = partial(self._stage.submission, SubmissionKind.MODEL, lease.policy_sha256)
+            stage = partial(self._stage.submission, lease.policy_kind, lease.policy_sha256)
             submission = self._fetch(stack, stage)
             secret = self._secret_file(stack, self._stage.folder, lease.commitment)
             (piece,) = cut(load_track(lease.track).task(lease.task), [lease.episode])
             order = ShardOrder(
-                kind=SubmissionKind.MODEL,
+                kind=lease.policy_kind,
                 submission=submission,
                 track=lease.track,
                 task=lease.task,

@@ -9,8 +9,7 @@ from itertools import count
 from pathlib import Path
 
 from vitac.evaluator.agent.limits import Limits
-from vitac.evaluator.submission.archive import unpack
-from vitac.evaluator.submission.wheels import unpack_wheels
+from vitac.evaluator.submission.sources import stage
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.storage.blobs import BlobStore
 from vitac.server.storage.scratch import remove_leftovers, scratch_folder
@@ -111,10 +110,9 @@ class SubmissionStage:
     def _fetch(self, kind: SubmissionKind, archive_sha256: str, folder: Path) -> Path:
         upload = folder / "upload"
         self._blobs.fetch(archive_sha256, upload)
-        if not kind.form.is_archive:
+        if not (kind.form.is_archive or kind.form.is_image):
             return upload
-        submission_dir = unpack(upload, folder / "unpacked", self._limits)
-        unpack_wheels(submission_dir, self._limits)
+        submission_dir = stage(upload, folder / "unpacked", self._limits, kind)
         upload.unlink()
         return submission_dir
 

@@ -63,6 +63,11 @@ class Limits:
     archive_ratio: float = 200.0
     """Unpacked over packed size."""
 
+    image_bytes: int = 8 * GIB
+    """A container image as a file, and all its layers unpacked."""
+    image_files: int = 100_000
+    """Files and folders in all its layers."""
+
     message_bytes: int = 16 * MIB
     """One message on the channel."""
 

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from ..isolation_kinds import IsolationKind
 from ..package_sets import PackageSet
-from .exchange import Deadlines, EpisodeProcess, Exchange
+from .exchange import LOADER_PID, Deadlines, EpisodeProcess, Exchange
 from .isolation import process_tree, tracing
 from .isolation.bubblewrap import UserIsolation
 from .isolation.cgroup import MemoryIsolation
+from .isolation.image_program import ImageProgram
 from .isolation.memory_files import FileIsolation
 from .isolation.process_ids import ProcessIds
 from .isolation.sandbox import Sandbox
@@ -33,6 +34,7 @@ from .protocol.frames import (
     PolicyAnswer,
     PolicyQuestion,
     QuestionKind,
+    add_clouds,
     checked_action,
     checked_belief,
 )
@@ -93,6 +95,7 @@ class PolicySession:
     Args:
         submission_dir: folder that holds submission.yaml and the policy's code.
         entry_point: `module:Class` below it.
+        image: what is run in place of a class; each episode has processes of its own.
         limits: what the policy may use.
         packages: sets of packages that its track declares.
         episode_isolation: what keeps episodes apart; by default the strongest and fastest that this platform can do.
@@ -110,6 +113,7 @@ class PolicySession:
         submission_dir: Path,
         *,
         entry_point: str = "policy:Policy",
+        image: ImageProgram | None = None,
         limits: Limits | None = None,
         packages: tuple[PackageSet, ...] = (),
         episode_isolation: EpisodeIsolation | None = None,
@@ -118,11 +122,12 @@ class PolicySession:
     ) -> None:
         self._submission_dir = submission_dir
         self._entry_point = entry_point
+        self._image = image
         self._limits = limits or Limits()
         self._packages = packages
         self._kind = kind or default_kind()
         self._episodes = episode_isolation or default_episode_isolation()
-        if self._kind is not IsolationKind.NAMESPACES:
+        if image is not None or self._kind is not IsolationKind.NAMESPACES:
             self._episodes = EpisodeIsolation.FRESH_PROCESS
         self._start_times = StartTimes(default_period_s() if episode_period_s is None else episode_period_s)
         self._exits = contextlib.ExitStack()
@@ -186,6 +191,7 @@ class PolicySession:
                 core=self._core,
                 action_shape=action_shape,
                 clouds=clouds,
+                makes_clouds=self._image is not None,
             )
             policy.reset(task)
             yield policy
@@ -245,7 +251,13 @@ class PolicySession:
         self.starts += 1
         try:
             sandbox = self._exits.enter_context(
-                Sandbox(self._submission_dir, limits=self._limits, packages=self._packages, kind=self._kind)
+                Sandbox(
+                    self._submission_dir,
+                    limits=self._limits,
+                    packages=self._packages,
+                    kind=self._kind,
+                    image=self._image,
+                )
             )
             self._load(sandbox)
         except BaseException:
@@ -296,8 +308,10 @@ class PolicySession:
     def _find_inside_pid(self, answer: PolicyAnswer) -> int:
         """Return the pid inside of the process that answers; without namespaces nothing but itself knows it.
 
-        A false one is of no use to it: it explains how its process ended.
+        A false one is of no use to it: it explains how its process ended. An image plays for as long as its command.
         """
+        if self._image is not None:
+            return LOADER_PID
         if self._kind is IsolationKind.NAMESPACES:
             return process_tree.inside_pid(answer.sender_pid)
         reported = answer.header.message
@@ -338,9 +352,12 @@ class EpisodePolicy:
         core: SharedCore,
         action_shape: tuple[int, ...],
         clouds: Sequence[CloudSpec],
+        makes_clouds: bool,
     ) -> None:
         self._sandbox = sandbox
         self._clouds = clouds
+        self._makes_clouds = makes_clouds
+        """Whether clouds are made here; else the runtime in the sandbox makes them, of which an image has none."""
         self._limits = limits
         self._shard_time = shard_time
         self._core = core
@@ -366,7 +383,10 @@ class EpisodePolicy:
         Raises:
             PolicyFailed: any verdict.
         """
-        question = PolicyQuestion(kind=QuestionKind.OBSERVE, arrays=observation, clouds=self._clouds)
+        if self._makes_clouds:
+            question = PolicyQuestion(kind=QuestionKind.OBSERVE, arrays=add_clouds(self._clouds, observation))
+        else:
+            question = PolicyQuestion(kind=QuestionKind.OBSERVE, arrays=observation, clouds=self._clouds)
         answer = self._ask(question, AnswerKind.ACTION, "act()")
         with self._explained():
             return checked_action(answer.arrays, self._action_shape)

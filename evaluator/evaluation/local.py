@@ -74,6 +74,7 @@ def evaluate(
     assets_dir: Path | None = None,
     secret: Path | None = None,
     sensor: Path | None = None,
+    kind: SubmissionKind = SubmissionKind.MODEL,
     remote: str | None = None,
     figures: FigureChoice = FigureChoice.NONE,
     coefficients: Coefficients | None = None,
@@ -94,6 +95,7 @@ def evaluate(
         assets_dir: folder with the challenge's own meshes; our own generated ones by default.
         secret: file with the secret of a sealed list.
         sensor: folder with a sensor of a team's own, in place of the challenge's.
+        kind: of the submission, one that plays.
         remote: address of a policy server that plays in place of the folder's own code.
         figures: which of the sensor's figures the blind run measures.
         coefficients: of the standard estimator for the sensor; it is calibrated without them.
@@ -109,7 +111,7 @@ def evaluate(
     shards = cut(task, episodes)
     orders = [
         ShardOrder(
-            kind=SubmissionKind.MODEL,
+            kind=kind,
             submission=submission_dir.resolve(),
             track=track.name,
             task=task.name,

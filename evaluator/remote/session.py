@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..agent.limits import Limits, ShardTime
-from ..agent.protocol.frames import CloudSpec, checked_action
+from ..agent.protocol.frames import CloudSpec, add_clouds, checked_action
 from ..agent.verdicts import EpisodeCut, PolicyFailed, VerdictCode
 from .codec import read_array
 from .description import RemoteServer
@@ -191,17 +191,3 @@ class RemotePolicy:
                 self.channel_s += time.monotonic() - started_s
             self._actions.extend(self._session.rows(answer, self._action_shape))
         return self._actions.popleft()
-
-
-def add_clouds(clouds: Sequence[CloudSpec], observation: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return an observation with the point clouds that follow from its depth pictures."""
-    arrays = dict(observation)
-    if clouds:
-        from vitac.envs.vision.optics import point_cloud
-
-        for cloud in clouds:
-            arrays[cloud.name] = point_cloud(observation[cloud.depth], tuple(cloud.intrinsics))
-        for cloud in clouds:
-            if not cloud.keep_depth:
-                arrays.pop(cloud.depth, None)
-    return arrays

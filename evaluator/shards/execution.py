@@ -211,7 +211,7 @@ def _make_result(order: ShardOrder, preparation: Preparation, send: Callable[[Sh
     shard = next(shard for shard in cut(task, order.episodes) if shard.index == order.shard)
     ordered = OrderedShard(order=order, track=track, task=task, shard=shard)
     runner = RUNNERS[order.kind] if task.player is Player.POLICY else _run_estimator
-    if runner is _run_policy and order.remote is None:
+    if runner is _run_policy and order.kind is SubmissionKind.MODEL and order.remote is None:
         send(ShardMessage(packages=policy_versions(order.submission, track.packages)))
     return runner(ordered, preparation, lambda record: send(ShardMessage(record=record)))
 
@@ -226,6 +226,7 @@ def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnE
             packages=ordered.track.packages,
             episode_period_s=order.episode_period_s,
             isolation=order.isolation,
+            kind=order.kind,
         )
     if ordered.task.definition.batch_size > 1:
         return run_batches(order, ordered.track, ordered.task, ordered.shard, on_episode, load)
@@ -270,6 +271,7 @@ def _part(ordered: OrderedShard) -> LogShard:
 RUNNERS: Mapping[SubmissionKind, Runner] = MappingProxyType(
     {
         SubmissionKind.MODEL: _run_policy,
+        SubmissionKind.IMAGE: _run_policy,
         SubmissionKind.LOG: _run_log,
         SubmissionKind.REMOTE: _run_policy,
         SubmissionKind.TEXT_LOG: _run_text_log,

@@ -17,7 +17,9 @@ from ..episodes.records import EpisodeRecord, PolicyFailure
 from ..isolation_kinds import IsolationKind
 from ..package_sets import PackageSet
 from ..scoring.failures import is_broken
+from ..submission.image import load_program
 from ..submission.manifest import load_manifest
+from ..submission_kinds import SubmissionKind
 from ..tracks import Episode, Task, Track
 from ..tracks.cut import ShardEpisodes
 from .order import ShardEnd, ShardOrder, ShardResult
@@ -31,6 +33,7 @@ def load_in_sandbox(
     packages: tuple[PackageSet, ...] = (),
     episode_period_s: float | None = None,
     isolation: IsolationKind | None = None,
+    kind: SubmissionKind = SubmissionKind.MODEL,
 ) -> AbstractContextManager[Session]:
     """Load the policy of a submission in its sandbox, with the sets of packages that its track declares.
 
@@ -38,10 +41,10 @@ def load_in_sandbox(
         PolicyFailed: it cannot be loaded.
         SandboxFailed: the isolation could not be set up.
     """
-    entry_point = load_manifest(submission_dir).own_entry_point()
     return PolicySession(
         submission_dir,
-        entry_point=entry_point,
+        entry_point=load_manifest(submission_dir).own_entry_point(),
+        image=load_program(submission_dir) if kind.form.is_image else None,
         limits=limits,
         packages=packages,
         episode_period_s=episode_period_s,

@@ -59,6 +59,8 @@ class ArchiveFault(StrEnum):
     WRONG_TOP_FOLDER = "wrong_top_folder"
     WHEEL = "wheel"
     """A package in `wheels/` or `requirements.txt` cannot be used."""
+    IMAGE = "image"
+    """A file is no container image, or not one that can play here."""
 
 
 class ArchiveRejected(VitacError):

@@ -13,8 +13,10 @@ from vitac.envs.errors import VitacError
 from vitac.envs.untrusted_file import find_spelling
 
 from ..agent.limits import Limits
+from ..submission_kinds import SubmissionKind
 from ..tracks import archive_folders, load_track
 from .archive import ArchiveEntry, packed_entries, unpack, write
+from .image import image_digest, unpack_image
 from .manifest import (
     MANIFEST_MAX_BYTES,
     ManifestRejected,
@@ -93,13 +95,17 @@ def read_manifest_file(source: Path, limits: Limits | None = None) -> Submission
     )
 
 
-def stage(source: Path, destination: Path, limits: Limits | None = None) -> Path:
-    """Copy a zip or folder to where it can be evaluated, its wheels unpacked, under the same rules for both.
+def stage(
+    source: Path, destination: Path, limits: Limits | None = None, kind: SubmissionKind = SubmissionKind.MODEL
+) -> Path:
+    """Copy a submission to where it can be evaluated: a zip and a folder under the same rules, with wheels unpacked.
 
     Args:
-        source: zip, submission folder, or the folder that contains it under its track's name, such as `Track_1`.
+        source: zip, submission folder, or the folder that contains it under its track's name, such as `Track_1`; of an
+            image its tar.
         destination: new or empty folder.
         limits: sizes and counts.
+        kind: what it is.
 
     Returns:
         The submission's folder below `destination`, readable by every user.
@@ -110,6 +116,8 @@ def stage(source: Path, destination: Path, limits: Limits | None = None) -> Path
         NoSubmission: the path is not a submission.
     """
     limits = limits or Limits()
+    if kind.form.is_image:
+        return unpack_image(_existing_tar(source), destination, limits)
     if source.is_file():
         read_manifest_file(source, limits)  # refuses the folder of another track
         folder = unpack(source, destination, limits)
@@ -121,12 +129,19 @@ def stage(source: Path, destination: Path, limits: Limits | None = None) -> Path
     return folder
 
 
+def _existing_tar(source: Path) -> Path:
+    if not source.is_file():
+        raise NoSubmission(f"Expected the tar of a container image, got {source}; write one with `docker save`.")
+    return source
+
+
 @contextmanager
-def staged(submission: Path) -> Iterator[Path]:
+def staged(submission: Path, kind: SubmissionKind = SubmissionKind.MODEL) -> Iterator[Path]:
     """Return the folder of an unpacked copy of a submission, which is removed when the block is left.
 
     Args:
-        submission: zip or folder.
+        submission: zip or folder, or the tar of an image.
+        kind: what it is.
 
     Raises:
         ArchiveRejected: a rule of archives is broken.
@@ -134,11 +149,13 @@ def staged(submission: Path) -> Iterator[Path]:
     """
     with TemporaryDirectory(prefix="vitac-submission-") as folder:
         Path(folder).chmod(0o755)  # Under root the sandbox has a user of its own, which must reach the submission.
-        yield stage(submission, Path(folder) / "submission")
+        yield stage(submission, Path(folder) / "submission", kind=kind)
 
 
-def submission_digest(source: Path, limits: Limits | None = None) -> str:
+def submission_digest(source: Path, limits: Limits | None = None, kind: SubmissionKind = SubmissionKind.MODEL) -> str:
     """Return SHA-256 over path, size and content of every file, sorted by path: equal for a folder and its zip.
+
+    Of an image it is its id, equal however its layers are packed.
 
     Raises:
         ArchiveRejected: a rule of archives is broken.
@@ -146,6 +163,8 @@ def submission_digest(source: Path, limits: Limits | None = None) -> str:
         NoSubmission: the path is not a submission.
     """
     limits = limits or Limits()
+    if kind.form.is_image:
+        return image_digest(source, limits)
     with ExitStack() as exits:
         if source.is_file():
             _, entries = packed_entries(exits.enter_context(source.open("rb")), limits, exits)

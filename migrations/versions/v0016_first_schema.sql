@@ -318,7 +318,7 @@ CREATE TABLE submissions (
     CONSTRAINT ck_submissions_copy_cleared_for_a_reason CHECK ((copy_cleared_at IS NULL) = (copy_cleared_for IS NULL)),
     CONSTRAINT fk_submissions_team_id FOREIGN KEY(team_id) REFERENCES teams (id) ON DELETE RESTRICT,
     CONSTRAINT fk_submissions_final_of FOREIGN KEY(final_of) REFERENCES submissions (id) ON DELETE RESTRICT,
-    CONSTRAINT ck_submissions_kind CHECK (kind IN ('model', 'log', 'remote', 'text_log'))
+    CONSTRAINT ck_submissions_kind CHECK (kind IN ('model', 'image', 'log', 'remote', 'text_log'))
 );
 CREATE INDEX ix_submissions_of_team ON submissions (team_id, submitted_at DESC, id DESC);
 CREATE INDEX ix_submissions_submitted_at_id ON submissions (submitted_at DESC, id DESC);
@@ -463,7 +463,7 @@ CREATE TABLE partial_uploads (
     CONSTRAINT ck_partial_uploads_is_not_empty CHECK (total_bytes > 0),
     CONSTRAINT ck_partial_uploads_sha256_is_sha256 CHECK (sha256 ~ '^[0-9a-f]{64}$'),
     CONSTRAINT fk_partial_uploads_team_id FOREIGN KEY(team_id) REFERENCES teams (id) ON DELETE CASCADE,
-    CONSTRAINT ck_partial_uploads_kind CHECK (kind IN ('model', 'log', 'remote', 'text_log')),
+    CONSTRAINT ck_partial_uploads_kind CHECK (kind IN ('model', 'image', 'log', 'remote', 'text_log')),
     CONSTRAINT fk_partial_uploads_submission_id FOREIGN KEY(submission_id) REFERENCES submissions (id) ON DELETE CASCADE
 );
 CREATE INDEX ix_partial_uploads_expires_at ON partial_uploads (expires_at);
@@ -531,7 +531,7 @@ CREATE TABLE board_results (
     is_off_boards BOOLEAN DEFAULT false NOT NULL,
     CONSTRAINT pk_board_results PRIMARY KEY (evaluation_id, board),
     CONSTRAINT fk_board_results_evaluation_id FOREIGN KEY(evaluation_id) REFERENCES evaluations (id) ON DELETE CASCADE,
-    CONSTRAINT ck_board_results_kind CHECK (kind IN ('model', 'log', 'remote', 'text_log')),
+    CONSTRAINT ck_board_results_kind CHECK (kind IN ('model', 'image', 'log', 'remote', 'text_log')),
     CONSTRAINT fk_board_results_team_id FOREIGN KEY(team_id) REFERENCES teams (id) ON DELETE RESTRICT,
     CONSTRAINT fk_board_results_submission_id FOREIGN KEY(submission_id) REFERENCES submissions (id) ON DELETE RESTRICT
 );

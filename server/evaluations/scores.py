@@ -201,7 +201,7 @@ def _board_result(
         competition=submission.competition,
         track=submission.track,
         stage=submission.stage,
-        kind=submission.kind,
+        kind=submission.kind.board,
         team_id=submission.team_id,
         submission_id=submission.id,
         evaluator_version=evaluation.evaluator_version,

@@ -278,7 +278,7 @@ def _differences(described: ExportDescription, entry: LeaderboardEntryView, resu
         ("competition", described.competition, result.competition),
         ("track", board.track, result.track),
         ("stage", board.stage or "", result.stage),
-        ("kind", described.kind, result.kind),
+        ("kind", described.kind, result.kind.board),
         ("submission", entry.submission_id, result.submission),
         ("submission time", entry.submitted_at, result.submitted_at),
         ("evaluator version", entry.evaluator_version, result.evaluator_version),

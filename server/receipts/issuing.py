@@ -9,7 +9,7 @@ from uuid import UUID
 
 from sqlalchemy import Select, and_, func, or_, select
 from sqlalchemy.orm import Session, defer
-from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.submission_kinds import SubmissionKind, kinds_of_board
 
 from ..competitions.stages import Stage
 from ..database.models import Cosignature, Evaluation, ReceiptRow, Submission
@@ -86,7 +86,7 @@ def receipts_of_board(session: Session, stage: Stage, kind: SubmissionKind) -> S
         .outerjoin(Submission, Submission.id == submission_id)
         .where(
             or_(
-                and_(stage.submissions, Submission.kind == kind),
+                and_(stage.submissions, Submission.kind.in_(kinds_of_board(kind))),
                 ReceiptRow.board == board,
                 ReceiptRow.submission_id.in_(chosen),
             )

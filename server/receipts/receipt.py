@@ -78,7 +78,7 @@ class OfSubmission(SaltedContent):
     @property
     def board(self) -> str:
         """The board on which the result may be, as the log names it."""
-        return board_name(self.competition, self.track, self.stage, self.kind)
+        return board_name(self.competition, self.track, self.stage, self.kind.board)
 
     def is_of_team(self, name: str) -> bool:
         """Return whether the team had that name when the receipt was issued."""

@@ -15,6 +15,7 @@ from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.isolation_kinds import IsolationKind
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.evaluator.submission.sources import staged
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 
 from ..audit import record
@@ -40,12 +41,14 @@ class ReplayLease(Claim):
     """The right to play one episode again, and all that is needed for it.
 
     Attributes:
-        policy_sha256: of the archive that is played.
+        policy_sha256: of the archive or image that is played.
+        policy_kind: what it is.
         commitment: of the sealed list that was played; None for the public one.
         isolation: that the stage asks for.
     """
 
     policy_sha256: str
+    policy_kind: SubmissionKind
     evaluator_version: str
     track: str
     task: str
@@ -134,6 +137,7 @@ def begin(session: Session, claim: Claim) -> ReplayLease:
     return ReplayLease(
         **vars(claim),
         policy_sha256=replay.policy_sha256,
+        policy_kind=SubmissionKind.MODEL if replay.corrected else evaluation.submission.kind,
         evaluator_version=evaluation.evaluator_version,
         track=evaluation.submission.track,
         task=replay.task,

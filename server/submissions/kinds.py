@@ -20,8 +20,9 @@ from vitac.evaluator.remote.line import AddressInvalid
 from vitac.evaluator.sensors.manifest import SensorRejected
 from vitac.evaluator.sensors.package import design_document
 from vitac.evaluator.submission.archive import unpack
+from vitac.evaluator.submission.image import image_digest, unpack_image
 from vitac.evaluator.submission.likeness import WEIGHTS_SUFFIXES, make_sketch
-from vitac.evaluator.submission.manifest import ManifestRejected, load_unpacked_manifest
+from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest, load_unpacked_manifest
 from vitac.evaluator.submission.names import ArchiveRejected
 from vitac.evaluator.submission.sources import submission_digest
 from vitac.evaluator.submission.wheels import unpack_wheels
@@ -108,6 +109,39 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
     )
 
 
+def check_image(received: ReceivedFile, owner: str, settings: Settings) -> CheckedUpload:  # noqa: ARG001 - as all checks
+    """Unpack an image beside itself and read its manifest; nothing of it is run.
+
+    Args:
+        received: the body.
+        owner: the team whose submission it becomes, which an image does not name.
+        settings: limits on images.
+
+    Raises:
+        ServiceError: the image or its manifest breaks a rule.
+    """
+    try:
+        folder = unpack_image(received.path, received.path.with_name(_UNPACKED_NAME), settings.limits)
+        manifest, digest = load_manifest(folder), image_digest(received.path, settings.limits)
+    except ArchiveRejected as error:
+        raise ServiceError(ProblemCode.ARCHIVE_REJECTED, error.message, reason=error.code.value) from error
+    except ManifestRejected as error:
+        raise ServiceError(ProblemCode.MANIFEST_REJECTED, str(error)) from error
+    track = load_known_track(manifest.track)
+    if track.has_sensor:
+        raise ServiceError(ProblemCode.UNSUPPORTED_SUBMISSION_KIND, f"{track.name} takes sensors, not images.")
+    return CheckedUpload(
+        kind=SubmissionKind.IMAGE,
+        track=manifest.track,
+        tasks=track.list_played_tasks(manifest.tasks),
+        name=manifest.name,
+        digest=digest,
+        archive_sha256=received.sha256,
+        archive_bytes=received.n_bytes,
+        manifest=manifest.model_dump(mode="json"),
+    )
+
+
 def require_allowed(server: RemoteServer, settings: Settings) -> str:
     """Return the address of a policy server that the service may ask.
 
@@ -183,6 +217,11 @@ SERVED_KINDS: Mapping[SubmissionKind, ServedKind] = MappingProxyType(
         SubmissionKind.MODEL: ServedKind(
             max_bytes=lambda settings: settings.limits.archive_packed_bytes,
             check=check_model,
+            names_track=(ProblemCode.MANIFEST_REJECTED, "submission.yaml says track"),
+        ),
+        SubmissionKind.IMAGE: ServedKind(
+            max_bytes=lambda settings: settings.limits.image_bytes,
+            check=check_image,
             names_track=(ProblemCode.MANIFEST_REJECTED, "submission.yaml says track"),
         ),
         SubmissionKind.REMOTE: ServedKind(

@@ -1,5 +1,6 @@
 """The two command lines that put a policy into its sandbox: for a normal user and for root."""
 
+import json
 import math
 import os
 import secrets
@@ -8,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +17,7 @@ from vitac.envs.vision import optics
 
 from ..limits import Limits
 from ..verdicts import SandboxFailed
+from .image_program import CHANNEL, CHANNEL_VARIABLE, ImageProgram
 from .packages import Interpreter
 
 OWN_PROCESSES: Final = 3
@@ -22,9 +25,12 @@ OWN_PROCESSES: Final = 3
 INSIDE_SUBMISSION: Final = "/submission"
 INSIDE_RUNTIME: Final = "/opt/vitac/agent.py"
 INSIDE_BACK_PROJECTION: Final = "/opt/vitac/back_projection.py"
+INSIDE_IMAGE_RUNTIME: Final = "/opt/vitac/image.py"
+INSIDE_IMAGE: Final = "/image"
 INSIDE_CODE: Final = "/opt/vitac/code"
 INSIDE_KERNELS: Final = "/opt/vitac/kernels"
 _RUNTIME: Final = Path(__file__).parents[1] / "runtime" / "agent.py"
+_IMAGE_RUNTIME: Final = _RUNTIME.with_name("image.py")
 _BACK_PROJECTION: Final = Path(optics.__file__)
 DEVICES: Final = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom")
 """Devices that hold nothing, so that a policy may keep them open."""
@@ -37,12 +43,12 @@ _INSTALL: Final = (
 )
 TOP_FOLDERS: Final = ("/bin", "/lib", "/lib32", "/lib64", "/libx32", "/sbin")
 """Links into /usr on most systems."""
+_OWN_FOLDERS: Final = {"HOME": "/tmp", "TMPDIR": "/tmp"}  # noqa: S108 - the sandbox's own tmpfs
 ENVIRONMENT: Final = {
-    "HOME": "/tmp",  # noqa: S108 - the sandbox's own tmpfs
+    **_OWN_FOLDERS,
     "LANG": "C.UTF-8",
     "PATH": "/usr/bin",
     "PYTHONHASHSEED": "0",
-    "TMPDIR": "/tmp",  # noqa: S108
     **dict.fromkeys(
         ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
     ),
@@ -136,7 +142,11 @@ def passwd_file(uid: int) -> bytes:
     return f"agent:x:{uid}:{uid}:agent:/tmp:/usr/sbin/nologin\n".encode()
 
 
-OWN_FILES: Final = ((_RUNTIME, INSIDE_RUNTIME), (_BACK_PROJECTION, INSIDE_BACK_PROJECTION))
+OWN_FILES: Final = (
+    (_RUNTIME, INSIDE_RUNTIME),
+    (_IMAGE_RUNTIME, INSIDE_IMAGE_RUNTIME),
+    (_BACK_PROJECTION, INSIDE_BACK_PROJECTION),
+)
 """(outside, inside) of our files that every policy's process runs."""
 
 
@@ -149,41 +159,60 @@ def command(
     uid: int,
     descriptors: Descriptors,
     system: Path | None = None,
+    image: ImageProgram | None = None,
 ) -> list[str]:
     """Return the whole command line, from bubblewrap to the runtime.
 
     Args:
         program: bubblewrap.
-        submission: folder of the policy.
+        submission: folder of the policy, or of an image's files.
         interpreter: Python and its packages.
         limits: what the policy may use.
         uid: of the sandbox.
         descriptors: that the command inherits.
         system: folder in memory with all files of system, Python and packages; None: they are bound from the disk.
+        image: what is run in place of a policy's class.
     """
     if system is None:
         files = [*_system_files(descriptors.passwd), *_writable_folders(limits), *_python_files(interpreter)]
     else:
         files = [*_files_in_memory(system, descriptors.passwd), *_writable_folders(limits)]
+    inside = INSIDE_SUBMISSION if image is None else INSIDE_IMAGE
+    files += ["--ro-bind", str(submission.resolve()), inside, "--chdir", inside]
+    run = partial(
+        runtime_command,
+        limits,
+        channel=descriptors.channel,
+        status=descriptors.status,
+        program=interpreter.executable,
+        packages=interpreter.packages,
+    )
+    if image is None:
+        drop, runtime = _drop_privileges(uid), run()
+    else:  # its own runtime gives up the rights, once it has entered the image
+        files += _writable_folders(limits, INSIDE_IMAGE)
+        drop, runtime = [], run(runtime=INSIDE_IMAGE_RUNTIME, submission=_image_order(image, uid))
     return [
         str(program),
-        *_privileges(uid),
+        *_privileges(uid, *(() if image is None else ("CAP_SYS_CHROOT",))),
         *_NAMESPACES,
         *("--json-status-fd", str(descriptors.info), "--seccomp", str(descriptors.seccomp)),
         *files,
-        *("--ro-bind", str(submission.resolve()), INSIDE_SUBMISSION, "--chdir", INSIDE_SUBMISSION, "--remount-ro", "/"),
+        *("--remount-ro", "/"),
         *_environment(interpreter),
         "--",
-        *_drop_privileges(uid),
+        *drop,
         *_process_limits(limits),
-        *runtime_command(
-            limits,
-            channel=descriptors.channel,
-            status=descriptors.status,
-            program=interpreter.executable,
-            packages=interpreter.packages,
-        ),
+        *runtime,
     ]
+
+
+def _image_order(image: ImageProgram, uid: int) -> str:
+    """Return what the runtime of images is to do, as JSON."""
+    own_uid = uid if current_user_isolation() is UserIsolation.ROOT else None
+    variables = {**ENVIRONMENT, **image.variables, **_OWN_FOLDERS, CHANNEL_VARIABLE: str(CHANNEL)}
+    order = {"root": INSIDE_IMAGE, "uid": own_uid, "arguments": image.arguments, "variables": variables}
+    return json.dumps({**order, "folder": image.folder, "channel": CHANNEL})
 
 
 def empty_command() -> list[str]:
@@ -240,11 +269,12 @@ def tool_command(
     ]
 
 
-def _privileges(uid: int) -> list[str]:
+def _privileges(uid: int, *capabilities: str) -> list[str]:
+    added = [part for capability in capabilities for part in ("--cap-add", capability)]
     if current_user_isolation() is UserIsolation.ROOT:
         # No user namespace: inside one, root's RLIMIT_NPROC would not be enforced. setpriv needs these two to drop.
-        return ["--cap-drop", "ALL", "--cap-add", "CAP_SETUID", "--cap-add", "CAP_SETGID"]
-    return ["--unshare-user", "--uid", str(uid), "--gid", str(uid), "--disable-userns", "--cap-drop", "ALL"]
+        return ["--cap-drop", "ALL", "--cap-add", "CAP_SETUID", "--cap-add", "CAP_SETGID", *added]
+    return ["--unshare-user", "--uid", str(uid), "--gid", str(uid), "--disable-userns", "--cap-drop", "ALL", *added]
 
 
 def _system_files(passwd: int) -> list[str]:
@@ -275,14 +305,14 @@ def _files_in_memory(root: Path, passwd: int) -> list[str]:
     return [*arguments, "--perms", "0444", "--file", str(passwd), "/etc/passwd"]
 
 
-def _writable_folders(limits: Limits) -> list[str]:
+def _writable_folders(limits: Limits, root: str = "") -> list[str]:
     return [
-        *("--dev", "/dev"),
+        *("--dev", f"{root}/dev"),
         # Terminals would be one more place where a mode or time stays changed.
-        *("--tmpfs", "/dev/pts", "--remount-ro", "/dev/pts"),
-        *("--perms", "1777", "--size", str(limits.shm_bytes), "--tmpfs", "/dev/shm"),  # noqa: S108
-        *("--remount-ro", "/dev"),
-        *("--perms", "1777", "--size", str(limits.tmp_bytes), "--tmpfs", "/tmp"),  # noqa: S108
+        *("--tmpfs", f"{root}/dev/pts", "--remount-ro", f"{root}/dev/pts"),
+        *("--perms", "1777", "--size", str(limits.shm_bytes), "--tmpfs", f"{root}/dev/shm"),  # noqa: S108
+        *("--remount-ro", f"{root}/dev"),
+        *("--perms", "1777", "--size", str(limits.tmp_bytes), "--tmpfs", f"{root}/tmp"),  # noqa: S108
     ]
 
 
@@ -377,7 +407,7 @@ def runtime_command(
         program: Python.
         packages: folders of packages.
         runtime: file of the runtime.
-        submission: folder of the policy.
+        submission: folder of the policy, or the order of an image.
     """
     # Not -I: it would ignore PYTHONHASHSEED. The environment holds nothing but what is set above.
     return [

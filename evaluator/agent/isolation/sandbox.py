@@ -25,6 +25,7 @@ from ..verdicts import SandboxFailed
 from . import bubblewrap, cgroup, gvisor, packages, process_tree, seccomp, unisolated
 from .bubblewrap import UserIsolation
 from .cgroup import MemoryIsolation
+from .image_program import ImageProgram
 from .memory_files import (
     FileIsolation,
     default_file_isolation,
@@ -96,6 +97,7 @@ class Sandbox:
         packages: sets of packages that its track declares.
         files: where the files lie that it sees; by default what the machine is set to.
         kind: what stands between it and the machine; under `vm` its files lie in memory, under `none` on the disk.
+        image: what is run in place of a policy's class.
     """
 
     def __init__(
@@ -106,8 +108,10 @@ class Sandbox:
         packages: tuple[PackageSet, ...] = (),
         files: FileIsolation | None = None,
         kind: IsolationKind = IsolationKind.NAMESPACES,
+        image: ImageProgram | None = None,
     ) -> None:
-        self._submission = submission
+        self._submission = submission if image is None else image.root
+        self._image = image
         self._packages = packages
         self._kind = kind
         fixed = {IsolationKind.VM: FileIsolation.MEMORY, IsolationKind.NONE: FileIsolation.DISK}
@@ -191,6 +195,11 @@ class Sandbox:
 
     def _start(self) -> None:
         self._check_readable()
+        if self._image is not None and self._kind is not IsolationKind.NAMESPACES:
+            raise SandboxFailed(
+                f"Isolation {self._kind} plays no container images, expected {IsolationKind.NAMESPACES}; see "
+                "`vitac doctor` for what a machine lacks."
+            )
         extra = gvisor.EXTRA_PROCESSES if self._kind is IsolationKind.VM else 0
         self._group = None
         if self._kind is not IsolationKind.NONE:
@@ -234,7 +243,9 @@ class Sandbox:
         descriptors = bubblewrap.Descriptors(
             channel=channel,
             status=status,
-            seccomp=given_away.enter_context(bubblewrap.open_data(seccomp.filter_program())),
+            seccomp=given_away.enter_context(
+                bubblewrap.open_data(seccomp.filter_program(() if self._image is None else ("chroot",)))
+            ),
             passwd=given_away.enter_context(bubblewrap.open_data(bubblewrap.passwd_file(uid))),
             info=info_write,
         )
@@ -287,6 +298,7 @@ class Sandbox:
             uid=uid,
             descriptors=descriptors,
             system=system,
+            image=self._image,
         )
         command = self._in_group(command)
         return command if system is None else self._with_submission(command, system)
@@ -298,7 +310,7 @@ class Sandbox:
 
     def _with_submission(self, command: list[str], system: Path) -> list[str]:
         # Before the process joins the control groups: the submission does not count as the policy's memory.
-        size_bytes = self.limits.archive_unpacked_bytes
+        size_bytes = self.limits.archive_unpacked_bytes if self._image is None else self.limits.image_bytes
         return with_submission_in_memory(command, submission=self._submission, root=system, size_bytes=size_bytes)
 
     def _read_first_pid(self, descriptor: int) -> int:

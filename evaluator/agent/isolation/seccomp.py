@@ -91,8 +91,11 @@ _LOW_WORD: Final = 0xFFFFFFFF
 
 
 @functools.cache
-def filter_program() -> bytes:
+def filter_program(further: tuple[str, ...] = ()) -> bytes:
     """Return the filter as the BPF program that bubblewrap loads.
+
+    Args:
+        further: calls that may be made besides, such as those that need a right which is given up first.
 
     Raises:
         SandboxFailed: libseccomp is missing.
@@ -104,14 +107,14 @@ def filter_program() -> bytes:
             f"The seccomp filter cannot be built ({error}); install libseccomp (Debian, Ubuntu: `libseccomp2`)."
         ) from error
     syscall_filter = pyseccomp.SyscallFilter(pyseccomp.ERRNO(errno.ENOSYS))
-    _add_rules(syscall_filter, pyseccomp)
+    _add_rules(syscall_filter, pyseccomp, (*ALLOWED, *further))
     with tempfile.TemporaryFile() as file:
         syscall_filter.export_bpf(file)
         file.seek(0)
         return file.read()
 
 
-def _add_rules(syscall_filter: Any, seccomp: Any) -> None:
+def _add_rules(syscall_filter: Any, seccomp: Any, allowed: tuple[str, ...]) -> None:
     def add(action: Any, name: str, *conditions: Any) -> None:
         if seccomp.resolve_syscall(seccomp.Arch.NATIVE, name) >= 0:
             syscall_filter.add_rule(action, name, *conditions)
@@ -120,7 +123,7 @@ def _add_rules(syscall_filter: Any, seccomp: Any) -> None:
         for value in values:
             add(seccomp.ALLOW, name, seccomp.Arg(position, seccomp.MASKED_EQ, mask, value))
 
-    for name in ALLOWED:
+    for name in allowed:
         add(seccomp.ALLOW, name)
     for name in _TIMES_OF_FILES:
         add(seccomp.ERRNO(0), name)

@@ -9,7 +9,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 import numpy as np
@@ -73,6 +73,20 @@ class CloudSpec(msgspec.Struct, frozen=True):
     """Whether the policy gets the depth picture, too."""
     intrinsics: list[float]
     """Focal lengths and principal point in u and v [px]."""
+
+
+def add_clouds(clouds: Sequence[CloudSpec], observation: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return an observation with the point clouds that follow from its depth pictures."""
+    arrays = dict(observation)
+    if clouds:
+        from vitac.envs.vision.optics import point_cloud
+
+        for cloud in clouds:
+            arrays[cloud.name] = point_cloud(observation[cloud.depth], tuple(cloud.intrinsics))
+        for cloud in clouds:
+            if not cloud.keep_depth:
+                arrays.pop(cloud.depth, None)
+    return arrays
 
 
 class QuestionHeader(msgspec.Struct, frozen=True):

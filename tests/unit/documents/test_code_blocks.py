@@ -40,6 +40,7 @@ NOT_RUN = {
     r"--out (episode.webp|frames)": "draws many pictures; tests/unit/cli/show does",
     r"compare A\.json": "needs three evaluations; tests/unit/cli/test_compare.py compares some",
     r"\blerobot-train\b": "needs lerobot; tests/unit/training/demonstrations trains a step where it is",
+    r"\bpolicy\.tar\b": "needs an image; tests/integration/sandbox/test_images.py makes some",
     r"\bdocker\b": "tests/containers does, where there is an engine",
     r"\b(pip|pipx|uvx)\b": "installs from an index; .ci/run installs the wheel",
     r"test_(same_bits|golden)": "is in the suite",
@@ -62,7 +63,7 @@ NOT_EXECUTED = {"CONTRIBUTING.md": "parts of files of ours", "docs/notices.md": 
 """Documents whose Python is compiled only."""
 GENERATED = {"python-reference", "rest", "task", "environments", "settings", "outcomes", "verdicts"}
 """Stand for what the code says of itself (tests/unit/web/documentation)."""
-LANGUAGES = {"sh", "python", "yaml", "json", "bibtex", "", *GENERATED}
+LANGUAGES = {"sh", "dockerfile", "python", "yaml", "json", "bibtex", "", *GENERATED}
 REPLACED = {
     "my_folder": "my_submission",
     "my_log.jsonl": "run.jsonl",
