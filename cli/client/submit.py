@@ -1,4 +1,4 @@
-"""`vitac submit`: uploads a model or a log to a service."""
+"""`vitac submit`: uploads a model, an image or a log to a service."""
 
 import sys
 import tempfile
@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 from vitac.evaluator.submission_kinds import SubmissionKind, kind_of_file
 
+from ..evaluate import Image
 from ..terminal.output import AsJson, Server, TokenFile, existing, note_ignored_folders, print_json
 from .http import Client, Json, make_client
 from .pieces import pack
@@ -21,7 +22,8 @@ CHECKING = "the service checks it"
 
 def command(
     submission: Annotated[
-        Path, typer.Argument(callback=existing, help="Folder or zip of a model, FILE.jsonl or FILE.log (.gz).")
+        Path,
+        typer.Argument(callback=existing, help="Folder or zip of a model, FILE.tar, .jsonl or .log (.gz)."),
     ],
     track: Annotated[
         str | None, typer.Option(help="Track to submit to; by default the one named in the submission.")
@@ -33,8 +35,9 @@ def command(
     token_file: TokenFile = None,
     kind: Annotated[
         SubmissionKind | None,
-        typer.Option(help="Kind of submission; by default from the name: .jsonl log, .log 2025 text log."),
+        typer.Option(help="Kind of submission; by default from the name: .tar image, .jsonl log, .log 2025 text log."),
     ] = None,
+    image: Image = False,
     team: Annotated[str | None, typer.Option(help="For organizers: the team that submits.")] = None,
     again: Annotated[bool, typer.Option("--again", help="Run all episodes, including stored ones.")] = False,
     watch: Annotated[bool, typer.Option("--watch", help="Wait for the evaluation and show its progress.")] = False,
@@ -48,7 +51,7 @@ def command(
     Exit code 0: accepted (with --watch: completed), 1: refused, 2: wrong usage.
     """
     client = make_client(server, token_file)
-    kind = kind or find_kind(submission)
+    kind = kind or (SubmissionKind.IMAGE if image else find_kind(submission))
     track = track or _find_track(submission, kind)
     note_ignored_folders(submission)
     known: list[bool] = []

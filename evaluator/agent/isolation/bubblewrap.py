@@ -177,21 +177,11 @@ def command(
         files = [*_system_files(descriptors.passwd), *_writable_folders(limits), *_python_files(interpreter)]
     else:
         files = [*_files_in_memory(system, descriptors.passwd), *_writable_folders(limits)]
-    inside = INSIDE_SUBMISSION if image is None else INSIDE_IMAGE
+    inside = inside_folder(image)
     files += ["--ro-bind", str(submission.resolve()), inside, "--chdir", inside]
-    run = partial(
-        runtime_command,
-        limits,
-        channel=descriptors.channel,
-        status=descriptors.status,
-        program=interpreter.executable,
-        packages=interpreter.packages,
-    )
-    if image is None:
-        drop, runtime = _drop_privileges(uid), run()
-    else:  # its own runtime gives up the rights, once it has entered the image
-        files += _writable_folders(limits, INSIDE_IMAGE)
-        drop, runtime = [], run(runtime=INSIDE_IMAGE_RUNTIME, submission=_image_order(image, uid))
+    if image is not None:
+        files += _writable_folders(limits, inside)
+    own_uid = uid if current_user_isolation() is UserIsolation.ROOT else None
     return [
         str(program),
         *_privileges(uid, *(() if image is None else ("CAP_SYS_CHROOT",))),
@@ -201,15 +191,58 @@ def command(
         *("--remount-ro", "/"),
         *_environment(interpreter),
         "--",
-        *drop,
+        *([] if image is not None else _drop_privileges(uid)),  # of an image the runtime does so, once it is inside
         *_process_limits(limits),
-        *runtime,
+        *inside_command(
+            interpreter,
+            limits,
+            channel=descriptors.channel,
+            status=descriptors.status,
+            image=image,
+            own_uid=own_uid,
+        ),
     ]
 
 
-def _image_order(image: ImageProgram, uid: int) -> str:
+def inside_folder(image: ImageProgram | None) -> str:
+    """Return where the policy's own files lie in a sandbox."""
+    return INSIDE_SUBMISSION if image is None else INSIDE_IMAGE
+
+
+def inside_command(
+    interpreter: Interpreter,
+    limits: Limits,
+    *,
+    channel: int,
+    status: int,
+    image: ImageProgram | None,
+    own_uid: int | None,
+) -> list[str]:
+    """Return the command line of what runs inside: the runtime of policies, or that of images.
+
+    Args:
+        interpreter: Python and its packages.
+        limits: what the policy may use.
+        channel: descriptor of the channel.
+        status: descriptor that reports are written to.
+        image: what is run in place of a policy's class.
+        own_uid: user that an image's program becomes; None: it is that already.
+    """
+    run = partial(
+        runtime_command,
+        limits,
+        channel=channel,
+        status=status,
+        program=interpreter.executable,
+        packages=interpreter.packages,
+    )
+    if image is None:
+        return run()
+    return run(runtime=INSIDE_IMAGE_RUNTIME, submission=_image_order(image, own_uid))
+
+
+def _image_order(image: ImageProgram, own_uid: int | None) -> str:
     """Return what the runtime of images is to do, as JSON."""
-    own_uid = uid if current_user_isolation() is UserIsolation.ROOT else None
     variables = {**ENVIRONMENT, **image.variables, **_OWN_FOLDERS, CHANNEL_VARIABLE: str(CHANNEL)}
     order = {"root": INSIDE_IMAGE, "uid": own_uid, "arguments": image.arguments, "variables": variables}
     return json.dumps({**order, "folder": image.folder, "channel": CHANNEL})

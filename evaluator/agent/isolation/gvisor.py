@@ -16,6 +16,7 @@ from ...isolation_kinds import IsolationKind
 from ..limits import Limits
 from ..verdicts import SandboxFailed
 from . import bubblewrap
+from .image_program import ImageProgram
 from .packages import Interpreter
 
 PROGRAM_VARIABLE: Final = "VITAC_RUNSC"
@@ -27,7 +28,7 @@ _TAKE_DESCRIPTORS: Final = f'exec {_CHANNEL}<&0 {_STATUS}>&2 </dev/null 2>&1; ex
 """gVisor passes on the three standard streams only: channel, output and status come in as those."""
 _REFUSED: Final = ("statfs", "fstatfs")
 """What gVisor asks the machine: how full the memory is that sandboxes share."""
-_FOLDERS: Final = ("usr", "opt", "etc", "tmp", "dev", "proc", "sys", bubblewrap.INSIDE_SUBMISSION.lstrip("/"))
+_FOLDERS: Final = ("usr", "opt", "etc", "tmp", "dev", "proc", "sys", "submission", "image")
 
 
 def find_program() -> Path:
@@ -47,7 +48,14 @@ def find_program() -> Path:
 
 
 def command(
-    bundle: Path, *, submission: Path, interpreter: Interpreter, limits: Limits, uid: int, system: Path
+    bundle: Path,
+    *,
+    submission: Path,
+    interpreter: Interpreter,
+    limits: Limits,
+    uid: int,
+    system: Path,
+    image: ImageProgram | None = None,
 ) -> list[str]:
     """Return the whole command line, and write what it reads into a folder.
 
@@ -55,11 +63,12 @@ def command(
 
     Args:
         bundle: empty folder, which stays for as long as the sandbox runs.
-        submission: folder of the policy.
+        submission: folder of the policy, or of an image's files.
         interpreter: Python and its packages.
         limits: what the policy may use.
         uid: inside.
         system: folder in memory with all files of system, Python and packages.
+        image: what is run in place of a policy's class.
     """
     root = bundle / "root"
     for name in _FOLDERS:
@@ -67,16 +76,18 @@ def command(
     (root / "etc/passwd").write_bytes(bubblewrap.passwd_file(uid))
     if (system / "etc/ld.so.cache").exists():
         shutil.copy(system / "etc/ld.so.cache", root / "etc")
-    binds = {"/usr": system / "usr", "/opt": system / "opt", bubblewrap.INSIDE_SUBMISSION: submission}
+    inside = bubblewrap.inside_folder(image)
+    binds = {"/usr": system / "usr", "/opt": system / "opt", inside: submission}
     for folder in map(Path, bubblewrap.TOP_FOLDERS):
         if folder.is_symlink():
             (root / folder.name).symlink_to(folder.readlink())
         elif (system / folder.name).exists():
             (root / folder.name).mkdir(mode=0o755)
             binds[str(folder)] = system / folder.name
-    runtime = bubblewrap.runtime_command(
-        limits, channel=_CHANNEL, status=_STATUS, program=interpreter.executable, packages=interpreter.packages
-    )
+    runtime = bubblewrap.inside_command(interpreter, limits, channel=_CHANNEL, status=_STATUS, image=image, own_uid=uid)
+    # The runtime of images gives up these and the user; gVisor leaves none to a user who is not root.
+    rights = [] if image is None else ["CAP_SYS_CHROOT", "CAP_SETUID", "CAP_SETGID"]
+    first_uid = uid if image is None else 0
     variables = bubblewrap.environment(interpreter)
     specification = {
         "ociVersion": "1.0.0",
@@ -84,17 +95,17 @@ def command(
         "root": {"path": str(root), "readonly": True},
         "process": {
             "args": ["/bin/sh", "-c", _TAKE_DESCRIPTORS, "sh", *runtime],
-            "cwd": bubblewrap.INSIDE_SUBMISSION,
+            "cwd": inside,
+            "capabilities": dict.fromkeys(("bounding", "effective", "permitted"), rights),
             "env": [f"{name}={value}" for name, value in variables.items()],
-            "user": {"uid": uid, "gid": uid},
+            "user": {"uid": first_uid, "gid": first_uid},
             "noNewPrivileges": True,
             "rlimits": list(_limits(limits)),
         },
         "mounts": [
             *({"destination": inside, "type": "bind", "source": str(outside), "options": ["ro", "rbind"]}
               for inside, outside in binds.items()),
-            _memory("/tmp", limits.tmp_bytes),  # noqa: S108 - the sandbox's own
-            _memory("/dev/shm", limits.shm_bytes),  # noqa: S108
+            *_writable_folders(limits, "" if image is None else inside),
         ],
         "linux": {
             "namespaces": [{"type": name} for name in ("pid", "network", "ipc", "uts", "mount")],
@@ -129,6 +140,13 @@ def _limits(limits: Limits) -> Iterator[dict[str, object]]:
         "RLIMIT_MEMLOCK": 0,
     }
     return ({"type": name, "soft": value, "hard": value} for name, value in values.items())
+
+
+def _writable_folders(limits: Limits, root: str) -> Iterator[dict[str, object]]:
+    if root:
+        yield {"destination": f"{root}/dev", "type": "devtmpfs", "source": "devtmpfs"}
+    yield _memory(f"{root}/tmp", limits.tmp_bytes)  # noqa: S108 - the sandbox's own
+    yield _memory(f"{root}/dev/shm", limits.shm_bytes)  # noqa: S108
 
 
 def _memory(folder: str, size_bytes: int) -> dict[str, object]:

@@ -195,11 +195,8 @@ class Sandbox:
 
     def _start(self) -> None:
         self._check_readable()
-        if self._image is not None and self._kind is not IsolationKind.NAMESPACES:
-            raise SandboxFailed(
-                f"Isolation {self._kind} plays no container images, expected {IsolationKind.NAMESPACES}; see "
-                "`vitac doctor` for what a machine lacks."
-            )
+        if self._image is not None and self._kind is IsolationKind.NONE:
+            raise SandboxFailed("A container image plays in a sandbox only; `vitac doctor` says what is missing here.")
         extra = gvisor.EXTRA_PROCESSES if self._kind is IsolationKind.VM else 0
         self._group = None
         if self._kind is not IsolationKind.NONE:
@@ -265,6 +262,7 @@ class Sandbox:
             limits=self.limits,
             uid=bubblewrap.choose_uid(),
             system=system,
+            image=self._image,
         )
         self._process = _spawn(self._with_submission(self._in_group(command), system), channel, output, status, ())
         return lambda: self._process.pid

@@ -1,6 +1,7 @@
 """Container images play in the sandbox: of a Python of their own, and of a program in C."""
 
 import json
+import os
 import shutil
 import subprocess
 from collections.abc import Mapping
@@ -24,6 +25,7 @@ from submissions import submission_folder
 from vitac.cli.main import main
 from vitac.evaluator.agent.session import PolicySession
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
+from vitac.evaluator.isolation_kinds import IsolationKind
 from vitac.evaluator.submission.image import load_program, unpack_image
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -95,6 +97,13 @@ def refused(call, *arguments):
         return error.strerror
     return "allowed"
 
+def open_disk():
+    os.mknod("/tmp/disk", 0o60600, 2048)
+    try:
+        open("/tmp/disk", "rb").close()
+    finally:
+        os.unlink("/tmp/disk")
+
 class Policy:
     def act(self, observation):
         libc = ctypes.CDLL(None, use_errno=True)
@@ -102,7 +111,7 @@ class Policy:
             "top": sorted(os.listdir("/")), "left": os.listdir("/tmp") + os.listdir("/dev/shm"), "pid": os.getpid(),
             "ours": os.path.exists("/opt/vitac"), "image": os.path.exists("/image"), "uid": os.getuid() == 0,
             "chroot": refused(os.chroot, "/tmp"), "write": refused(open, "/app/new", "w"),
-            "mknod": refused(os.mknod, "/tmp/disk", 0o60600, 2048), "setuid": refused(os.setuid, 0),
+            "disk": refused(open_disk), "setuid": refused(os.setuid, 0),
             "proc": os.listdir("/proc"), "fds": [fd for fd in range(64) if refused(os.fstat, fd) == "allowed"],
             "unshare": libc.unshare(0x10000000),
             "said": subprocess.check_output([sys.executable, "-c", "print(1+1)"]).decode(),
@@ -115,10 +124,15 @@ serve(Policy())
 """
 
 
-def test_an_image_sees_nothing_but_its_own_files_and_each_episode_begins_anew(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", [IsolationKind.NAMESPACES, pytest.param(IsolationKind.VM, marks=pytest.mark.slow)])
+def test_an_image_sees_nothing_but_its_own_files_and_each_episode_begins_anew(
+    tmp_path: Path, kind: IsolationKind
+) -> None:
+    if kind is IsolationKind.VM and (shutil.which("runsc") is None or os.geteuid() != 0):
+        pytest.skip("isolation vm needs gVisor (runsc) and a control group")
     folder = unpack_image(python_image(tmp_path, PROBE), tmp_path / "unpacked")
     outputs = []
-    with PolicySession(folder, image=load_program(folder)) as session:
+    with PolicySession(folder, image=load_program(folder), kind=kind) as session:
         for _ in range(2):
             with session.episode(task="probe", action_shape=(1,)) as policy:
                 policy.act({"value": np.zeros(1, np.float32)})
@@ -130,8 +144,8 @@ def test_an_image_sees_nothing_but_its_own_files_and_each_episode_begins_anew(tm
     assert (found["left"], found["ours"], found["image"], found["uid"], found["proc"]) == ([], False, False, False, [])
     assert found["fds"] == [0, 1, 2, 3]
     assert (found["chroot"], found["setuid"]) == ("Operation not permitted", "Operation not permitted")
-    assert found["mknod"] != "allowed"
-    assert found["write"] == "Read-only file system"
+    assert found["disk"] != "allowed"
+    assert found["write"] in {"Read-only file system", "Permission denied"}
     assert (found["unshare"], found["said"]) == (-1, "2\n")
 
 
