@@ -62,6 +62,7 @@ NOUNS = (
     Noun(name="question", module="client.team", app="question", summary="Ask the organizers, and read their answers."),
     Noun(name="appeal", module="client.team", app="appeal", summary="Appeal against an evaluation of your team."),
     Noun(name="submit", module="client.submit", summary="Upload a submission to a service."),
+    Noun(name="remote", module="client.remote", summary="Play at a service with a policy server of your own."),
     Noun(name="status", module="client.status", summary="Show your submissions on a service."),
     Noun(name="publish", module="client.publish", app="publish", summary="Make a submission's result public."),
     Noun(name="choose", module="client.publish", app="choose", summary="Choose what plays the final list of a stage."),
@@ -85,6 +86,12 @@ NOUNS = (
     ),
     Noun(name="serve", module="service.serve", summary="Run the service: database, API and pages.", extra=_SERVER),
     Noun(name="worker", module="service.worker", summary="Run a worker that evaluates submissions.", extra="worker"),
+    Noun(
+        name="gate",
+        module="service.gate",
+        summary="Let policy servers dial in that the service cannot dial.",
+        extra=_SERVER,
+    ),
     Noun(
         name="scale",
         module="service.scale",

@@ -133,6 +133,12 @@ class Settings(BaseSettings):
         "(ws://policy.example.org:8000), with commas; none by default.",
     )
 
+    remote_gate: str = Field(
+        default="",
+        description="Inner address of `vitac gate`, such as ws://127.0.0.1:8101, where server and workers ask policies "
+        "that dial in; none by default.",
+    )
+
     trusted_proxies: str = Field(
         default="",
         description="Addresses or networks (10.0.0.0/8) of the reverse proxies, with commas; X-Forwarded-For counts "

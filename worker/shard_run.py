@@ -270,7 +270,8 @@ class ShardRun(LeasedRun[RunningShard]):
         """
         if not self._lease.submission_kind.form.is_remote:
             return None
-        return require_allowed(load_manifest(path).server(), self._services.settings)
+        team: str = self._database(lambda session: session.get_one(Submission, self._lease.submission_id).team.name)
+        return require_allowed(load_manifest(path).server(), self._services.settings, team)
 
     def _find_rules(self, session: Session) -> StageRules:
         return find_stage(session, session.get_one(Submission, self._lease.submission_id)).rules

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,8 @@ from pydantic import BeforeValidator, Field
 
 from ..strict_model import StrictModel
 
+DIALS_IN: Final = "connect"
+"""In place of an address: the policy dials the service."""
 _Length = Annotated[int, Field(ge=1, le=1024)]
 
 
@@ -61,7 +63,11 @@ class RemoteServer(StrictModel):
         Field(min_length=1, max_length=64, description="What is sent, by the server's name for it; all by default."),
     ] = None
     address: Annotated[
-        str | None, Field(max_length=300, description="Where a service asks it, such as ws://policy.example.org:8000.")
+        str | None,
+        Field(
+            max_length=300,
+            description="Where a service asks it, such as ws://policy.example.org:8000; connect: it dials in.",
+        ),
     ] = None
     prompt: Annotated[str, Field(max_length=500, description="The task in words; the task's name by default.")] = ""
     execute: Annotated[

@@ -15,8 +15,9 @@ from typing import Final
 from vitac.evaluator.agent.verdicts import EpisodeCut, PolicyFailed
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.remote.connection_test import test_connection
-from vitac.evaluator.remote.description import RemoteServer
+from vitac.evaluator.remote.description import DIALS_IN, RemoteServer
 from vitac.evaluator.remote.line import AddressInvalid
+from vitac.evaluator.remote.relay import inner_address
 from vitac.evaluator.sensors.manifest import SensorRejected
 from vitac.evaluator.sensors.package import design_document
 from vitac.evaluator.submission.archive import unpack
@@ -71,12 +72,12 @@ _UNPACKED_NAME = "unpacked"
 _DOCUMENT_NAME = "design-document"
 
 
-def check_model(received: ReceivedFile, owner: str, settings: Settings) -> CheckedUpload:  # noqa: ARG001 - as all checks
+def check_model(received: ReceivedFile, owner: str, settings: Settings) -> CheckedUpload:
     """Unpack an archive beside itself and read its manifest; nothing of it is imported.
 
     Args:
         received: the body.
-        owner: the team whose submission it becomes, which a model does not name.
+        owner: the team whose submission it becomes, and whose policy may dial in.
         settings: limits on archives.
 
     Raises:
@@ -93,7 +94,7 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
     except ManifestRejected as error:
         raise ServiceError(ProblemCode.MANIFEST_REJECTED, str(error)) from error
     if manifest.remote is not None:
-        _ask_policy_server(manifest.remote, [track.tasks[task] for task in manifest.tasks], settings)
+        _ask_policy_server(manifest.remote, [track.tasks[task] for task in manifest.tasks], settings, owner)
     return CheckedUpload(
         kind=SubmissionKind.MODEL if manifest.remote is None else SubmissionKind.REMOTE,
         track=manifest.track,
@@ -142,12 +143,20 @@ def check_image(received: ReceivedFile, owner: str, settings: Settings) -> Check
     )
 
 
-def require_allowed(server: RemoteServer, settings: Settings) -> str:
-    """Return the address of a policy server that the service may ask.
+def require_allowed(server: RemoteServer, settings: Settings, team: str) -> str:
+    """Return the address at which the service may ask a team's policy server.
 
     Raises:
         ServiceError: it has none, or another one.
     """
+    if server.address == DIALS_IN:
+        if not settings.remote_gate:
+            raise ServiceError(
+                ProblemCode.MANIFEST_REJECTED,
+                "submission.yaml has a policy server dial in (`address: connect`), but this service has no gate. Play "
+                "with `vitac evaluate --remote ADDRESS --log run.jsonl` and submit the log, or ask the organizers.",
+            )
+        return inner_address(settings.remote_gate, team)
     if server.address is None or server.address not in settings.allowed_remote_addresses:
         raise ServiceError(
             ProblemCode.MANIFEST_REJECTED,
@@ -158,13 +167,13 @@ def require_allowed(server: RemoteServer, settings: Settings) -> str:
     return server.address
 
 
-def _ask_policy_server(server: RemoteServer, tasks: Sequence[Task], settings: Settings) -> None:
+def _ask_policy_server(server: RemoteServer, tasks: Sequence[Task], settings: Settings, team: str) -> None:
     """Refuse a policy server that does not answer a blank observation of each task.
 
     Raises:
         ServiceError: it is not allowed, or its answer would fail an episode.
     """
-    address = require_allowed(server, settings)
+    address = require_allowed(server, settings, team)
     limits = replace(settings.limits, start_wall_s=CONNECTION_TEST_S)
     try:
         test_connection(address, server, tasks, limits)

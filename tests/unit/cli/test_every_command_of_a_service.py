@@ -13,6 +13,7 @@ import httpx
 import pytest
 import typer
 from cli_service import CliService, evaluated_submission, submission_folder
+from gates import gate
 from sqlalchemy import select
 from vitac.cli.client.http import Client
 from vitac.cli.main import NOUNS, build_app
@@ -104,6 +105,7 @@ def tell(story: Story, folder: Path) -> None:
         submitted = json.loads(story.run("submit", str(submission_folder(folder / "mine")), "--watch", "--json"))
         story.run("submit", str(folder / "mine"))
         story.run("status", submitted["id"], "--watch")
+    tell_of_a_policy_that_dials_in(story, folder)
     first = submitted["id"]
     tell_of_receipts(story, first, folder / "witness")
     second = str(evaluated_submission(service)[1])
@@ -126,6 +128,13 @@ def tell(story: Story, folder: Path) -> None:
     story.run("logout")
     story.run("register", "Newcomers", token=None)
     assert set(commands_of_a_service()) | BESIDE == story.told
+
+
+def tell_of_a_policy_that_dials_in(story: Story, folder: Path) -> None:
+    manifest = "track: track_1\ntasks: [peg-insertion]\nname: far\nremote: {protocol: openpi, address: connect}\n"
+    arguments = (str(submission_folder(folder / "far", manifest)), "--remote", "ws://127.0.0.1:1")
+    with gate(find=lambda _: "Team A") as (policies, _):
+        assert "no gate" in story.be_refused("remote connect", *arguments, "--gate", policies)
 
 
 def tell_of_receipts(story: Story, submission: str, folder: Path) -> None:

@@ -1,16 +1,20 @@
 """A policy server that plays for a submission: asked when that arrives, ranked apart from models and logs."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from gates import gate
 from policy_servers import ACTION, Handler, openpi, packed, serving
 from service_client import Service, make_archive, problem_of, running_service
 from service_factories import TASK, TRACK, claim, play_all, shard_ids
+from vitac.cli.client.remote import connected
 from vitac.server.database.engine import Database
 from vitac.server.database.models import Submission
+from vitac.server.operations.remote_gate import find_team
 from vitac.worker.shard_run import ShardRun
 from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShards
@@ -83,6 +87,19 @@ def _order(service: Service, identity: str, number: int, **changes: Any) -> list
     finally:
         stage.close()
     return [started.order.remote for started in shards.started]
+
+
+def test_policy_that_dials_in_is_tried_at_the_upload_and_asked_through_the_gate(
+    database: Database, tmp_path: Path
+) -> None:
+    find = partial(find_team, database)
+    with gate(find=find) as (policies, players), running_service(database, tmp_path, remote_gate=players) as service:
+        with serving(HONEST) as server, connected(policies, service.token, server, lines=1):
+            answer = service.upload(archive("connect"))
+            assert answer.status_code == 202, answer.text
+        assert _order(service, answer.json()["id"], 0) == [f"{players}/play/Team%20A"]
+        other = service.services.settings.model_copy(update={"remote_gate": ""})
+        assert _order(service, answer.json()["id"], 1, settings=other) == []
 
 
 def test_remote_play_has_a_board_of_its_own_that_says_what_it_is_worth(database: Database, tmp_path: Path) -> None:

@@ -1,0 +1,50 @@
+"""`vitac remote connect` at a gate and a service; tests/unit/server/operations/test_remote_gate.py has the lines."""
+
+from functools import partial
+from pathlib import Path
+
+import pytest
+from cli_service import cli_service, submission_folder
+from gates import gate
+from policy_servers import ACTION, openpi, packed, serving
+from vitac.cli.client.remote import GateRefused, gate_address
+from vitac.server.operations.remote_gate import find_team
+
+MANIFEST = """track: track_1
+tasks: [peg-insertion]
+name: dials in
+remote: {protocol: openpi, address: connect}
+"""
+
+
+def test_connects_submits_and_prints_the_result(tmp_path: Path) -> None:
+    asked: list[str] = []
+
+    def lookup(secret: str) -> str:
+        asked.append(secret)
+        return find(secret)
+
+    folder = submission_folder(tmp_path / "mine", MANIFEST)
+    with (
+        gate(find=lookup) as (policies, players),
+        serving(openpi(lambda _: packed({"actions": ACTION}))) as server,
+        cli_service(tmp_path / "state", remote_gate=players) as service,
+        service.playing(),
+    ):
+        find = partial(find_team, service.database)
+        done = service.run("remote", "connect", str(folder), "--remote", server, "--gate", policies)
+        assert done.exit_code == 0, done.output
+        assert "result hash" in done.stdout
+        assert asked[0] == service.environment["VITAC_TOKEN"]
+        refused = service.run_with_input(
+            "", "remote", "connect", str(folder), "--remote", server, "--gate", policies, token="vitac_" + "x" * 43
+        )
+        assert isinstance(refused.exception, GateRefused)
+
+
+@pytest.mark.parametrize(
+    ("server", "expected"),
+    [("https://arena.example.org", "wss://arena.example.org/remote"), ("http://h:8000", "ws://h:8000/remote")],
+)
+def test_gate_is_below_the_address_of_the_service(server: str, expected: str) -> None:
+    assert gate_address(server) == expected
