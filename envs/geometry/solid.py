@@ -21,13 +21,33 @@ def as_polygon(corners: list[tuple[float, float]]) -> Polygon:
 
 def mitred_offset(polygon: Polygon, distance: float) -> Polygon:
     """Return the counter-clockwise polygon with every edge moved out by `distance`, its ends to the mitre joints."""
-    edges = np.roll(polygon, -1, axis=0) - polygon
-    lengths = np.sqrt(edges[:, 0] * edges[:, 0] + edges[:, 1] * edges[:, 1])
-    normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / lengths[:, None]
-    before = np.roll(normals, 1, axis=0)
+    before, normals = _edge_normals(polygon)
     # The corner moves along the bisector n1 + n2, by d / (1 + n1.n2) so that both edges move by d.
     stretch = distance / (1.0 + (before * normals).sum(axis=1))
     return np.asarray(polygon + stretch[:, None] * (before + normals))
+
+
+def offset_edges(polygon: Polygon, distances: NDArray[np.float64]) -> Polygon:
+    """Return the counter-clockwise polygon with every edge moved out by a distance of its own.
+
+    Args:
+        polygon: corners, shape [n, 2]; no two neighbouring edges are parallel.
+        distances: of the edge that begins at each corner, shape [n].
+    """
+    before, normals = _edge_normals(polygon)
+    cosine = (before * normals).sum(axis=1)
+    first, second = np.roll(distances, 1), distances
+    # The corner moves by a n1 + b n2, which is d1 along n1 and d2 along n2.
+    a, b = ((one - other * cosine) / (1.0 - cosine * cosine) for one, other in ((first, second), (second, first)))
+    return np.asarray(polygon + a[:, None] * before + b[:, None] * normals)
+
+
+def _edge_normals(polygon: Polygon) -> tuple[Polygon, Polygon]:
+    """Return the outward normals of the edges that end and that begin at each corner, shapes [n, 2]."""
+    edges = np.roll(polygon, -1, axis=0) - polygon
+    lengths = np.sqrt(edges[:, 0] * edges[:, 0] + edges[:, 1] * edges[:, 1])
+    normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / lengths[:, None]
+    return np.roll(normals, 1, axis=0), normals
 
 
 def orientation(a: Point, b: Point, c: Point) -> float:

@@ -51,11 +51,12 @@ def find_package(env_id: str) -> str | None:
 
 
 def _own_tasks() -> Iterator[TaskDefinition]:
-    """Yield the task of each folder beside this module that has a definition."""
+    """Yield the task, or the tasks, of each folder beside this module that has a definition."""
     for folder in iter_modules([str(Path(__file__).parent)]):
         place = f"{__package__}.{folder.name}.definition"
         if folder.ispkg and find_spec(place):
-            yield import_module(place).TASK
+            definition = import_module(place)
+            yield from definition.TASKS if hasattr(definition, "TASKS") else (definition.TASK,)
 
 
 def _loaded(point: EntryPoint) -> TaskDefinition:

@@ -308,10 +308,9 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         reward = self._reward(flags, self._error_before - error_now)
         self._error_before = error_now
         end_reason = self._end_reason(flags)
-        succeeded = end_reason is EndReason.SUCCESS
-        truncated = not self.scene.solved or flags.failure is not None
-        info = self._completed(replace(flags, is_success=succeeded), end_reason)
-        return self._observation(), reward, succeeded, truncated, info
+        terminated, truncated = self._ending(flags, end_reason)
+        info = self._completed(replace(flags, is_success=end_reason is EndReason.SUCCESS), end_reason)
+        return self._observation(), reward, terminated, truncated, info
 
     def snapshot(self) -> EpisodeSnapshot:
         """Return the state of the running episode, so that `restore` can continue from here, to the same bits.
@@ -411,6 +410,10 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         scene = self.task_scene
         assert self._episode_random is not None  # noqa: S101 - set by reset, as the scene is
         return np.asarray(entry.read(scene, self._episode_random)).astype(entry.dtype)
+
+    def _ending(self, flags: Flags, end_reason: EndReason | None) -> tuple[bool, bool]:
+        """Return whether an env step has terminated the episode, and whether it has truncated it."""
+        return end_reason is EndReason.SUCCESS, not self.scene.solved or flags.failure is not None
 
     def _limited(self, flags: Flags) -> Flags:
         """Return the flags of an env step with that of the force limit, where there is one: beyond it is no success."""

@@ -21,7 +21,7 @@ from vitac.envs.tasks.task_env import ActionError
 from vitac.evaluator.tracks.definition import environment_definition
 
 ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
-EVERY_TASKS_KEYS = {"marker_flow", "relative_motion"}
+EVERY_TASKS_KEYS = {"marker_flow"}
 
 
 @pytest.fixture(params=ENV_IDS)

@@ -62,6 +62,12 @@ PICTURES: Mapping[str, Sequence[Picture]] = {
         _sensor("sensor-standard", "left"),
         _sensor("sensor-standard", "right"),
     ),
+    "peg-insertion-2024": (_scene("peg-insertion-2024", _PEG),),
+    "lock-opening-2024": (
+        _scene(
+            "lock-opening-2024", "A gripper whose two gels hold a key, which they have pushed into a lock, cut open"
+        ),
+    ),
 }
 """Stills as `envs/playback_files/still.py` draws them, and panels of the player, saved from its page.
 

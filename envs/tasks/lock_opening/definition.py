@@ -168,9 +168,22 @@ class LockState:
     entrance_m: FloatArray
     surface_diff_m: FloatArray
 
+    @property
+    def is_inside(self) -> bool:
+        """Whether both teeth are behind the lock's entrance."""
+        entrance_x_m = mean_corner(self.entrance_m)[0]
+        return all(tooth[:, 0].max() < entrance_x_m for tooth in (self.rear_tooth_m, self.front_tooth_m))
 
-def judge_flags(state: LockState, *, max_steps: int) -> Flags:
-    """Return the flags of an env step.
+    @property
+    def teeth_and_slots(self) -> tuple[tuple[FloatArray, FloatArray], ...]:
+        """Both teeth, each with its slot."""
+        return (self.rear_tooth_m, self.rear_slot_m), (self.front_tooth_m, self.front_slot_m)
+
+
+def judge_flags(
+    state: LockState, *, max_steps: int, success_z_range_m: tuple[float, float] = SUCCESS_Z_RANGE_M
+) -> Flags:
+    """Return the flags of an env step; success with all top corners of the teeth within a range of height [m].
 
     Success means that both teeth stand in absolute windows, not that each is aligned with its slot (as published); it
     asks for no flag. No angle is tested.
@@ -180,17 +193,17 @@ def judge_flags(state: LockState, *, max_steps: int) -> Flags:
         tactile_movement_too_large=surface_moved_too_far(state.surface_diff_m),
         error_too_large=any(_out_of_range(tooth) for tooth in teeth),
         too_many_steps=state.env_steps >= max_steps,
-        is_success=all(_lifted(tooth, entrance_x_m=_mean(state.entrance_m)[0]) for tooth in teeth),
+        is_success=all(
+            _lifted(tooth, entrance_x_m=mean_corner(state.entrance_m)[0], z_range_m=success_z_range_m)
+            for tooth in teeth
+        ),
     )
 
 
 def alignment_error(state: LockState) -> float:
     """Return the error e of the reward: 500 per metre of distance of both teeth from where they should be."""
-    entrance_x_m = _mean(state.entrance_m)[0]
-    inside = all(tooth[:, 0].max() < entrance_x_m for tooth in (state.rear_tooth_m, state.front_tooth_m))
-    goal_z_m = LIFTED_Z_M if inside else CEILING_Z_M
-    pairs = ((state.rear_tooth_m, state.rear_slot_m), (state.front_tooth_m, state.front_slot_m))
-    return _ERROR_PER_M * sum(_distance_m(tooth, slot, goal_z_m) for tooth, slot in pairs)
+    goal_z_m = LIFTED_Z_M if state.is_inside else CEILING_Z_M
+    return _ERROR_PER_M * sum(_distance_m(tooth, slot, goal_z_m) for tooth, slot in state.teeth_and_slots)
 
 
 def reward(
@@ -213,24 +226,25 @@ def reward(
 
 
 def _out_of_range(tooth_m: FloatArray) -> bool:
-    x, y, z = _mean(tooth_m)
+    x, y, z = mean_corner(tooth_m)
     low, high = Z_RANGE_M
     return abs(y) > LARGEST_Y_M or z > high or z < low or x > LARGEST_X_M
 
 
-def _lifted(tooth_m: FloatArray, *, entrance_x_m: float) -> bool:
+def _lifted(tooth_m: FloatArray, *, entrance_x_m: float, z_range_m: tuple[float, float]) -> bool:
     x, z = tooth_m[:, 0], tooth_m[:, 2]
-    low, high = SUCCESS_Z_RANGE_M
-    inside = x.max() < entrance_x_m and x.min() > 0.0 and abs(_mean(tooth_m)[1]) < SUCCESS_Y_M
+    low, high = z_range_m
+    inside = x.max() < entrance_x_m and x.min() > 0.0 and abs(mean_corner(tooth_m)[1]) < SUCCESS_Y_M
     return bool(inside and z.min() > low and z.max() < high)
 
 
 def _distance_m(tooth_m: FloatArray, slot_m: FloatArray, goal_z_m: float) -> float:
-    x, y, z = _mean(tooth_m)
-    return abs(x - _mean(slot_m)[0]) + abs(goal_z_m - z) + abs(y)
+    x, y, z = mean_corner(tooth_m)
+    return abs(x - mean_corner(slot_m)[0]) + abs(goal_z_m - z) + abs(y)
 
 
-def _mean(points_m: FloatArray) -> tuple[float, float, float]:
+def mean_corner(points_m: FloatArray) -> tuple[float, float, float]:
+    """Return the middle of four corners [m]."""
     x, y, z = (points_m[0] + points_m[1] + points_m[2] + points_m[3]).tolist()
     return x / 4.0, y / 4.0, z / 4.0
 
@@ -245,7 +259,8 @@ def _position(info: InfoView) -> str:
     return f"rear tooth from its slot x {signed(x_mm)} mm, z {signed(z_mm)} mm"
 
 
-def _heights_mm(info: InfoView) -> FloatArray:
+def heights_mm(info: InfoView) -> FloatArray:
+    """Return the heights of the top corners of both teeth above the ceiling [mm], shape [8]."""
     teeth = np.concatenate([info["key1_pts_m"], info["key2_pts_m"]])
     return np.asarray(1e3 * (teeth[:, 2] - CEILING_Z_M))
 
@@ -266,7 +281,7 @@ PERSPECTIVE = Perspective(
     ),
     progress=ProgressPlot(
         title="teeth above ceiling [mm]",
-        heights_mm=_heights_mm,
+        heights_mm=heights_mm,
         goal_mm=1e3 * (SUCCESS_Z_RANGE_M[0] - CEILING_Z_M),
         goal_is_below=False,
     ),

@@ -1,6 +1,6 @@
 """`ViTac/LockOpening-v1`: align a key in its lock and lift it, holding it between two tactile sensors."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, TypedDict
 
 import numpy as np
@@ -35,38 +35,63 @@ LARGEST_Z_MM = 0.8
 LARGEST_JITTER_MM = 4.0
 
 
+def read_offset(env_id: str, value: Any) -> KeyOffset:
+    """Return the offset that the option gives, if the key is clear of its lock there.
+
+    Raises:
+        ResetOptionsError: it is not.
+    """
+    low, high = X_RANGE_MM
+    expected = (
+        f"expected (x, y, z) in mm with {low:g} <= x <= {high:g}, |y| <= {LARGEST_Y_MM:g}, |z| <= {LARGEST_Z_MM:g}"
+    )
+    x_mm, y_mm, z_mm = numbers(env_id, OFFSET, value, 3, expected)
+    if not (low <= x_mm <= high and abs(y_mm) <= LARGEST_Y_MM and abs(z_mm) <= LARGEST_Z_MM):
+        raise refusal(env_id, OFFSET, value, expected)
+    return KeyOffset(x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
+
+
 def choose_start(
     options: dict[str, Any],
     random: np.random.Generator,
     *,
+    env_id: str = ENV_ID,
     shapes: Sequence[KeyShape] = tuple(KeyShape),
     x_mm: float,
     jitter_mm: float,
+    jitter_z_mm: float | None = None,
+    read_offset: Callable[[str, Any], KeyOffset] = read_offset,
 ) -> LockStart:
     """Return the start given by the options; what they leave open is drawn: key, x, then size and sign of each jitter.
 
     Args:
         options: may hold `shape`, `offset_mm` and `sensor_jitter_mm`.
         random: the episode's generator.
+        env_id: for messages.
         shapes: that may be drawn.
         x_mm: a drawn offset has x from 0 to this, y = z = 0.
         jitter_mm: largest drawn jitter either way.
+        jitter_z_mm: the same in height, where it is another one.
+        read_offset: makes an offset of the option.
 
     Raises:
         ResetOptionsError: an option is not a known key or not a usable offset or jitter.
     """
     given = options.get(SHAPE)
-    shape = drawn_shape(shapes, random) if given is None else choice(ENV_ID, SHAPE, given, KeyShape)
+    shape = drawn_shape(shapes, random) if given is None else choice(env_id, SHAPE, given, KeyShape)
     wanted = options.get(OFFSET)
-    offset = KeyOffset(x_mm=x_mm * random.random(), y_mm=0.0, z_mm=0.0) if wanted is None else _offset(wanted)
+    offset = (
+        KeyOffset(x_mm=x_mm * random.random(), y_mm=0.0, z_mm=0.0) if wanted is None else read_offset(env_id, wanted)
+    )
     off = options.get(JITTER)
-    jitter = _random_jitter(random, jitter_mm) if off is None else _jitter(off)
+    z_mm = jitter_mm if jitter_z_mm is None else jitter_z_mm
+    jitter = _random_jitter(random, jitter_mm, z_mm) if off is None else _jitter(env_id, off)
     return LockStart(shape=shape, offset=offset, jitter=jitter)
 
 
-def _random_jitter(random: np.random.Generator, jitter_mm: float) -> SensorJitter:
-    x_mm = _random_sided(random, jitter_mm)
-    return SensorJitter(x_mm=x_mm, z_mm=_random_sided(random, jitter_mm))
+def _random_jitter(random: np.random.Generator, largest_x_mm: float, largest_z_mm: float) -> SensorJitter:
+    x_mm = _random_sided(random, largest_x_mm)
+    return SensorJitter(x_mm=x_mm, z_mm=_random_sided(random, largest_z_mm))
 
 
 def _random_sided(random: np.random.Generator, largest: float) -> float:
@@ -75,22 +100,11 @@ def _random_sided(random: np.random.Generator, largest: float) -> float:
     return size if random.integers(2) else -size
 
 
-def _offset(value: Any) -> KeyOffset:
-    low, high = X_RANGE_MM
-    expected = (
-        f"expected (x, y, z) in mm with {low:g} <= x <= {high:g}, |y| <= {LARGEST_Y_MM:g}, |z| <= {LARGEST_Z_MM:g}"
-    )
-    x_mm, y_mm, z_mm = numbers(ENV_ID, OFFSET, value, 3, expected)
-    if not (low <= x_mm <= high and abs(y_mm) <= LARGEST_Y_MM and abs(z_mm) <= LARGEST_Z_MM):
-        raise refusal(ENV_ID, OFFSET, value, expected)
-    return KeyOffset(x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
-
-
-def _jitter(value: Any) -> SensorJitter:
+def _jitter(env_id: str, value: Any) -> SensorJitter:
     expected = f"expected (x, z) in mm within {LARGEST_JITTER_MM:g} either way"
-    x_mm, z_mm = numbers(ENV_ID, JITTER, value, 2, expected)
+    x_mm, z_mm = numbers(env_id, JITTER, value, 2, expected)
     if max(abs(x_mm), abs(z_mm)) > LARGEST_JITTER_MM:
-        raise refusal(ENV_ID, JITTER, value, expected)
+        raise refusal(env_id, JITTER, value, expected)
     return SensorJitter(x_mm=x_mm, z_mm=z_mm)
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from math import isfinite
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,8 @@ class LockOpeningSettings:
         markers: ranges of the marker grid.
     """
 
+    action_count: ClassVar[int] = len(TASK.actions)
+
     max_steps: int = 50
     action_scale_mm: tuple[float, ...] = TASK.action_scale
     step_penalty: float = 1.0
@@ -87,8 +90,8 @@ class LockOpeningSettings:
     def __post_init__(self) -> None:
         require(self.max_steps >= 1, "max_steps", self.max_steps, "at least 1")
         scale = self.action_scale_mm
-        usable = len(scale) == 2 and all(isfinite(value) and 0 <= value <= 10 for value in scale)
-        require(usable, "action_scale_mm", scale, "two numbers of 0 to 10")
+        usable = len(scale) == self.action_count and all(isfinite(value) and 0 <= value <= 10 for value in scale)
+        require(usable, "action_scale_mm", scale, f"{self.action_count} numbers of 0 to 10")
         require(0 < self.indentation_mm <= 2, "indentation_mm", self.indentation_mm, "0 to 2 mm, half the gel")
         check_quantities(self, GRIP_QUANTITIES)
         if self.slot_clearance_mm != OWN_CLEARANCE:
@@ -200,13 +203,14 @@ class LockScene:
             tip=nearest_vertices(key, points.tip_m),
         )
         self._lock_points = lock_control_points(start.shape, settings.slot_clearance_mm)
-        self._grasp_pose = _open_pose(start, settings, meshes.gel())
+        position_m = self._key_position_m(start)
+        self._grasp_pose = _open_pose(start, position_m, settings, meshes.gel())
         self.grasped = GraspedScene(
             gripper=Gripper(mounts=MOUNTS, gel=meshes.gel(), pose=self._grasp_pose),
             held=RigidBody(
                 mesh=key,
                 rotation=np.eye(3),
-                translation_m=_key_position_m(start),
+                translation_m=position_m,
                 density_kg_m3=settings.physics.rigid_density_kg_m3,
                 friction=settings.key_friction,
             ),
@@ -230,10 +234,10 @@ class LockScene:
         inwards_mm, down_mm = (np.clip(command, -1.0, 1.0) * np.array(self._settings.action_scale_mm)).tolist()
         self.travel(-inwards_mm, -down_mm)
 
-    def travel(self, x_mm: float, z_mm: float) -> None:
-        """Move the gripper by x and z [mm], both together."""
-        longest_m = max(abs(x_mm), abs(z_mm)) * 1e-3
-        goal = self.grasped.pose.moved(x_m=x_mm * 1e-3, z_m=z_mm * 1e-3)
+    def travel(self, x_mm: float, z_mm: float, y_mm: float = 0.0) -> None:
+        """Move the gripper by x, z and y [mm], all together."""
+        longest_m = max(abs(x_mm), abs(y_mm), abs(z_mm)) * 1e-3
+        goal = self.grasped.pose.moved(x_m=x_mm * 1e-3, y_m=y_mm * 1e-3, z_m=z_mm * 1e-3)
         self.grasped.move_to(goal, ipc_steps=self._ipc_steps(longest_m))
 
     def relative_motion_mm(self) -> FloatArray:
@@ -292,15 +296,15 @@ class LockScene:
     def _ipc_steps(self, distance_m: float) -> int:
         return ipc_steps(distance_m, speed_per_s=SPEED_M_S, time_step_s=self._settings.physics.time_step_s)
 
+    def _key_position_m(self, start: LockStart) -> FloatArray:
+        """Return where the key's origin is at the start [m], shape [3]."""
+        offset = start.offset
+        return np.array([START_X_MM + offset.x_mm, offset.y_mm, offset.z_mm]) * 1e-3
 
-def _key_position_m(start: LockStart) -> FloatArray:
-    offset = start.offset
-    return np.array([START_X_MM + offset.x_mm, offset.y_mm, offset.z_mm]) * 1e-3
 
-
-def _open_pose(start: LockStart, settings: LockOpeningSettings, gel: GelMesh) -> GripperPose:
+def _open_pose(start: LockStart, position_m: FloatArray, settings: LockOpeningSettings, gel: GelMesh) -> GripperPose:
     """Return the pose of the open gripper around the key's handle, off by the jitter and as the settings say."""
-    x_m, y_m, z_m = _key_position_m(start).tolist()
+    x_m, y_m, z_m = position_m.tolist()
     return GripperPose(
         x_m=x_m + (SENSOR_X_MM[start.shape] + start.jitter.x_mm + settings.gripper_x_mm) * 1e-3,
         y_m=y_m,

@@ -1,6 +1,8 @@
 """`ViTac/PegInsertion-v1`: insert a peg that is held between two tactile sensors."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from enum import StrEnum
+from functools import partial
 from math import radians
 from typing import Any, ClassVar
 
@@ -16,7 +18,7 @@ from ...geometry.pegs import (
     hole_outline_mm,
     profile_mm,
 )
-from ...geometry.solid import overlaps_plate
+from ...geometry.solid import Polygon, overlaps_plate
 from ...scene.perspective import ActionArray, longest_action
 from ..definition import Flags
 from ..insertion.env import InsertionEnv, way_to_the_hole
@@ -36,12 +38,26 @@ LARGEST_XY_MM = 12.0
 LARGEST_THETA_DEG = 15.0
 
 
+def is_blocked(shape: PegShape, offset: PegOffset, form: PegForm = CHALLENGE_FORM) -> bool:
+    """Return whether the peg's profile at this offset meets the plate's material."""
+    placed = place_profile(profile_mm(shape, form), offset)
+    return overlaps_plate(placed, plate=PLATE_OUTLINE_MM, hole=hole_outline_mm(shape, form))
+
+
+def place_profile(profile: Polygon, offset: PegOffset) -> Polygon:
+    """Return a peg's profile at an offset [mm]."""
+    sine, cosine = sine_cosine(radians(offset.theta_deg))
+    x, y = profile.T
+    return np.column_stack([cosine * x - sine * y + offset.x_mm, sine * x + cosine * y + offset.y_mm])
+
+
 def choose_start(
     options: dict[str, Any],
     random: np.random.Generator,
     *,
-    shapes: Sequence[PegShape] = tuple(PegShape),
-    form: PegForm = CHALLENGE_FORM,
+    env_id: str = ENV_ID,
+    shapes: Sequence[Any] = tuple(PegShape),
+    blocked: Callable[[Any, PegOffset], bool] = is_blocked,
     xy_mm: float,
     theta_deg: float,
 ) -> PegStart:
@@ -50,8 +66,9 @@ def choose_start(
     Args:
         options: may hold `shape` and `offset_mm_deg`.
         random: the episode's generator.
-        shapes: that may be drawn.
-        form: of peg and hole.
+        env_id: for messages.
+        shapes: that may be drawn, at least one.
+        blocked: whether a peg of a shape cannot just fall into the hole at an offset.
         xy_mm: largest |x| and |y| of a drawn offset.
         theta_deg: largest |theta| of a drawn offset.
 
@@ -59,18 +76,23 @@ def choose_start(
         ResetOptionsError: an option is not a known shape or not a usable offset.
     """
     given = options.get(SHAPE)
-    shape = drawn_shape(shapes, random) if given is None else choice(ENV_ID, SHAPE, given, PegShape)
+    shape = drawn_shape(shapes, random) if given is None else choice(env_id, SHAPE, given, type(shapes[0]))
     wanted = options.get(OFFSET)
     offset = (
-        random_blocked_offset(shape, random, form=form, xy_mm=xy_mm, theta_deg=theta_deg)
+        random_blocked_offset(shape, random, blocked=blocked, xy_mm=xy_mm, theta_deg=theta_deg)
         if wanted is None
-        else _offset(wanted)
+        else _offset(env_id, wanted)
     )
     return PegStart(shape=shape, offset=offset)
 
 
 def random_blocked_offset(
-    shape: PegShape, random: np.random.Generator, *, form: PegForm = CHALLENGE_FORM, xy_mm: float, theta_deg: float
+    shape: StrEnum,
+    random: np.random.Generator,
+    *,
+    blocked: Callable[[Any, PegOffset], bool] = is_blocked,
+    xy_mm: float,
+    theta_deg: float,
 ) -> PegOffset:
     """Return a uniform offset (drawn x, y, theta), drawn again until the peg cannot just fall into the hole.
 
@@ -79,7 +101,7 @@ def random_blocked_offset(
     while True:
         x, y, theta = random.uniform(-1.0, 1.0, 3).tolist()
         offset = PegOffset(x_mm=x * xy_mm, y_mm=y * xy_mm, theta_deg=theta * theta_deg)
-        if is_blocked(shape, offset, form):
+        if blocked(shape, offset):
             return offset
 
 
@@ -89,21 +111,13 @@ def accepts_start(shape: str, offset_mm_deg: tuple[float, float, float]) -> bool
     return is_blocked(PegShape(shape), PegOffset(x_mm=x_mm, y_mm=y_mm, theta_deg=theta_deg))
 
 
-def is_blocked(shape: PegShape, offset: PegOffset, form: PegForm = CHALLENGE_FORM) -> bool:
-    """Return whether the peg's profile at this offset meets the plate's material."""
-    sine, cosine = sine_cosine(radians(offset.theta_deg))
-    x, y = profile_mm(shape, form).T
-    placed = np.column_stack([cosine * x - sine * y + offset.x_mm, sine * x + cosine * y + offset.y_mm])
-    return overlaps_plate(placed, plate=PLATE_OUTLINE_MM, hole=hole_outline_mm(shape, form))
-
-
-def _offset(value: Any) -> PegOffset:
+def _offset(env_id: str, value: Any) -> PegOffset:
     expected = (
         f"expected (x mm, y mm, theta deg) within {LARGEST_XY_MM:g} mm and {LARGEST_THETA_DEG:g} degrees either way"
     )
-    x_mm, y_mm, theta_deg = numbers(ENV_ID, OFFSET, value, 3, expected)
+    x_mm, y_mm, theta_deg = numbers(env_id, OFFSET, value, 3, expected)
     if max(abs(x_mm), abs(y_mm)) > LARGEST_XY_MM or abs(theta_deg) > LARGEST_THETA_DEG:
-        raise refusal(ENV_ID, OFFSET, value, expected)
+        raise refusal(env_id, OFFSET, value, expected)
     return PegOffset(x_mm=x_mm, y_mm=y_mm, theta_deg=theta_deg)
 
 
@@ -117,15 +131,22 @@ def judge_flags(state: InsertionState[PegOffset], *, max_steps: int, z_step_mm: 
     success asks for the commanded *and* the measured depth (docs/environments.md, "Where the paper and the 2025 code
     differ").
     """
-    offset = state.offset
-    left_range = (
+    reached = is_deep(state, z_step_mm)
+    return compute_flags(state, max_steps=max_steps, left_range=has_left_range(state.offset), reached=reached)
+
+
+def is_deep(state: InsertionState[PegOffset], z_step_mm: float) -> bool:
+    """Return whether the peg is in the hole, as commanded and as measured."""
+    return state.env_steps * z_step_mm > SUCCESS_COMMANDED_DEPTH_MM and state.is_deeper_than(SUCCESS_DEPTH_MM)
+
+
+def has_left_range(offset: PegOffset) -> bool:
+    """Return whether the commanded offset is beyond its limits."""
+    return (
         is_beyond(offset.x_mm, LARGEST_XY_MM)
         or is_beyond(offset.y_mm, LARGEST_XY_MM)
         or is_beyond(offset.theta_deg, LARGEST_THETA_DEG)
     )
-    deep_enough = state.env_steps * z_step_mm > SUCCESS_COMMANDED_DEPTH_MM
-    reached = deep_enough and state.is_deeper_than(SUCCESS_DEPTH_MM)
-    return compute_flags(state, max_steps=max_steps, left_range=left_range, reached=reached)
 
 
 class PegInsertionEnv(InsertionEnv[PegScene, PegInsertionSettings]):
@@ -150,7 +171,7 @@ class PegInsertionEnv(InsertionEnv[PegScene, PegInsertionSettings]):
 
     task: ClassVar = TASK
     settings_type: ClassVar = PegInsertionSettings
-    shape_type: ClassVar = PegShape
+    shape_type: ClassVar[type[StrEnum]] = PegShape
     training_ranges: ClassVar = training_ranges("hole_friction")
     option_names: ClassVar[tuple[str, ...]] = (SHAPE, OFFSET)
 
@@ -164,7 +185,7 @@ class PegInsertionEnv(InsertionEnv[PegScene, PegInsertionSettings]):
             options,
             random,
             shapes=self._shapes,
-            form=settings.form,
+            blocked=partial(is_blocked, form=settings.form),
             xy_mm=settings.random_xy_mm,
             theta_deg=settings.random_theta_deg,
         )

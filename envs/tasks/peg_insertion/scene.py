@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,9 +95,9 @@ class PegInsertionSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class PegStart:
-    """Start of an episode."""
+    """Start of an episode; the shape is one of its edition's."""
 
-    shape: PegShape
+    shape: StrEnum
     offset: PegOffset
 
 
@@ -131,16 +132,23 @@ class PegScene(InsertionScene[PegOffset, PegInsertionSettings]):
         self.shape = start.shape
         # Commanded height of the gripper, relative to the grasp.
         self._z_mm = 0.0
-        form = settings.form
-        peg = peg_mesh(meshes, start.shape, form)
+        peg, peg_bottom, hole = self._meshes_of_parts(meshes, settings)
         parts = Parts(
             sensors=meshes.sensors(settings.markers),
             peg=peg,
-            peg_bottom=bottom_vertices(start.shape, peg, form),
-            fixed=fixed_at_origin(hole_mesh(meshes, start.shape, form), friction=settings.hole_friction),
+            peg_bottom=peg_bottom,
+            fixed=fixed_at_origin(hole, friction=settings.hole_friction),
             rim_mm=PLATE_THICKNESS_MM,
         )
         super().__init__(parts, offset=start.offset, settings=settings, clocks=clocks)
+
+    def _meshes_of_parts(
+        self, meshes: Meshes, settings: PegInsertionSettings
+    ) -> tuple[SurfaceMesh, NDArray[np.int64], SurfaceMesh]:
+        """Return the peg, its vertices at its lower corners, and the plate."""
+        shape, form = PegShape(self.shape), settings.form
+        peg = peg_mesh(meshes, shape, form)
+        return peg, bottom_vertices(shape, peg, form), hole_mesh(meshes, shape, form)
 
     def grasp(self) -> None:
         """Close on the peg, take the references, and come down until the peg would stand one z step deep."""

@@ -1,4 +1,4 @@
-"""Checks of a 2025 text log, its summary, and its conversion to JSON lines."""
+"""Checks of a text log of 2025 or 2024, its summary, and its conversion to JSON lines."""
 
 from collections.abc import Iterator, Sequence
 from datetime import datetime
@@ -39,10 +39,11 @@ def tests_of_list(log: TextLog, starts: Sequence[PrintedStart]) -> Iterator[tupl
 
 
 def _check_header(log: TextLog, script: Script) -> Iterator[str]:
-    if log.script_md5 is None:
+    if log.script_md5 is None and script.md5:
         yield "the header has no MD5 of the script"
-    elif log.script_md5 not in script.md5:
-        yield f"expected the published script's MD5 {script.md5[0]}, got {log.script_md5}"
+    elif log.script_md5 is not None and log.script_md5 not in script.md5:
+        known = f"the published script's MD5 {script.md5[0]}" if script.md5 else "no MD5"
+        yield f"expected {known}, got {log.script_md5}"
     for key, official in script.environment.items():
         got = log.environment.get(key)
         if _plain(got) != _plain(official):
@@ -82,7 +83,33 @@ def _check_episode(episode: TextEpisode, start: PrintedStart, script: Script, to
             yield f"expected the start {start.offset}, got {episode.initial_offset!s:.80}"
         if len(episode.initial_offset) != len(start.offset):
             return
-        yield from _check_peg_episode(episode, episode.initial_offset, script, script.peg, top)
+        check_steps = _check_peg_episode if script.logs_infos else _check_offsets
+        yield from check_steps(episode, episode.initial_offset, script, script.peg, top)
+
+
+def _check_offsets(
+    episode: TextEpisode, start: tuple[float, ...], script: Script, rules: PegRules, _: float | None
+) -> Iterator[str]:
+    """Check a test of 2024, which has offsets alone: where the actions lead, and whether it can end where it does."""
+    before: Sequence[float] = start
+    for step in episode.steps:
+        if step.offset is None or len(step.offset) != script.action_size or len(step.action) != script.action_size:
+            yield f"env step {step.n} lacks action or offset"
+            return
+        if not is_printed(step.offset, _moved(before, step.action, rules)):
+            yield f"env step {step.n}: the action does not lead to offset {step.offset}"
+        before = step.offset
+        is_last, has_left = step is episode.steps[-1], _has_left_range(step.offset, rules)
+        if has_left and not is_last:
+            yield f"env step {step.n} ended the test, but is not the last"
+        if is_last and not (has_left or episode.success or step.n >= script.max_steps):
+            yield f"env step {step.n} is the last, but did not end the test"
+        if is_last and episode.success and (has_left or step.n * rules.descent_per_step_mm <= rules.commanded_depth_mm):
+            yield "RESULT says SUCCESS, which its last env step cannot be"
+
+
+def _has_left_range(offset: Sequence[float], rules: PegRules) -> bool:
+    return any(abs(value) > limit + 1e-5 for value, limit in zip(offset, rules.offset_limit, strict=True))
 
 
 def _check_peg_episode(
@@ -151,11 +178,10 @@ def _check_flags(step: TextStep, script: Script, rules: PegRules, top: float | N
     info, offset = step.info, list(step.info["gt_offset_mm_deg"])
     if top is not None:
         offset[3] -= top
-    limits = zip(offset, rules.offset_limit, strict=True)
     expected = {
         "tactile_movement_too_large": max(info["surface_diff_m"]) > rules.surface_limit_m,
         "too_many_steps": step.n >= script.max_steps,
-        "error_too_large": any(abs(value) > limit + 1e-5 for value, limit in limits),
+        "error_too_large": _has_left_range(offset, rules),
     }
     deep = step.n * rules.descent_per_step_mm > rules.commanded_depth_mm or not rules.commanded_depth_mm
     inserted = max(info["peg_relative_z_mm"]) < -rules.depth_mm
@@ -247,9 +273,9 @@ def summarize(log: TextLog) -> tuple[Script, TextLogSummary]:
     Raises:
         TextLogRejected: its environment is not that of any known script.
     """
-    script = find_script(log.environment)
+    script = find_script(log.environment, has_md5=log.script_md5 is not None)
     if script is None:
-        raise TextLogRejected("The environment in the header is not that of any task of the 2025 challenge.")
+        raise TextLogRejected("The environment in the header is not that of any task of the challenge.")
     successes = sum(episode.success is True for episode in log.episodes)
     return script, TextLogSummary(
         task=script.task,
@@ -309,8 +335,10 @@ def _episode(episode: TextEpisode, start: PrintedStart, script: Script) -> dict[
 
 def _step(step: TextStep) -> dict[str, Any]:
     content: dict[str, Any] = {"n": step.n, "action": list(step.action), "wall_s": _seconds(step.started, step.ended)}
+    if step.info or step.offset is not None:
+        content["offset_obs"] = list(step.offset or ())
     if step.info:
-        content |= {"offset_obs": list(step.offset or ()), "info_steps": step.info.get("steps")}
+        content["info_steps"] = step.info.get("steps")
         content |= {key: step.info[key] for key in _INFO_KEYS if key in step.info} | {"reward": step.reward}
     return content
 

@@ -98,7 +98,7 @@ class _Reader:
                 (r"#### Test No\. (\d+) ####\s*", self._test),
                 (r"Initial offset: (.*)", self._initial_offset),
                 (r"Step (\d+) Action: (.*)", self._action),
-                (r"#SUCCESS_RATE: (?:(\d{1,3}\.\d\d)%|0)\s*", self._success_rate),
+                (r"#SUCCESS_RATE: (?:(\d{1,3}\.\d\d)%|0|([01]\.\d{4}))\s*", self._success_rate),
                 (r"#AVG_STEP: (?:(\d{1,4}\.\d\d)|NA)\s*", self._average_steps),
             )
         ]
@@ -204,9 +204,12 @@ class _Reader:
         if self.log.has_totals:
             self._problem(message, "the totals are repeated")
         self.log.has_totals = True
-        self.log.claimed_success_rate = number(message, match[1]) / 100 if match[1] else 0.0
+        percent, fraction = match[1], match[2]
+        self.log.claimed_success_rate = number(message, percent) / 100 if percent else number(message, fraction or "0")
         if self.log.claimed_success_rate > 1:
-            self._problem(message, f"expected a success rate of at most 100 %, got {match[1]} %")
+            self._problem(
+                message, f"expected a success rate of at most 100 %, got {percent or fraction}{' %' * bool(percent)}"
+            )
 
     def _average_steps(self, message: LoggedMessage, match: re.Match[str]) -> None:
         self.log.claimed_average_steps = number(message, match[1]) if match[1] else None

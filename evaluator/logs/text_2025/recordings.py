@@ -33,7 +33,7 @@ def explain_not_resimulated(log: TextLog, script: Script, task: Task) -> Impossi
     starts = script.starts(hole_top(log, script))
     if [(start.part, start.listed_offset) for start in starts] != [(e.shape, e.offset) for e in task.episodes]:
         return Impossibility(
-            reason=ImpossibleReason.OTHER_EVALUATION, message=f"The list of {task.name} is not the one of 2025."
+            reason=ImpossibleReason.OTHER_EVALUATION, message=f"The list of {task.name} is not the published one."
         )
     for number, episode in enumerate(log.episodes, start=1):
         shown = starts[number - 1].offset if number <= len(starts) else ()

@@ -1,4 +1,4 @@
-"""The four evaluation scripts of 2025: their episode lists, limits and rules."""
+"""The evaluation scripts of 2025 and 2024: their episode lists, limits and rules."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -65,9 +65,9 @@ class Script(StrictModel):
     track: str
     task: str
     md5: tuple[str, ...]
-    """MD5 of each published version, the newest first."""
+    """MD5 of each published version, the newest first; none where logs have no MD5, as in 2024."""
     marked_by: str
-    """A key of the environment that only this script prints."""
+    """A key of the environment that only this script prints, among those with or those without an MD5."""
     environment: dict[str, Any]
     """The official evaluation's values."""
     action_size: PositiveInt
@@ -77,7 +77,9 @@ class Script(StrictModel):
     shapes: tuple[str, ...]
     offsets: tuple[tuple[float, ...], ...]
     logs_offsets: bool
-    """Whether start, offset, info and reward are logged."""
+    """Whether start and offset are logged."""
+    logs_infos: bool = True
+    """Whether info and reward are logged beside the offset."""
     peg: PegRules | None = None
     hole_tops_mm: tuple[PositiveFloat, ...] = ()
     """Vision track only: heights of the hole's top in the books; the published logs have the first, whose geometry had
@@ -144,11 +146,17 @@ class _Scripts(StrictModel):
 
 @cache
 def all_scripts() -> tuple[Script, ...]:
-    """Return the four evaluation scripts."""
+    """Return all evaluation scripts."""
     origin = "scripts.yaml"
     return parse_yaml(_Scripts, files(__package__).joinpath(origin).read_text(encoding="utf-8"), origin).scripts
 
 
-def find_script(environment: dict[str, Any]) -> Script | None:
-    """Return the script that prints these environment settings, or None."""
-    return next((script for script in all_scripts() if script.marked_by in environment), None)
+def find_script(environment: dict[str, Any], *, has_md5: bool = True) -> Script | None:
+    """Return the script that prints these environment settings, or None.
+
+    Args:
+        environment: as the log prints it.
+        has_md5: whether it prints the MD5 of its script; Track 3's peg task of 2025 differs from that of 2024 in this.
+    """
+    marked = [script for script in all_scripts() if script.marked_by in environment]
+    return next((script for script in marked if bool(script.md5) == has_md5), next(iter(marked), None))

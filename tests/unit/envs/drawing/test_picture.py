@@ -142,7 +142,7 @@ def test_gels_are_coloured_and_the_ground_is_light(peg_playback: Playback) -> No
 def test_an_environment_without_a_view_is_refused(peg_playback: Playback) -> None:
     other = replace(peg_playback, env_id="ViTac/Other-v1")
     with pytest.raises(
-        NotDrawable, match=r"views of ViTac/FusionInsertion-v1, ViTac/LockOpening-v1, ViTac/PegInsertion-v1"
+        NotDrawable, match=r"views of ViTac/FusionInsertion-v1, ViTac/LockOpening-v1, .*ViTac/PegInsertion-v1"
     ):
         painted(other)
 

@@ -70,7 +70,11 @@ def test_task_whose_infos_are_equal_is_not_wrapped() -> None:
 
 def test_lengths_are_those_of_the_shape_with_the_most_corners() -> None:
     found = {env_id: dict(task.info_lengths) for env_id, task in task_definitions().items() if task.info_lengths}
-    assert found == {PEG: {"peg_relative_z_mm": 8}, "ViTac/FusionInsertion-v1": {"peg_relative_z_mm": 6}}
+    assert found == {
+        PEG: {"peg_relative_z_mm": 8},
+        "ViTac/PegInsertion2024-v1": {"peg_relative_z_mm": 8},
+        "ViTac/FusionInsertion-v1": {"peg_relative_z_mm": 6},
+    }
     assert replace(task_definitions()[LOCK], info_lengths={"x": 2}).info_lengths == {"x": 2}
 
 

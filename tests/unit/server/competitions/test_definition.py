@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from service_factories import TRACK
 from vitac.evaluator.strict_model import DocumentRejected
-from vitac.evaluator.tracks import ListKind
+from vitac.evaluator.tracks import ListKind, load_track
 from vitac.server.competitions.definition import CompetitionDefinition, Judging, read_competition
 
 from competitions import CLOSES, FIRST, OPENS, SECOND, make_competition, write_competition
@@ -221,6 +221,13 @@ def test_judging_is_said_in_words() -> None:
     )
     assert "2 judges give" in Judging.model_validate({"criteria": criteria}).sentence
     assert "20 % the figures of the sensor" in Judging.model_validate({"criteria": criteria}).sentence
+
+
+def test_the_challenge_of_2024_is_over_and_plays_the_tasks_of_2024(repository: Path) -> None:
+    found = read_competition(repository / "competitions" / "vitac-2024.yaml")
+    assert [stage.closes.year for track in found.tracks.values() for stage in track.stages] == [2024]
+    assert [list(load_track(name).tasks) for name in found.tracks] == [["peg-insertion-2024", "lock-opening-2024"]]
+    assert found.public_rankings == {}
 
 
 def test_the_challenge_of_2025_is_a_valid_competition(repository: Path) -> None:

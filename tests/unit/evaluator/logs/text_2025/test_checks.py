@@ -203,7 +203,7 @@ def test_a_long_value_makes_no_long_problem() -> None:
     ("text", "message"),
     [
         ("2025-01-01 10:00:00.123 | INFO     | a:b:1 - hello\n", "expected a 2025 text log with"),
-        (own_log(environment={"max_speed": 3}), "not that of any task of the 2025 challenge"),
+        (own_log(environment={"max_speed": 3}), "not that of any task of the challenge"),
         (own_log().replace("'steps': 1", "'steps': nan", 1), "expected a plain finite value, got"),
     ],
 )

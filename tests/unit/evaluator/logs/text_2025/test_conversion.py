@@ -9,7 +9,7 @@ from vitac.evaluator.logs.text_2025.checks import to_json_lines
 from vitac.evaluator.logs.text_2025.reader import TextEpisode, TextLog, TextStep
 from vitac.evaluator.logs.text_2025.scripts import Script, all_scripts
 
-PEG, LOCK, FUSION, _ = all_scripts()
+PEG, LOCK, FUSION, *_ = all_scripts()
 BEGIN = datetime(2025, 3, 1, 12, 0, 0, 250_000)
 
 

@@ -11,7 +11,7 @@ from vitac.evaluator.logs.text_2025.recordings import explain_not_resimulated, t
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.tracks import Task, load_track
 
-PEG, LOCK, FUSION, TRACK_3 = all_scripts()
+PEG, LOCK, FUSION, TRACK_3, *_ = all_scripts()
 BEGIN = datetime(2025, 1, 1)
 Change = Callable[[TextLog], object]
 
@@ -77,7 +77,7 @@ def test_another_list_is_not_ours(changes: dict[str, object]) -> None:
     found = explain_not_resimulated(whole(PEG), PEG.model_copy(update=changes), task_of(PEG))
     assert found is not None
     assert (found.reason, found.episode) == (ImpossibleReason.OTHER_EVALUATION, None)
-    assert found.message == "The list of peg-insertion is not the one of 2025."
+    assert found.message == "The list of peg-insertion is not the published one."
 
 
 def renumber(log: TextLog) -> None:

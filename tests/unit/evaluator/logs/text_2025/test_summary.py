@@ -8,7 +8,7 @@ from vitac.evaluator.logs.text_2025.messages import TextLogRejected
 from vitac.evaluator.logs.text_2025.reader import TextEpisode, TextLog
 from vitac.evaluator.logs.text_2025.scripts import Script, all_scripts
 
-PEG, LOCK, FUSION, TRACK_3 = all_scripts()
+PEG, LOCK, FUSION, TRACK_3, *_ = all_scripts()
 
 
 def log_of(*results: bool | None, **changes: object) -> TextLog:
@@ -68,5 +68,5 @@ def test_the_era_of_a_vision_log_is_that_of_its_first_start(top_mm: float) -> No
 def test_settings_of_no_script_are_refused() -> None:
     with pytest.raises(TextLogRejected) as refused:
         summarize(log_of(environment={"gravity": 9.81}))
-    assert str(refused.value) == "The environment in the header is not that of any task of the 2025 challenge."
+    assert str(refused.value) == "The environment in the header is not that of any task of the challenge."
     assert refused.value.line is None

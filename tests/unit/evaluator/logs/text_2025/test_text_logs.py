@@ -86,6 +86,8 @@ def test_lists_have_their_published_lengths_and_orders() -> None:
         "track 1 lock opening": 160,
         "track 2 peg insertion": 150,
         "track 3 peg insertion": 270,
+        "peg insertion of 2024": 180,
+        "lock opening of 2024": 160,
     }
     assert [(start.shape, start.offset[0]) for start in LOCK.starts()[19:22]] == [
         ("key1", 4.75),

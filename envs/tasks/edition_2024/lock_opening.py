@@ -1,0 +1,193 @@
+"""`ViTac/LockOpening2024-v1`: push a key into its lock and lift it; the key starts outside."""
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...fem.model.settings import ContactSettings
+from ...geometry.keys_and_locks import LOCKS
+from ...scene.grasped_scene import PhysicsSettings
+from ...scene.perspective import ActionArray, longest_action
+from ...tactile.markers import MarkerSettings
+from ..definition import Flags
+from ..lock_opening.definition import CEILING_Z_M, LIFTED_Z_M, LockState, judge_flags, mean_corner
+from ..lock_opening.env import LockOpeningEnv, choose_start
+from ..lock_opening.scene import FloatArray, KeyOffset, LockOpeningSettings, LockScene, LockStart
+from ..settings import numbers, require
+from ..task_env import Info, Observation
+from .definition import LOCK_TASK, SUCCESS_Z_RANGE_M
+from .peg_insertion import GEL_FRICTION
+
+LARGEST_X_MM = 10.0
+"""Of the distance of the key's tip from the lock's entrance at the start; what is beyond is clipped, as in 2024."""
+LARGEST_ACTION = 30.0
+"""Nothing is clipped up to here; a longer motion, of 120 mm along the key, leaves every range as this one does."""
+_ERROR_PER_MM2 = 4.0
+_OUTSIDE_MM2 = 64.0
+_SURFACE_MM = (0.2, 1.5)
+
+
+def lock_physics() -> PhysicsSettings:
+    """Return time step and contact of the evaluation of 2024, which are its class defaults but for the time step."""
+    contact = ContactSettings(d_hat_m=2e-4, kappa=1e3, friction_velocity_m_s=1e-3)
+    return PhysicsSettings(time_step_s=0.033, contact=contact, gel_friction=GEL_FRICTION)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LockOpening2024Settings(LockOpeningSettings):
+    """Those of 2025 with the values of 2024.
+
+    Attributes:
+        failure_penalty: cost of the force, tactile or error flag for every env step that is left, in step penalties.
+        jitter_mm: largest displacement of the sensors along the key.
+        jitter_z_mm: the same up or down; 0, as the name of its setting was misspelt in 2024.
+    """
+
+    action_count: ClassVar[int] = len(LOCK_TASK.actions)
+
+    max_steps: int = 100
+    action_scale_mm: tuple[float, ...] = LOCK_TASK.action_scale
+    failure_penalty: float = 10.0
+    random_x_mm: float = LARGEST_X_MM
+    jitter_z_mm: float = 0.0
+    physics: PhysicsSettings = field(default_factory=lock_physics)
+    markers: MarkerSettings = field(default_factory=lambda: MarkerSettings(noise_px=0.1, loss_probability=0.0))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(0 <= self.random_x_mm <= LARGEST_X_MM, "random_x_mm", self.random_x_mm, f"0 to {LARGEST_X_MM:g} mm")
+        require(0 <= self.jitter_z_mm <= 4, "jitter_z_mm", self.jitter_z_mm, "0 to 4 mm")
+
+
+class LockScene2024(LockScene):
+    """A key outside its lock."""
+
+    def move(self, command: FloatArray) -> None:
+        """Move the gripper as an action says, against each axis; nothing is clipped within any range."""
+        bounded = np.clip(command, -LARGEST_ACTION, LARGEST_ACTION)
+        x_mm, y_mm, z_mm = (-bounded * np.array(self._settings.action_scale_mm)).tolist()
+        self.travel(x_mm, z_mm, y_mm)
+
+    def _key_position_m(self, start: LockStart) -> FloatArray:
+        return np.array([LOCKS[start.shape].length_mm + start.offset.x_mm, 0.0, 0.0]) * 1e-3
+
+
+def read_offset(env_id: str, value: Any) -> KeyOffset:
+    """Return the offset that the option gives, clipped as in 2024: x to 0 to 10 mm, y and z to 0.
+
+    Raises:
+        ResetOptionsError: it is not three numbers.
+    """
+    x_mm, _, _ = numbers(env_id, "offset_mm", value, 3, "expected (x, y, z) in mm")
+    return KeyOffset(x_mm=min(max(x_mm, 0.0), LARGEST_X_MM), y_mm=0.0, z_mm=0.0)
+
+
+def alignment_error(state: LockState) -> float:
+    """Return the error e of the reward: 4 per mm2 of both teeth's squared distance from where they should be.
+
+    Outside the lock 64 mm2 are added for each, so that going in does not raise it.
+    """
+    return _ERROR_PER_MM2 * sum(
+        _distance_mm2(tooth, slot, is_inside=state.is_inside) for tooth, slot in state.teeth_and_slots
+    )
+
+
+def reward(
+    flags: Flags,
+    surface_diff_m: FloatArray,
+    *,
+    progress: float,
+    step_penalty: float,
+    final_reward: float,
+    failure_penalty: float,
+) -> float:
+    """Return the reward of an env step: progress, less penalty and the gels' part, plus the end's.
+
+    The gels' part is 0.19 for gels at rest, and falls to -200 for each that has moved 1.5 mm.
+    """
+    final = 0.0
+    if flags.is_success:
+        final = final_reward
+    elif flags.force_too_large or flags.tactile_movement_too_large or flags.error_too_large:
+        final = -failure_penalty
+    surface_mm = np.clip(surface_diff_m * 1e3, *_SURFACE_MM)
+    return float(progress - step_penalty - (float((10.0 / (1.55 - surface_mm)).sum()) - 15.0) + final)
+
+
+class LockOpening2024Env(LockOpeningEnv):
+    """Push a key into its lock until its teeth stand below their slots, then lift it, by touch alone, as in 2024.
+
+    As `ViTac/LockOpening-v1`, from which it differs so: the key starts outside, its tip up to 10 mm before the
+    entrance; the gripper also moves sideways, every number of an action moves it against its axis, and nothing is
+    clipped (up to 30, which leaves every range); 100 env steps; the teeth must be lifted by 8 mm, their top corners
+    between 37 and 40 mm high; the sensors grip the handle up to 2 mm off along the key alone; gels with a friction
+    coefficient of 0.5, a time step of 0.033 s, less noise of the markers and none lost.
+
+    Reset options: `shape` ("key1" to "key4"), `offset_mm` (x of the key's tip before the entrance, clipped to 0 to
+    10; y and z, which become 0), `sensor_jitter_mm` (x, z), and `rng_seed`. What is left open is drawn: the key, x from
+    0 to 10 mm, and the jitter along the key of up to 2 mm either way.
+
+    Ends: as `ViTac/LockOpening-v1`, after 100 env steps.
+
+    Keyword arguments: those of `TactileTaskEnv`, and fields of `LockOpening2024Settings`.
+    """
+
+    task: ClassVar = LOCK_TASK
+    settings_type: ClassVar = LockOpening2024Settings
+    training_ranges: ClassVar = {
+        name: bounds for name, bounds in LockOpeningEnv.training_ranges.items() if name != "physics.gel_friction"
+    }
+
+    def _start(self, options: dict[str, Any], random: np.random.Generator) -> LockScene:
+        settings: Any = self.settings
+        start = choose_start(
+            options,
+            random,
+            env_id=self.env_id,
+            shapes=self._shapes,
+            x_mm=settings.random_x_mm,
+            jitter_mm=settings.jitter_mm,
+            jitter_z_mm=settings.jitter_z_mm,
+            read_offset=read_offset,
+        )
+        drawn = self._settings_of_episode(random)
+        return LockScene2024(start=start, meshes=self._meshes, settings=drawn, clocks=self._clocks)
+
+    def _error(self) -> float:
+        return alignment_error(self.task_scene.state())
+
+    def _judge(self) -> Flags:
+        state, most = self.task_scene.state(), self.settings.max_steps
+        return judge_flags(state, max_steps=most, success_z_range_m=SUCCESS_Z_RANGE_M)
+
+    def _reward(self, flags: Flags, progress: float) -> float:
+        settings, left = self.settings, self.settings.max_steps - self.task_scene.env_steps
+        return reward(
+            flags,
+            self.scene.surface_diff_m(),
+            progress=progress,
+            step_penalty=settings.step_penalty,
+            final_reward=settings.final_reward,
+            failure_penalty=settings.failure_penalty * settings.step_penalty * left,
+        )
+
+
+def _distance_mm2(tooth_m: FloatArray, slot_m: FloatArray, *, is_inside: bool) -> float:
+    x, y, z = (1e3 * value for value in mean_corner(tooth_m))
+    apart_mm = x - 1e3 * mean_corner(slot_m)[0]
+    goal_m, more_mm2 = (LIFTED_Z_M, 0.0) if is_inside else (CEILING_Z_M, _OUTSIDE_MM2)
+    return apart_mm * apart_mm + y * y + (z - 1e3 * goal_m) ** 2 + more_mm2
+
+
+# How near its slot the rear tooth is before it is lifted, and above the least height at which the lock opens [mm].
+_ALIGNED_MM, _LIFT_MARGIN_MM = 0.5, 0.5
+
+
+def in_and_up(_: Observation, info: Info) -> ActionArray:
+    """Go in until the rear tooth is below its slot, then up into it."""
+    tooth_m, slot_m = info["key1_pts_m"], info["lock1_pts_m"]
+    inwards_mm = 1e3 * (tooth_m[:, 0].mean() - slot_m[:, 0].mean())
+    down_mm = 1e3 * (tooth_m[:, 2].min() - SUCCESS_Z_RANGE_M[0]) - _LIFT_MARGIN_MM
+    is_aligned = abs(inwards_mm) < _ALIGNED_MM
+    return longest_action(np.array([inwards_mm, 0.0, down_mm if is_aligned else 0.0]), np.array(LOCK_TASK.action_scale))
