@@ -154,6 +154,7 @@ def _skip_observations(start: EpisodeStart) -> ShownEpisode:
 @contextmanager
 def _policy_player(task: "Task", start: EpisodeStart, submission: Path) -> Iterator[ShownEpisode]:
     from vitac.evaluator.agent.session import PolicySession
+    from vitac.evaluator.episodes.episode import delayed
     from vitac.evaluator.episodes.reading import make_reading
     from vitac.evaluator.submission.manifest import load_manifest
     from vitac.evaluator.submission.sources import staged
@@ -172,9 +173,10 @@ def _policy_player(task: "Task", start: EpisodeStart, submission: Path) -> Itera
             PolicySession(folder, entry_point=manifest.own_entry_point(), packages=packages) as session,
             session.episode(task=task.name, action_shape=(len(task.actions),), clouds=reading.clouds) as policy,
         ):
+            playing = delayed(policy, task)
             yield ShownEpisode(
                 start=start,
-                next_action=lambda seen, _: policy.act({key: seen[key] for key in reading.sent}),
+                next_action=lambda seen, _: playing.act({key: seen[key] for key in reading.sent}),
                 actions=manifest.name,
                 belief=_belief_while_it_can_be_used(policy),
             )

@@ -1,7 +1,7 @@
 """Plays one fixed episode of a task with a policy and writes its record; called by `shards`."""
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -17,6 +17,7 @@ from ..agent.protocol.frames import CloudSpec
 from ..agent.session import Isolation
 from ..agent.verdicts import PolicyFailed
 from ..tracks import Episode, Task
+from ..tracks.definition import WhileThinking
 from .reading import Observation, Reading, make_reading
 from .records import ActionSequence, EpisodeOutcome, EpisodeRecord, FailureStage, PolicyFailure, Timings
 from .traces import ForceTrace, PictureSample
@@ -238,13 +239,66 @@ def _play(
             trace.outcome = EpisodeOutcome(info["end_reason"])
 
 
-def open_episode(session: Session, task: Task, reading: Reading) -> AbstractContextManager[Policy]:
-    """Return a fresh process of the policy that plays a task.
+@contextmanager
+def open_episode(session: Session, task: Task, reading: Reading) -> Iterator[Policy]:
+    """Give a fresh process of the policy that plays a task, with the task's delay.
 
     Raises:
         PolicyFailed: its reset failed.
     """
-    return session.episode(task=task.name, action_shape=(len(task.actions),), clouds=reading.clouds)
+    with session.episode(task=task.name, action_shape=(len(task.actions),), clouds=reading.clouds) as policy:
+        yield delayed(policy, task)
+
+
+def delayed(policy: Policy, task: Task) -> Policy:
+    """Return a policy as its task plays it: with its delay, if it has one."""
+    return _LatePolicy(policy, task) if task.delay_steps else policy
+
+
+class _LatePolicy:
+    """A policy whose answer to an observation is played some env steps later, as simulated time goes on meanwhile.
+
+    It is asked again with the observation after its action. So the same actions follow whatever the machine's speed.
+    """
+
+    def __init__(self, policy: Policy, task: Task) -> None:
+        self._policy = policy
+        self._task = task
+        self._env_step = 0
+        self._held = np.zeros(len(task.actions), np.float32)
+        self._answer = self._held
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of the policy."""
+        return self._policy.cpu_s
+
+    @property
+    def channel_s(self) -> float:
+        """Time between question and answer that the policy did not compute."""
+        return self._policy.channel_s
+
+    @property
+    def output(self) -> str:
+        """The end of what it has printed in the episode."""
+        return self._policy.output
+
+    def act(self, observation: Observation) -> NDArray[np.float32]:
+        """Return what is done in the next env step: what is done meanwhile, or the answer once its time has come.
+
+        Raises:
+            PolicyFailed: it crashed, broke a limit or answered wrongly.
+            EpisodeCut: it is remote, and its line was cut.
+        """
+        since_question = self._env_step % (self._task.delay_steps + 1)
+        self._env_step += 1
+        if since_question == 0:
+            self._answer = self._policy.act(observation)
+        if since_question < self._task.delay_steps:
+            return self._held
+        if self._task.while_thinking is WhileThinking.HOLD:
+            self._held = self._answer
+        return self._answer
 
 
 def public_part(task: Task, reading: Reading, observation: Observation) -> Observation:

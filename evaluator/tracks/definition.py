@@ -74,6 +74,15 @@ class Player(StrEnum):
     """The standard estimator with all markers at rest."""
 
 
+class WhileThinking(StrEnum):
+    """What the robot does in the env steps that pass while a policy thinks."""
+
+    STOP = "stop"
+    """Nothing: an action of zeros."""
+    HOLD = "hold"
+    """The action before, again; zeros before the first."""
+
+
 class Start(StrictModel):
     """Where an episode starts: what is played with, and where it stands in the units of the list's `offset_option`."""
 
@@ -190,6 +199,13 @@ class Task(StrictModel):
         gt=0,
         description="Largest force on the held part in an env step; beyond it an episode has failed.",
     )
+    delay_steps: int = Field(
+        default=0,
+        ge=0,
+        le=16,
+        description="Env steps that pass between an observation and the action it is answered by.",
+    )
+    while_thinking: WhileThinking = Field(default=WhileThinking.STOP, description="What is done in them.")
     player: Player = Field(default=Player.POLICY, description="Who chooses the actions.")
     station_of: Word | None = Field(
         default=None, description="Played on a station: the simulated task whose name policies get at a reset."
@@ -321,6 +337,7 @@ class Task(StrictModel):
         absent |= {name: True for name in ("settings", "draws", "optional_observables") if not getattr(self, name)}
         absent |= {"ranking": True}  # another order of the same scores
         absent |= {"force_limit_n": True} if self.force_limit_n is None else {}
+        absent |= {"delay_steps": True, "while_thinking": True} if self.delay_steps == 0 else {}
         absent |= {"player": True} if self.player is Player.POLICY else {}
         absent |= {"station_of": True} if self.station_of is None else {}
         absent |= {"episode_list": {"commitment"}} if self.episode_list.commitment is None else {}

@@ -8,6 +8,7 @@ from evaluation_fakes import Answer, FakeEnvironment, FakePolicy, FakeSession, a
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 from vitac.evaluator.episodes.episode import EnvironmentBroken, json_info, run_episode
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, FailureStage, Timings
+from vitac.evaluator.tracks.definition import WhileThinking
 
 TASK = small_track().tasks["peg-insertion"]
 
@@ -120,3 +121,34 @@ def test_environment_that_does_not_end_is_a_fault_of_ours() -> None:
 def test_info_that_is_no_json_is_refused() -> None:
     with pytest.raises(EnvironmentBroken, match=r"info\['pose'\] is a object"):
         json_info({"pose": object()})
+
+
+def play_late(delay_steps: int, while_thinking: str) -> list[float]:
+    """What was done in each env step with a policy whose n-th answer is n tenths."""
+    session = FakeSession(lambda _, step: action(step / 10))
+    session.open = True
+    task = TASK.model_copy(update={"delay_steps": delay_steps, "while_thinking": WhileThinking(while_thinking)})
+    record = run_episode(env=FakeEnvironment(), task=task, episode=task.episodes[0], open_session=lambda: session)
+    return record.actions.to_array()[:, 0].tolist()
+
+
+@pytest.mark.parametrize(
+    ("delay_steps", "while_thinking", "expected"),
+    [
+        (0, "stop", [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]),
+        (1, "stop", [0, 0.1, 0, 0.2, 0, 0.3, 0, 0.4]),
+        (2, "stop", [0, 0, 0.1, 0, 0, 0.2, 0, 0]),
+        (2, "hold", [0, 0, 0.1, 0.1, 0.1, 0.2, 0.2, 0.2]),
+    ],
+)
+def test_an_answer_is_played_after_the_delay_of_its_task(
+    delay_steps: int, while_thinking: str, expected: list[float]
+) -> None:
+    assert play_late(delay_steps, while_thinking) == pytest.approx(expected)
+
+
+def test_a_task_without_delay_keeps_its_digest_and_each_delay_has_another() -> None:
+    digests = {TASK.model_copy(update={"delay_steps": steps}).digest() for steps in (0, 1, 2)}
+    held = TASK.model_copy(update={"delay_steps": 1, "while_thinking": WhileThinking.HOLD})
+    assert len(digests | {held.digest()}) == 4
+    assert TASK.model_copy(update={"while_thinking": WhileThinking.HOLD}).digest() == TASK.digest()

@@ -132,6 +132,8 @@ def test_a_task_without_settings_methods_and_commitment_keeps_the_digest_from_be
             "draws": True,
             "optional_observables": True,
             "force_limit_n": True,
+            "delay_steps": True,
+            "while_thinking": True,
             "player": True,
             "station_of": True,
             "profiles": True,
