@@ -59,6 +59,9 @@ def export(
         typer.Option(help="Observation key to store, repeated; default: coloured pictures and all that is small."),
     ] = None,
     only_successes: Annotated[bool, typer.Option(help="Leave failures out.")] = False,
+    only_vectors: Annotated[
+        bool, typer.Option(help="For LeRobot: vectors and pictures alone, which its own policies read.")
+    ] = False,
     processes: Processes = 1,
 ) -> None:
     """Play demonstrations again, compare every state, and write what was seen as a data set with a card."""
@@ -68,6 +71,8 @@ def export(
 
     from .terminal.compiling import compiling_shown
 
+    if only_vectors and form == "minari":
+        raise typer.BadParameter("Minari's format has no columns to leave out.", param_hint="--only-vectors")
     is_one = (collection / FILE).exists()
     files = [collection / FILE] if is_one else sorted(collection.glob(f"*/{FILE}"))
     if not files:
@@ -82,6 +87,7 @@ def export(
                 DatasetFormat(form),
                 keys=key,
                 only_successes=only_successes,
+                only_vectors=only_vectors,
                 processes=processes,
                 report=partial(counter.show_played, folder),
             )

@@ -183,6 +183,7 @@ def export(
     *,
     keys: Collection[str] | None = None,
     only_successes: bool = False,
+    only_vectors: bool = False,
     processes: int = 1,
     report: Callable[[int], None],
 ) -> None:
@@ -194,6 +195,7 @@ def export(
         form: of the data set.
         keys: what is seen; by default coloured pictures and all that have few numbers.
         only_successes: whether failures are left out.
+        only_vectors: of what is seen, vectors and pictures alone; for LeRobot.
         processes: that play.
         report: called with the number of episodes so far.
 
@@ -226,7 +228,7 @@ def export(
         write_minari(part, source, env, played())
     else:
         version = Version.V2_1 if form is DatasetFormat.LEROBOT_2_1 else Version.V3_0
-        features = list_features(source.task, observables)
+        features = list_features(source.task, observables, only_vectors=only_vectors)
         write_lerobot(part, version, source, features, played(), fps=float(env.metadata["render_fps"]))
     origin = Origin(source=source, episodes=tuple(stored))
     write_origin(part, origin)

@@ -143,6 +143,25 @@ def test_touch_is_a_vector_and_both_gels_are_pictures_where_they_are_asked_for(
         video.release()
 
 
+def test_vectors_alone_are_what_policies_of_lerobot_read_and_still_replay(collection: Path, tmp_path: Path) -> None:
+    arguments = (
+        "data",
+        "export",
+        collection.parent,
+        "--only-vectors",
+        "--key",
+        "marker_flow",
+        "--key",
+        "relative_motion",
+    )
+    assert run(*arguments, "--to", tmp_path / "set") == 0
+    features = json.loads((tmp_path / "set" / INFO).read_text())["features"]
+    seen = {name: each["shape"] for name, each in features.items() if name.startswith("observation.")}
+    assert seen == {"observation.state": [3], "observation.environment_state": [12]}
+    assert run("data", "check", tmp_path / "set", "--replay", 1) == 0
+    assert run(*arguments, "--to", tmp_path / "other", "--format", "minari") == 2
+
+
 @pytest.mark.parametrize("form", list(DatasetFormat))
 def test_paths_may_be_relative_and_have_spaces_and_accents(
     collection: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: DatasetFormat
