@@ -54,10 +54,10 @@ _COUNTED_IN_STAGE: Mapping[str, frozenset[EvaluationState]] = MappingProxyType(
 )
 
 
-def find_limit(session: Session, quotas: Quotas, team_id: UUID, quota: Quota) -> int | None:
-    """Return a team's limit: its own, else that of the settings; None: any number."""
-    own = session.get(TeamQuota, (team_id, quota))
-    return own.most if own is not None else getattr(quotas, quota.value)
+def find_limits(session: Session, quotas: Quotas, team_id: UUID) -> dict[Quota, int | None]:
+    """Return a team's limits: its own, else those of the settings; None: any number."""
+    own = session.scalars(select(TeamQuota).where(TeamQuota.team_id == team_id))
+    return {quota: getattr(quotas, quota.value) for quota in Quota} | {each.quota: each.most for each in own}
 
 
 def charge(session: Session, quotas: Quotas, by: Principal, team: Team, *wanted: Quota) -> datetime | None:
@@ -84,10 +84,11 @@ def check(session: Session, quotas: Quotas, by: Principal, team: Team, *wanted: 
     """
     if by.organizes_service:
         return
+    limits, now = find_limits(session, quotas, team.id), read_clock(session)
     for quota in wanted:
-        limit = find_limit(session, quotas, team.id, quota)
-        if limit is not None and (_used(session, team.id, quota) or 0) >= limit:
-            raise exceeded(team.name, quota, limit, read_clock(session))
+        limit = limits[quota]
+        if limit is not None and (_used(session, team.id, quota, now) or 0) >= limit:
+            raise exceeded(team.name, quota, limit, now)
 
 
 def check_stage(session: Session, by: Principal, team: Team, stage: Stage) -> None:
@@ -130,12 +131,9 @@ def uses(session: Session, quotas: Quotas, team_id: UUID) -> list[QuotaView]:
     now = read_clock(session)
     return [
         QuotaView(
-            quota=quota,
-            limit=find_limit(session, quotas, team_id, quota),
-            used=_used(session, team_id, quota),
-            opens_at=_find_opening(quota, now),
+            quota=quota, limit=limit, used=_used(session, team_id, quota, now), opens_at=_find_opening(quota, now)
         )
-        for quota in Quota
+        for quota, limit in find_limits(session, quotas, team_id).items()
     ]
 
 
@@ -193,17 +191,16 @@ def _noted(session: Session, team: Team, quota: Quota) -> dict[str, object]:
     return {"quota": quota.value, "limit": "default" if own is None else own.most}
 
 
-def _used(session: Session, team_id: UUID, quota: Quota) -> int | None:
+def _used(session: Session, team_id: UUID, quota: Quota, now: datetime) -> int | None:
     if quota is Quota.EVENT_STREAMS:
         return None
     if quota is Quota.STORED_MIB:
-        return -(-_stored_bytes(session, team_id) // (1 << 20))
-    now = read_clock(session)
+        return -(-_stored_bytes(session, team_id, now) // (1 << 20))
     query = _tokens(team_id, now) if quota is Quota.TOKENS else _evaluations(team_id, quota, now)
     return session.scalars(query).one()
 
 
-def _stored_bytes(session: Session, team_id: UUID) -> int:
+def _stored_bytes(session: Session, team_id: UUID, now: datetime) -> int:
     """Return the size of a team's stored files, each once, and of its uploads that are not complete."""
     own = Submission.team_id == team_id, ~HAS_NO_UPLOAD
     uploads = select(Submission.archive_sha256, Submission.archive_bytes).where(*own)
@@ -214,7 +211,7 @@ def _stored_bytes(session: Session, team_id: UUID) -> int:
     unfinished = select(func.sum(PartialUpload.total_bytes)).where(
         PartialUpload.team_id == team_id,
         PartialUpload.submission_id.is_(None),
-        PartialUpload.expires_at > read_clock(session),
+        PartialUpload.expires_at > now,
     )
     return int(session.scalar(select(func.sum(stored.c[1]))) or 0) + int(session.scalar(unfinished) or 0)
 

@@ -10,7 +10,7 @@ from fastapi.concurrency import run_in_threadpool
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.types import Receive, Scope, Send
 
-from ..accounts.quotas import exceeded, find_limit
+from ..accounts.quotas import exceeded, find_limits
 from ..database.states import Quota
 from ..limiter import ConcurrencyLimiter
 from ..principals import Principal
@@ -64,7 +64,7 @@ class OpenStreams:
         if principal.team_id is None:
             return None
         with self.services.database.transaction() as session:
-            return find_limit(session, self.services.settings.quotas, principal.team_id, Quota.EVENT_STREAMS)
+            return find_limits(session, self.services.settings.quotas, principal.team_id)[Quota.EVENT_STREAMS]
 
 
 class CountedStream(EventSourceResponse):

@@ -135,7 +135,7 @@ def test_the_environments_say_the_version_of_the_distribution(project: dict[str,
 def test_server_imports_without_simulation_or_learning_libraries(repository: Path) -> None:
     loaded = modules_loaded_by("import " + ", ".join(modules_below(repository, "server")))
     assert "vitac" in loaded
-    assert not loaded & {"torch", "sapien", "mani_skill", "numba"}
+    assert not loaded & {"torch", "sapien", "mani_skill", "numba", "scipy"}
 
 
 def test_evaluator_imports_simulation_only_to_run(repository: Path) -> None:

@@ -34,7 +34,7 @@ from service_factories import (
     make_secret,
     make_settings,
     make_upload,
-    play_within,
+    play_together,
     sha256,
     shard_ids,
     submit_scored,
@@ -130,8 +130,11 @@ def _submit(session: Session, by: Principal, name: str, tasks: Iterable[str]) ->
 def submit_and_play(session: Session, by: Principal, name: str, successes: Mapping[str, tuple[int, ...]]) -> UUID:
     """A submission whose evaluation is complete, with so many successes for each shape of its tasks."""
     submission = _submit(session, by, name, successes)
-    for shard in shard_ids(session, submission):
-        play_within(session, shard, lambda episode, task: played_record(name, task, episode, successes[task]))
+    play_together(
+        session,
+        shard_ids(session, submission),
+        lambda episode, task: played_record(name, task, episode, successes[task]),
+    )
     return submission.id
 
 

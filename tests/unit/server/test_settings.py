@@ -1,5 +1,3 @@
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -72,15 +70,6 @@ def test_a_folder_that_does_not_exist_yet_is_judged_by_those_above(tmp_path: Pat
     assert others_can_enter(Path("/usr/not/there"))
     tmp_path.chmod(0o700)
     assert not others_can_enter(tmp_path / "not" / "there")
-
-
-def test_server_imports_no_simulation_and_no_learning_library() -> None:
-    program = (
-        "import sys, vitac.server.api.app, vitac.server.services;"
-        "print(sorted({'numba', 'torch', 'sapien', 'scipy'} & sys.modules.keys()))"
-    )
-    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert answer.stdout.strip() == "[]"
 
 
 def test_a_secret_that_cannot_be_used_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:

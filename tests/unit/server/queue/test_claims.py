@@ -30,7 +30,7 @@ from vitac.server.queue import work
 from vitac.server.queue.kinds import KINDS
 from vitac.server.queue.work import Claim, name_requirement
 
-MANY, SMALL_TEAMS = 40, 20
+MANY, SMALL_TEAMS = 10, 6
 HERE = name_requirement(evaluator_version())
 SETTINGS = make_settings(lease_s=60.0)
 
