@@ -14,7 +14,7 @@ from .errors import VitacError
 from .fem.model.mesh import GelMesh, SurfaceMesh
 from .geometry.stl import read_stl
 from .tactile.design import SensorDesign
-from .tactile.gel import coarse_gelsight_mini_mesh, gelsight_mini_mesh
+from .tactile.gel import arena_gel_mesh, coarse_arena_gel_mesh, coarse_gelsight_mini_mesh, gelsight_mini_mesh
 from .tactile.gel_files import read_gel
 from .tactile.markers import MarkerSettings
 from .tactile.sensor import CoarseSensor, DesignedSensor, TactileSensor
@@ -45,6 +45,7 @@ class Meshes:
         gel: elastomer of both sensors in place of the challenge's.
         sensor: design of both sensors in place of the challenge's, with a gel of its own.
         is_coarse: the generated gel has fewer elements, for training.
+        is_hexahedral: the generated gel is one that does not lock.
     """
 
     def __init__(
@@ -54,8 +55,9 @@ class Meshes:
         gel: GelMesh | None = None,
         sensor: SensorDesign | None = None,
         is_coarse: bool = False,
+        is_hexahedral: bool = False,
     ) -> None:
-        self._is_coarse = is_coarse
+        self._is_coarse, self._is_hexahedral = is_coarse, is_hexahedral
         self._folder = None if assets_dir is None else _existing_folder(Path(assets_dir))
         self._gel = gel if sensor is None else sensor.gel
         self._design = sensor
@@ -65,12 +67,15 @@ class Meshes:
         if self._gel is not None:
             return self._gel
         if self._is_coarse:
-            return coarse_gelsight_mini_mesh()
-        return gelsight_mini_mesh() if self._folder is None else _read_gel(self._folder / _GEL_FOLDER)
+            return coarse_arena_gel_mesh() if self._is_hexahedral else coarse_gelsight_mini_mesh()
+        return self._fine_gel() if self._folder is None else _read_gel(self._folder / _GEL_FOLDER)
+
+    def _fine_gel(self) -> GelMesh:
+        return arena_gel_mesh() if self._is_hexahedral else gelsight_mini_mesh()
 
     def sensing_node_count(self) -> int:
         """Return how many nodes of a sensing face are observed: of a coarse gel as many as of the one it stands for."""
-        return len((gelsight_mini_mesh() if self._is_coarse else self.gel()).sensing_nodes)
+        return len((self._fine_gel() if self._is_coarse else self.gel()).sensing_nodes)
 
     def sensors(self, settings: MarkerSettings) -> tuple[TactileSensor, TactileSensor]:
         """Return the two sensors of a gripper, left and right."""
@@ -78,7 +83,7 @@ class Meshes:
         if design is not None:
             return DesignedSensor(design, settings), DesignedSensor(design, settings)
         if self._is_coarse:
-            coarse, fine = self.gel(), gelsight_mini_mesh()
+            coarse, fine = self.gel(), self._fine_gel()
             return CoarseSensor(coarse, fine, settings), CoarseSensor(coarse, fine, settings)
         return TactileSensor(self.gel(), settings), TactileSensor(self.gel(), settings)
 
@@ -112,7 +117,7 @@ def mesh_hash(gel: GelMesh, solids: Iterable[SurfaceMesh], settings: object, des
     """
     digest = hashlib.sha256(repr(settings).encode())
     digest.update(gel.rest_position_m.astype("<f8").tobytes() + gel.tetrahedra.astype("<i8").tobytes())
-    digest.update(gel.driven.tobytes() + gel.sensing.tobytes())
+    digest.update(gel.hexahedra.astype("<i8").tobytes() + gel.driven.tobytes() + gel.sensing.tobytes())
     digest.update(b"" if design is None else design.as_bytes())
     for solid in solids:
         digest.update(solid.vertices_m.astype("<f8").tobytes() + solid.triangles.astype("<i8").tobytes())

@@ -88,7 +88,7 @@ def call_times_ms(scene: Scene, x: FloatArray, x_end: FloatArray) -> dict[str, f
         "elastic matrix": lambda: add_elasticity(model.elastic, x, w.batch, w.system, EXACT_MATRIX),
         "contact forces": lambda: add_contacts(model, near, points, w.stencil, w.system, NO_MATRIX),
         "contact matrix": lambda: add_contacts(model, near, points, w.stencil, w.system, EXACT_MATRIX),
-        "inversion": lambda: inversion_free_fraction(model.elastic, x, x_end - x, 1.0),
+        "inversion": lambda: inversion_free_fraction(model.elastic, model.hexahedra, x, x_end - x, 1.0),
         "impact": lambda: contact_free_fraction(near, move, model.parameters.ccd_gap_fraction, 1.0),
         "candidates": lambda: find_candidates(model.surfaces, y, reach_m),
     }

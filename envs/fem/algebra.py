@@ -268,6 +268,7 @@ def _weighted_sum(terms: int, *, adds: bool) -> Any:
 
 # write(target, place, weights, source, groups): target[place + j] = w_0 source[g_0 + j] + w_1 ... for 0 <= j < 8
 write_sum_of_three = _weighted_sum(3, adds=False)
+write_sum_of_seven = _weighted_sum(7, adds=False)
 add_sum_of_two = _weighted_sum(2, adds=True)
 
 

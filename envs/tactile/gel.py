@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ..fem.model.mesh import GelMesh
 
 FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
 
 MILLIMETRE_M = 1e-3
 # Height of the sensing face's highest point in the frame of a gel made here.
@@ -48,12 +49,16 @@ class GelCells:
         y: between the bevels along y.
         bevel: across each bevel.
         layers: through the thickness.
+        growth: by which factor a cell between the bevels is longer than its neighbour towards the middle.
+        is_hexahedral: whether a cell is one hexahedron, which does not lock, or five tetrahedra.
     """
 
     x: int = 6
     y: int = 6
     bevel: int = 1
     layers: int = 1
+    growth: float = 1.0
+    is_hexahedral: bool = False
 
 
 # Corners (x, y, z) of a cell's central tetrahedron, whose upper edge runs along the diagonal x = y; the other four
@@ -80,14 +85,31 @@ def coarse_gelsight_mini_mesh() -> GelMesh:
     return structured_gel(name="coarse GelSight Mini gel", cells=GelCells(x=COARSE_CELLS, y=COARSE_CELLS))
 
 
+@cache
+def arena_gel_mesh() -> GelMesh:
+    """Return the mesh of the elastomer under `arena-2`: 363 nodes, 200 hexahedra, 121 driven and 81 sensing nodes.
+
+    Two layers, finest in the middle, and as symmetric as `gelsight_mini_mesh`.
+    """
+    cells = GelCells(x=8, y=8, layers=2, growth=1.3, is_hexahedral=True)
+    return structured_gel(name="hexahedral GelSight Mini gel", cells=cells)
+
+
+@cache
+def coarse_arena_gel_mesh() -> GelMesh:
+    """Return the same elastomer in fewer hexahedra, for training; see `arena_gel_mesh`."""
+    cells = GelCells(x=COARSE_CELLS, y=COARSE_CELLS, layers=2, is_hexahedral=True)
+    return structured_gel(name="coarse hexahedral GelSight Mini gel", cells=cells)
+
+
 def structured_gel(*, name: str, size: GelDimensions | None = None, cells: GelCells | None = None) -> GelMesh:
     """Return a gel of hexahedral cells, each cut into five tetrahedra, mirrored from cell to cell like a chessboard.
 
     The back face is driven, the face between the bevels is sensing.
     """
     size, cells = size or GelDimensions(), cells or GelCells()
-    x_mm, x_rise = _grid_lines(size.length_mm, size.bevel_inset_mm, cells.x, cells.bevel)
-    y_mm, y_rise = _grid_lines(size.width_mm, size.bevel_inset_mm, cells.y, cells.bevel)
+    x_mm, x_rise = _grid_lines(size.length_mm, size.bevel_inset_mm, cells.x, cells)
+    y_mm, y_rise = _grid_lines(size.width_mm, size.bevel_inset_mm, cells.y, cells)
     grid = np.array([(x, y) for y, x in product(y_mm, x_mm)])
     rise = np.array([min(x, y) for y, x in product(y_rise, x_rise)])
     bottom_mm = SENSING_HEIGHT_MM - size.thickness_mm
@@ -98,28 +120,54 @@ def structured_gel(*, name: str, size: GelDimensions | None = None, cells: GelCe
     driven, sensing = inside.copy(), inside.copy()
     driven[0] = True
     sensing[-1] = rise == 1.0
+    corners = _cell_corners(len(x_mm), len(y_mm), cells.layers)
     return GelMesh(
         rest_position_m=nodes_mm * MILLIMETRE_M,
         tetrahedra=_oriented(nodes_mm, _cut_cells(len(x_mm), len(y_mm), cells.layers)),
         driven=driven.ravel(),
         sensing=sensing.ravel(),
         name=name,
+        hexahedra=corners if cells.is_hexahedral else corners[:0],
     )
 
 
-def _grid_lines(extent_mm: float, inset_mm: float, cells: int, bevel_cells: int) -> tuple[FloatArray, FloatArray]:
-    """Return the grid coordinates along one axis from wall to wall, and how high up the bevel each is, from 0 to 1."""
+def _grid_lines(extent_mm: float, inset_mm: float, count: int, cells: GelCells) -> tuple[FloatArray, FloatArray]:
+    """Return the grid coordinates along one axis from wall to wall, and how high up the bevel each is, from 0 to 1.
+
+    There are `count` cells between the bevels.
+    """
     edge_mm = 0.5 * extent_mm
-    between = np.linspace(-(edge_mm - inset_mm), edge_mm - inset_mm, cells + 1)
-    rise = np.arange(bevel_cells) / bevel_cells
+    half_mm = edge_mm - inset_mm
+    between = np.linspace(-half_mm, half_mm, count + 1)
+    if cells.growth != 1.0:
+        lengths = _powers(cells.growth, np.abs(2 * np.arange(count) - (count - 1)) // 2)
+        ends = np.concatenate([[0.0], np.cumsum(lengths)])
+        between = half_mm * (ends - ends[::-1]) / ends[-1]
+    rise = np.arange(cells.bevel) / cells.bevel
     outer = -edge_mm + inset_mm * rise
-    return np.concatenate([outer, between, -outer[::-1]]), np.concatenate([rise, np.ones(cells + 1), rise[::-1]])
+    return np.concatenate([outer, between, -outer[::-1]]), np.concatenate([rise, np.ones(count + 1), rise[::-1]])
+
+
+def _powers(base: float, exponents: IndexArray) -> FloatArray:
+    """Return powers by multiplication: the C library's pow may give other bits on another machine."""
+    table = np.cumprod(np.concatenate([[1.0], np.full(exponents.max(), base)]))
+    return np.asarray(table[exponents])
 
 
 def _dome(grid_mm: FloatArray, size: GelDimensions) -> FloatArray:
     """Return the height of a dome over the sensing face: 1 at its centre, 0 at its rim and beyond."""
     half_mm = 0.5 * np.array([size.length_mm, size.width_mm]) - size.bevel_inset_mm
     return np.asarray(np.maximum(1.0 - (grid_mm / half_mm) ** 2, 0.0).prod(axis=1))
+
+
+def _cell_corners(x_lines: int, y_lines: int, layers: int) -> IndexArray:
+    """Return the nodes of every cell between the layers of grid nodes, x fastest, shape [c, 8]."""
+    number = np.arange((layers + 1) * y_lines * x_lines).reshape(layers + 1, y_lines, x_lines)
+    corners = [
+        number[z : layers + z, y : y_lines - 1 + y, x : x_lines - 1 + x].ravel()
+        for z, y, x in product(range(2), repeat=3)
+    ]
+    return np.stack(corners, axis=1)
 
 
 def _cut_cells(x_lines: int, y_lines: int, layers: int) -> NDArray[np.int64]:

@@ -34,7 +34,9 @@ _GRID_HALF_Y_MM = 6.0
 # A marker is seen where its reference is inside this part of the picture.
 _U_RANGE_PX = (5.0, 320.0)
 _V_RANGE_PX = (5.0, 240.0)
-_CANDIDATE_TRIANGLES = 4
+# Triangles nearest to a marker among which the one that carries it is looked for: the challenge's number, and one that
+# is enough where cells are of different lengths.
+_CANDIDATES, _CANDIDATES_AMONG_UNEVEN = 4, 12
 # Number of meshes; every episode has new sensors, and the hull of a surface takes a millisecond.
 _SURFACES_KEPT = 4
 
@@ -77,6 +79,7 @@ class SurfaceArrays(NamedTuple):
     triangles: IndexArray
     centroids_m: FloatArray
     hull_m: FloatArray
+    candidates: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,10 +89,12 @@ class SensingSurface:
     Attributes:
         vertices_m: sensing nodes, camera x and y [m], shape [s, 2].
         triangles: indices into them, shape [t, 3].
+        candidates: how many of them, nearest first, are looked at for a marker.
     """
 
     vertices_m: FloatArray
     triangles: IndexArray
+    candidates: int = _CANDIDATES
 
     @classmethod
     @lru_cache(maxsize=_SURFACES_KEPT)
@@ -102,17 +107,29 @@ class SensingSurface:
             raise NoMarkerVisible(f"{mesh.name}: no boundary triangle has three sensing nodes; mark a whole face.")
         # Camera x and y are the negated gel axes.
         vertices_m = -mesh.rest_position_m[mesh.sensing_nodes, :2]
-        return cls(vertices_m=vertices_m, triangles=number[mesh.surface_triangles[on_surface]])
+        return cls(
+            vertices_m=vertices_m,
+            triangles=number[mesh.surface_triangles[on_surface]],
+            candidates=_CANDIDATES_AMONG_UNEVEN if len(mesh.hexahedra) else _CANDIDATES,
+        )
 
     @cached_property
     def arrays(self) -> SurfaceArrays:
         """All arrays, for kernels."""
-        return SurfaceArrays(self.vertices_m, self.triangles, self.centroids_m, self.hull_m)
+        return SurfaceArrays(self.vertices_m, self.triangles, self.centroids_m, self.hull_m, self.candidates)
 
     @cached_property
     def hull_m(self) -> FloatArray:
         """Corners of the convex hull, counter-clockwise, shape [h, 2] [m]."""
         return convex_hull(self.vertices_m)
+
+    @cached_property
+    def node_shares(self) -> FloatArray:
+        """Part of the face's area that each sensing node stands for, shape [s]: a third of each triangle around it."""
+        a, b, c = (self.vertices_m[self.triangles[:, corner]] for corner in range(3))
+        areas, shares = np.abs(_doubled_area(b - a, c - a)), np.zeros(len(self.vertices_m))
+        np.add.at(shares, self.triangles, areas[:, None])
+        return np.asarray(shares / shares.sum())
 
     @cached_property
     def centroids_m(self) -> FloatArray:
@@ -275,9 +292,7 @@ def _seen(
 
     One kernel for all: between two IPC steps little of NumPy's code is in the caches.
     """
-    triangle, weights = _attach(
-        _points_m(grid, shifts), surface.vertices_m, surface.triangles, surface.centroids_m, surface.hull_m
-    )
+    triangle, weights = _attach(_points_m(grid, shifts), surface)
     corners = surface.triangles[triangle]
     reference = project(interpolated(reference_m, corners, weights), camera)
     current = project(interpolated(current_m, corners, weights), camera)
@@ -335,22 +350,21 @@ def _noisy(flow: FloatArray, kept: NDArray[np.bool_], uniform: FloatArray, noise
 
 
 @allocating_kernel
-def _attach(
-    grid: FloatArray, vertices: FloatArray, triangles: IndexArray, centroids: FloatArray, hull: FloatArray
-) -> tuple[IndexArray, FloatArray]:
+def _attach(grid: FloatArray, surface: SurfaceArrays) -> tuple[IndexArray, FloatArray]:
     """Return triangle and barycentric weights, shapes [m] and [m, 3], of the grid points inside the hull, in order.
 
-    Of the four triangles nearest by centroid the first that contains the point; if none does, the nearest, whose
-    weights then extrapolate.
+    Of the candidates, which are the triangles nearest by centroid, the first that contains the point; if none does, the
+    nearest, whose weights then extrapolate.
     """
+    vertices, triangles = surface.vertices_m, surface.triangles
     chosen = np.empty(grid.shape[0], dtype=np.int64)
     weights = np.empty((grid.shape[0], 3))
     count = 0
     for i in range(grid.shape[0]):
         x, y = grid[i, 0], grid[i, 1]
-        if not _is_in_hull(x, y, hull):
+        if not _is_in_hull(x, y, surface.hull_m):
             continue
-        near = _nearest(x, y, centroids)
+        near = _nearest(x, y, surface.centroids_m, surface.candidates)
         chosen[count] = near[0]
         for k in range(near.shape[0]):
             w0, w1, w2 = _barycentric(x, y, vertices, triangles[near[k]])
@@ -374,9 +388,9 @@ def _is_in_hull(x: float, y: float, hull: FloatArray) -> bool:
 
 
 @allocating_kernel
-def _nearest(x: float, y: float, centroids: FloatArray) -> IndexArray:
-    """Return the indices of at most four nearest centroids, nearest first; lower index first among equals."""
-    count = min(_CANDIDATE_TRIANGLES, centroids.shape[0])
+def _nearest(x: float, y: float, centroids: FloatArray, most: int) -> IndexArray:
+    """Return the indices of at most this number of nearest centroids, nearest first; lower index first among equals."""
+    count = min(most, centroids.shape[0])
     best = np.empty(count, dtype=np.int64)
     distance = np.full(count, np.inf)
     for i in range(centroids.shape[0]):

@@ -126,6 +126,14 @@ TOUCH_QUANTITIES = (
         apply=setting("physics.youngs_modulus_pa", 1e3),
     ),
     Quantity(
+        name="gel_poisson_ratio",
+        unit="1",
+        meaning="Poisson's ratio of both gels",
+        range=(0.0, 0.49),
+        nominal=0.48,
+        apply=setting("physics.poisson_ratio"),
+    ),
+    Quantity(
         name="indentation_mm",
         unit="mm",
         meaning="Indentation of each gel",

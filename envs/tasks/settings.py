@@ -166,6 +166,8 @@ def refusal(env_id: str, option: str, value: Any, expected: str) -> ResetOptions
 SettingsT = TypeVar("SettingsT")
 
 FIDELITY = "fidelity"
+# Of the gel that goes with arena-2; silicone has 0.45 to 0.49.
+SILICONE_POISSON_RATIO = 0.48
 _STEP_TOLERANCE_M, _RESIDUAL_TOLERANCE_N = 1e-5, 1e-2
 
 
@@ -214,8 +216,13 @@ def with_fidelity(settings: SettingsT, fidelity: Fidelity) -> SettingsT:
     return replace(settings, physics=replace(physics, solver=solver))  # type: ignore[type-var]
 
 
-def with_contact_model(settings: SettingsT, name: str | None) -> SettingsT:
+def with_contact_model(settings: SettingsT, name: str | None, *, has_own_gel: bool = False) -> SettingsT:
     """Return the settings of a task with the contact model of this name; the same where they have it or none is named.
+
+    Args:
+        settings: of a task.
+        name: "challenge-2025" or "arena-2".
+        has_own_gel: whether the gels are others than the model's own, whose material goes with it.
 
     Raises:
         SettingsError: there is no such model, or the settings have been given another one.
@@ -232,4 +239,6 @@ def with_contact_model(settings: SettingsT, name: str | None) -> SettingsT:
         raise SettingsError(
             f"Argument 'contact_model' is {name!r}, but 'physics' was given with {given}; leave one out."
         )
-    return replace(settings, physics=replace(physics, contact=ArenaContactSettings()))  # type: ignore[type-var]
+    poisson_ratio = physics.poisson_ratio if has_own_gel else SILICONE_POISSON_RATIO
+    physics = replace(physics, contact=ArenaContactSettings(), poisson_ratio=poisson_ratio)
+    return replace(settings, physics=physics)  # type: ignore[type-var]

@@ -21,6 +21,7 @@ from ..assets import Meshes
 from ..errors import VitacError
 from ..fem import SOLVER_VERSION
 from ..fem.model.mesh import GelMesh, SurfaceMesh
+from ..fem.model.settings import ContactModel
 from ..observable import Observable
 from ..scene.grasped_scene import Clocks, GraspedScene, Stopwatch
 from ..tactile.design import SensorDesign
@@ -170,13 +171,20 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
     ) -> None:
         has_own_gel = not (assets_dir is None and gel is None and sensor is None)
         self.fidelity = find_fidelity(fidelity, has_own_gel=has_own_gel)
-        given = with_contact_model(read_task_settings(self.settings_type, overrides), contact_model)
+        given = read_task_settings(self.settings_type, overrides)
+        given = with_contact_model(given, contact_model, has_own_gel=has_own_gel)
         self.settings: SettingsT = with_fidelity(given, self.fidelity)
         observed = self.task.with_optional(optional_observables)
         own = observed.observables if privileged else observed.public_observables
         if observation_keys is not None:
             own = chosen_observables(own, observation_keys)
-        self._meshes = Meshes(assets_dir, gel=gel, sensor=sensor, is_coarse=self.fidelity is Fidelity.TRAINING)
+        self._meshes = Meshes(
+            assets_dir,
+            gel=gel,
+            sensor=sensor,
+            is_coarse=self.fidelity is Fidelity.TRAINING,
+            is_hexahedral=self.settings.physics.contact.model is ContactModel.ARENA_2,
+        )
         self._observed_keys = tuple(entry.name for entry in own)
         self._further_observables = tuple(observables)
         self._observables = self._list_observables()

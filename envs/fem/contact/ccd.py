@@ -1,4 +1,4 @@
-"""How far a move may go: no pair may close more than a fraction of its gap, no tetrahedron may invert.
+"""How far a move may go: no pair may close more than a fraction of its gap, no element may invert.
 
 Contact: conservative advancement. At the current closest points the plane normal to n separates the two primitives
 by the gap d, so along a linear motion each pair of their vertices keeps a gap that is linear in time; the move may go
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from ...compilation import kernel
 from ..algebra import Vec3, add, cross, dot, load, scale, subtract
-from ..model.model import Elastic
+from ..elastic.hexahedra import get_mode
+from ..model.model import Elastic, Hexahedra
 from .broad_phase import Candidates, Corners
 from .contact import Quad
 from .distance import POINT_TRIANGLE, closest_points
@@ -27,7 +28,7 @@ _ADVANCES = 100
 _SMALLEST_ADVANCE = 1e-4
 # What rounding may take away from a gap, by far, as a part of it.
 _CLEAR = 1e-3
-# Part of a tetrahedron's volume that a move leaves at least.
+# Part of an element's volume that a move leaves at least.
 _REMAINING_VOLUME = 0.1
 
 
@@ -135,11 +136,12 @@ def _vertex_pair_time(xa: Vec3, xb: Vec3, va: Vec3, vb: Vec3, r: Vec3, floor: fl
 
 
 @kernel
-def inversion_free_fraction(elastic: Elastic, x: FloatArray, move: FloatArray, allowed: float) -> float:
-    """Return the largest part, up to `allowed`, of a node move [m], shape [n, 3], that leaves a tenth of each volume.
+def inversion_free_fraction(
+    elastic: Elastic, hexahedra: Hexahedra, x: FloatArray, move: FloatArray, allowed: float
+) -> float:
+    """Return the largest part, up to `allowed`, of a node move [m] of shape [n, 3] that leaves a tenth of each volume.
 
-    Along the move a volume is a cubic in time; dropping its growing terms gives a falling lower bound, which is
-    bisected.
+    Of a hexahedron it is that of its mean deformation.
     """
     nodes = elastic.nodes
     for t in range(len(nodes)):
@@ -150,20 +152,35 @@ def inversion_free_fraction(elastic: Elastic, x: FloatArray, move: FloatArray, a
         da = subtract(load(move, n1), load(move, n0))
         db = subtract(load(move, n2), load(move, n0))
         dc = subtract(load(move, n3), load(move, n0))
-        bc, db_dc = cross(b, c), cross(db, dc)
-        mixed = add(cross(b, dc), cross(db, c))
-        volume = dot(a, bc)
-        linear = min(dot(da, bc) + dot(a, mixed), 0.0)
-        quadratic = min(dot(da, mixed) + dot(a, db_dc), 0.0)
-        cubic = min(dot(da, db_dc), 0.0)
-        if (1.0 - _REMAINING_VOLUME) * volume + allowed * (linear + allowed * (quadratic + allowed * cubic)) < 0.0:
-            low, high = 0.0, allowed
-            for _ in range(30):
-                middle = 0.5 * (low + high)
-                left = (1.0 - _REMAINING_VOLUME) * volume + middle * (linear + middle * (quadratic + middle * cubic))
-                if left < 0.0:
-                    high = middle
-                else:
-                    low = middle
-            allowed = low
+        allowed = _volume_keeping_fraction(a, b, c, da, db, dc, allowed)
+    for h in range(len(hexahedra.volume_m3)):
+        a, b, c = get_mode(hexahedra, h, 0, x), get_mode(hexahedra, h, 1, x), get_mode(hexahedra, h, 2, x)
+        da, db, dc = get_mode(hexahedra, h, 0, move), get_mode(hexahedra, h, 1, move), get_mode(hexahedra, h, 2, move)
+        allowed = _volume_keeping_fraction(a, b, c, da, db, dc, allowed)
+    return allowed
+
+
+@kernel
+def _volume_keeping_fraction(a: Vec3, b: Vec3, c: Vec3, da: Vec3, db: Vec3, dc: Vec3, allowed: float) -> float:
+    """Return the largest part, up to `allowed`, of moves of three vectors that leaves a tenth of their volume.
+
+    Along the move a volume is a cubic in time; dropping its growing terms gives a falling lower bound, which is
+    bisected.
+    """
+    bc, db_dc = cross(b, c), cross(db, dc)
+    mixed = add(cross(b, dc), cross(db, c))
+    volume = dot(a, bc)
+    linear = min(dot(da, bc) + dot(a, mixed), 0.0)
+    quadratic = min(dot(da, mixed) + dot(a, db_dc), 0.0)
+    cubic = min(dot(da, db_dc), 0.0)
+    if (1.0 - _REMAINING_VOLUME) * volume + allowed * (linear + allowed * (quadratic + allowed * cubic)) < 0.0:
+        low, high = 0.0, allowed
+        for _ in range(30):
+            middle = 0.5 * (low + high)
+            left = (1.0 - _REMAINING_VOLUME) * volume + middle * (linear + middle * (quadratic + middle * cubic))
+            if left < 0.0:
+                high = middle
+            else:
+                low = middle
+        allowed = low
     return allowed

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from ...compilation import kernel, large_kernel
 from ..algebra import Mat3, add_to_row, apply_columns, apply_rows, dot, load, transpose
 from ..linear.system import GEL_STRIDE, add_block
-from ..model.model import NO_MATRIX, PROJECTED_MATRIX, Elastic, NewtonSystem
+from ..model.model import NO_MATRIX, PROJECTED_MATRIX, Elastic, Hexahedra, NewtonSystem
 from .batch import BATCH, ROWS, deformation_gradient, get_number, get_vector, new_batch, set_number, set_vector
+from .hexahedra import get_mode
 from .neo_hookean import BATCH_ROWS, projected_stiffness_block, stiffness_block, strained, write_forces
 
 FloatArray = NDArray[np.float64]
@@ -91,25 +92,25 @@ def _add_corners(elastic: Elastic, t: int, a: int, b: int, block: Mat3, system: 
         add_to_row(system.coupling, n, apply_columns(block, load(system.prescribed_move, m)))
 
 
-# Part of the tetrahedra that are stretched by no more than the high stretch.
+# Part of the elements that are stretched by no more than the high stretch.
 _HIGH = 0.95
 # Newton's iterations for the root; the slowest case, a double root, halves its error in each.
 _ITERATIONS = 60
-# Of these, how many are made for all tetrahedra at once.
+# Of these, how many are made for all elements at once.
 _SHARED_ITERATIONS = 6
 
 
-def measure_stretches(elastic: Elastic, x: FloatArray) -> tuple[float, float]:
-    """Return the largest principal stretch of all tetrahedra at nodes x [m], and the one that 95 % do not exceed."""
-    stretches, *scratch = np.empty((4, len(elastic.volume_m3)))
-    write_stretches(elastic, x, stretches, Cubics(*scratch))
+def measure_stretches(elastic: Elastic, hexahedra: Hexahedra, x: FloatArray) -> tuple[float, float]:
+    """Return the largest principal stretch of all elements at nodes x [m], and the one that 95 % do not exceed."""
+    stretches, *scratch = np.empty((4, len(elastic.volume_m3) + len(hexahedra.volume_m3)))
+    write_stretches(elastic, hexahedra, x, stretches, Cubics(*scratch))
     high = ceil(_HIGH * len(stretches)) - 1
     stretches.partition(high)
     return float(stretches[high:].max()), float(stretches[high])
 
 
 class Cubics(NamedTuple):
-    """For each tetrahedron, shapes [t], the largest eigenvalue of C = F^T F as q + p t, t the largest root of a cubic.
+    """For each element, shapes [t], the largest eigenvalue of C = F^T F as q + p t, t the largest root of a cubic.
 
     With q = tr C / 3 and p^2 = tr (C - q I)^2 / 6 the cubic is t^3 - 3 t = r, r = det((C - q I) / p), and its root is
     2 cos(arccos(r / 2) / 3) (Smith, Eigenvalues of a symmetric 3 x 3 matrix, CACM 4 (1961) 168). Newton's method falls
@@ -122,16 +123,24 @@ class Cubics(NamedTuple):
 
 
 @large_kernel
-def write_stretches(elastic: Elastic, x: FloatArray, stretches: FloatArray, cubics: Cubics) -> None:
-    """Write the largest principal stretch of each tetrahedron, shape [t], at nodes x [m] of shape [n, 3].
+def write_stretches(
+    elastic: Elastic, hexahedra: Hexahedra, x: FloatArray, stretches: FloatArray, cubics: Cubics
+) -> None:
+    """Write the largest principal stretch of each tetrahedron, then hexahedron, shape [t]; nodes x [m], [n, 3].
 
-    The first iterations are made for all of them at once, which LLVM vectorises; few tetrahedra need more.
+    The first iterations are made for all of them at once, which LLVM vectorises; few elements need more.
     """
     nodes, gradients = elastic.nodes, elastic.gradients_1_m
-    for t in range(len(stretches)):
+    tetrahedra = len(elastic.volume_m3)
+    for t in range(tetrahedra):
         corners = (load(x, nodes[t, 0]), load(x, nodes[t, 1]), load(x, nodes[t, 2]), load(x, nodes[t, 3]))
         g1, g2, g3 = load(gradients[t], 1), load(gradients[t], 2), load(gradients[t], 3)
         cubics.q[t], cubics.p[t], cubics.r[t] = _cubic(deformation_gradient(corners, (g1, g1, g2, g3)))
+    for h in range(len(hexahedra.volume_m3)):
+        F = get_mode(hexahedra, h, 0, x), get_mode(hexahedra, h, 1, x), get_mode(hexahedra, h, 2, x)
+        t = tetrahedra + h
+        cubics.q[t], cubics.p[t], cubics.r[t] = _cubic(F)
+    for t in range(len(stretches)):
         stretches[t] = 2.0
     for _ in range(_SHARED_ITERATIONS):
         for t in range(len(stretches)):

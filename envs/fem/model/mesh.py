@@ -1,7 +1,9 @@
 """Meshes of gels and rigid parts, and the bodies that they are placed as."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import combinations, product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,12 @@ SMALLEST_TETRAHEDRON_QUALITY = 1e-4
 # Boundary faces of a tetrahedron, outward for a positively oriented one.
 _FACES = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+TETRAHEDRA_OF_HEXAHEDRON = 5
+# Natural coordinates of a hexahedron's nodes, and of the points where two of Gauss' points in each direction stand.
+_SIGNS = np.array([(x, y, z) for z in (-1.0, 1.0) for y in (-1.0, 1.0) for x in (-1.0, 1.0)])
+_GAUSS = 1.0 / np.sqrt(3.0)
+# Part of a hexahedron's volume by which its tetrahedra may miss it: its faces need not be plane.
+_CUT_ERROR = 0.25
 # Bend of a surface at an edge up to which its two triangles are of one plane: a part of 0.5 m moves by less than 1 um.
 _FLAT_RAD = 1e-6
 
@@ -31,18 +39,22 @@ class MeshError(VitacError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GelMesh:
-    """Tetrahedral mesh of an elastomer.
+    """Mesh of an elastomer, of tetrahedra or of hexahedra.
 
     Attributes:
         rest_position_m: undeformed node positions [m], shape [n, 3].
         tetrahedra: node indices of positively oriented tetrahedra, shape [t, 4].
+        hexahedra: node indices of hexahedra, shape [c, 8], that stand for the tetrahedra where there are any: these
+            cut each into five, in the order of the hexahedra, and serve its surface and drawings only. Nodes in the
+            order of x fastest, then y, then z: edges are about along the mesh's axes.
         driven: nodes whose motion is prescribed (the back face), shape [n].
         sensing: nodes of the sensing surface, shape [n].
         name: how messages call the mesh (a file name where it has one).
 
     Raises:
         MeshError: an array has the wrong shape, a coordinate is not finite or not in metres, a tetrahedron is
-            inverted or flat, a node belongs to no tetrahedron, no node is driven, none is free, or none is sensing.
+            inverted or flat, the tetrahedra do not cut the hexahedra, a node belongs to no tetrahedron, no node is
+            driven, none is free, or none is sensing.
     """
 
     rest_position_m: FloatArray
@@ -50,6 +62,7 @@ class GelMesh:
     driven: MaskArray
     sensing: MaskArray
     name: str
+    hexahedra: IndexArray = field(default_factory=lambda: np.empty((0, 8), dtype=np.int64))
 
     def __post_init__(self) -> None:
         nodes = len(self.rest_position_m)
@@ -66,6 +79,8 @@ class GelMesh:
         if self.driven.all():
             raise MeshError(f"{self.name}: all {nodes} nodes are driven, so none is left to solve for; free some.")
         self._check_tetrahedra()
+        if len(self.hexahedra):
+            self._check_hexahedra()
 
     def _check_tetrahedra(self) -> None:
         corners = self.rest_position_m[self.tetrahedra]
@@ -91,6 +106,42 @@ class GelMesh:
                 f"{self.name}: node {unreferenced[0]} at {self.rest_position_m[unreferenced[0]].tolist()} m belongs to "
                 f"no tetrahedron ({len(unreferenced)} such nodes); remove it from the mesh."
             )
+
+    def _check_hexahedra(self) -> None:
+        _check_indices(self.name, "hexahedron", self.hexahedra, 8, len(self.rest_position_m))
+        expected = np.repeat(self.hexahedra, TETRAHEDRA_OF_HEXAHEDRON, axis=0)
+        if len(expected) != len(self.tetrahedra) or not (self.tetrahedra[:, :, None] == expected[:, None]).any(2).all():
+            raise MeshError(
+                f"{self.name}: {len(self.tetrahedra)} tetrahedra do not cut {len(self.hexahedra)} hexahedra; expected "
+                f"{TETRAHEDRA_OF_HEXAHEDRON} of the corners of each, in the order of the hexahedra."
+            )
+        of_tetrahedra = self.volumes_m3.reshape(-1, TETRAHEDRA_OF_HEXAHEDRON).sum(axis=1)
+        wrong = np.abs(self.blocks.volume_m3 - of_tetrahedra) > _CUT_ERROR * of_tetrahedra
+        wrong |= (self.blocks.size_m <= 0.0).any(axis=1)
+        if wrong.any():
+            worst = int(wrong.argmax())
+            raise MeshError(
+                f"{self.name}: hexahedron {worst} (nodes {self.hexahedra[worst].tolist()}) holds "
+                f"{self.blocks.volume_m3[worst]:.3e} m^3 and is {self.blocks.size_m[worst].tolist()} m large, its "
+                f"tetrahedra hold {of_tetrahedra[worst]:.3e} m^3; order its nodes with x fastest, then y, then z."
+            )
+
+    @cached_property
+    def blocks(self) -> "Blocks":
+        """What follows from the rest shape of the hexahedra."""
+        return measure_blocks(self.rest_position_m[self.hexahedra])
+
+    @property
+    def elements(self) -> IndexArray:
+        """What carries its elastic energy: hexahedra where there are any, else tetrahedra; shape [e, 8 or 4]."""
+        return self.hexahedra if len(self.hexahedra) else self.tetrahedra
+
+    def node_masses_kg(self, density_kg_m3: float) -> FloatArray:
+        """Return the lumped mass of each node [kg], shape [n]: an equal part of every element around it."""
+        volumes_m3 = self.blocks.volume_m3 if len(self.hexahedra) else self.volumes_m3
+        masses = np.zeros(len(self.rest_position_m))
+        np.add.at(masses, self.elements, 1.0 / self.elements.shape[1] * density_kg_m3 * volumes_m3[:, None])
+        return masses
 
     @cached_property
     def surface_triangles(self) -> IndexArray:
@@ -144,7 +195,8 @@ class GelMesh:
         free = np.flatnonzero(~self.driven)
         number = np.full(len(self.driven), -1, dtype=np.int64)
         number[free] = np.arange(len(free))
-        edges = np.concatenate([self.tetrahedra[:, pair] for pair in _EDGES])
+        corners = range(self.elements.shape[1])
+        edges = np.concatenate([self.elements[:, pair] for pair in combinations(corners, 2)])
         edges = np.unique(np.sort(number[edges], axis=1), axis=0)
         edges = edges[edges[:, 0] >= 0]
         return plan_elimination(free, edges, self.rest_position_m[free])
@@ -158,6 +210,45 @@ class GelMesh:
     def sensing_nodes(self) -> IndexArray:
         """Indices of the sensing nodes, ascending, shape [s]."""
         return np.flatnonzero(self.sensing)
+
+
+class Blocks(NamedTuple):
+    """Rest shape of hexahedra.
+
+    Attributes:
+        volume_m3: [m^3], shape [c].
+        size_m: mean length of the edges along the mesh's axes [m], shape [c, 3].
+        weights: of their nodes, shape [c, 7, 8]: in the three columns of the mean deformation gradient [1/m], and in
+            the four hourglass vectors, see `elastic.hexahedra`.
+    """
+
+    volume_m3: FloatArray
+    size_m: FloatArray
+    weights: FloatArray
+
+
+def measure_blocks(corners_m: FloatArray) -> Blocks:
+    """Return the rest shape of hexahedra with corners of shape [c, 8, 3]; Gauss' points integrate it exactly."""
+    volume, mean = np.zeros(len(corners_m)), np.zeros(corners_m.shape)
+    for point in product((-_GAUSS, _GAUSS), repeat=3):
+        along = 1.0 + _SIGNS * np.array(point)
+        others = along[:, [1, 2, 0]] * along[:, [2, 0, 1]]
+        slopes = 0.125 * _SIGNS * others
+        # Columns of the Jacobian of the place by the natural coordinates, and its cofactors.
+        x, y, z = ((slopes[:, k, None] * corners_m).sum(axis=1) for k in range(3))
+        cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=1)
+        volume += (x * cofactors[:, 0]).sum(axis=1)
+        mean += (slopes[None, :, :, None] * cofactors[:, None]).sum(axis=2)
+    mean /= volume[:, None, None]
+    x, y, z = _SIGNS.T
+    hourglasses = np.stack([y * z, x * z, x * y, x * y * z])
+    affine = (hourglasses[None, :, :, None] * corners_m[:, None]).sum(axis=2)
+    corrected = hourglasses[None] - (affine[:, :, None, :] * mean[:, None, :, :]).sum(axis=3)
+    return Blocks(
+        volume_m3=volume,
+        size_m=0.25 * (_SIGNS[None] * corners_m).sum(axis=1),
+        weights=np.concatenate([mean.transpose(0, 2, 1), 0.125 * corrected], axis=1),
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

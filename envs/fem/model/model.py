@@ -22,7 +22,7 @@ PRESCRIBED = -1
 
 
 class Elastic(NamedTuple):
-    """Tetrahedra of all gels."""
+    """Tetrahedra of the gels that are meshed by them alone."""
 
     nodes: IndexArray  # [t, 4]
     gradients_1_m: FloatArray  # [t, 4, 3] rest gradients of the linear shape functions
@@ -31,6 +31,18 @@ class Elastic(NamedTuple):
     lambda_pa: FloatArray  # [t]
     places: IndexArray  # [t, 16] place of the block of corners (a, b) in the system at 4 a + b, or NO_PLACE
     reaction: MaskArray  # [t, 16] whether exactly one of the two corners is prescribed
+
+
+class Hexahedra(NamedTuple):
+    """Hexahedra of the gels that are meshed by them, see `elastic.hexahedra`."""
+
+    nodes: IndexArray  # [c, 8]
+    weights: FloatArray  # of node a in mode t of hexahedron h at 8 (7 h + t) + a; columns of F [1/m], then hourglasses
+    volume_m3: FloatArray  # [c]
+    mu_pa: FloatArray  # [c]
+    lambda_pa: FloatArray  # [c]
+    stabilisation_n_m: FloatArray  # [c, 18]
+    places: IndexArray  # [c, 64] place of the block of nodes (a, b) in the system at 8 a + b, or NO_PLACE
 
 
 class Affine(NamedTuple):
@@ -96,6 +108,7 @@ class Model(NamedTuple):
     """Everything constant about a scene."""
 
     elastic: Elastic
+    hexahedra: Hexahedra
     affine: Affine
     points: Points
     surfaces: Surfaces

@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..affine import frame_mass
+from ..elastic.hexahedra import stabilisation_n_m
 from ..elastic.neo_hookean import lame_parameters_pa
 from ..linear.system import SystemLayout, gel_block_places, system_layout
 from ..model.mesh import GelBody, GelMesh, RigidBody
-from ..model.model import PRESCRIBED, Affine, Elastic, Model, Parameters, Points, Surfaces, Unknowns
+from ..model.model import PRESCRIBED, Affine, Elastic, Hexahedra, Model, Parameters, Points, Surfaces, Unknowns
 from ..model.settings import AnyContactSettings, SolverSettings
 from .layout import NodeLayout
 
@@ -26,9 +27,11 @@ class GelLayout(NamedTuple):
 
     Attributes:
         order: free nodes in order of elimination.
-        tetrahedra: nodes of all gels, shape [t, 4].
+        tetrahedra: nodes of the gels that are meshed by them, shape [t, 4].
         places: see `Elastic`.
         reaction: see `Elastic`.
+        hexahedra: nodes of the other gels, shape [c, 8].
+        hexahedron_places: see `Hexahedra`.
         system: places of the Newton matrix, with the frame points of the movable bodies.
     """
 
@@ -36,6 +39,8 @@ class GelLayout(NamedTuple):
     tetrahedra: IndexArray
     places: IndexArray
     reaction: NDArray[np.bool_]
+    hexahedra: IndexArray
+    hexahedron_places: IndexArray
     system: SystemLayout
 
 
@@ -54,6 +59,7 @@ def build_model(
     unknowns = _build_unknowns(gels, bodies, layout, of_gels)
     return Model(
         elastic=_build_elastic(gels, of_gels),
+        hexahedra=_build_hexahedra(gels, of_gels),
         affine=_build_affine(bodies, layout, unknowns, constants.affine_stiffness_pa),
         points=_build_points(gels, bodies, layout),
         surfaces=_build_surfaces(gels, bodies, contact, counts_once=constants.is_arena),
@@ -79,23 +85,33 @@ def lay_out_gels(meshes: tuple[GelMesh, ...], frame_points: int) -> GelLayout:
     starts = np.cumsum([0, *(len(mesh.rest_position_m) for mesh in meshes)])
     placed = list(zip(meshes, starts[:-1], strict=True))
     order = np.concatenate([mesh.elimination.nodes + start for mesh, start in placed])
-    tetrahedra = np.concatenate([mesh.tetrahedra + start for mesh, start in placed])
+    none = np.empty((0, 4), dtype=np.int64)
+    tetrahedra = np.concatenate([none, *(mesh.tetrahedra + start for mesh, start in placed if not len(mesh.hexahedra))])
+    hexahedra = np.concatenate([mesh.hexahedra + start for mesh, start in placed])
     slot = np.full(starts[-1], PRESCRIBED, dtype=np.int64)
     slot[order] = np.arange(len(order))
-    first, second = np.repeat(slot[tetrahedra], 4, axis=1), np.tile(slot[tetrahedra], 4)
+    first, second = _ordered_pairs(slot[tetrahedra])
     system = system_layout([mesh.elimination for mesh in meshes], frame_points)
     return GelLayout(
         order=order,
         tetrahedra=tetrahedra,
         places=gel_block_places(system.neighbours, first, second),
         reaction=(first == PRESCRIBED) != (second == PRESCRIBED),
+        hexahedra=hexahedra,
+        hexahedron_places=gel_block_places(system.neighbours, *_ordered_pairs(slot[hexahedra])),
         system=system,
     )
 
 
+def _ordered_pairs(elements: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """Return the first and the second of all ordered pairs of numbers in elements [t, k], shapes [t, k^2]."""
+    corners = elements.shape[1]
+    return np.repeat(elements, corners, axis=1), np.tile(elements, corners)
+
+
 def _build_elastic(gels: tuple[GelBody, ...], of_gels: GelLayout) -> Elastic:
-    gradients, volumes, mu, lam = [], [], [], []
-    for gel in gels:
+    gradients, volumes, mu, lam = [np.empty((0, 4, 3))], [np.empty(0)], [np.empty(0)], [np.empty(0)]
+    for gel in (gel for gel in gels if not len(gel.mesh.hexahedra)):
         mu_pa, lambda_pa = lame_parameters_pa(gel.youngs_modulus_pa, gel.poisson_ratio)
         gradients.append(_rotated(gel.mesh.rest_gradients_1_m, gel.rotation))
         volumes.append(gel.mesh.volumes_m3)
@@ -109,6 +125,26 @@ def _build_elastic(gels: tuple[GelBody, ...], of_gels: GelLayout) -> Elastic:
         lambda_pa=np.concatenate(lam),
         places=of_gels.places,
         reaction=of_gels.reaction,
+    )
+
+
+def _build_hexahedra(gels: tuple[GelBody, ...], of_gels: GelLayout) -> Hexahedra:
+    blocks = [gel.mesh.blocks for gel in gels]
+    counts = [len(gel.mesh.hexahedra) for gel in gels]
+    lame_pa = np.array([lame_parameters_pa(gel.youngs_modulus_pa, gel.poisson_ratio) for gel in gels])
+    mu_pa, lambda_pa = np.repeat(lame_pa, counts, axis=0).T
+    stabilisation = [
+        stabilisation_n_m(block.volume_m3, block.size_m, gel.youngs_modulus_pa, gel.poisson_ratio)
+        for block, gel in zip(blocks, gels, strict=True)
+    ]
+    return Hexahedra(
+        nodes=of_gels.hexahedra,
+        weights=np.concatenate([block.weights for block in blocks]).ravel(),
+        volume_m3=np.concatenate([block.volume_m3 for block in blocks]),
+        mu_pa=np.ascontiguousarray(mu_pa),
+        lambda_pa=np.ascontiguousarray(lambda_pa),
+        stabilisation_n_m=np.concatenate(stabilisation),
+        places=of_gels.hexahedron_places,
     )
 
 
@@ -222,11 +258,7 @@ def _build_unknowns(
     slot = np.full(total, PRESCRIBED, dtype=np.int64)
     mass = np.zeros(total)
     for gel, rows in zip(gels, layout.gel_slices, strict=True):
-        np.add.at(
-            mass,
-            gel.mesh.tetrahedra + rows.start,
-            0.25 * gel.density_kg_m3 * gel.mesh.volumes_m3[:, None],
-        )
+        mass[rows] = gel.mesh.node_masses_kg(gel.density_kg_m3)
     frames = [
         np.arange(rows.start, rows.stop)
         for body, rows in zip(bodies, layout.body_slices, strict=True)

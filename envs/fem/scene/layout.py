@@ -57,6 +57,8 @@ def placed(points_m: FloatArray, body: GelBody | RigidBody) -> FloatArray:
 
 # Largest error of a rotation's entries that rounding explains.
 _ROTATION_ERROR = 1e-9
+# From this Poisson's ratio on tetrahedra are refused: the ball of docs/real-gel.md is 1.74 times too stiff at 0.49.
+_LOCKING_POISSON_RATIO = 0.49
 
 
 class SceneError(VitacError):
@@ -77,6 +79,12 @@ def check_bodies(gels: Sequence[GelBody], bodies: Sequence[RigidBody]) -> None:
         _check_positive(name, youngs_modulus_pa=gel.youngs_modulus_pa, density_kg_m3=gel.density_kg_m3)
         if not 0.0 <= gel.poisson_ratio < 0.5:
             raise SceneError(f"poisson_ratio of {name} is {gel.poisson_ratio}, expected at least 0 and less than 0.5.")
+        if gel.poisson_ratio >= _LOCKING_POISSON_RATIO and not len(gel.mesh.hexahedra):
+            raise SceneError(
+                f"poisson_ratio of {name} is {gel.poisson_ratio}, but {gel.mesh.name} is of linear tetrahedra, which "
+                f"lock: at {_LOCKING_POISSON_RATIO} a ball presses 1.7 times as hard as into the continuum; mesh it by "
+                "hexahedra or give it a smaller one."
+            )
     for index, body in enumerate(bodies):
         _check_place(f"body {index}", body)
         _check_positive(f"body {index}", density_kg_m3=body.density_kg_m3)

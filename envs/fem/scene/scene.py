@@ -61,11 +61,11 @@ class StepReport:
         net_force_n: largest net force left on a movable body [N].
         net_torque_n_m: largest net torque left on a movable body, about its centroid [N m].
         smallest_gap_m: smallest distance of two bodies [m]; infinite when nothing is within d_hat.
-        smallest_det_f: smallest det F of all tetrahedra.
+        smallest_det_f: smallest det F of all elements.
         active_contacts: pairs closer than d_hat.
         gel_forces_n: force of the contacts on each gel [N], as its driven nodes hold it; shape [g, 3].
-        largest_stretch: largest principal stretch of the tetrahedra of all gels; 1 where nothing is stretched.
-        high_stretch: the one that 95 % of these tetrahedra do not exceed.
+        largest_stretch: largest principal stretch of the elements of all gels; 1 where nothing is stretched.
+        high_stretch: the one that 95 % of these elements do not exceed.
         time_step_s: length of the step [s].
     """
 
@@ -189,7 +189,7 @@ class Scene:
             self._memory = sorted_memory(remember_step(self._model, self._x, start, attempt.memory))
         force, torque = self._net_load(self._workspace.system.gradient)
         counts, measures = attempt.record
-        largest_stretch, high_stretch = measure_stretches(self._model.elastic, self._x)
+        largest_stretch, high_stretch = measure_stretches(self._model.elastic, self._model.hexahedra, self._x)
         return StepReport(
             status=status,
             newton_iterations=int(counts[Counter.ITERATIONS]),

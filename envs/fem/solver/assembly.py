@@ -13,6 +13,7 @@ from ..contact.broad_phase import Candidates
 from ..contact.forces import ContactMemory
 from ..contact.stencil import Stencil, new_stencil
 from ..elastic.elasticity import add_elasticity, new_elastic_batch
+from ..elastic.hexahedra import HexahedronScratch, add_hexahedra, new_hexahedron_scratch
 from ..linear.elimination import Factor, new_factor
 from ..linear.system import SystemLayout, block_place
 from ..model.model import NO_MATRIX, Model, NewtonSystem, new_newton_system
@@ -63,6 +64,7 @@ class Workspace(NamedTuple):
     smallest: FloatArray  # [2] smallest gap [m], smallest det F
     active: IndexArray  # [1] pairs closer than d_hat
     batch: FloatArray  # of tetrahedra at a time, see `elastic.batch`
+    hexahedron: HexahedronScratch  # of one at a time
     stencil: Stencil  # of one contact at a time
 
 
@@ -74,6 +76,7 @@ def new_workspace(layout: SystemLayout, nodes: int) -> Workspace:
         smallest=np.empty(2),
         active=np.empty(1, dtype=np.int64),
         batch=new_elastic_batch(),
+        hexahedron=new_hexahedron_scratch(),
         stencil=new_stencil(),
     )
 
@@ -109,7 +112,10 @@ def assemble(
         system.entries[:] = 0.0
         system.coupling[:] = 0.0
         system.moves[0] = any_nonzero(system.prescribed_move)
-    workspace.smallest[1] = add_elasticity(model.elastic, state.x, workspace.batch, system, matrix)
+    workspace.smallest[1] = min(
+        add_elasticity(model.elastic, state.x, workspace.batch, system, matrix),
+        add_hexahedra(model.hexahedra, state.x, workspace.hexahedron, system, matrix),
+    )
     add_inertia(model, state.x, start.x_hat, system, matrix)
     add_orthogonality(model.affine, model.system.block, state.x, system, matrix)
     points = PointState(state.y, start.y_start, state.motion, start.memory)

@@ -262,8 +262,8 @@ _SHORTENINGS = 8
 
 @large_kernel
 def feasible_fraction(model: Model, candidates: Candidates, s: Solve) -> float:
-    """Return the largest part of the step on which no pair closes too much of its gap and no tetrahedron inverts."""
-    fraction = inversion_free_fraction(model.elastic, s.iterate.x, s.step.x, 1.0)
+    """Return the largest part of the step on which no pair closes too much of its gap and no element inverts."""
+    fraction = inversion_free_fraction(model.elastic, model.hexahedra, s.iterate.x, s.step.x, 1.0)
     points = PointMove(s.iterate.y, s.step.y, s.iterate.motion, s.step.motion_ahead)
     return contact_free_fraction(candidates, points, model.parameters.ccd_gap_fraction, fraction)
 

@@ -1,8 +1,11 @@
 """Small bodies for tests of the physics: boxes as gels and as rigid surfaces."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from vitac.envs.fem.model.mesh import GelMesh, SurfaceMesh
+from vitac.envs.tactile.gel import GelCells, GelDimensions, structured_gel
 
 FloatArray = NDArray[np.float64]
 # A cube cut into six positively oriented tetrahedra around its diagonal (Kuhn), neighbours matching.
@@ -22,6 +25,16 @@ def box_surface(size_m: ArrayLike, low_m: ArrayLike = (0.0, 0.0, 0.0), name: str
     corners = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], dtype=float)
     triangles = np.array([triangle for face in _BOX for triangle in face], dtype=np.int64)
     return SurfaceMesh(vertices_m=np.asarray(low_m) + corners * np.asarray(size_m), triangles=triangles, name=name)
+
+
+def hexahedral_box(size_m: tuple[float, float, float], cells: tuple[int, int, int], name: str = "block") -> GelMesh:
+    """A box of hexahedra with its lowest corner at the origin, driven at its bottom; its top is the sensing face."""
+    lines = GelCells(x=cells[0], y=cells[1], bevel=0, layers=cells[2], is_hexahedral=True)
+    length, width, height = (1e3 * extent for extent in size_m)
+    size = GelDimensions(length_mm=length, width_mm=width, thickness_mm=height, bevel_height_mm=0.0, bevel_inset_mm=0.0)
+    mesh = structured_gel(name=name, size=size, cells=lines)
+    rest = mesh.rest_position_m - mesh.rest_position_m.min(axis=0)
+    return replace(mesh, rest_position_m=rest)
 
 
 def box_gel(

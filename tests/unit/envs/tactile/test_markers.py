@@ -163,7 +163,7 @@ def drawn_step_by_step(current: np.ndarray, settings: MarkerSettings, random: np
     y = y + random.uniform(-shift, shift, len(y))
     sine, cosine = sine_cosine(angle)
     grid = np.column_stack([cosine * x - sine * y, sine * x + cosine * y]) * 1e-3
-    triangle, weights = markers._attach(grid, *surface.arrays)
+    triangle, weights = markers._attach(grid, surface.arrays)
     corners = surface.triangles[triangle]
     seen = [project(markers.interpolated(side, corners, weights), CHALLENGE_CAMERA) for side in (view, current)]
     flow = np.stack(seen)[:, markers.find_in_picture(seen[0])]
@@ -255,9 +255,7 @@ def test_hull_contains_every_point_and_only_turns_left(points: list[tuple[int, i
 @settings(max_examples=60)
 def test_attached_point_is_the_weighted_sum_of_its_triangle(x: float, y: float) -> None:
     surface = SensingSurface.from_gel(gelsight_mini_mesh())
-    triangle, weights = markers._attach(
-        np.array([[x, y]]), surface.vertices_m, surface.triangles, surface.centroids_m, surface.hull_m
-    )
+    triangle, weights = markers._attach(np.array([[x, y]]), surface.arrays)
     corners = surface.vertices_m[surface.triangles[triangle[0]]]
     assert (weights[0][:, None] * corners).sum(axis=0) == pytest.approx([x, y], abs=1e-15)
     assert weights[0].sum() == pytest.approx(1.0)
@@ -267,7 +265,7 @@ def test_attached_point_is_the_weighted_sum_of_its_triangle(x: float, y: float) 
 def test_point_outside_the_hull_is_left_out() -> None:
     surface = SensingSurface.from_gel(gelsight_mini_mesh())
     grid = np.array([[0.0097, 0.0], [0.0, 0.0], [0.0, -0.0074]])
-    triangle, _ = markers._attach(grid, surface.vertices_m, surface.triangles, surface.centroids_m, surface.hull_m)
+    triangle, _ = markers._attach(grid, surface.arrays)
     assert len(triangle) == 1
 
 

@@ -1,0 +1,291 @@
+"""Elastic forces and blocks of hexahedra with one point of quadrature, which lock neither in bending nor at any volume.
+
+A hexahedron of rest volume V with nodes x_a knows two kinds of modes, weighted sums of its nodes: the columns
+c_k = F e_k of its mean deformation gradient, and its four hourglass vectors q_m, which vanish in every affine motion:
+
+    c_k = sum_a B_ak x_a,   B = the mean of dN_a/dX;      q_m = sum_a gamma_am x_a
+    E = V psi(F) + 1/2 sum_mknl M_mknl Q_mk Q_nl,         Q_mk = c_k . q_m
+
+The mean gradient is that of Flanagan & Belytschko, IJNME 17 (1981) 679. The stabilisation M is the energy that the
+hourglass modes have in a box of the material under assumed strains (Belytschko & Bindeman, *Assumed strain
+stabilization of the eight node hexahedral element*, CMAME 105 (1993) 225): bending without shear and with free lateral
+strain, twisting by its shear. c_k . q_m is how the mode changes Green's strain, so rotations cost nothing. With
+
+    h_m = eta zeta, xi zeta, xi eta, xi eta zeta,   a_k = 2 / L_k of a box of lengths L_k,   E' = E / (1 - nu^2)
+
+    bending   1/2 V E'/3 (e_i^2 + e_j^2 + 2 nu e_i e_j),  e_i = a_i Q_ji, e_j = a_j Q_ij     for i < j
+    twisting  1/2 V mu/3 (a_j Q_ii + a_i Q_jj)^2                                             for i < j
+    the rest  1/2 V E/9 sum_k (a_k Q_3k)^2
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...compilation import kernel, large_kernel
+from ...deterministic_math import natural_log
+from ..algebra import Mat3, Vec3, add_to_row, apply_rows, cross, dot, load, set_row, write_sum_of_seven
+from ..linear.system import GEL_STRIDE, add_block
+from ..model.model import NO_MATRIX, PROJECTED_MATRIX, Hexahedra, NewtonSystem
+
+FloatArray = NDArray[np.float64]
+
+NODES = 8
+COLUMNS, HOURGLASS_VECTORS = 3, 4
+MODES = COLUMNS + HOURGLASS_VECTORS
+
+
+class HexahedronScratch(NamedTuple):
+    """Scratch for one hexahedron."""
+
+    modes: FloatArray  # [7, 3] its columns of F [-] and hourglass vectors [m]
+    strain: FloatArray  # [4, 3] Q [m]
+    stress: FloatArray  # [4, 3] sum M Q [J/m]
+    inverse: FloatArray  # [3, 3] F^-T e_k in rows
+    force: FloatArray  # [7, 3] dE by its modes
+    jacobian: FloatArray  # [7, 7, 3, 3] derivative of that by the modes
+    rows: FloatArray  # of the modes by the nodes: component (i, k) of mode s by node b at 8 (9 s + 3 i + k) + b
+    block: FloatArray  # of the nodes [N/m]: component (i, k) of nodes a and b at 8 (9 a + 3 i + k) + b
+
+
+def new_hexahedron_scratch() -> HexahedronScratch:
+    """Return uninitialised scratch."""
+    return HexahedronScratch(
+        modes=np.empty((MODES, 3)),
+        strain=np.empty((HOURGLASS_VECTORS, 3)),
+        stress=np.empty((HOURGLASS_VECTORS, 3)),
+        inverse=np.empty((COLUMNS, 3)),
+        force=np.empty((MODES, 3)),
+        jacobian=np.empty((MODES, MODES, 3, 3)),
+        rows=np.empty(NODES * MODES * 9),
+        block=np.empty(NODES * NODES * 9),
+    )
+
+
+def stabilisation_n_m(
+    volume_m3: FloatArray, size_m: FloatArray, youngs_modulus_pa: float, poisson_ratio: float
+) -> FloatArray:
+    """Return the numbers of M for hexahedra of these rest volumes [c] and lengths [c, 3], shape [c, 18].
+
+    These are the 12 of the squares of Q_mk, at 3 m + k; of Q_ij Q_ji at 12 and of Q_ii Q_jj at 15, for (i, j) = (0, 1),
+    (0, 2), (1, 2).
+    """
+    mu = youngs_modulus_pa / (2.0 * (1.0 + poisson_ratio))
+    bending = volume_m3 * youngs_modulus_pa / (3.0 * (1.0 - poisson_ratio * poisson_ratio))
+    twisting, rest = volume_m3 * mu / 3.0, volume_m3 * youngs_modulus_pa / 9.0
+    a = 2.0 / size_m
+    squares = a * a
+    numbers = np.empty((len(volume_m3), 18))
+    for k in range(3):
+        for m in range(3):
+            numbers[:, 3 * m + k] = bending * squares[:, k]
+        numbers[:, 4 * k] = twisting * (squares.sum(axis=1) - squares[:, k])
+        numbers[:, 9 + k] = rest * squares[:, k]
+    for pair, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
+        numbers[:, 12 + pair] = poisson_ratio * bending * a[:, i] * a[:, j]
+        numbers[:, 15 + pair] = twisting * a[:, i] * a[:, j]
+    return numbers
+
+
+@large_kernel
+def add_hexahedra(
+    hexahedra: Hexahedra, x: FloatArray, scratch: HexahedronScratch, system: NewtonSystem, matrix: int
+) -> float:
+    """Add all hexahedra at nodes x [m]; return the smallest det F.
+
+    Prescribed nodes, which move by the system's prescribed motion, are added to the coupling where they act on unknown
+    ones.
+    """
+    smallest = np.inf
+    for h in range(len(hexahedra.volume_m3)):
+        for t in range(MODES):
+            set_row(scratch.modes, t, get_mode(hexahedra, h, t, x))
+        det_f = _write_forces(hexahedra, h, scratch)
+        smallest = min(smallest, det_f)
+        for a in range(NODES):
+            total = (0.0, 0.0, 0.0)
+            for t in range(MODES):
+                w, f = hexahedra.weights[_weight(h, t, a)], load(scratch.force, t)
+                total = total[0] + w * f[0], total[1] + w * f[1], total[2] + w * f[2]
+            add_to_row(system.gradient, hexahedra.nodes[h, a], total)
+        if matrix != NO_MATRIX:
+            _write_jacobian(hexahedra, h, det_f, scratch, matrix)
+            _write_blocks(hexahedra, h, scratch)
+            _add_blocks(hexahedra, h, scratch.block, system)
+    return smallest
+
+
+@kernel
+def _weight(h: int, mode: int, a: int) -> int:
+    """Return where the weight of node a in a mode of hexahedron h stands in `Hexahedra.weights`."""
+    return NODES * (MODES * h + mode) + a
+
+
+@kernel
+def get_mode(hexahedra: Hexahedra, h: int, mode: int, x: FloatArray) -> Vec3:
+    """Return a mode of hexahedron h of nodes (or moves of nodes) x [n, 3]; the first three are the columns of F."""
+    total = (0.0, 0.0, 0.0)
+    for a in range(NODES):
+        w, p = hexahedra.weights[_weight(h, mode, a)], load(x, hexahedra.nodes[h, a])
+        total = total[0] + w * p[0], total[1] + w * p[1], total[2] + w * p[2]
+    return total
+
+
+@kernel
+def _pair(i: int, j: int) -> int:
+    """Return the number of the pair of two different axes."""
+    return i + j - 1
+
+
+@kernel
+def _write_forces(hexahedra: Hexahedra, h: int, scratch: HexahedronScratch) -> float:
+    """Write the forces on the modes, and what the Jacobian is made of; return det F."""
+    modes, strain, stress, force = scratch.modes, scratch.strain, scratch.stress, scratch.force
+    numbers = hexahedra.stabilisation_n_m[h]
+    for m in range(HOURGLASS_VECTORS):
+        for k in range(COLUMNS):
+            strain[m, k] = dot(load(modes, k), load(modes, COLUMNS + m))
+    for m in range(HOURGLASS_VECTORS):
+        for k in range(COLUMNS):
+            stress[m, k] = numbers[3 * m + k] * strain[m, k]
+    for i in range(COLUMNS):
+        for j in range(COLUMNS):
+            if i != j:
+                stress[i, j] += numbers[12 + _pair(i, j)] * strain[j, i]
+                stress[i, i] += numbers[15 + _pair(i, j)] * strain[j, j]
+    c0, c1, c2 = load(modes, 0), load(modes, 1), load(modes, 2)
+    n0, n1, n2 = cross(c1, c2), cross(c2, c0), cross(c0, c1)
+    J = dot(c0, n0)
+    for k in range(3):
+        scratch.inverse[0, k], scratch.inverse[1, k], scratch.inverse[2, k] = n0[k] / J, n1[k] / J, n2[k] / J
+    volume, mu = hexahedra.volume_m3[h], hexahedra.mu_pa[h]
+    pressure = hexahedra.lambda_pa[h] * natural_log(J) - mu
+    for k in range(COLUMNS):
+        for i in range(3):
+            total = volume * (mu * modes[k, i] + pressure * scratch.inverse[k, i])
+            for m in range(HOURGLASS_VECTORS):
+                total += stress[m, k] * modes[COLUMNS + m, i]
+            force[k, i] = total
+    for m in range(HOURGLASS_VECTORS):
+        for i in range(3):
+            force[COLUMNS + m, i] = stress[m, 0] * c0[i] + stress[m, 1] * c1[i] + stress[m, 2] * c2[i]
+    return J
+
+
+@kernel
+def _add_outer(block: FloatArray, factor: float, a: Vec3, b: Vec3) -> None:
+    """Add the factor times a b^T to a block of shape [3, 3]."""
+    for i in range(3):
+        for k in range(3):
+            block[i, k] += factor * a[i] * b[k]
+
+
+@kernel
+def _write_jacobian(hexahedra: Hexahedra, h: int, det_f: float, scratch: HexahedronScratch, matrix: int) -> None:
+    """Write the derivative of the forces on the modes by the modes, or its positive semi-definite replacement.
+
+    The latter leaves out how the hourglass forces turn, and of the material what `neo_hookean` leaves out.
+    """
+    jacobian, modes, inverse, stress = scratch.jacobian, scratch.modes, scratch.inverse, scratch.stress
+    numbers, volume = hexahedra.stabilisation_n_m[h], hexahedra.volume_m3[h]
+    mu, lam = hexahedra.mu_pa[h], hexahedra.lambda_pa[h]
+    jacobian[:] = 0.0
+    c = (load(modes, 0), load(modes, 1), load(modes, 2))
+    q = (load(modes, 3), load(modes, 4), load(modes, 5), load(modes, 6))
+    g = (load(inverse, 0), load(inverse, 1), load(inverse, 2))
+    turning = mu - lam * natural_log(det_f)
+    kept = 0.5 * turning if matrix == PROJECTED_MATRIX else turning
+    for k in range(COLUMNS):
+        for j in range(COLUMNS):
+            block = jacobian[k, j]
+            _add_outer(block, volume * lam, g[k], g[j])
+            _add_outer(block, volume * kept, g[j], g[k])
+        for i in range(3):
+            jacobian[k, k, i, i] += volume * mu
+        if matrix == PROJECTED_MATRIX:
+            for j in range(COLUMNS):
+                _add_outer(jacobian[k, k], 0.5 * volume * abs(turning), g[j], g[j])
+    for m in range(HOURGLASS_VECTORS):
+        mode = COLUMNS + m
+        for k in range(COLUMNS):
+            number = numbers[3 * m + k]
+            _add_outer(jacobian[mode, mode], number, c[k], c[k])
+            _add_outer(jacobian[mode, k], number, c[k], q[m])
+            _add_outer(jacobian[k, k], number, q[m], q[m])
+            if matrix != PROJECTED_MATRIX:
+                for i in range(3):
+                    jacobian[mode, k, i, i] += stress[m, k]
+    for i in range(COLUMNS):
+        for j in range(COLUMNS):
+            if i != j:
+                bending, twisting = numbers[12 + _pair(i, j)], numbers[15 + _pair(i, j)]
+                # Q_ij = c_j . q_i acts with Q_ji = c_i . q_j, and Q_ii with Q_jj.
+                _add_outer(jacobian[COLUMNS + i, COLUMNS + j], bending, c[j], c[i])
+                _add_outer(jacobian[COLUMNS + i, COLUMNS + j], twisting, c[i], c[j])
+                _add_outer(jacobian[COLUMNS + i, i], bending, c[j], q[j])
+                _add_outer(jacobian[COLUMNS + i, j], twisting, c[i], q[j])
+                _add_outer(jacobian[j, i], bending, q[i], q[j])
+                _add_outer(jacobian[i, j], twisting, q[i], q[j])
+    for m in range(COLUMNS, MODES):
+        for k in range(COLUMNS):
+            for i in range(3):
+                for j in range(3):
+                    jacobian[k, m, i, j] = jacobian[m, k, j, i]
+
+
+@kernel
+def _write_blocks(hexahedra: Hexahedra, h: int, scratch: HexahedronScratch) -> None:
+    """Write the blocks of the nodes, eight of them at once."""
+    jacobian, rows, block, weights = scratch.jacobian, scratch.rows, scratch.block, hexahedra.weights
+    w = _weight(h, 0, 0)
+    groups = (w, w + NODES, w + 2 * NODES, w + 3 * NODES, w + 4 * NODES, w + 5 * NODES, w + 6 * NODES)
+    for s in range(MODES):
+        for i in range(3):
+            for k in range(3):
+                by = (
+                    jacobian[s, 0, i, k], jacobian[s, 1, i, k], jacobian[s, 2, i, k], jacobian[s, 3, i, k],
+                    jacobian[s, 4, i, k], jacobian[s, 5, i, k], jacobian[s, 6, i, k],
+                )  # fmt: skip
+                write_sum_of_seven(rows, NODES * (9 * s + 3 * i + k), by, weights, groups)
+    stride = 9 * NODES
+    for a in range(NODES):
+        of = (
+            weights[w + a], weights[w + NODES + a], weights[w + 2 * NODES + a], weights[w + 3 * NODES + a],
+            weights[w + 4 * NODES + a], weights[w + 5 * NODES + a], weights[w + 6 * NODES + a],
+        )  # fmt: skip
+        for entry in range(9):
+            at = NODES * entry
+            places = (
+                at,
+                at + stride,
+                at + 2 * stride,
+                at + 3 * stride,
+                at + 4 * stride,
+                at + 5 * stride,
+                at + 6 * stride,
+            )
+            write_sum_of_seven(block, NODES * (9 * a + entry), of, rows, places)
+
+
+@kernel
+def _add_blocks(hexahedra: Hexahedra, h: int, block: FloatArray, system: NewtonSystem) -> None:
+    """Add the blocks of the nodes to the matrix, or to the coupling where the second is prescribed."""
+    for a in range(NODES):
+        for b in range(NODES):
+            place = hexahedra.places[h, NODES * a + b]
+            if place >= 0:
+                add_block(system.entries, place, GEL_STRIDE, _get_block(block, a, b))
+            elif system.moves[0]:
+                move = load(system.prescribed_move, hexahedra.nodes[h, b])
+                add_to_row(system.coupling, hexahedra.nodes[h, a], apply_rows(_get_block(block, a, b), move))
+
+
+@kernel
+def _get_block(block: FloatArray, a: int, b: int) -> Mat3:
+    at = 9 * NODES * a + b
+    return (
+        (block[at], block[at + 8], block[at + 16]),
+        (block[at + 24], block[at + 32], block[at + 40]),
+        (block[at + 48], block[at + 56], block[at + 64]),
+    )
