@@ -25,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from contact.domes import Dome, partial_slip, press_dome
 from contact.elastic import Rubber, sheared_grip, slide_pad
 from contact.faces import change_of_velocity, press_corner, work_of_cycle_j
+from contact.gels import bent_over_theory
 from contact.jamming import PegInHole
 from contact.rigid import (
     Block,
@@ -259,10 +260,18 @@ def domes(choice: Choice) -> Iterator[Check]:
                         bound=0.05 * foretold, unit="")  # fmt: skip
 
 
+def beams(choice: Choice) -> Iterator[Check]:
+    """Yield how far cantilevers of hexahedra, two cells across, bend against Timoshenko's."""
+    rng = choice.rng()
+    for poisson_ratio in (0.3, 0.48, choice.poisson_ratio or 0.4):
+        name = f"deflection of a cantilever, two cells across, over Timoshenko's: nu {poisson_ratio:.3g}"
+        yield Check(name=name, target=1.0, measured=bent_over_theory(rng, poisson_ratio, 2), bound=0.05, unit="")
+
+
 GROUPS = {
     group.__name__: group
     for group in (
-        drifts, accelerations, strains, wedges, jams, energies, corners, throws, cycles, pads, grips, domes,
+        drifts, accelerations, strains, wedges, jams, energies, corners, throws, cycles, pads, grips, domes, beams,
     )
 }  # fmt: skip
 
