@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from ...compilation import kernel
 from ..algebra import Vec3, add, cross, dot, load, scale, subtract
-from ..elastic.hexahedra import get_mode
-from ..model.model import Elastic, Hexahedra
+from ..model.model import Elastic, Hexahedra, get_mode
 from .broad_phase import Candidates, Corners
 from .contact import Quad
 from .distance import POINT_TRIANGLE, closest_points

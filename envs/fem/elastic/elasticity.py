@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from ...compilation import kernel, large_kernel
 from ..algebra import Mat3, add_to_row, apply_columns, apply_rows, dot, load, transpose
 from ..linear.system import GEL_STRIDE, add_block
-from ..model.model import NO_MATRIX, PROJECTED_MATRIX, Elastic, Hexahedra, NewtonSystem
+from ..model.model import NO_MATRIX, PROJECTED_MATRIX, Elastic, Hexahedra, NewtonSystem, get_mode
 from .batch import BATCH, ROWS, deformation_gradient, get_number, get_vector, new_batch, set_number, set_vector
-from .hexahedra import get_mode
 from .neo_hookean import BATCH_ROWS, projected_stiffness_block, stiffness_block, strained, write_forces
 
 FloatArray = NDArray[np.float64]

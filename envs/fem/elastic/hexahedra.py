@@ -27,13 +27,13 @@ from ...compilation import kernel, large_kernel
 from ...deterministic_math import natural_log
 from ..algebra import Mat3, Vec3, add_to_row, apply_rows, cross, dot, load, set_row, write_sum_of_seven
 from ..linear.system import GEL_STRIDE, add_block
-from ..model.model import NO_MATRIX, PROJECTED_MATRIX, Hexahedra, NewtonSystem
+from ..model.model import HEXAHEDRON_NODES as NODES
+from ..model.model import MODES, NO_MATRIX, PROJECTED_MATRIX, Hexahedra, NewtonSystem, get_mode, weight_place
 
 FloatArray = NDArray[np.float64]
 
-NODES = 8
-COLUMNS, HOURGLASS_VECTORS = 3, 4
-MODES = COLUMNS + HOURGLASS_VECTORS
+COLUMNS = 3
+HOURGLASS_VECTORS = MODES - COLUMNS
 
 
 class HexahedronScratch(NamedTuple):
@@ -106,7 +106,7 @@ def add_hexahedra(
         for a in range(NODES):
             total = (0.0, 0.0, 0.0)
             for t in range(MODES):
-                w, f = hexahedra.weights[_weight(h, t, a)], load(scratch.force, t)
+                w, f = hexahedra.weights[weight_place(h, t, a)], load(scratch.force, t)
                 total = total[0] + w * f[0], total[1] + w * f[1], total[2] + w * f[2]
             add_to_row(system.gradient, hexahedra.nodes[h, a], total)
         if matrix != NO_MATRIX:
@@ -114,22 +114,6 @@ def add_hexahedra(
             _write_blocks(hexahedra, h, scratch)
             _add_blocks(hexahedra, h, scratch.block, system)
     return smallest
-
-
-@kernel
-def _weight(h: int, mode: int, a: int) -> int:
-    """Return where the weight of node a in a mode of hexahedron h stands in `Hexahedra.weights`."""
-    return NODES * (MODES * h + mode) + a
-
-
-@kernel
-def get_mode(hexahedra: Hexahedra, h: int, mode: int, x: FloatArray) -> Vec3:
-    """Return a mode of hexahedron h of nodes (or moves of nodes) x [n, 3]; the first three are the columns of F."""
-    total = (0.0, 0.0, 0.0)
-    for a in range(NODES):
-        w, p = hexahedra.weights[_weight(h, mode, a)], load(x, hexahedra.nodes[h, a])
-        total = total[0] + w * p[0], total[1] + w * p[1], total[2] + w * p[2]
-    return total
 
 
 @kernel
@@ -238,7 +222,7 @@ def _write_jacobian(hexahedra: Hexahedra, h: int, det_f: float, scratch: Hexahed
 def _write_blocks(hexahedra: Hexahedra, h: int, scratch: HexahedronScratch) -> None:
     """Write the blocks of the nodes, eight of them at once."""
     jacobian, rows, block, weights = scratch.jacobian, scratch.rows, scratch.block, hexahedra.weights
-    w = _weight(h, 0, 0)
+    w = weight_place(h, 0, 0)
     groups = (w, w + NODES, w + 2 * NODES, w + 3 * NODES, w + 4 * NODES, w + 5 * NODES, w + 6 * NODES)
     for s in range(MODES):
         for i in range(3):

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel
+from ..algebra import Vec3, load
 from ..linear.system import SystemLayout
 
 FloatArray = NDArray[np.float64]
@@ -19,6 +20,9 @@ IndexArray = NDArray[np.int64]
 MaskArray = NDArray[np.bool_]
 
 PRESCRIBED = -1
+HEXAHEDRON_NODES = 8
+# Of a hexahedron: the columns of its deformation gradient and its hourglass vectors, see `elastic.hexahedra`.
+MODES = 3 + 4
 
 
 class Elastic(NamedTuple):
@@ -144,6 +148,22 @@ def new_newton_system(layout: SystemLayout, nodes: int) -> NewtonSystem:
         prescribed_move=np.zeros((nodes, 3)),
         moves=np.empty(1, dtype=np.bool_),
     )
+
+
+@kernel
+def weight_place(h: int, mode: int, a: int) -> int:
+    """Return where the weight of node a in a mode of hexahedron h stands in `Hexahedra.weights`."""
+    return HEXAHEDRON_NODES * (MODES * h + mode) + a
+
+
+@kernel
+def get_mode(hexahedra: Hexahedra, h: int, mode: int, x: FloatArray) -> Vec3:
+    """Return a mode of hexahedron h of nodes (or moves of nodes) x [n, 3]; the first three are the columns of F."""
+    total = (0.0, 0.0, 0.0)
+    for a in range(HEXAHEDRON_NODES):
+        w, p = hexahedra.weights[weight_place(h, mode, a)], load(x, hexahedra.nodes[h, a])
+        total = total[0] + w * p[0], total[1] + w * p[1], total[2] + w * p[2]
+    return total
 
 
 @kernel
