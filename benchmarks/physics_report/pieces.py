@@ -16,10 +16,11 @@ from vitac.envs.fem.contact.broad_phase import find_candidates, relative_motion
 from vitac.envs.fem.contact.ccd import PointMove, contact_free_fraction, inversion_free_fraction
 from vitac.envs.fem.contact.forces import empty_memory
 from vitac.envs.fem.elastic.elasticity import add_elasticity
+from vitac.envs.fem.elastic.hexahedra import add_hexahedra
 from vitac.envs.fem.linear.elimination import factorise, substitute
-from vitac.envs.fem.model.model import EXACT_MATRIX, NO_MATRIX, point_positions
+from vitac.envs.fem.model.model import EXACT_MATRIX, NO_MATRIX, Model, point_positions
 from vitac.envs.fem.scene.scene import Scene
-from vitac.envs.fem.solver.assembly import State, StepStart, assemble, new_workspace
+from vitac.envs.fem.solver.assembly import State, StepStart, Workspace, assemble, new_workspace
 
 from .replay import Reference, Replay
 
@@ -84,8 +85,8 @@ def call_times_ms(scene: Scene, x: FloatArray, x_end: FloatArray) -> dict[str, f
     calls: dict[str, Callable[[], object]] = {
         "factorise": lambda: factorise(model.system, w.system.entries, w.factor, False),
         "substitute": lambda: substitute(model.system, w.factor, w.system.right_hand_side.copy()),
-        "elastic forces": lambda: add_elasticity(model.elastic, x, w.batch, w.system, NO_MATRIX),
-        "elastic matrix": lambda: add_elasticity(model.elastic, x, w.batch, w.system, EXACT_MATRIX),
+        "elastic forces": lambda: _add_elastic(model, x, w, NO_MATRIX),
+        "elastic matrix": lambda: _add_elastic(model, x, w, EXACT_MATRIX),
         "contact forces": lambda: add_contacts(model, near, points, w.stencil, w.system, NO_MATRIX),
         "contact matrix": lambda: add_contacts(model, near, points, w.stencil, w.system, EXACT_MATRIX),
         "inversion": lambda: inversion_free_fraction(model.elastic, model.hexahedra, x, x_end - x, 1.0),
@@ -93,6 +94,11 @@ def call_times_ms(scene: Scene, x: FloatArray, x_end: FloatArray) -> dict[str, f
         "candidates": lambda: find_candidates(model.surfaces, y, reach_m),
     }
     return {name: _time_ms(call) for name, call in calls.items()}
+
+
+def _add_elastic(model: Model, x: FloatArray, workspace: Workspace, matrix: int) -> None:
+    add_elasticity(model.elastic, x, workspace.batch, workspace.system, matrix)
+    add_hexahedra(model.hexahedra, x, workspace.hexahedron, workspace.system, matrix)
 
 
 def _time_ms(call: Callable[[], object]) -> float:

@@ -98,7 +98,8 @@ def marker_flow(directions: str) -> Observable[HasGrasp]:
             "[sensor left, right][reference, current][marker][u, v] in a 320 x 240 image. The reference is taken after "
             "the grasp, and decides which markers are seen: those inside the image. A current position is given as it "
             "is projected, as the challenge does, also where it has left the image (up to 30 px outside while a gel is "
-            f"sheared). About 56 to 80 markers are seen, the last one is repeated up to {MARKER_COUNT}. {directions}"
+            "sheared); under arena-2 such a marker is not seen. "
+            f"About 56 to 80 markers are seen, the last one is repeated up to {MARKER_COUNT}. {directions}"
         ),
         read=lambda scene, random: scene.grasped.marker_flow(random),
     )

@@ -10,7 +10,7 @@ in this order per sensor, left sensor first:
 5. only if k >= 128: a choice of 128 of k without replacement.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from math import ceil
 from typing import NamedTuple
@@ -59,6 +59,8 @@ class MarkerSettings:
         drift_u_px_s: speed at which the current positions leave the references along u, the same for all markers.
         drift_v_px_s: the same along v.
         delay: part of an env step by which what is observed lags behind, from 0 to 1.
+        sees_outside: whether a marker is observed that has left the picture, as the challenge does. It goes with the
+            contact model, which `repr` names.
     """
 
     interval_mm: tuple[float, float] = (1.95, 2.15)
@@ -70,6 +72,7 @@ class MarkerSettings:
     drift_u_px_s: float = 0.0
     drift_v_px_s: float = 0.0
     delay: float = 0.0
+    sees_outside: bool = field(default=True, repr=False)
 
 
 class SurfaceArrays(NamedTuple):

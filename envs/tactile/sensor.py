@@ -15,7 +15,15 @@ from .camera import (
 )
 from .design import SensorDesign
 from .gel import eye_distance_m
-from .markers import MarkerSettings, SensingSurface, attach_nodes, draw_markers, interpolated, tracked
+from .markers import (
+    MarkerSettings,
+    SensingSurface,
+    attach_nodes,
+    draw_markers,
+    find_in_picture,
+    interpolated,
+    tracked,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -83,6 +91,8 @@ class TactileSensor:
         return self._track(flow, kept, random)
 
     def _track(self, flow: FloatArray, kept: NDArray[np.bool_], random: np.random.Generator) -> FloatArray:
+        if not self.settings.sees_outside:
+            kept = kept & find_in_picture(flow[1])
         self.lost_px = flow[:, ~kept]
         return tracked(flow, kept, self.settings, random)
 

@@ -25,6 +25,7 @@ def scene(gel: GelBody = GEL, body: RigidBody = BODY, time_step_s: float = 0.1, 
     [
         ({"gel": replace(GEL, youngs_modulus_pa=-1.0)}, "youngs_modulus_pa of gel 0 is -1.0"),
         ({"gel": replace(GEL, poisson_ratio=0.5)}, "poisson_ratio of gel 0 is 0.5"),
+        ({"gel": replace(GEL, poisson_ratio=0.49)}, "of linear tetrahedra, which lock: at 0.49 a ball presses 1.7"),
         ({"gel": replace(GEL, friction=-1.0)}, "friction of gel 0"),
         ({"body": replace(BODY, translation_m=np.array([0, np.nan, 0]), fixed=True)}, "translation_m of body 0"),
         ({"body": replace(BODY, rotation=-IDENTITY)}, "rotation of body 0"),

@@ -7,6 +7,7 @@ from vitac.envs.fem.model.mesh import GelMesh, signed_volumes_m3
 from vitac.envs.tactile.gel import (
     GelCells,
     GelDimensions,
+    arena_gel_mesh,
     eye_distance_m,
     gelsight_mini_mesh,
     highest_mm,
@@ -142,3 +143,24 @@ def test_a_domed_face_falls_from_its_centre_to_its_rim() -> None:
     assert sensing_mm[centre, 2] == pytest.approx(2.0)
     np.testing.assert_allclose(sensing_mm[rim, 2], 1.5)
     assert (sensing_mm[~centre & ~rim, 2] < 2.0).all()
+
+
+def test_gel_of_arena_2_is_symmetric_and_finest_in_the_middle() -> None:
+    mesh = arena_gel_mesh()
+    assert (len(mesh.rest_position_m), len(mesh.hexahedra), mesh.driven.sum(), mesh.sensing.sum()) == (
+        363,
+        200,
+        121,
+        81,
+    )
+    for axis in (0, 1):
+        mirrored = mesh.rest_position_m.copy()
+        mirrored[:, axis] *= -1.0
+        number = {tuple(place): node for node, place in enumerate(mesh.rest_position_m.round(9).tolist())}
+        other = np.array([number[tuple(place)] for place in (mirrored.round(9) + 0.0).tolist()])
+        edges = {tuple(edge) for edge in np.sort(mesh.surface_nodes[mesh.surface_edges]).tolist()}
+        assert {tuple(edge) for edge in np.sort(other[mesh.surface_nodes[mesh.surface_edges]]).tolist()} == edges
+    lines_mm = np.unique(mesh.rest_position_m[mesh.sensing, 0].round(9)) * 1e3
+    lengths_mm = np.diff(lines_mm)
+    assert lengths_mm[5:] / lengths_mm[4:-1] == pytest.approx(1.3)
+    assert mesh.blocks.volume_m3.sum() == pytest.approx(1969.75e-9, rel=0.003)

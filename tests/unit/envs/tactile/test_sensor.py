@@ -4,8 +4,8 @@ import numpy as np
 import own_sensors
 import pytest
 from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, SensorMount
-from vitac.envs.tactile.gel import gelsight_mini_mesh
-from vitac.envs.tactile.markers import MarkerSettings
+from vitac.envs.tactile.gel import arena_gel_mesh, gelsight_mini_mesh
+from vitac.envs.tactile.markers import MarkerSettings, find_in_picture
 from vitac.envs.tactile.response import Response, compute_response
 from vitac.envs.tactile.sensor import NoReferenceCaptured, TactileSensor
 from vitac.envs.tasks.lock_opening import scene as lock
@@ -43,6 +43,30 @@ def test_marker_flow_compares_with_the_reference() -> None:
     sensor.capture_reference(view + np.array([1e-3, 0.0, 0.0]))
     flow = sensor.marker_flow(view, np.random.default_rng(0))
     assert (flow[1] - flow[0])[:40, 0].mean() == pytest.approx(-340 / 22, abs=0.3)
+
+
+def test_a_marker_that_has_left_the_picture_is_seen_only_as_the_challenge_does() -> None:
+    flows = {}
+    for sees_outside in (True, False):
+        sensor, view = sensor_and_view()
+        sensor.settings = MarkerSettings(sees_outside=sees_outside, noise_px=0.0)
+        sensor.capture_reference(view)
+        flows[sees_outside] = sensor.marker_flow(view - np.array([3e-3, 0.0, 0.0]), np.random.default_rng(0))
+    left = ~find_in_picture(flows[True][1])
+    assert left.any()
+    assert find_in_picture(flows[False][1]).all()
+    inside = flows[True][:, ~left]
+    assert np.array_equal(flows[False][:, : inside.shape[1]], inside)
+
+
+def test_motion_of_an_uneven_mesh_counts_by_area() -> None:
+    mesh = arena_gel_mesh()
+    sensor = TactileSensor(mesh, MarkerSettings())
+    view = sensor.view_m(mesh.rest_position_m, np.eye(3), np.zeros(3))
+    sensor.capture_reference(view)
+    raised = view + 1e-3 * np.abs(view[:, :1]) * np.array([0.0, 0.0, 1.0])
+    half_m = np.abs(view[:, 0]).max()
+    assert sensor.surface_diff_m(raised) == pytest.approx(1e-3 * half_m / 2, rel=1e-12)
 
 
 @pytest.mark.parametrize(
