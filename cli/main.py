@@ -40,6 +40,7 @@ NOUNS = (
     Noun(name="log", module="log", summary="Show, verify, compare, match and import evaluation logs."),
     Noun(name="seeds", module="seeds", summary="Make and verify the secrets of sealed episode lists."),
     Noun(name="show", module="show.command", summary="Draw an episode."),
+    Noun(name="play", module="play.command", summary="Play a task by hand, and store it as demonstrations."),
     Noun(name="sensor", module="sensor", summary="Check, mesh and draw a sensor of your own."),
     Noun(
         name="station",

@@ -27,6 +27,8 @@ class Use(IntEnum):
     """Held-out episodes by which the best round is chosen."""
     REPORT = 2
     """Episodes of the figures that are reported; nothing is chosen by them."""
+    PLAY_BY_HAND = 3
+    """Episodes that a person plays."""
 
 
 def stream(seed: int, use: Use) -> int:

@@ -36,7 +36,7 @@ class CollectionRejected(VitacError):
 
 
 class DemonstrationKind(StrEnum):
-    """How the expert was made to act. Only the outcome says whether it succeeded."""
+    """How the expert was made to act, or what a person saw. Only the outcome says whether it succeeded."""
 
     CLEAN = "clean"
     """Its own actions; with noise only where nothing else succeeds."""
@@ -44,6 +44,14 @@ class DemonstrationKind(StrEnum):
     """Its own actions, with noise in some of the first env steps, from which it recovers."""
     MISLED = "misled"
     """It goes to a place beside the target, which seldom succeeds."""
+    HUMAN = "human"
+    """A person played, by marker flow alone."""
+    HUMAN_WITH_SCENE = "human-with-scene"
+    """A person played, and has looked at the scene."""
+
+
+BY_HAND = frozenset({DemonstrationKind.HUMAN, DemonstrationKind.HUMAN_WITH_SCENE})
+"""Kinds that a person played."""
 
 
 class Source(StrictModel):
@@ -61,7 +69,7 @@ class Source(StrictModel):
 
 
 class Demonstration(StrictModel):
-    """An episode of the expert. `state_hashes` has one entry after the reset and one after each env step."""
+    """An episode of an expert or a person. `state_hashes` has one after the reset and one after each env step."""
 
     episode: PositiveInt
     kind: DemonstrationKind
@@ -158,7 +166,7 @@ def count_outcomes(path: Path) -> list[dict[str, Any]]:
     for each in read_demonstrations(path):
         counted = {"episodes": 1, "successes": each.is_success, "env_steps": each.actions.shape[0]}
         rows[each.kind] |= {name: rows[each.kind][name] + number for name, number in counted.items()}
-    return list(rows.values())
+    return [row for row in rows.values() if row["episodes"]]
 
 
 def _report_nowhere(episodes: int, successes: int) -> None:
@@ -199,7 +207,7 @@ def collect(
     expert = Expert(found)
     source = Source(manifest=make_manifest(track, found, expert.env), stream=stream(seed, Use.COLLECT))
     path = folder / task / FILE
-    with hold_folder(path.parent), _continued(path, source) as file:
+    with open_collection(path, source) as file:
         stored = list(read_demonstrations(path))
         n_episodes, n_successes = len(stored), sum(each.is_success for each in stored)
         if stored and stored[-1].episode != n_episodes:
@@ -219,10 +227,16 @@ def collect(
 
 
 @contextmanager
-def _continued(path: Path, source: Source) -> Iterator[BinaryIO]:
-    """Open a file to write after its last whole line."""
+def open_collection(path: Path, source: Source) -> Iterator[BinaryIO]:
+    """Hold the folder of a file of demonstrations, and open it to write after its last whole line.
+
+    Raises:
+        CollectionRejected: the file is of another source.
+        FolderInUse: another process writes there.
+        NotSaved: it cannot be written.
+    """
     try:
-        with path.open("a+b") as file:
+        with hold_folder(path.parent), path.open("a+b") as file:
             _drop_partial_line(file)
             file.seek(0)
             first = file.readline()

@@ -17,7 +17,7 @@ from vitac.evaluator.scoring.score import rate
 from ..files import write_text
 from ..pool import map_in_order
 from ..streams import FIRST_STREAM, STREAMS_PER_SEED
-from .collecting import FILE, Demonstration, DemonstrationKind, Source, read_demonstrations, read_source
+from .collecting import BY_HAND, FILE, Demonstration, DemonstrationKind, Source, read_demonstrations, read_source
 from .frames import (
     Frames,
     Origin,
@@ -44,8 +44,7 @@ configs:
 # Demonstrations of {title}
 {description}
 
-An expert that knows the truth plays in the deterministic simulation of ViTac Arena. It sees what no policy sees
-(`privileged.*`), so its actions are more than a policy can know.
+{player}
 
 | kind | episodes | successes | in % with 95 % interval |
 |---|---|---|---|
@@ -54,7 +53,7 @@ An expert that knows the truth plays in the deterministic simulation of ViTac Ar
 - **Starts**: episode n starts with `reset(options={{"rng_seed": ({stream}, n)}})`, in no official list.
 - **Made with**: `{env_id}` as in the task `{task}` of `{track}`, evaluator {evaluator}, solver {solver}, mesh hash
   {mesh}, on {platform}.
-- **Made by**: `vitac data collect {task} --successes {successes} --seed {seed} --out DIR`, then `vitac data export`.
+- **Made by**: `{command}`, then `vitac data export`.
 - **Replay**: `vitac data check FOLDER --replay {episodes}` plays them again and compares every state hash.
 - **Licence**: {licence}. No person's data and no recording of others is in it.
 
@@ -64,10 +63,20 @@ An expert that knows the truth plays in the deterministic simulation of ViTac Ar
 """
 
 
+_EXPERT = """An expert that knows the truth plays in the deterministic simulation of ViTac Arena. It sees what no
+policy sees (`privileged.*`), so its actions are more than a policy can know."""
+_PERSON = """A person plays in the deterministic simulation of ViTac Arena: `human` by the marker flow alone, as a
+policy does, `human-with-scene` with a look at the scene, which no policy sees."""
+
+
 def make_card(origin: Origin, observables: Sequence[Observable[Any]]) -> str:
     """Return the card, as Markdown with the header that Hugging Face reads."""
     source, episodes = origin.source, origin.episodes
     task, made = source.task, source.manifest
+    is_played = any(each.kind in BY_HAND for each in episodes)
+    successes = sum(each.outcome == "success" for each in episodes)
+    seed = (source.stream - FIRST_STREAM) // STREAMS_PER_SEED
+    collected = f"vitac data collect {made.task} --successes {successes} --seed {seed} --out DIR"
     kinds = [_kind_row(kind, [each for each in episodes if each.kind is kind]) for kind in DemonstrationKind]
     return _CARD.format(
         title=task.title[0].lower() + task.title[1:],
@@ -82,8 +91,8 @@ def make_card(origin: Origin, observables: Sequence[Observable[Any]]) -> str:
         solver=made.solver_version,
         mesh=made.mesh_hash,
         platform=made.platform_class,
-        successes=sum(each.outcome == "success" for each in episodes),
-        seed=(source.stream - FIRST_STREAM) // STREAMS_PER_SEED,
+        player=_PERSON if is_played else _EXPERT,
+        command=f"vitac play {made.task} --seed {seed} --out DIR" if is_played else collected,
         episodes=len(episodes),
         licence=LICENCE,
         observed="\n".join(

@@ -1,0 +1,1 @@
+"""`vitac play`: a page on this machine where a person plays a task by touch."""
