@@ -70,5 +70,6 @@ async def _form(request: Request, viewer: Viewer, *, wrong: str | None = None, s
         wrong=wrong,
         competitions=await site.read(list_choices),
         archive_size=size(settings.limits.archive_packed_bytes),
+        image_size=size(settings.limits.image_bytes),
         log_size=size(settings.log_bytes),
     )

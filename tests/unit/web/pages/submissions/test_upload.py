@@ -3,6 +3,7 @@ from typing import Any
 import pytest
 from asgi_browser import AsgiBrowser
 from httpx import Response
+from images import config_bytes, docker_archive, entry, tar_bytes
 from seeded_site import BEARS, GELBOTS, ORGANIZERS, SeededSite, form_token, words
 from service_client import make_archive
 from sqlalchemy import func, select
@@ -35,10 +36,14 @@ def test_the_form_says_what_is_possible_and_needs_no_script(site: SeededSite) ->
     assert 'name="team"' not in html
 
 
+LAYER = tar_bytes([entry("submission.yaml", b"track: track_1\ntasks: [peg-insertion]\nname: boxed\n")])
+
+
 @pytest.mark.parametrize(
     ("name", "content", "kind"),
     [
         ("Mine.ZIP", make_archive(), SubmissionKind.MODEL),
+        ("policy.tar", docker_archive([LAYER], config_bytes([LAYER], ["/policy"])), SubmissionKind.IMAGE),
         ("run.jsonl.gz", packed(a_log(team=GELBOTS)), SubmissionKind.LOG),
         ("old.log", a_text_log(GELBOTS), SubmissionKind.TEXT_LOG),
         ("../../etc/passwd", make_archive(), SubmissionKind.MODEL),
