@@ -47,7 +47,7 @@ def quantities(name: str) -> str:
     rows, found = json.loads((FOLDER / f"sweep_{name}.json").read_text()), read_lists(name)[-1]
     nominal = next(row for row in rows if not row["fixed"])
     lines = [
-        "| quantity | range | alone, solved by the example | with all, solved by the example along the range |",
+        "| quantity | range | alone, % | with all, % along the range |",
         "|---|---|---|---|",
     ]
     lines.append(f"| none | | {written(nominal['example'])} | |")
@@ -59,7 +59,7 @@ def _row(task: Task, quantity: Quantity, rows: list[dict[str, Any]], found: dict
     low, high = task.draws[quantity.name]
     unit = "" if quantity.unit == "1" else f" {quantity.unit}"
     alone = [
-        f"{value:g}: {written(row['example'])}"
+        f"{value:g}: {100 * row['example']['success_rate']:.0f}"
         for row in rows
         for name, value in row["fixed"].items()
         if name == quantity.name

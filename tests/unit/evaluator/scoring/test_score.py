@@ -46,11 +46,6 @@ def test_interval_reaches_exactly_to_0_without_a_success_and_to_1_without_a_fail
         assert none.high == pytest.approx(1 - all_of_them.low)
 
 
-def test_interval_shrinks_with_episodes() -> None:
-    few, many = wilson_interval(3, 10), wilson_interval(300, 1000)
-    assert few.low < many.low < many.high < few.high
-
-
 @pytest.mark.parametrize(("first", "second"), [(0.5, 0.5), (0.15, 0.6), (0.9, 0.05), (0.98, 0.97)])
 def test_interval_of_a_mean_covers_it_as_often_as_it_says(first: float, second: float) -> None:
     from scipy.stats import binom

@@ -175,11 +175,6 @@ def test_a_track_names_its_tasks_where_one_is_missing() -> None:
         track.task("peg")
 
 
-def test_find_task_gives_its_track() -> None:
-    track, task = find_task("peg-insertion")
-    assert (track.name, task.env_id) == ("track_1", "ViTac/PegInsertion-v1")
-
-
 def test_every_packaged_track_is_valid() -> None:
     assert [load_track(name).name for name in list_tracks()] == list(list_tracks())
 

@@ -1,5 +1,6 @@
 """Who may call which route, and that a dry run of each changes nothing: all routes of the API's description, tried."""
 
+import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -123,6 +124,7 @@ def audience(place: Route, *, is_public: bool = False) -> frozenset[Who]:
 
 
 REFUSED = {401, 403, 404}
+IDENTITY = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
 UPLOAD_HEADERS = {"Tus-Resumable": "1.0.0"}
 KIND = "kind bW9kZWw="  # "model", as the protocol writes it
 
@@ -452,6 +454,18 @@ def test_a_role_gets_exactly_what_the_routes_declare(setting: Setting, who: Who)
         public = replace(setting, is_public=True)
         assert public.ask("put", f"{SUBMISSION}/public", Who.OWNER) == 200
         assert wrong_answers(public, [place for place in described() if place[1].startswith(SUBMISSION)], who) == []
+
+
+def test_what_another_team_has_looks_as_if_it_were_not_there(setting: Setting) -> None:
+    told = []
+    for method, path in described():
+        if path.startswith((SUBMISSION, UPLOAD)) and Who.OTHER not in audience((method, path)):
+            there = setting.prepare(method, path, Who.OTHER)
+            absent = there | {"url": IDENTITY.sub(str(uuid4()), there["url"], count=1)}
+            answers = [setting.send(method, prepared, Who.OTHER) for prepared in (there, absent)]
+            if len({(each.status_code, each.content and each.json()["code"]) for each in answers}) > 1:
+                told.append(f"{method} {path}: {answers}")
+    assert told == []
 
 
 def wrong_answers(setting: Setting, places: Iterable[Route], who: Who) -> list[str]:

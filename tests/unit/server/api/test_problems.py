@@ -159,13 +159,6 @@ def test_a_full_disk_is_told_from_other_failures(client: Client, name: str) -> N
     assert (content["status"], content["code"]) == (507, "storage_full")
 
 
-def test_a_lost_database_is_told_with_when_to_try_again(client: Client) -> None:
-    answer = client.get("/raise/connection")
-    content = problem_of(answer)
-    assert (content["status"], content["code"]) == (503, "database_unavailable")
-    assert answer.headers["retry-after"] == "2"
-
-
 def test_a_database_without_a_free_connection_is_told_from_one_that_is_away(client: Client) -> None:
     content = problem_of(client.get("/raise/connections"))
     assert (content["status"], content["code"]) == (503, "database_unavailable")

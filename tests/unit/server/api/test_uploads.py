@@ -84,7 +84,7 @@ def test_options_say_what_is_possible(service: Service) -> None:
     answer = service.client.options(f"{API}/uploads")
     assert answer.status_code == 204
     assert answer.headers["tus-extension"] == "creation,termination,expiration,checksum"
-    assert answer.headers["tus-max-size"] == str(service.settings.limits.archive_packed_bytes)
+    assert answer.headers["tus-max-size"] == str(service.settings.limits.image_bytes)
     assert (answer.headers["tus-version"], answer.headers["tus-checksum-algorithm"]) == ("1.0.0", "sha256,sha1")
 
 
@@ -357,16 +357,6 @@ def test_a_deleted_upload_is_gone_with_its_parts(service: Service) -> None:
     assert [ask(service, method, place).status_code for method in ("HEAD", "DELETE")] == [404, 404]
     assert send(service, place, 1, b"y").status_code == 404
     assert stored_parts(service) == []
-
-
-def test_another_teams_upload_looks_as_if_there_were_none(service: Service) -> None:
-    place = begun(service, 10)
-    for method in ("HEAD", "DELETE"):
-        assert ask(service, method, place, service.other_token).status_code == 404
-    answer = ask(service, "PATCH", place, service.other_token, headers=PIECE | {"Upload-Offset": "0"}, content=b"x")
-    problem_of(answer, 404, "not_found")
-    problem_of(service.post(f"{place.removeprefix(API)}/submission", service.other_token), 404, "not_found")
-    assert ask(service, "HEAD", place, service.organizer_token).status_code == 200
 
 
 def test_an_organizer_uploads_for_a_team(service: Service) -> None:
