@@ -1,13 +1,17 @@
 """Submissions on the worker's disk: fetched once, archives also unpacked, while several shards of them run."""
 
+import os
 import shutil
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import count
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+from vitac.evaluator.agent.isolation.memory_files import FileIsolation, default_file_isolation, memory_folder
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.submission.sources import stage
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -40,6 +44,8 @@ class SubmissionStage:
         """Staged submissions by name, the most recently used last."""
         self._numbers = count()
         remove_leftovers(scratch_dir)
+        self._memory: Path | None = None
+        """Folder for images in memory, made for the first one."""
         self._exits = ExitStack()
         self._folder = self._exits.enter_context(scratch_folder(scratch_dir, WORKER_FOLDER))
 
@@ -51,17 +57,28 @@ class SubmissionStage:
             ServiceError: the stored file cannot be read.
             ArchiveRejected: it breaks a rule, although the upload checked it.
         """
-        with self._stage_once(
-            f"{kind}-{archive_sha256}", lambda folder: self._fetch(kind, archive_sha256, folder)
-        ) as path:
+        fetch = partial(self._fetch_image if kind.form.is_image else self._fetch, kind, archive_sha256)
+        base = self._image_base() if kind.form.is_image else self._folder
+        with self._stage_once(f"{kind}-{archive_sha256}", fetch, base) as path:
             yield path
 
+    def _image_base(self) -> Path:
+        """Return where images are unpacked: in memory where policies' files lie there, for all sandboxes together."""
+        if default_file_isolation() is not FileIsolation.MEMORY:
+            return self._folder
+        with self._lock:
+            if self._memory is None:
+                images = memory_folder() / f"vitac-images-{os.geteuid()}"
+                remove_leftovers(images)
+                self._memory = self._exits.enter_context(scratch_folder(images, WORKER_FOLDER))
+            return self._memory
+
     @contextmanager
-    def _stage_once(self, name: str, fetch: Callable[[Path], Path]) -> Iterator[Path]:
+    def _stage_once(self, name: str, fetch: Callable[[Path], Path], base: Path | None = None) -> Iterator[Path]:
         """Yield what `fetch` puts into a folder of this name; simultaneous users share one."""
         with self._lock:
             # A new folder each time: a process that still runs must not match what is unpacked again.
-            staged = self._staged.get(name) or _Staged(folder=self._folder / f"{name}-{next(self._numbers)}")
+            staged = self._staged.get(name) or _Staged(folder=(base or self._folder) / f"{name}-{next(self._numbers)}")
             self._staged[name] = staged
             staged.users += 1
         try:
@@ -110,11 +127,17 @@ class SubmissionStage:
     def _fetch(self, kind: SubmissionKind, archive_sha256: str, folder: Path) -> Path:
         upload = folder / "upload"
         self._blobs.fetch(archive_sha256, upload)
-        if not (kind.form.is_archive or kind.form.is_image):
+        if not kind.form.is_archive:
             return upload
-        submission_dir = stage(upload, folder / "unpacked", self._limits, kind)
+        submission_dir = stage(upload, folder / "unpacked", self._limits)
         upload.unlink()
         return submission_dir
+
+    def _fetch_image(self, kind: SubmissionKind, archive_sha256: str, folder: Path) -> Path:
+        with TemporaryDirectory(dir=self._folder) as packed:
+            upload = Path(packed) / "upload"
+            self._blobs.fetch(archive_sha256, upload)
+            return stage(upload, folder / "unpacked", self._limits, kind)
 
     def _forget_idle(self) -> None:
         idle = [name for name, staged in self._staged.items() if not staged.users]

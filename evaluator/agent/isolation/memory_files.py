@@ -87,6 +87,11 @@ def memory_folder() -> Path:
     return folder
 
 
+def is_in_memory(folder: Path) -> bool:
+    """Return whether a folder lies on a tmpfs."""
+    return _file_system(folder) == "tmpfs"
+
+
 def prepare_system_files(interpreter: Interpreter, *, own: Collection[tuple[Path, str]]) -> Path:
     """Return the folder in memory that holds what policies see of the system, each file below its path inside.
 

@@ -29,6 +29,7 @@ from .image_program import ImageProgram
 from .memory_files import (
     FileIsolation,
     default_file_isolation,
+    is_in_memory,
     mount_point,
     prepare_system_files,
     with_submission_in_memory,
@@ -112,6 +113,7 @@ class Sandbox:
     ) -> None:
         self._submission = submission if image is None else image.root
         self._image = image
+        self._lies_in_memory = image is not None and is_in_memory(image.root)
         self._packages = packages
         self._kind = kind
         fixed = {IsolationKind.VM: FileIsolation.MEMORY, IsolationKind.NONE: FileIsolation.DISK}
@@ -257,7 +259,7 @@ class Sandbox:
         self._bundle = Path(self._exits.enter_context(tempfile.TemporaryDirectory(prefix="vitac-vm-")))
         command = gvisor.command(
             self._bundle,
-            submission=mount_point(system),
+            submission=self._find_submission(system),
             interpreter=interpreter,
             limits=self.limits,
             uid=bubblewrap.choose_uid(),
@@ -290,7 +292,7 @@ class Sandbox:
             system = prepare_system_files(interpreter, own=bubblewrap.OWN_FILES)
         command = bubblewrap.command(
             program=bubblewrap.find_program(),
-            submission=self._submission if system is None else mount_point(system),
+            submission=self._find_submission(system),
             interpreter=interpreter,
             limits=self.limits,
             uid=uid,
@@ -306,7 +308,13 @@ class Sandbox:
             return command
         return ["/bin/sh", "-c", _JOIN_GROUPS, "sh", *map(str, self._group.folders), "--", *command]
 
+    def _find_submission(self, system: Path | None) -> Path:
+        """Return where the submission is bound from: an image is copied into memory by whoever unpacks it there."""
+        return self._submission if system is None or self._lies_in_memory else mount_point(system)
+
     def _with_submission(self, command: list[str], system: Path) -> list[str]:
+        if self._lies_in_memory:
+            return command
         # Before the process joins the control groups: the submission does not count as the policy's memory.
         size_bytes = self.limits.archive_unpacked_bytes if self._image is None else self.limits.image_bytes
         return with_submission_in_memory(command, submission=self._submission, root=system, size_bytes=size_bytes)

@@ -3,11 +3,14 @@ import os
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
+from images import config_bytes, docker_archive, entry, tar_bytes
 from service_client import make_archive
 from service_factories import sha256
 from submissions import FILES, submission_zip, wheel_bytes
+from vitac.evaluator.agent.isolation.memory_files import is_in_memory
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.errors import ServiceError
 from vitac.server.services import Services
@@ -51,6 +54,29 @@ def test_submission_is_unpacked_once_for_shards_at_the_same_time(
     assert len(folders) == 4
     assert len(set(folders)) == 1
     assert (folders[0] / "submission.yaml").is_file()
+
+
+def test_image_is_unpacked_into_memory_once_and_leaves_nothing_there(
+    services: Services, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    layer = tar_bytes([entry("submission.yaml", FILES["submission.yaml"].encode())])
+    tar = tmp_path / "image.tar"
+    tar.write_bytes(docker_archive([layer], config_bytes([layer], ["/policy"])))
+    digest = hashlib.sha256(tar.read_bytes()).hexdigest()
+    services.blobs.put(tar, digest)
+    with TemporaryDirectory(dir="/dev/shm") as memory:
+        monkeypatch.setenv("VITAC_SANDBOX_FILES", "memory")
+        monkeypatch.setenv("VITAC_MEMORY_DIR", memory)
+        stage = SubmissionStage(services.blobs, services.settings.scratch_dir, services.settings.limits)
+        with stage.submission(SubmissionKind.IMAGE, digest) as folder:
+            assert folder.is_relative_to(memory)
+            assert is_in_memory(folder / "root")
+            assert (folder / "root/submission.yaml").is_file()
+        with stage.submission(SubmissionKind.IMAGE, digest) as again:
+            assert again == folder
+        assert not any(path.name == "upload" for path in services.settings.scratch_dir.rglob("*"))
+        stage.close()
+        assert not [path for path in Path(memory).rglob("*") if path.is_file()]
 
 
 def test_wheels_of_a_submission_are_unpacked(services: Services, stage: SubmissionStage, tmp_path: Path) -> None:
