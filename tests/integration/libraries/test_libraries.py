@@ -209,6 +209,27 @@ def test_cleanrl() -> None:
     assert torch.isfinite(loss)
 
 
+def test_rllib() -> None:
+    """Run by hand in an environment of RLlib's pins: `pip install "ray[rllib]" torch pytest .`."""
+    if not gymnasium.__version__.startswith("1.2."):
+        pytest.skip("RLlib pins Gymnasium 1.2.2: its row of docs/libraries.md was not tried")
+    ray = library("ray.rllib") and library("ray")
+    from ray.rllib.algorithms.ppo import PPOConfig
+    from ray.tune.registry import register_env
+
+    register_env("peg", lambda _: flat())
+    ray.init(num_cpus=1, include_dashboard=False, log_to_driver=False)
+    try:
+        config = PPOConfig().environment("peg").learners(num_learners=0)
+        config = config.env_runners(num_env_runners=0, rollout_fragment_length=8)
+        config = config.training(train_batch_size_per_learner=8, minibatch_size=8, num_epochs=1)
+        learner = config.build_algo()
+        assert learner.train()["env_runners"]["num_env_steps_sampled"] == 8
+        learner.stop()
+    finally:
+        ray.shutdown()
+
+
 def test_every_row_of_the_table_has_its_test(repository: Path) -> None:
     table = (repository / "docs" / "libraries.md").read_text()
     rows = re.findall(r"^\|.*\| `(test_\w+)` \|$", table, re.MULTILINE)
