@@ -35,6 +35,8 @@ _COMMAND_BYTES: Final = 64 << 10
 _GZIP: Final = b"\x1f\x8b"
 _ZSTD: Final = b"\x28\xb5\x2f\xfd"
 _BUFFER_BYTES: Final = 1 << 20
+_RATIO_FREE_BYTES: Final = 64 << 20
+"""Up to this size a layer may compress as well as it does."""
 _MACHINES: Final = {"x86_64": "amd64", "aarch64": "arm64"}
 _INDEX_TYPES: Final = ("index.v1+json", "manifest.list.v2+json")
 _DIGEST: Final = re.compile(r"sha256:[0-9a-f]{64}")
@@ -324,12 +326,16 @@ class _Layer:
         self._hash = hashlib.sha256()
         self._what = what
         self._limits = limits
+        self._n_bytes = 0
         self.left = left
         """Bytes that this layer and those above may still have."""
 
     def entries(self) -> Iterator[TarEntry]:
-        """Yield what the layer holds."""
-        return read_tar(self._read, self._what)
+        """Yield what the layer holds; of a file that is too large nothing is read."""
+        for entry in read_tar(self._read, self._what):
+            if entry.n_bytes > self.left:
+                raise self._too_large()
+            yield entry
 
     def finish(self, diff_id: str, digest: str | None) -> None:
         """Read to the end, and compare digests: that of the content, and that of the packed bytes if there is one."""
@@ -347,13 +353,23 @@ class _Layer:
         except (OSError, EOFError, zlib.error, _zstd_error()) as error:
             raise damaged(self._what, f"it cannot be unpacked ({error})") from error
         self._hash.update(data)
+        self._n_bytes += len(data)
         self.left -= len(data)
         if self.left < 0:
+            raise self._too_large()
+        if self._n_bytes > max(_RATIO_FREE_BYTES, self._packed.n_bytes * self._limits.archive_ratio):
             raise ArchiveRejected(
-                ArchiveFault.UNPACKED_TOO_LARGE,
-                f"The layers of the image are larger than {self._limits.image_bytes} bytes together; install less.",
+                ArchiveFault.COMPRESSED_TOO_MUCH,
+                f"{self._what} unpacks to more than {self._limits.archive_ratio:g} times its size; leave out what "
+                "compresses like that.",
             )
         return data
+
+    def _too_large(self) -> ArchiveRejected:
+        return ArchiveRejected(
+            ArchiveFault.UNPACKED_TOO_LARGE,
+            f"The layers of the image are larger than {self._limits.image_bytes} bytes together; install less.",
+        )
 
 
 class _Hashed(io.RawIOBase):
@@ -362,6 +378,7 @@ class _Hashed(io.RawIOBase):
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
         self._hash = hashlib.sha256()
+        self.n_bytes = 0
 
     def readable(self) -> bool:
         """Return that it can be read."""
@@ -372,6 +389,7 @@ class _Hashed(io.RawIOBase):
         data = self._file.read(len(buffer))
         buffer[: len(data)] = data
         self._hash.update(data)
+        self.n_bytes += len(data)
         return len(data)
 
     def read_all(self) -> None:

@@ -174,11 +174,15 @@ def test_refuses_too_many_files_and_a_bomb(tmp_path: Path) -> None:
     many = tar_bytes(entry(f"f{number}") for number in range(1000))
     tar = saved(tmp_path, [BASE, many])
     assert rejected(tmp_path, tar, Limits(image_files=1000)).code is ArchiveFault.TOO_MANY_FILES
-    bomb = gzip.compress(tar_bytes([entry("zeros", bytes(64 << 20))]), 9)
+    bomb = gzip.compress(tar_bytes([entry("zeros", bytes(80 << 20))]), 9)
     tar = saved(tmp_path, [BASE, bomb])
     assert tar.stat().st_size < 1 << 20
-    rejection = rejected(tmp_path, tar, Limits(image_bytes=32 << 20))
-    assert rejection.code is ArchiveFault.UNPACKED_TOO_LARGE
+    assert rejected(tmp_path, tar, Limits(image_bytes=32 << 20)).code is ArchiveFault.UNPACKED_TOO_LARGE
+    assert rejected(tmp_path, tar).code is ArchiveFault.COMPRESSED_TOO_MUCH
+    header = tarfile.TarInfo("zeros")
+    header.size = 8 << 30  # which it only says
+    tar = saved(tmp_path, [BASE, header.tobuf(tarfile.GNU_FORMAT)])
+    assert rejected(tmp_path, tar).code is ArchiveFault.UNPACKED_TOO_LARGE
 
 
 @pytest.mark.parametrize("make", [docker_archive, oci_layout])
