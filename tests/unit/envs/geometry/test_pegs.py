@@ -86,14 +86,6 @@ def test_volumes_are_those_of_their_profiles(shape: PegShape) -> None:
 
 
 @EACH
-def test_bottom_vertices_are_found_by_position_in_any_order_of_the_vertices(shape: PegShape) -> None:
-    peg = peg_surface(shape)
-    found = peg.vertices_m[bottom_vertices(shape, peg)] * 1e3
-    assert found[:, :2] == pytest.approx(BOTTOM_CORNERS_MM[shape])
-    assert found[:, 2] == pytest.approx(0.0)
-
-
-@EACH
 def test_a_solid_is_made_once(shape: PegShape) -> None:
     assert peg_surface(shape) is peg_surface(shape)
     assert hole_surface(shape) is hole_surface(shape)

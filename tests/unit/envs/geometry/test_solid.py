@@ -139,11 +139,6 @@ def test_no_triangle_edge_passes_through_a_corner() -> None:
                 assert not (on_line and 0 < along < 1)
 
 
-def test_equal_input_gives_equal_triangles() -> None:
-    hole = hole_outline_mm(PegShape.CONCAVE1)
-    assert triangulate(PLATE_OUTLINE_MM, (hole,)) == triangulate(PLATE_OUTLINE_MM, (hole,))
-
-
 SQUARE = rectangle(-1.0, 1.0, -1.0, 1.0)
 
 
@@ -155,16 +150,6 @@ def test_area_is_positive_counter_clockwise_and_negative_clockwise() -> None:
 @given(st.floats(0.01, 5.0))
 def test_offset_of_a_rectangle_widens_each_side_by_the_distance(distance: float) -> None:
     assert mitred_offset(SQUARE, distance) == pytest.approx(SQUARE * (1.0 + distance))
-
-
-@pytest.mark.parametrize("shape", PegShape)
-def test_offset_edges_run_parallel_at_the_distance(shape: PegShape) -> None:
-    profile, outline = PROFILES_MM[shape], hole_outline_mm(shape)
-    for i in range(len(profile)):
-        direction = profile[i] - profile[i - 1]
-        normal = np.array([direction[1], -direction[0]]) / np.hypot(*direction)
-        assert (outline[i] - profile[i]) @ normal == pytest.approx(1.5)
-        assert (outline[i - 1] - profile[i - 1]) @ normal == pytest.approx(1.5)
 
 
 def test_offset_of_reflex_corners_moves_them_outwards_too() -> None:

@@ -6,17 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from polygon_area import signed_area
 from vitac.envs.fem.model.mesh import SurfaceMesh, unique_edges
 from vitac.envs.geometry.keys_and_locks import (
-    KEYS,
     LOCKS,
     KeyShape,
     key_control_points,
     key_surface,
-    lock_control_points,
     lock_surface,
-    profile_mm,
 )
 from vitac.envs.geometry.pegs import (
     BOTTOM_CORNERS_MM,
@@ -88,13 +84,6 @@ def test_bottom_vertices_follow_the_order_of_the_logs(shape: PegShape) -> None:
 
 
 @pytest.mark.parametrize("shape", KeyShape)
-def test_key_volume_is_its_profile_times_its_thickness(shape: KeyShape) -> None:
-    assert key_surface(shape).volume_m3 / CUBIC_MILLIMETRE_M3 == pytest.approx(
-        6.0 * signed_area(profile_mm(KEYS[shape]))
-    )
-
-
-@pytest.mark.parametrize("shape", KeyShape)
 def test_lock_volume_is_the_block_less_channel_and_slots(shape: KeyShape) -> None:
     lock = LOCKS[shape]
     slots = sum(high - low for low, high in lock.slots_mm)
@@ -106,26 +95,7 @@ def test_lock_volume_is_the_block_less_channel_and_slots(shape: KeyShape) -> Non
     assert euler == 2 - 2 * len(lock.slots_mm)
 
 
-@pytest.mark.parametrize("shape", KeyShape)
-def test_control_points_are_vertices_of_their_solids(shape: KeyShape) -> None:
-    key, lock = key_control_points(shape), lock_control_points(shape)
-    for points in (key.rear_tooth_m, key.front_tooth_m, key.tip_m):
-        assert points.shape == (4, 3)
-        assert contains_all(points, key_surface(shape).vertices_m)
-    for points in (lock.rear_slot_m, lock.front_slot_m, lock.entrance_m):
-        assert points.shape == (4, 3)
-        assert contains_all(points, lock_surface(shape).vertices_m)
-
-
 def test_key4_measures_its_second_and_third_tooth() -> None:
     points = key_control_points(KeyShape.KEY4)
     assert sorted(set((points.front_tooth_m[:, 0] * 1e3).round(6))) == [20.0, 24.0]
     assert sorted(set((points.rear_tooth_m[:, 0] * 1e3).round(6))) == [36.0, 40.0]
-
-
-@pytest.mark.parametrize(("shape", "aligned_x_mm"), [(shape, 13.0) for shape in KeyShape])
-def test_aligned_teeth_stand_below_their_slots(shape: KeyShape, aligned_x_mm: float) -> None:
-    key, lock = key_control_points(shape), lock_control_points(shape)
-    for tooth, slot in ((key.rear_tooth_m, lock.rear_slot_m), (key.front_tooth_m, lock.front_slot_m)):
-        assert tooth[:, 0].min() * 1e3 + aligned_x_mm > slot[:, 0].min() * 1e3
-        assert tooth[:, 0].max() * 1e3 + aligned_x_mm < slot[:, 0].max() * 1e3

@@ -1,9 +1,8 @@
 """The student: its histories, and what it learns."""
 
 import numpy as np
-import pytest
 from toy_peg import ToyPeg
-from vitac.training.collection import ActorKind, guided_actor, random_actor, student_actor
+from vitac.training.collection import guided_actor, random_actor, student_actor
 from vitac.training.episodes import joined, play
 from vitac.training.learning.critic import Critic, CriticPlan
 from vitac.training.learning.student import (
@@ -54,11 +53,6 @@ def test_learns_from_what_is_felt_what_the_critic_sees() -> None:
     assert losses[-1] < losses[0]
     solved = play(ToyPeg(), student_actor(make_weights(student.state()), 0.0), 8, range(40)).solved.mean()
     assert solved > 0.6 > 2 * play(ToyPeg(), random_actor, 8, range(40)).solved.mean()
-
-
-@pytest.mark.parametrize("kind", ActorKind)
-def test_actors_that_know_the_truth_are_marked(kind: ActorKind) -> None:
-    assert kind.knows_truth == (kind.value in ("guided", "critic"))
 
 
 def test_best_action_is_the_one_that_the_policy_values_most() -> None:
