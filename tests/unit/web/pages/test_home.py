@@ -62,6 +62,11 @@ def test_ways_in_are_buttons_and_each_card_leads_to_its_board_and_rules(browser:
     assert cards.count("board<span") == cards.count('">Rules<') == cards.count("<li>") >= 1
 
 
+def test_visitors_are_invited_to_play_by_touch_themselves(browser: AsgiBrowser) -> None:
+    assert '<a href="/docs/demonstrations#by-hand">Play with your own keyboard</a>' in browser.get("/").text
+    assert 'id="by-hand"' in browser.get("/docs/demonstrations").text
+
+
 def test_what_happened_lately_comes_first_and_links_what_is_public(site: SeededSite) -> None:
     for number in range(home.NEWS + 1):
         site.score(f"Team {number}", f"<{number}>", 250 - number)
