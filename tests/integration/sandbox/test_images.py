@@ -126,13 +126,13 @@ serve(Policy())
 
 @pytest.mark.parametrize("kind", [IsolationKind.NAMESPACES, pytest.param(IsolationKind.VM, marks=pytest.mark.slow)])
 def test_an_image_sees_nothing_but_its_own_files_and_each_episode_begins_anew(
-    tmp_path: Path, kind: IsolationKind
+    image_folder: Path, kind: IsolationKind
 ) -> None:
     if kind is IsolationKind.VM and (shutil.which("runsc") is None or os.geteuid() != 0):
         pytest.skip("isolation vm needs gVisor (runsc) and a control group")
-    folder = unpack_image(python_image(tmp_path, PROBE), tmp_path / "unpacked")
+    (image_folder / "root/app/play.py").write_bytes(PROBE)
     outputs = []
-    with PolicySession(folder, image=load_program(folder), kind=kind) as session:
+    with PolicySession(image_folder, image=load_program(image_folder), kind=kind) as session:
         for _ in range(2):
             with session.episode(task="probe", action_shape=(1,)) as policy:
                 policy.act({"value": np.zeros(1, np.float32)})
@@ -181,7 +181,7 @@ def test_a_command_that_cannot_run_is_named(
     ],
 )
 def test_a_failing_image_gets_the_verdict_of_any_policy(
-    tmp_path: Path, line: bytes, code: VerdictCode, part: str, image_folder: Path
+    image_folder: Path, line: bytes, code: VerdictCode, part: str
 ) -> None:
     (image_folder / "root/app/play.py").write_bytes(
         b"import os\nfrom vitac_policy import serve\nclass Policy:\n    def act(self, observation):\n        "
