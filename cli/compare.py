@@ -61,12 +61,14 @@ class Evaluated:
         track: its track.
         list_hash: of the episode list with all that a task fixes; None if a service does not say.
         episodes: how they ended.
+        submission_digest: of what played; None where it is not known.
     """
 
     name: str
     track: str
     list_hash: str | None
     episodes: Sequence[FinishedEpisode]
+    submission_digest: str | None = None
 
 
 def command(
@@ -225,7 +227,7 @@ def _pair_cells(rows: Sequence[Row]) -> list[tuple[object, ...]]:
 
 def _evaluated(named: str, server: str | None, token_file: Path | None) -> Evaluated:
     if Path(named).is_file():
-        return _from_file(named)
+        return read_evaluated(named)
     address, _, submission_id = named.rpartition(PAGES)
     client = make_client(address.removesuffix("/api/v1") or server, token_file)
     submission = client.submission(submission_id)
@@ -233,7 +235,7 @@ def _evaluated(named: str, server: str | None, token_file: Path | None) -> Evalu
     return Evaluated(name=submission["name"], track=submission["track"], list_hash=None, episodes=episodes)
 
 
-def _from_file(named: str) -> Evaluated:
+def read_evaluated(named: str) -> Evaluated:
     """Read a log, or the report that `vitac evaluate --json` writes."""
     from pydantic import ValidationError
     from vitac.evaluator.evaluation.local import EvaluationReport
@@ -244,7 +246,8 @@ def _from_file(named: str) -> Evaluated:
     if is_log(path):
         with open_log(path) as stream:
             reader = LogReader(stream)
-            manifest, episodes = reader.header.manifest, tuple(reader.records())
+            manifest, digest = reader.header.manifest, reader.header.submission_digest
+            episodes = tuple(reader.records())
     else:
         try:
             report = EvaluationReport.model_validate_json(path.read_bytes())
@@ -252,8 +255,14 @@ def _from_file(named: str) -> Evaluated:
             raise VitacError(
                 f"Expected a log or a file of `vitac evaluate --json`, got {path} ({error.error_count()} errors)."
             ) from error
-        manifest, episodes = report.manifest, report.episodes
-    return Evaluated(name=named, track=manifest.track, list_hash=manifest.task_hash, episodes=episodes)
+        manifest, digest, episodes = report.manifest, report.submission_digest, report.episodes
+    return Evaluated(
+        name=named,
+        track=manifest.track,
+        list_hash=manifest.task_hash,
+        episodes=episodes,
+        submission_digest=digest,
+    )
 
 
 def _compared(one: Evaluated, other: Evaluated) -> dict[str, Comparison]:

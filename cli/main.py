@@ -81,6 +81,7 @@ NOUNS = (
     ),
     Noun(name="leaderboard", module="client.leaderboard", summary="Print a leaderboard, also as CSV or for LaTeX."),
     Noun(name="compare", module="compare", summary="Compare two submissions episode by episode."),
+    Noun(name="gap", module="gap", summary="Measure how far simulation is from a station."),
     Noun(name="receipt", module="receipt.app", summary="Verify receipts; audit the public log and boards."),
     Noun(
         name="witness", module="witness", summary="Sign the log of a service, unless it was rewritten.", extra=_SERVER

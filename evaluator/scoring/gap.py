@@ -1,0 +1,175 @@
+"""The gap between simulation and a station: how the same policies do on the same starts in both."""
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, NonNegativeInt, PositiveInt
+from vitac.envs.errors import VitacError
+
+from ..strict_model import StrictModel
+
+ASKED_POLICIES: Final = 10
+"""From so many on correlation and rank violation say something."""
+_RESAMPLES: Final = 2000
+_SEED: Final = 0
+_OUTER: Final = (2.5, 97.5)
+
+
+class NoGap(VitacError):
+    """Simulation and station have nothing in common that can be compared."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlayedTwice:
+    """One policy in simulation and at a station.
+
+    Attributes:
+        name: its name.
+        ends: of each episode that both have, by number, whether it was solved in simulation, and at the station.
+    """
+
+    name: str
+    ends: Mapping[int, tuple[bool, bool]]
+
+
+class Interval(StrictModel):
+    """95 % interval by a cluster bootstrap of starts, which all policies share."""
+
+    low: float
+    high: float
+
+
+class Measured(StrictModel):
+    """A figure with its interval."""
+
+    value: float
+    interval: Interval
+
+
+class PolicyGap(StrictModel):
+    """One policy: how often it succeeds in both, and in which trials simulation and station agree."""
+
+    name: str
+    episodes: PositiveInt
+    simulation: float = Field(ge=0, le=1)
+    station: float = Field(ge=0, le=1)
+    difference: Measured
+    """Success rate in simulation minus that at the station."""
+    both: NonNegativeInt
+    only_simulation: NonNegativeInt
+    only_station: NonNegativeInt
+    neither: NonNegativeInt
+
+
+class Gap(StrictModel):
+    """All policies together."""
+
+    policies: tuple[PolicyGap, ...]
+    difference: Measured
+    """Mean over policies of the success rate in simulation minus that at the station."""
+    agreement: Measured
+    """Part of the trials that end in simulation as at the station."""
+    pearson: Measured | None
+    """Correlation of the success rates; None where all policies have one rate in one of them."""
+    mean_maximum_rank_violation: Measured | None
+    """Of the ranking in simulation against that at the station; None for one policy."""
+
+
+def measure_gap(policies: Sequence[PlayedTwice], starts: Mapping[int, Hashable]) -> Gap:
+    """Return the gap over policies.
+
+    Args:
+        policies: that were played in both.
+        starts: of every episode; its repeats count as one in every interval.
+
+    Raises:
+        NoGap: there is no policy, or one has no episode that was played in both.
+    """
+    if not policies:
+        raise NoGap("Expected a policy that was played in simulation and at a station, got none.")
+    for policy in policies:
+        if not policy.ends:
+            raise NoGap(f"Expected episodes of {policy.name} that simulation and station have both played, got none.")
+    clusters = sorted({starts[episode] for policy in policies for episode in policy.ends}, key=repr)
+    tallies = np.zeros((len(clusters), len(policies), 4))
+    for column, policy in enumerate(policies):
+        for episode, (simulated, tried) in policy.ends.items():
+            tallies[clusters.index(starts[episode]), column] += (1, simulated, tried, simulated == tried)
+    several = len(policies) > 1
+    return Gap(
+        policies=tuple(_policy_gap(policy, tallies[:, [row]]) for row, policy in enumerate(policies)),
+        difference=_measured(mean_difference, tallies),
+        agreement=_measured(agreement, tallies),
+        pearson=_measured(pearson, tallies) if several and not np.isnan(pearson(tallies.sum(axis=0))) else None,
+        mean_maximum_rank_violation=_measured(mean_maximum_rank_violation, tallies) if several else None,
+    )
+
+
+FloatArray = NDArray[np.float64]
+"""A tally of policies, shape [..., p, 4], has of each the number of episodes, of those solved in simulation, of those
+solved at the station, and of those that end alike."""
+
+
+def rates(tally: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the success rates in simulation and at the station, shapes [..., p]."""
+    return tally[..., 1] / tally[..., 0], tally[..., 2] / tally[..., 0]
+
+
+def mean_difference(tally: FloatArray) -> FloatArray:
+    """Return the mean over policies of the success rate in simulation minus that at the station."""
+    simulation, station = rates(tally)
+    return np.asarray((simulation - station).mean(axis=-1))
+
+
+def agreement(tally: FloatArray) -> FloatArray:
+    """Return the part of all trials that end the same in both."""
+    return np.asarray(tally[..., 3].sum(axis=-1) / tally[..., 0].sum(axis=-1))
+
+
+def pearson(tally: FloatArray) -> FloatArray:
+    """Return Pearson's correlation of the rates; NaN where a side has one rate only."""
+    x, y = (side - side.mean(axis=-1, keepdims=True) for side in rates(tally))
+    with np.errstate(invalid="ignore"):
+        return np.asarray((x * y).sum(axis=-1) / np.sqrt((x * x).sum(axis=-1) * (y * y).sum(axis=-1)))
+
+
+def mean_maximum_rank_violation(tally: FloatArray) -> FloatArray:
+    """Return the mean over policies of the largest difference at the station to one that simulation ranks otherwise.
+
+    X. Li et al., Evaluating Real-World Robot Manipulation Policies in Simulation, CoRL 2024, equation 2.
+    """
+    simulation, station = ((side[..., :, None], side[..., None, :]) for side in rates(tally))
+    violated = (simulation[0] < simulation[1]) != (station[0] < station[1])
+    return np.asarray((np.abs(station[0] - station[1]) * violated).max(axis=-1).mean(axis=-1))
+
+
+def _measured(statistic: Callable[[FloatArray], FloatArray], tallies: FloatArray) -> Measured:
+    """Return a statistic of tallies by start, shape [s, p, 4], with its interval.
+
+    Resamples in which a policy has no episode, or that have no value, drop out.
+    """
+    starts = len(tallies)
+    drawn = np.random.default_rng(_SEED).integers(starts, size=(_RESAMPLES, starts))
+    resamples = tallies[drawn].sum(axis=1)
+    values = statistic(resamples[(resamples[..., 0] > 0).all(axis=-1)])
+    low, high = np.nanpercentile(values, _OUTER).tolist()
+    return Measured(value=float(statistic(tallies.sum(axis=0))), interval=Interval(low=low, high=high))
+
+
+def _policy_gap(policy: PlayedTwice, tallies: FloatArray) -> PolicyGap:
+    solved = list(policy.ends.values())
+    simulation, station = (float(side[0]) for side in rates(tallies.sum(axis=0)))
+    return PolicyGap(
+        name=policy.name,
+        episodes=len(solved),
+        simulation=simulation,
+        station=station,
+        difference=_measured(mean_difference, tallies),
+        both=solved.count((True, True)),
+        only_simulation=solved.count((True, False)),
+        only_station=solved.count((False, True)),
+        neither=solved.count((False, False)),
+    )

@@ -1,0 +1,81 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from evaluation_records import make_manifest, make_record
+from vitac.cli import main as cli
+from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome
+from vitac.evaluator.logs.log import LogHeader, write_log
+from vitac.station.outcome import TrialOutcome
+from vitac.station.rehearsal import AttemptRecord, RehearsalReport, TrialRecord
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as exit_:
+        cli.main(["gap", *map(str, arguments)])
+    out, err = capsys.readouterr()
+    assert isinstance(exit_.value.code, int)
+    return exit_.value.code, out, err
+
+
+def simulated(path: Path, solved: set[int], digest: str = "3" * 64) -> Path:
+    outcomes = {True: EpisodeOutcome.SUCCESS, False: EpisodeOutcome.STEPS}
+    with path.open("wb") as stream:
+        header = LogHeader(team=None, submission_digest=digest, manifest=make_manifest())
+        write_log(stream, header, [make_record(number, outcomes[number in solved]) for number in range(1, 9)])
+    return path
+
+
+def tried(path: Path, outcomes: dict[int, TrialOutcome], digest: str = "3" * 64, **changes: Any) -> Path:
+    def trial(number: int, outcome: TrialOutcome) -> TrialRecord:
+        record = make_record(number)
+        attempt = AttemptRecord(
+            outcome=outcome, actions=ActionSequence.from_array(np.zeros((1, 3), dtype=np.float32)),
+            thresholds_px=(1.0, 1.0), policy_s=0.1,
+        )  # fmt: skip
+        start = {"shape": record.shape, "offset": record.initial_offset} | changes
+        return TrialRecord(episode=number, attempts=(attempt,), **start)
+
+    report = RehearsalReport.from_trials(
+        [trial(number, outcome) for number, outcome in outcomes.items()],
+        station="bench", submission="mine", submission_digest=digest, track="track_1", task="peg-insertion",
+    )  # fmt: skip
+    path.write_text(report.model_dump_json())
+    return path
+
+
+TRIALS = {1: TrialOutcome.SUCCESS, 2: TrialOutcome.TACTILE, 3: TrialOutcome.SUCCESS, 4: TrialOutcome.DEVICE_FAULT}
+
+
+def test_trials_that_count_are_paired_with_their_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = simulated(tmp_path / "a.jsonl", {1, 2, 4}), tried(tmp_path / "a.json", TRIALS)
+    code, out, _ = run(capsys, *files, "--json")
+    (policy,) = json.loads(out)["policies"]
+    assert code == 0
+    assert {key: policy[key] for key in ("episodes", "both", "only_simulation", "only_station", "neither")} == {
+        "episodes": 3, "both": 1, "only_simulation": 1, "only_station": 1, "neither": 0,
+    }  # fmt: skip
+    code, out, _ = run(capsys, *files)
+    assert code == 0
+    assert "Episodes that end alike: 33.3 %" in out
+    assert "say little of 1 policies; play 10 or more" in out
+
+
+def test_files_of_other_policies_lists_and_kinds_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, report = simulated(tmp_path / "a.jsonl", {1}), tried(tmp_path / "a.json", TRIALS)
+    other = tried(tmp_path / "b.json", TRIALS, digest="4" * 64)
+    elsewhere = tried(tmp_path / "c.json", TRIALS, offset=(0.0, 0.0, 0.0))
+    for files, code, message in (
+        ((log,), 2, "expected two files of each policy, simulation and station, got 1 files"),
+        ((log, other), 1, "Expected one policy in"),
+        ((log, elsewhere), 1, "Expected episode 1 of one list, got"),
+        ((log, log), 1, "Expected a file of `vitac evaluate --station ... --json`, got"),
+        ((report, report), 1, "Expected a log or a file of `vitac evaluate --json`, got"),
+        ((log, tmp_path / "missing.json"), 1, "Expected a file of `vitac evaluate --station ... --json`, got"),
+    ):
+        got, _, err = run(capsys, *files)
+        assert (got, message in " ".join(err.replace("│", " ").split())) == (code, True), err
