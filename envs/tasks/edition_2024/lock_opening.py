@@ -40,8 +40,8 @@ class LockOpening2024Settings(LockOpeningSettings):
 
     Attributes:
         failure_penalty: cost of the force, tactile or error flag for every env step that is left, in step penalties.
-        jitter_mm: largest displacement of the sensors along the key.
-        jitter_z_mm: the same up or down; 0, as the name of its setting was misspelt in 2024.
+        jitter_z_mm: largest displacement of the sensors up or down, where `jitter_mm` is that along the key; 0, as the
+            name of its setting was misspelt in 2024.
     """
 
     action_count: ClassVar[int] = len(LOCK_TASK.actions)
